@@ -1,0 +1,1 @@
+"""Devices and the 1 kHz loop: force sensors, stages, recorder, safety. Empty in this version."""

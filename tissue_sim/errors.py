@@ -1,0 +1,61 @@
+"""Errors that a user can act on."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from pathlib import Path
+
+
+class InputError(ValueError):
+    """Bad input: one sentence that says where it is, what was expected and how to mend it.
+
+    Args:
+        problem: the sentence, without the place.
+        file: file the input came from, if any.
+        line: 1-based line in that file.
+        field: dotted path of the field at fault, such as ``test[0].recordings`` or ``specimen.radius``.
+    """
+
+    def __init__(self, problem: str, *, file: str | Path | None = None, line: int | None = None,
+                 field: str | None = None):
+        self.problem, self.file, self.line, self.field = problem, file, line, field
+        place = []
+        if file is not None:
+            place.append(f"{file}:{line}" if line is not None else str(file))
+        elif line is not None:
+            place.append(f"line {line}")
+        if field is not None:
+            place.append(field)
+        super().__init__(": ".join([*place, problem]))
+
+    def located(self, *, file: str | Path | None = None, field: str | None = None) -> InputError:
+        """The same error with the file, or an outer field, that only the caller knows."""
+        joined = ".".join(part for part in (field, self.field) if part) or None
+        return InputError(self.problem, file=self.file if self.file is not None else file, line=self.line, field=joined)
+
+
+class ConvergenceError(RuntimeError):
+    """The solver came to the end of its means.
+
+    Attributes:
+        recording: the converged part of the test (a `Recording`, possibly of one point).
+        depth: deepest converged tool displacement, m.
+    """
+
+    def __init__(self, message: str, *, recording=None, depth: float = 0.0):
+        super().__init__(message)
+        self.recording, self.depth = recording, depth
+
+
+class MissingBackendError(RuntimeError):
+    """A package that this platform lacks is needed for what was asked."""
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """A hint such as ``; did you mean 'radius_mm'?`` or the list of known words when none is near."""
+    known = list(known)
+    close = difflib.get_close_matches(word, known, n=1, cutoff=0.6)
+    if close:
+        return f"; did you mean {close[0]!r}?"
+    return f"; known: {', '.join(known)}"

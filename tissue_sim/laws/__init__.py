@@ -1,0 +1,41 @@
+"""Strain-energy laws: one formula each, everything else derived.
+
+Adding a law: write its class in a file beside these and add one line to `LAWS` (see CONTRIBUTING.md); a program can
+also `register` its own.
+"""
+
+from tissue_sim.errors import InputError, nearest
+from tissue_sim.laws.law import InvariantLaw, KernelEnergy, Law, StretchLaw
+from tissue_sim.laws.mooney_rivlin import MooneyRivlin
+from tissue_sim.laws.neo_hooke import NeoHooke
+from tissue_sim.laws.ogden import Ogden
+from tissue_sim.laws.reduced_polynomial import ReducedPolynomial
+from tissue_sim.laws.stability import Stability, check_stability
+
+LAWS: dict[str, Law] = {law.name: law for law in (
+    NeoHooke(),
+    MooneyRivlin(),
+    ReducedPolynomial(1), ReducedPolynomial(2), ReducedPolynomial(3),
+    Ogden(1), Ogden(2), Ogden(3),
+)}
+
+
+def register(law: Law) -> Law:
+    """Add a law to the table, so that files and campaigns can name it; returns it."""
+    LAWS[law.name] = law
+    return law
+
+
+def find_law(name: str) -> Law:
+    """The law of that name.
+
+    Raises:
+        InputError: no such law; names the nearest.
+    """
+    if name not in LAWS:
+        raise InputError(f"unknown law {name!r}{nearest(name, LAWS)}", field="law")
+    return LAWS[name]
+
+
+__all__ = ["LAWS", "InvariantLaw", "KernelEnergy", "Law", "Stability", "StretchLaw", "check_stability", "find_law",
+           "register"]

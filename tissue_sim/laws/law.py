@@ -1,0 +1,260 @@
+"""What a strain-energy law is, and everything that follows from its one formula.
+
+A law states its energy once, as a Python expression that works on symbols. Differentiation is symbolic (sympy), so
+the closed forms, the parameter derivatives, the moduli, the stability check, the printed formula and the functions
+that the finite elements compile are all the same formula.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+import sympy as sp
+
+from tissue_sim.errors import InputError, nearest
+
+#: Homogeneous incompressible deformations: mode -> (principal stretches of lambda, work-conjugate factor of P).
+_MODES = {
+    "uniaxial": (lambda s: (s, 1 / sp.sqrt(s), 1 / sp.sqrt(s)), 1),
+    "planar": (lambda s: (s, sp.Integer(1), 1 / s), 1),
+    "equibiaxial": (lambda s: (s, s, 1 / s**2), 2),
+}
+MODES = tuple(_MODES)
+
+
+@dataclass(frozen=True)
+class KernelEnergy:
+    """The formula in the shape that a finite-element kernel is compiled for.
+
+    Laws with the same `key` share one compiled kernel and differ in their coefficients only.
+
+    Attributes:
+        key: name of the compiled kernel.
+        family: ``"invariants"`` (energy of I1, I2) or ``"stretches"`` (energy of one stretch, summed over three).
+        variables: symbols of the family: (I1, I2) or (stretch,).
+        coefficients: symbols of the coefficients.
+        energy: the symbolic energy.
+    """
+
+    key: str
+    family: str
+    variables: tuple[sp.Symbol, ...]
+    coefficients: tuple[sp.Symbol, ...]
+    energy: sp.Expr
+
+
+class Law:
+    """A strain energy W in Pa of an incompressible or, with the isochoric part, nearly incompressible solid.
+
+    A subclass states `name`, `title`, `units` (parameter -> unit) and its energy; see `InvariantLaw` and `StretchLaw`.
+    Parameters travel as a mapping name -> value in SI or as an array in the order of `parameters`.
+    """
+
+    name: str
+    title: str
+    units: Mapping[str, str]
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the parameters, in order."""
+        return tuple(self.units)
+
+    @cached_property
+    def symbols(self) -> tuple[sp.Symbol, ...]:
+        return tuple(sp.Symbol(name, real=True) for name in self.parameters)
+
+    def energy_of_stretches(self, l1, l2, l3, parameters) -> sp.Expr:
+        """W at three principal stretches with l1 l2 l3 = 1 (symbols or numbers)."""
+        raise TypeError(f"{type(self).__name__} must derive from InvariantLaw or StretchLaw")
+
+    @property
+    def kernel_energy(self) -> KernelEnergy:
+        raise TypeError(f"{type(self).__name__} must derive from InvariantLaw or StretchLaw")
+
+    def kernel_coefficients(self, values) -> np.ndarray:
+        """Coefficients of `kernel_energy` at these parameters; shape (number of coefficients,)."""
+        return self.as_array(values)
+
+    def kernel_coefficient_derivatives(self, values) -> np.ndarray:
+        """d coefficients / d parameters at these parameters; shape (coefficients, parameters)."""
+        return np.eye(len(self.parameters))
+
+    # -- parameters ---------------------------------------------------------------------------------------------
+
+    def as_array(self, values) -> np.ndarray:
+        """Values in the order of `parameters`, SI, shape (m,).
+
+        Raises:
+            InputError: a name missing or unknown, or a value that is not finite.
+        """
+        if isinstance(values, Mapping):
+            for name in values:
+                if name not in self.units:
+                    raise InputError(f"law {self.name} has no parameter {name!r}{nearest(name, self.parameters)}",
+                                     field=f"parameters.{name}")
+            for name in self.parameters:
+                if name not in values:
+                    raise InputError(f"law {self.name} needs {', '.join(self.parameters)}; {name} is missing",
+                                     field=f"parameters.{name}")
+            values = [values[name] for name in self.parameters]
+        array = np.asarray(values, dtype=float)
+        if array.shape != (len(self.parameters),):
+            raise InputError(f"law {self.name} has {len(self.parameters)} parameters, got shape {array.shape}",
+                             field="parameters")
+        for name, value in zip(self.parameters, array, strict=True):
+            if not np.isfinite(value):
+                raise InputError(f"{name} is {value}, expected a finite number", field=f"parameters.{name}")
+        return array
+
+    def as_mapping(self, values) -> dict[str, float]:
+        return {name: float(value) for name, value in zip(self.parameters, self.as_array(values), strict=True)}
+
+    # -- closed forms -------------------------------------------------------------------------------------------
+
+    @lru_cache  # noqa: B019 - laws are module-level singletons
+    def _along(self, mode: str):
+        """Compiled nominal stress and its parameter derivatives along a homogeneous deformation."""
+        if mode == "simple_shear":
+            # Principal stretches of simple shear gamma: l and 1/l with l - 1/l = gamma.
+            s = sp.Symbol("gamma", real=True)
+            l1 = s / 2 + sp.sqrt(1 + s**2 / 4)
+            stretches, share = (l1, 1 / l1, sp.Integer(1)), 1
+        else:
+            s = sp.Symbol("lambda", positive=True)
+            path, share = _MODES[mode]
+            stretches = path(s)
+        stress = sp.diff(self.energy_of_stretches(*stretches, self.symbols), s) / share
+        slopes = [sp.diff(stress, p) for p in self.symbols]
+        stretch_slope = sp.diff(stress, s)
+        return sp.lambdify((s, *self.symbols), [stress, stretch_slope, *slopes], modules="numpy", cse=True)
+
+    def _evaluate(self, mode, stretch, values) -> list[np.ndarray]:
+        stretch = np.asarray(stretch, dtype=float)
+        results = self._along(mode)(stretch, *self.as_array(values))
+        return [np.broadcast_to(np.asarray(item, dtype=float), stretch.shape) for item in results]
+
+    def nominal_stress(self, stretch, values, mode: str = "uniaxial") -> np.ndarray:
+        """First Piola stress of an incompressible solid, Pa, negative in compression.
+
+        Args:
+            stretch: any shape; the shear strain gamma for ``mode="simple_shear"``.
+            values: parameters.
+            mode: ``uniaxial`` (equations 4 to 7 of the study), ``planar``, ``equibiaxial`` or ``simple_shear``.
+
+        Source: P = dW/dlambda along the mode (Holzapfel, Nonlinear Solid Mechanics, 2000, section 6.5).
+        """
+        return np.array(self._evaluate(mode, stretch, values)[0])
+
+    def nominal_stress_slope(self, stretch, values, mode: str = "uniaxial") -> np.ndarray:
+        """d(nominal stress)/d(stretch), Pa."""
+        return np.array(self._evaluate(mode, stretch, values)[1])
+
+    def nominal_stress_derivatives(self, stretch, values, mode: str = "uniaxial") -> np.ndarray:
+        """d(nominal stress)/d(parameter); shape (*stretch.shape, m)."""
+        return np.stack(self._evaluate(mode, stretch, values)[2:], axis=-1)
+
+    def mu0(self, values) -> float:
+        """Initial shear modulus, Pa: the slope of simple shear at rest."""
+        return float(self.nominal_stress_slope(0.0, values, "simple_shear"))
+
+    def E0(self, values) -> float:
+        """Initial Young's modulus of the incompressible solid, Pa: E0 = 3 mu0."""
+        return float(self.nominal_stress_slope(1.0, values))
+
+    # -- formula ------------------------------------------------------------------------------------------------
+
+    def formula(self) -> str:
+        """The energy as one line of text."""
+        return "W = " + sp.sstr(self.formula_expression()).replace("**", "^")
+
+    def latex(self) -> str:
+        """The energy as LaTeX, for reports."""
+        return "W = " + sp.latex(self.formula_expression())
+
+    def formula_expression(self) -> sp.Expr:
+        raise TypeError(f"{type(self).__name__} must derive from InvariantLaw or StretchLaw")
+
+
+class InvariantLaw(Law):
+    """A law that states `energy(I1, I2, *parameters)` of the isochoric invariants.
+
+    Laws that are polynomials of (I1 - 3, I2 - 3) up to degree three share one compiled kernel; any other smooth
+    formula compiles one of its own on first use.
+    """
+
+    def energy(self, I1, I2, *parameters):
+        raise TypeError(f"{type(self).__name__} must state energy(I1, I2, *parameters)")
+
+    def energy_of_stretches(self, l1, l2, l3, parameters) -> sp.Expr:
+        I1 = l1**2 + l2**2 + l3**2
+        I2 = l1**-2 + l2**-2 + l3**-2
+        return sp.sympify(self.energy(I1, I2, *parameters))
+
+    def formula_expression(self) -> sp.Expr:
+        return sp.sympify(self.energy(*_I1_I2, *self.symbols))
+
+    @cached_property
+    def _polynomial(self) -> sp.Matrix | None:
+        """Coefficients of (I1-3)^i (I2-3)^j as expressions of the parameters, None where that does not exist."""
+        x, y = sp.symbols("x y", real=True)
+        try:
+            polynomial = sp.Poly(sp.sympify(self.energy(x + 3, y + 3, *self.symbols)), x, y)
+        except sp.PolynomialError:
+            return None
+        terms = dict(polynomial.terms())
+        if any(power not in (*POWERS, (0, 0)) for power in terms):
+            return None
+        return sp.Matrix([terms.get(power, 0) for power in POWERS])
+
+    @cached_property
+    def kernel_energy(self) -> KernelEnergy:
+        if self._polynomial is not None:
+            return _POLYNOMIAL
+        return KernelEnergy(self.name, "invariants", _I1_I2, self.symbols, self.formula_expression())
+
+    def kernel_coefficients(self, values) -> np.ndarray:
+        if self._polynomial is None:
+            return self.as_array(values)
+        return self._polynomial_functions[0](*self.as_array(values)).astype(float).ravel()
+
+    def kernel_coefficient_derivatives(self, values) -> np.ndarray:
+        if self._polynomial is None:
+            return np.eye(len(self.parameters))
+        return self._polynomial_functions[1](*self.as_array(values)).astype(float)
+
+    @cached_property
+    def _polynomial_functions(self):
+        jacobian = self._polynomial.jacobian(self.symbols)
+        return tuple(sp.lambdify(self.symbols, matrix, modules="numpy") for matrix in (self._polynomial, jacobian))
+
+
+class StretchLaw(Law):
+    """A separable law that states `energy_of_stretch(stretch, *parameters)`; W is its sum over the three stretches."""
+
+    def energy_of_stretch(self, stretch, *parameters):
+        raise TypeError(f"{type(self).__name__} must state energy_of_stretch(stretch, *parameters)")
+
+    def energy_of_stretches(self, l1, l2, l3, parameters) -> sp.Expr:
+        return sp.Add(*(sp.sympify(self.energy_of_stretch(s, *parameters)) for s in (l1, l2, l3)))
+
+    def formula_expression(self) -> sp.Expr:
+        stretches = sp.symbols("lambda_1:4", positive=True)
+        return self.energy_of_stretches(*stretches, self.symbols)
+
+    @cached_property
+    def kernel_energy(self) -> KernelEnergy:
+        return KernelEnergy(self.name, "stretches", (_STRETCH,), self.symbols,
+                            sp.sympify(self.energy_of_stretch(_STRETCH, *self.symbols)))
+
+
+_I1_I2 = tuple(sp.symbols("I1 I2", positive=True))
+_STRETCH = sp.Symbol("stretch", positive=True)
+#: (i, j) of the monomials (I1-3)^i (I2-3)^j in the shared polynomial kernel.
+POWERS = ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))
+_C = tuple(sp.Symbol(f"C{i}{j}", real=True) for i, j in POWERS)
+_POLYNOMIAL = KernelEnergy(
+    "polynomial", "invariants", _I1_I2, _C,
+    sum(c * (_I1_I2[0] - 3)**i * (_I1_I2[1] - 3)**j for c, (i, j) in zip(_C, POWERS, strict=True)))

@@ -1,0 +1,14 @@
+"""Neo-Hooke: one modulus (Rivlin 1948)."""
+
+from tissue_sim.laws.law import InvariantLaw
+
+
+class NeoHooke(InvariantLaw):
+    """W = C10 (I1 - 3)."""
+
+    name = "neo_hooke"
+    title = "Neo-Hooke"
+    units = {"C10": "Pa"}
+
+    def energy(self, I1, I2, C10):
+        return C10 * (I1 - 3)

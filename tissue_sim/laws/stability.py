@@ -1,0 +1,106 @@
+"""Drucker stability of an incompressible law over a stretch range."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import sympy as sp
+
+from tissue_sim.laws.law import MODES, Law
+
+STRETCH_RANGE = (0.3, 3.0)
+
+
+@dataclass(frozen=True)
+class Stability:
+    """Where a law stops being stable.
+
+    Attributes:
+        limits: mode -> (lowest, highest) stable stretch, starting from 1 in either direction; a limit equal to that
+            of `stretch_range` means that no loss was found.
+        stretch_range: the range that was looked at.
+    """
+
+    limits: dict[str, tuple[float, float]]
+    stretch_range: tuple[float, float]
+
+    @property
+    def stable(self) -> bool:
+        """Stable in every mode over the whole range."""
+        return all(limit == self.stretch_range for limit in self.limits.values())
+
+    @property
+    def stable_from(self) -> float:
+        """Highest of the lower limits over the modes."""
+        return max(low for low, _ in self.limits.values())
+
+    @property
+    def stable_to(self) -> float:
+        """Lowest of the upper limits over the modes."""
+        return min(high for _, high in self.limits.values())
+
+    def describe(self) -> str:
+        """One line for reports."""
+        low, high = self.stretch_range
+        if self.stable:
+            return f"stable for stretches {low:g} to {high:g} in uniaxial, planar and equibiaxial loading"
+        parts = []
+        for mode, (lower, upper) in self.limits.items():
+            lost = [f"{kind} {limit:.3g}" for limit, end, kind in ((lower, low, "below"), (upper, high, "above"))
+                    if limit != end]
+            if lost:
+                parts.append(f"{mode}: unstable {' and '.join(lost)}")
+        return "; ".join(parts)
+
+
+@lru_cache
+def _hessian(law: Law):
+    """Compiled d2W/(de_i de_j) of the logarithmic strains e1, e2 with e3 = -e1 - e2 (incompressible)."""
+    e1, e2 = sp.symbols("e1 e2", real=True)
+    energy = law.energy_of_stretches(sp.exp(e1), sp.exp(e2), sp.exp(-e1 - e2), law.symbols)
+    entries = [sp.diff(energy, a, b) for a, b in ((e1, e1), (e1, e2), (e2, e2))]
+    return sp.lambdify((e1, e2, *law.symbols), entries, modules="numpy", cse=True)
+
+
+def check_stability(law: Law, values, stretch_range: tuple[float, float] = STRETCH_RANGE, points: int = 400) -> Stability:
+    """Drucker's criterion: the work of every additional strain is positive, d(tau) : d(e) > 0.
+
+    Kirchhoff stress against logarithmic strain: for an incompressible solid the 2 x 2 matrix of d(tau)/d(e) is the
+    Hessian of W in two of the logarithmic strains; it must be positive definite. It is followed from stretch 1
+    outwards in tension and compression of each mode and the first loss is bisected.
+
+    Source: Abaqus Analysis User's Guide, "Hyperelastic behavior of rubberlike materials", Drucker stability.
+
+    Args:
+        law: the law.
+        values: its parameters.
+        stretch_range: (lowest, highest) stretch to look at.
+        points: samples in each direction.
+    """
+    array = law.as_array(values)
+    exponents = {"uniaxial": (1.0, -0.5), "planar": (1.0, 0.0), "equibiaxial": (1.0, 1.0)}
+
+    def is_stable(stretch, mode):
+        strain = np.log(np.asarray(stretch, dtype=float))
+        a, b, c = (np.broadcast_to(x, strain.shape)
+                   for x in _hessian(law)(exponents[mode][0] * strain, exponents[mode][1] * strain, *array))
+        with np.errstate(over="ignore", invalid="ignore"):
+            return (a + c > 0) & (a * c - b * b > 0)
+
+    def limit(end, mode):
+        stretches = np.geomspace(1.0, end, points + 1)
+        unstable = np.flatnonzero(~is_stable(stretches, mode))
+        if unstable.size == 0:
+            return float(end)
+        if unstable[0] == 0:
+            return 1.0
+        good, bad = stretches[unstable[0] - 1], stretches[unstable[0]]
+        for _ in range(50):
+            middle = 0.5 * (good + bad)
+            good, bad = (middle, bad) if is_stable(middle, mode) else (good, middle)
+        return float(good)
+
+    low, high = stretch_range
+    return Stability({mode: (limit(low, mode), limit(high, mode)) for mode in MODES}, (float(low), float(high)))

@@ -1,0 +1,124 @@
+"""A recording: one replicate of one test. A measurement and a simulation are the same type."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from tissue_sim.errors import InputError, nearest
+
+#: Channel -> quantity of its unit. SI inside: s, m, N, Pa, K.
+CHANNELS: dict[str, str] = {
+    "time": "time", "displacement": "length", "force": "force",
+    "stretch": "ratio", "nominal stress": "stress", "shear strain": "ratio",
+    "temperature": "temperature",
+    "Fx": "force", "Fy": "force", "Fz": "force", "Tx": "torque", "Ty": "torque", "Tz": "torque",
+}
+#: Labels, not numbers.
+LABELS = ("segment", "cycle")
+MIN_POINTS = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One replicate of one test.
+
+    Attributes:
+        channels: name in `CHANNELS` -> values in SI, all of shape (n,), read-only. Displacement is positive into the
+            tissue, force positive when the tissue pushes back; stretch and nominal stress carry their sign
+            (compression: stretch below 1, stress below 0).
+        labels: ``segment`` (str) and ``cycle`` (int), each of shape (n,), where they exist.
+        metadata: the sidecar: specimen, tool, device configuration, source file, SHA-256, solver status, ...
+        fields: converged fields of a simulation (see `tissue_sim.Fields`), None for a measurement.
+
+    Raises:
+        InputError: unknown channel, channels of different length, a value that is not finite, time running backwards.
+    """
+
+    channels: Mapping[str, np.ndarray]
+    labels: Mapping[str, np.ndarray] = field(default_factory=dict)
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+    fields: Any = None
+
+    def __post_init__(self):
+        channels, length = {}, None
+        for name, values in self.channels.items():
+            if name not in CHANNELS:
+                raise InputError(f"unknown channel{nearest(name, CHANNELS)}", field=name)
+            array = np.array(values, dtype=float)
+            array.flags.writeable = False
+            if array.ndim != 1 or length not in (None, array.size):
+                raise InputError(f"shape {array.shape}, expected {length if length is not None else 'one list of'} "
+                                 "numbers", field=name)
+            bad = np.flatnonzero(~np.isfinite(array))
+            if bad.size:
+                raise InputError(f"value {bad[0] + 1} is {array[bad[0]]}, expected a finite number", field=name)
+            channels[name], length = array, array.size
+        if not channels:
+            raise InputError("a recording needs at least one channel", field="channels")
+        for name, values in self.labels.items():
+            if name not in LABELS:
+                raise InputError(f"unknown label{nearest(name, LABELS)}", field=name)
+            if len(values) != length:
+                raise InputError(f"{len(values)} labels for {length} samples", field=name)
+        if "time" in channels:
+            back = np.flatnonzero(np.diff(channels["time"]) < 0)
+            if back.size:
+                raise InputError(f"time runs backwards after sample {back[0] + 1} ({channels['time'][back[0]]:g} s, "
+                                 f"then {channels['time'][back[0] + 1]:g} s)", field="time")
+        object.__setattr__(self, "channels", MappingProxyType(channels))
+        object.__setattr__(self, "labels", MappingProxyType({k: np.array(v) for k, v in self.labels.items()}))
+        object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))
+
+    def __len__(self) -> int:
+        return next(iter(self.channels.values())).size
+
+    def __contains__(self, channel: str) -> bool:
+        return channel in self.channels
+
+    def channel(self, name: str) -> np.ndarray:
+        """Values of a channel, SI.
+
+        Raises:
+            InputError: the recording has no such channel.
+        """
+        if name not in self.channels:
+            raise InputError(f"this recording has no {name!r}; it has {', '.join(self.channels)}", field=name,
+                             file=self.metadata.get("source"))
+        return self.channels[name]
+
+    @property
+    def time(self) -> np.ndarray:
+        """s."""
+        return self.channel("time")
+
+    @property
+    def displacement(self) -> np.ndarray:
+        """Tool displacement, m, positive into the tissue."""
+        return self.channel("displacement")
+
+    @property
+    def force(self) -> np.ndarray:
+        """Force on the tool, N, positive when the tissue pushes back."""
+        return self.channel("force")
+
+    @property
+    def name(self) -> str:
+        return str(self.metadata.get("name", ""))
+
+    def with_channels(self, **channels) -> Recording:
+        """The same recording with some channels replaced or added (SI)."""
+        return replace(self, channels={**self.channels, **channels})
+
+    def with_metadata(self, **metadata) -> Recording:
+        """The same recording with more metadata."""
+        return replace(self, metadata={**self.metadata, **metadata})
+
+    def select(self, samples) -> Recording:
+        """The samples of a boolean mask, slice or index array."""
+        return replace(self, channels={name: values[samples] for name, values in self.channels.items()},
+                       labels={name: values[samples] for name, values in self.labels.items()}, fields=None)
