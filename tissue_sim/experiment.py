@@ -86,7 +86,7 @@ class Protocol:
 
     @classmethod
     def ramp(cls, depth: float, points: int = 21, speed: float = 0.248e-3) -> Protocol:
-        """A ramp to `depth` (m) at `speed` (m/s) in `points` equal steps, rest included; the study's speed by default."""
+        """A ramp to `depth` (m) at `speed` (m/s), `points` samples with rest included; the study's speed by default."""
         _positive(depth, "protocol.depth")
         _positive(speed, "protocol.speed")
         if points < 2:
@@ -125,7 +125,8 @@ class Experiment:
         for name in ("friction", "friction_base"):
             value = getattr(self, name)
             if value not in INTERFACES:
-                raise InputError(f"{value!r} is not available in this version; use 'bonded' or 'frictionless'", field=name)
+                raise InputError(f"{value!r} is not available in this version; use 'bonded' or 'frictionless'",
+                                 field=name)
         if self.protocol.depth >= self.specimen.height:
             raise InputError(f"{self.protocol.depth * 1e3:g} mm is deeper than the specimen is high "
                              f"({self.specimen.height * 1e3:g} mm)", field="protocol")

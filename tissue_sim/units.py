@@ -19,7 +19,8 @@ UNITS: dict[str, tuple[str, float, float]] = {
     "-": ("ratio", 1.0, 0.0), "1": ("ratio", 1.0, 0.0), "%": ("ratio", 1e-2, 0.0),
     "degC": ("temperature", 1.0, 273.15), "K": ("temperature", 1.0, 0.0),
 }
-_SPELLINGS = {"µm": "um", "μm": "um", "µN": "uN", "μN": "uN", "°C": "degC", "sec": "s", "N.mm": "Nmm", "N/mm²": "N/mm^2"}
+_SPELLINGS = {"µm": "um", "μm": "um", "µN": "uN", "μN": "uN", "°C": "degC", "sec": "s", "N.mm": "Nmm",
+              "N/mm²": "N/mm^2"}
 _HEADER = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]()]*)[\])]\s*$")
 
 

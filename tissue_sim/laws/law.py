@@ -156,6 +156,31 @@ class Law:
         """d(nominal stress)/d(parameter); shape (*stretch.shape, m)."""
         return np.stack(self._evaluate(mode, stretch, values)[2:], axis=-1)
 
+    @lru_cache  # noqa: B019 - laws are module-level singletons
+    def _principal(self):
+        stretches = sp.symbols("l1:4", positive=True)
+        energy = self.energy_of_stretches(*stretches, self.symbols)
+        slopes = [s * sp.diff(energy, s) for s in stretches]
+        return sp.lambdify((*stretches, *self.symbols), [energy, *slopes], modules="numpy", cse=True)
+
+    def principal_response(self, stretches, values) -> tuple[np.ndarray, np.ndarray]:
+        """Energy and Kirchhoff stresses of the isochoric part at three principal stretches.
+
+        Args:
+            stretches: shape (..., 3), with product J > 0; the law sees stretches / J^(1/3).
+            values: parameters.
+
+        Returns:
+            W in J/m3, shape (...), and the deviatoric principal Kirchhoff stresses in Pa, shape (..., 3).
+
+        Source: Holzapfel, Nonlinear Solid Mechanics, 2000, section 6.4.
+        """
+        stretches = np.asarray(stretches, dtype=float)
+        bar = stretches * np.prod(stretches, axis=-1, keepdims=True) ** (-1.0 / 3.0)
+        energy, *slopes = self._principal()(*np.moveaxis(bar, -1, 0), *self.as_array(values))
+        tau = np.stack([np.broadcast_to(slope, bar.shape[:-1]) for slope in slopes], axis=-1)
+        return np.broadcast_to(energy, bar.shape[:-1]).copy(), tau - tau.mean(axis=-1, keepdims=True)
+
     def mu0(self, values) -> float:
         """Initial shear modulus, Pa: the slope of simple shear at rest."""
         return float(self.nominal_stress_slope(0.0, values, "simple_shear"))

@@ -17,7 +17,8 @@ class Ogden(StretchLaw):
         self.terms = terms
         self.name = f"ogden_{terms}"
         self.title = f"Ogden N = {terms}"
-        self.units = {f"{symbol}{i}": unit for i in range(1, terms + 1) for symbol, unit in (("mu", "Pa"), ("alpha", "1"))}
+        self.units = {f"{symbol}{i}": unit for i in range(1, terms + 1)
+                      for symbol, unit in (("mu", "Pa"), ("alpha", "1"))}
 
     def energy_of_stretch(self, stretch, *parameters):
         pairs = zip(parameters[::2], parameters[1::2], strict=True)

@@ -64,7 +64,8 @@ def _hessian(law: Law):
     return sp.lambdify((e1, e2, *law.symbols), entries, modules="numpy", cse=True)
 
 
-def check_stability(law: Law, values, stretch_range: tuple[float, float] = STRETCH_RANGE, points: int = 400) -> Stability:
+def check_stability(law: Law, values, stretch_range: tuple[float, float] = STRETCH_RANGE,
+                    points: int = 400) -> Stability:
     """Drucker's criterion: the work of every additional strain is positive, d(tau) : d(e) > 0.
 
     Kirchhoff stress against logarithmic strain: for an incompressible solid the 2 x 2 matrix of d(tau)/d(e) is the

@@ -1,0 +1,170 @@
+"""From the solution of a fit to what people need to know about it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calibration.campaign import Campaign
+from calibration.fit import Covariance, Fit, Minimum, Nuisance, Prediction
+from calibration.replicates import Replicate
+from calibration.statistics import (
+    MODEL_ERROR_RATIO,
+    Uncertainty,
+    correlation,
+    information_criteria,
+    r_squared,
+    uncertainty,
+)
+from calibration.uniaxial import Solution, jitter_columns
+from tissue_sim.laws import Law, Stability, check_stability, find_law
+from tissue_sim.laws.stability import STRETCH_RANGE
+
+
+def assess(solution: Solution, replicates: Sequence[Replicate], campaign: Campaign) -> Fit:
+    """The `Fit` of a solution: uncertainties, goodness, moduli, stability and a message.
+
+    Args:
+        solution: from `calibration.uniaxial.fit_law` over these replicates.
+        replicates: those that were fitted. campaign: where they come from.
+    """
+    law, residual = solution.law, solution.residual
+    data = np.concatenate([r.stress for r in replicates])
+    index = np.repeat(np.arange(len(replicates)), [r.stress.size for r in replicates])
+    jitter = jitter_columns(solution, replicates, campaign.noise) if campaign.fit.offset == "none" else None
+    spread = uncertainty(solution.jacobian, residual, index, solution.noise, solution.prior_precision, jitter)
+
+    count = len(law.parameters)
+    free = solution.free
+    errors, covariance = np.zeros(count), np.zeros((count, count))
+    errors[free] = spread.standard_errors[: free.size]
+    covariance[np.ix_(free, free)] = spread.covariance[: free.size, : free.size]
+    loose = [name for name, error, value in zip(law.parameters, errors, solution.values, strict=True)
+             if error > abs(value)]
+    stretches = _stretch_range(replicates)
+    stability = check_stability(law, solution.values, (min(STRETCH_RANGE[0], stretches[0]),
+                                                       max(STRETCH_RANGE[1], stretches[1])))
+    mu0 = law.mu0(solution.values)
+    status, message = _verdict(solution, spread, stability, stretches, mu0, loose, len(replicates))
+    aic, bic = information_criteria(residual, solution.noise, solution.unknowns.size)
+    on_bound = [law.parameters[i] for i, hit in zip(free, solution.on_bound[: free.size], strict=True) if hit]
+    nuisances = _nuisances(solution, spread, replicates)
+    on_bound += [f"{n.replicate}: {name}" for n in nuisances for name in n.on_bound]
+    total = float(np.sum((data - data.mean())**2))
+    return Fit(
+        law=law.name, formula=law.formula(), parameters=law.as_mapping(solution.values),
+        standard_errors={name: float(e) if np.isfinite(e) else None
+                         for name, e in zip(law.parameters, errors, strict=True)},
+        covariance=Covariance(order=list(law.parameters), matrix=covariance.tolist()),
+        correlation=correlation(covariance).tolist(), covariance_from=spread.basis,
+        intervals95={name: (float(v - spread.quantile * e), float(v + spread.quantile * e)) if np.isfinite(e) else None
+                     for name, v, e in zip(law.parameters, solution.values, errors, strict=True)},
+        not_identifiable=loose, on_bound=on_bound, R2=r_squared(data, residual),
+        RMSE_N=_force_rmse(residual, replicates), RMSE_Pa=float(np.sqrt(np.mean(residual**2))), AIC=aic, BIC=bic,
+        E0=law.E0(solution.values), mu0=mu0, stable_from=stability.stable_from, stable_to=stability.stable_to,
+        stability=stability.describe(), stretch_range=stretches, nuisances=nuisances,
+        minima=[Minimum(parameters=law.as_mapping(values), R2=1.0 - squares / total, starts=starts)
+                for values, squares, starts in solution.minima],
+        starts=solution.starts, status=status, message=message, iterations=solution.evaluations, cpu_s=solution.cpu_s,
+        material_file=f"{law.name}.material.json" if mu0 > 0 else None)
+
+
+def predict(law: Law | str, parameters, replicates: Sequence[Replicate]) -> list[Prediction]:
+    """How a fitted law predicts each of the tests that these replicates belong to; no offset, no zero."""
+    law = find_law(law) if isinstance(law, str) else law
+    predictions = []
+    for name in dict.fromkeys(r.test.name for r in replicates):
+        mine = [r for r in replicates if r.test.name == name]
+        residual = np.concatenate([curve(law, parameters, r.abscissa, r) - r.stress for r in mine])
+        rmse = float(np.sqrt(np.mean(residual**2)))
+        largest = max(float(np.abs(r.stress).max()) for r in mine)
+        predictions.append(Prediction(test=name, law=law.name, RMSE_N=_force_rmse(residual, mine), RMSE_Pa=rmse,
+                                      percent=100.0 * rmse / largest))
+    return predictions
+
+
+def curve(law: Law | str, parameters, abscissa: np.ndarray, replicate: Replicate) -> np.ndarray:
+    """Nominal stress of a law in the test of a replicate at these stretches or shear strains, Pa, same shape."""
+    law = find_law(law) if isinstance(law, str) else law
+    stress = law.nominal_stress(abscissa, parameters, replicate.mode)
+    # A plate that has not arrived feels nothing.
+    return np.where(abscissa > 1.0, 0.0, stress) if replicate.test.kind == "lubricated_compression" else stress
+
+
+def residual_of(fit: Fit, replicate: Replicate) -> np.ndarray:
+    """Model minus data of one replicate with its fitted offset and zero, Pa, shape (n,)."""
+    nuisance = next((n for n in fit.nuisances if n.replicate == replicate.name), None)
+    abscissa, zero = replicate.abscissa, 0.0
+    if nuisance is not None:
+        abscissa = abscissa + replicate.offset_slope * nuisance.contact_offset_mm * 1e-3
+        zero = replicate.zero_slope * nuisance.zero_offset_N
+    return curve(fit.law, fit.parameters, abscissa, replicate) + zero - replicate.stress
+
+
+def _force_rmse(residual: np.ndarray, replicates: Sequence[Replicate]) -> float | None:
+    if any(r.area is None for r in replicates):
+        return None
+    area = np.repeat([r.area for r in replicates], [r.stress.size for r in replicates])
+    return float(np.sqrt(np.mean((residual * area)**2)))
+
+
+def _stretch_range(replicates: Sequence[Replicate]) -> tuple[float, float]:
+    """Extreme principal stretches along the loading axis that the data reach, rest included."""
+    low, high = 1.0, 1.0
+    for replicate in replicates:
+        ends = np.array([replicate.abscissa.min(), replicate.abscissa.max()])
+        if replicate.mode == "simple_shear":
+            # Principal stretches of simple shear: l - 1/l = gamma.
+            largest = np.abs(ends).max() / 2 + np.sqrt(1 + ends**2 / 4).max()
+            ends = np.array([1 / largest, largest])
+        elif replicate.test.kind == "lubricated_compression":
+            ends = np.minimum(ends, 1.0)
+        low, high = min(low, float(ends.min())), max(high, float(ends.max()))
+    return low, high
+
+
+def _nuisances(solution: Solution, spread: Uncertainty, replicates: Sequence[Replicate]) -> list[Nuisance]:
+    errors = np.sqrt(np.diag(spread.covariance))[solution.free.size:].reshape(-1, 2)
+    hits = solution.on_bound[solution.free.size:].reshape(-1, 2)
+    if not errors.size:
+        return []
+    fitted = [(r, values) for r, values in zip(replicates, solution.nuisances, strict=True) if r.mechanical]
+    names = np.array(["contact_offset_mm", "zero_offset_N"])
+    return [Nuisance(replicate=r.name, contact_offset_mm=float(values[0] * 1e3),
+                     contact_offset_error_mm=float(error[0] * 1e3), zero_offset_N=float(values[1]),
+                     zero_offset_error_N=float(error[1]), on_bound=names[hit].tolist())
+            for (r, values), error, hit in zip(fitted, errors, hits, strict=True)]
+
+
+def _verdict(solution: Solution, spread: Uncertainty, stability: Stability, stretches: tuple[float, float], mu0: float,
+             loose: list[str], replicates: int) -> tuple[str, str]:
+    """Status and message."""
+    parts = []
+    if not mu0 > 0:
+        status = "not_physical"
+        parts.append(f"the shear modulus at rest is {mu0:.4g} Pa, which no material has: no material file is written; "
+                     "set bounds or use another law")
+    elif not solution.converged:
+        status = "not_converged"
+        parts.append("the optimiser ran out of evaluations in a flat valley: other parameters fit as well; fix one, or "
+                     "use a law with fewer")
+    elif stability.stable_from > stretches[0] or stability.stable_to < stretches[1]:
+        status = "unstable"
+        parts.append(f"not stable for the stretches of the data, {stretches[0]:.3g} to {stretches[1]:.3g}: "
+                     f"{stability.describe()}")
+    else:
+        status = "converged"
+        parts.append(f"converged from {solution.starts} start{'s' if solution.starts != 1 else ''}")
+    ratio = float(np.sqrt(np.mean(solution.residual**2))) / solution.noise
+    if ratio > MODEL_ERROR_RATIO:
+        parts.append(f"residuals are {ratio:.3g} times the noise: model error dominates")
+    if spread.basis == "replicates":
+        parts.append(f"standard errors follow the scatter of the {replicates} replicates")
+    elif spread.basis == "residuals":
+        parts.append("standard errors follow the residuals, as if these were independent")
+    if loose:
+        parts.append(f"the data do not determine {', '.join(loose)}")
+    if solution.on_bound.any():
+        parts.append("some unknowns ended on their bounds")
+    return status, "; ".join(parts)

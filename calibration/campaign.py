@@ -1,0 +1,271 @@
+"""A campaign: which specimens were tested how, where the recordings are, and how to fit them. SI inside."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from calibration.campaign_checks import (
+    HOMOGENEOUS,
+    check_available,
+    check_parameters,
+    find_recordings,
+    later,
+    read_columns_key,
+    require_positive,
+)
+from calibration.campaign_schema import CampaignTable, FitTable, NoiseTable, SpecimenTable, TestTable, decode_campaign
+from tissue_sim.errors import InputError, nearest
+from tissue_sim.experiment import Specimen
+from tissue_sim.laws import LAWS
+from tissue_sim.material import Bulk
+
+#: Prior standard deviation of a contact offset when neither the fit nor the noise states one, m.
+DEFAULT_OFFSET_PRIOR = 0.05e-3
+
+
+@dataclass(frozen=True)
+class Test:
+    """One test and its replicates.
+
+    Attributes:
+        name: unique in the campaign.
+        kind: a key of `HOMOGENEOUS`.
+        specimen: None where the recordings are stretch and stress already.
+        recordings: files, sorted, at least one.
+        format, columns, skip_lines: how to read them, see `tissue_sim.read_recording`.
+        speed: m/s, for recordings without time.
+        max_strain: fitted window of the nominal strain (shear strain for shear), or None for everything.
+        hold_out: predicted, not fitted.
+        place: where it stands in the campaign file, such as ``test[0]``.
+    """
+
+    name: str
+    kind: str
+    specimen: Specimen | None
+    recordings: tuple[Path, ...]
+    format: str = "native"
+    columns: Mapping[str, Any] | None = None
+    skip_lines: int | None = None
+    speed: float | None = None
+    max_strain: float | None = None
+    hold_out: bool = False
+    place: str = "test"
+
+    @property
+    def mode(self) -> str:
+        """Mode of `Law.nominal_stress`."""
+        return HOMOGENEOUS[self.kind]
+
+
+def _read_only(values: Mapping | None = None) -> Mapping:
+    return MappingProxyType(dict(values or {}))
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """How to fit.
+
+    Attributes:
+        laws: names in `tissue_sim.laws.LAWS`.
+        bulk: bulk response that goes into the material files; the fit itself is incompressible.
+        offset: ``"none"`` or ``"fit"``: a contact offset and a zero per replicate.
+        offset_bound, offset_prior: m, half width of the bounds and standard deviation of the prior.
+        zero_bound, zero_prior: N; None: ten and five times the noise of the force.
+        strain_points: evenly spaced strains that every replicate is interpolated to, or None for its own samples.
+        start, fixed: parameter -> value, SI. prior: parameter -> (mean, standard deviation). bounds: (low, high).
+    """
+
+    laws: tuple[str, ...]
+    bulk: Bulk = field(default_factory=Bulk)
+    offset: str = "none"
+    offset_bound: float = 0.5e-3
+    offset_prior: float = DEFAULT_OFFSET_PRIOR
+    zero_bound: float | None = None
+    zero_prior: float | None = None
+    strain_points: int | None = None
+    start: Mapping[str, float] = field(default_factory=_read_only)
+    fixed: Mapping[str, float] = field(default_factory=_read_only)
+    prior: Mapping[str, tuple[float, float]] = field(default_factory=_read_only)
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=_read_only)
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What is known about the scatter of the measurement, as standard deviations.
+
+    Attributes:
+        force: N; None: estimated from second differences of the samples.
+        nominal_stress: Pa, for tests that are recorded as stress; None: estimated.
+        contact_jitter: m, of the contact point between replicates.
+        zero_jitter: N, of the zero between replicates.
+    """
+
+    force: float | None = None
+    nominal_stress: float | None = None
+    contact_jitter: float = 0.0
+    zero_jitter: float = 0.0
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Everything that a calibration depends on, apart from the content of the recordings.
+
+    Attributes:
+        path: the campaign file.
+        name: its stem.
+        specimens: by name.
+        tests: at least one that is not held out.
+        sha256: of the campaign file.
+    """
+
+    path: Path
+    specimens: Mapping[str, Specimen]
+    tests: tuple[Test, ...]
+    fit: FitSettings
+    noise: Noise
+    sha256: str
+
+    @property
+    def name(self) -> str:
+        return self.path.stem
+
+
+def load_campaign(path: str | Path) -> Campaign:
+    """Read and check a campaign file; recordings are resolved (globs expanded, sorted) but not read.
+
+    Raises:
+        InputError: anything wrong in the file, with the file and the dotted field.
+    """
+    path = Path(path)
+    table, data = decode_campaign(path)
+    try:
+        specimens = _specimens(table)
+        tests = _tests(table, specimens, path.parent)
+        return Campaign(path, _read_only(specimens), tests, _fit_settings(table.fit, table.noise), _noise(table.noise),
+                        hashlib.sha256(data).hexdigest())
+    except InputError as error:
+        raise error.located(file=path) from None
+
+
+def _specimens(table: CampaignTable) -> dict[str, Specimen]:
+    specimens: dict[str, Specimen] = {}
+    for i, entry in enumerate(table.specimen):
+        field = f"specimen[{i}]"
+        if entry.name is None and len(table.specimen) > 1:
+            raise InputError("several specimens need a name each, by which the tests call them", field=f"{field}.name")
+        name = entry.name if entry.name is not None else "specimen"
+        if name in specimens:
+            raise InputError(f"the name {name!r} is taken by another specimen; names must be unique",
+                             field=f"{field}.name")
+        specimens[name] = _specimen(entry, name, field)
+    return specimens
+
+
+def _specimen(entry: SpecimenTable, name: str, field: str) -> Specimen:
+    require_positive(entry.height_mm, f"{field}.height_mm", " mm")
+    require_positive(entry.density_kg_m3, f"{field}.density_kg_m3", " kg/m3")
+    if entry.gravity:
+        raise later("gravity = true (self-weight)", f"{field}.gravity")
+    needed, other = ("radius_mm", "area_mm2") if entry.shape == "cylinder" else ("area_mm2", "radius_mm")
+    size = getattr(entry, needed)
+    if size is None:
+        raise InputError(f"a {entry.shape} needs {needed}", field=f"{field}.{needed}")
+    if getattr(entry, other) is not None:
+        raise InputError(f"a {entry.shape} has {needed}, not {other}; leave it out", field=f"{field}.{other}")
+    require_positive(size, f"{field}.{needed}", " mm" if needed == "radius_mm" else " mm2")
+    # Homogeneous tests know a specimen by its cross-section and height only.
+    radius = size * 1e-3 if needed == "radius_mm" else np.sqrt(size * 1e-6 / np.pi)
+    return Specimen(radius, entry.height_mm * 1e-3, name)
+
+
+def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path) -> tuple[Test, ...]:
+    if not table.test:
+        raise InputError("a campaign needs at least one [[test]]", field="test")
+    tests: dict[str, Test] = {}
+    for i, entry in enumerate(table.test):
+        field = f"test[{i}]"
+        same_kind = sum(other.kind == entry.kind for other in table.test) > 1
+        name = entry.name if entry.name is not None else f"{entry.kind}_{i + 1}" if same_kind else entry.kind
+        if name in tests:
+            raise InputError(f"the name {name!r} is taken by another test; names must be unique", field=f"{field}.name")
+        check_available(entry, field)
+        require_positive(entry.speed_mm_s, f"{field}.speed_mm_s", " mm/s")
+        require_positive(entry.max_strain, f"{field}.max_strain")
+        if entry.max_strain is not None and entry.kind == "lubricated_compression" and entry.max_strain >= 1:
+            raise InputError(f"{entry.max_strain:g} is not below 1, where the specimen would have no height left",
+                             field=f"{field}.max_strain")
+        if entry.skip_lines is not None and entry.skip_lines < 0:
+            raise InputError(f"{entry.skip_lines} is negative; give a number of lines", field=f"{field}.skip_lines")
+        columns = read_columns_key(entry, field)
+        tests[name] = Test(
+            name, entry.kind, _find_specimen(entry, specimens, columns, field),
+            find_recordings(entry.recordings, folder, f"{field}.recordings"), entry.format, columns, entry.skip_lines,
+            None if entry.speed_mm_s is None else entry.speed_mm_s * 1e-3, entry.max_strain, entry.hold_out, field)
+    if all(test.hold_out for test in tests.values()):
+        raise InputError("every test is held out, so there is nothing to fit; set hold_out = false on one",
+                         field="test[0].hold_out")
+    return tuple(tests.values())
+
+
+def _find_specimen(entry: TestTable, specimens: Mapping[str, Specimen], columns: Mapping | None,
+                   field: str) -> Specimen | None:
+    if entry.specimen is not None:
+        if entry.specimen not in specimens:
+            hint = nearest(entry.specimen, specimens) if specimens else "; the file has no [[specimen]]"
+            raise InputError(f"no specimen is named {entry.specimen!r}{hint}", field=f"{field}.specimen")
+        return specimens[entry.specimen]
+    if len(specimens) > 1:
+        raise InputError(f"name one of the specimens: {', '.join(specimens)}", field=f"{field}.specimen")
+    return next(iter(specimens.values()), None)
+
+
+def _fit_settings(table: FitTable, noise: NoiseTable) -> FitSettings:
+    if table.method != "analytical":
+        raise InputError(f"method {table.method!r} is not available in this version; use 'analytical'",
+                         field="fit.method")
+    if not table.laws:
+        raise InputError(f"name at least one law; known: {', '.join(LAWS)}", field="fit.laws")
+    for i, name in enumerate(table.laws):
+        if name not in LAWS:
+            raise InputError(f"unknown law {name!r}{nearest(name, LAWS)}", field=f"fit.laws[{i}]")
+        if name in table.laws[:i]:
+            raise InputError(f"{name} is listed twice", field=f"fit.laws[{i}]")
+    for key in ("bulk_ratio", "offset_bounds_mm", "offset_prior_mm", "zero_bounds_N", "zero_prior_N"):
+        require_positive(getattr(table, key), f"fit.{key}")
+    if table.strain_points is not None and table.strain_points < 5:
+        raise InputError(f"{table.strain_points} points are too few; give at least 5", field="fit.strain_points")
+    check_parameters(table)
+    offset_prior = next((value * 1e-3 for value in (table.offset_prior_mm, noise.contact_jitter_mm)
+                         if isinstance(value, float | int) and value > 0), DEFAULT_OFFSET_PRIOR)
+    zero_prior = next((float(value) for value in (table.zero_prior_N, noise.zero_jitter_N)
+                       if isinstance(value, float | int) and value > 0), None)
+    return FitSettings(
+        laws=tuple(table.laws), bulk=Bulk() if table.bulk_ratio is None else Bulk("bulk_ratio", table.bulk_ratio),
+        offset=table.offset, offset_bound=table.offset_bounds_mm * 1e-3, offset_prior=offset_prior,
+        zero_bound=table.zero_bounds_N, zero_prior=zero_prior, strain_points=table.strain_points,
+        start=_read_only(table.start), fixed=_read_only(table.fixed), prior=_read_only(table.prior),
+        bounds=_read_only(table.bounds))
+
+
+def _noise(table: NoiseTable) -> Noise:
+    for key in ("force_N", "nominal_stress_Pa"):
+        value = getattr(table, key)
+        require_positive(None if value == "estimate" else value, f"noise.{key}")
+    for key in ("contact_jitter_mm", "zero_jitter_N"):
+        value = getattr(table, key)
+        if value == "estimate":
+            raise InputError('"estimate" is not available in this version; state a standard deviation or leave it out',
+                             field=f"noise.{key}")
+        if value is not None and not (np.isfinite(value) and value >= 0):
+            raise InputError(f"{value:g} is negative; give a standard deviation", field=f"noise.{key}")
+    return Noise(
+        force=None if table.force_N == "estimate" else table.force_N,
+        nominal_stress=None if table.nominal_stress_Pa == "estimate" else table.nominal_stress_Pa,
+        contact_jitter=(table.contact_jitter_mm or 0.0) * 1e-3, zero_jitter=table.zero_jitter_N or 0.0)

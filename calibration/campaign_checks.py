@@ -1,0 +1,136 @@
+"""Checks of single campaign tables; every failure names the field."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from calibration.campaign_schema import FitTable, TestTable
+from tissue_sim.errors import InputError, nearest
+from tissue_sim.laws import LAWS
+from tissue_sim.recording import CHANNELS, LABELS
+
+#: Test kinds with a homogeneous deformation -> mode of `Law.nominal_stress`.
+HOMOGENEOUS = {"lubricated_compression": "uniaxial", "uniaxial_tension": "uniaxial", "simple_shear": "simple_shear"}
+#: Test kind -> pairs of channels (abscissa, ordinate), any one of which is enough.
+CHANNEL_PAIRS = {
+    "lubricated_compression": (("displacement", "force"), ("stretch", "nominal stress")),
+    "uniaxial_tension": (("displacement", "force"), ("stretch", "nominal stress")),
+    "simple_shear": (("displacement", "force"), ("shear strain", "nominal stress")),
+}
+
+
+def later(what: str, field: str) -> InputError:
+    """An error for a key that a later version will understand."""
+    return InputError(f"{what} is not available in this version; leave it out", field=field)
+
+
+def require_positive(value: float | None, field: str, unit: str = "") -> None:
+    """Refuse zero, negative and non-finite numbers; None passes."""
+    if value is not None and not (np.isfinite(value) and value > 0):
+        raise InputError(f"{value:g}{unit} is not positive; give a number above zero", field=field)
+
+
+def check_available(entry: TestTable, field: str) -> None:
+    """Keys of later versions, and keys that contradict a plate on a homogeneous test."""
+    if entry.kind not in HOMOGENEOUS:
+        raise InputError(f"a test of kind {entry.kind!r} is not available in this version; the analytical method takes "
+                         f"{', '.join(HOMOGENEOUS)}", field=f"{field}.kind")
+    if entry.tool != "plate":
+        raise InputError(f"tool {entry.tool!r} is not available in this version; use 'plate'", field=f"{field}.tool")
+    for key in ("protocol", "rig"):
+        if getattr(entry, key) is not None:
+            raise later(key, f"{field}.{key}")
+    for key in ("tool_radius_mm", "edge_radius_mm", "half_angle_deg", "friction_wall"):
+        if getattr(entry, key):
+            raise InputError(f"a plate that covers the specimen has no {key}; leave it out", field=f"{field}.{key}")
+    expected = ("frictionless", 0) if entry.kind == "lubricated_compression" else ("bonded",)
+    for key in ("friction", "friction_base"):
+        value = getattr(entry, key)
+        if value is not None and value not in expected:
+            raise InputError(f"{value!r} contradicts kind = {entry.kind!r}, whose faces are {expected[0]}; leave it "
+                             "out", field=f"{field}.{key}")
+
+
+def read_columns_key(entry: TestTable, field: str) -> Mapping[str, Any] | None:
+    """Column map for `tissue_sim.read_recording`, None where the file names its own channels."""
+    if entry.columns is None:
+        return None
+    for channel in entry.columns:
+        if channel not in (*CHANNELS, *LABELS):
+            raise InputError(f"unknown channel{nearest(channel, [*CHANNELS, *LABELS])}",
+                             field=f"{field}.columns.{channel}")
+    pairs = CHANNEL_PAIRS[entry.kind]
+    if not any(set(pair) <= set(entry.columns) for pair in pairs):
+        raise InputError(f"{entry.kind} needs the columns {' or '.join(' and '.join(pair) for pair in pairs)}",
+                         field=f"{field}.columns")
+    columns: dict[str, Any] = {}
+    for channel, column in entry.columns.items():
+        if isinstance(column, str):
+            columns[channel] = column
+        else:
+            columns[channel] = {"name": column.name, "sign": column.sign}
+            if column.unit is not None:
+                columns[channel]["unit"] = column.unit
+    return MappingProxyType(columns)
+
+
+def find_recordings(patterns: list[str], folder: Path, field: str) -> tuple[Path, ...]:
+    """Files of the patterns, sorted, relative to the campaign's folder."""
+    if not patterns:
+        raise InputError("a test needs at least one recording", field=field)
+    found: list[Path] = []
+    for i, pattern in enumerate(patterns):
+        place = f"{field}[{i}]"
+        path = Path(pattern)
+        base, relative = (Path(path.anchor), path.relative_to(path.anchor)) if path.is_absolute() else (folder, path)
+        if not pattern.strip() or relative == Path():
+            raise InputError(f"{pattern!r} names no file; give a path or a pattern such as 'run_*.csv'", field=place)
+        # A plain path wins over its reading as a pattern: file names may hold brackets.
+        plain = base / relative
+        matches = [plain] if plain.exists() else sorted(base.glob(str(relative))) if _is_pattern(pattern) else []
+        if not matches:
+            raise InputError(f"no file matches {pattern!r} in {base}; paths are relative to the campaign file",
+                             field=place)
+        for match in matches:
+            if match.resolve() in {other.resolve() for other in found}:
+                raise InputError(f"{match.name} is listed twice; a replicate counts once", field=place)
+            found.append(match)
+    return tuple(sorted(found))
+
+
+def _is_pattern(text: str) -> bool:
+    return any(character in text for character in "*?[")
+
+
+def check_parameters(table: FitTable) -> None:
+    """Names and values of start, fixed, prior and bounds."""
+    known = sorted({parameter for law in table.laws for parameter in LAWS[law].parameters})
+    for key in ("start", "fixed", "prior", "bounds"):
+        for name, value in getattr(table, key).items():
+            field = f"fit.{key}.{name}"
+            if name not in known:
+                raise InputError(f"none of the listed laws has a parameter {name!r}{nearest(name, known)}", field=field)
+            if np.isnan(value).any() or (key != "bounds" and not np.isfinite(value).all()):
+                raise InputError(f"{value} is not finite; give a number", field=field)
+    for name, (low, high) in table.bounds.items():
+        if not low < high:
+            raise InputError(f"[{low:g}, {high:g}] is empty; give the lower bound first", field=f"fit.bounds.{name}")
+        for key in ("start", "fixed"):
+            value = getattr(table, key).get(name)
+            if value is not None and not low <= value <= high:
+                raise InputError(f"{value:g} is outside its bounds [{low:g}, {high:g}]", field=f"fit.{key}.{name}")
+    for name, (_, deviation) in table.prior.items():
+        if deviation <= 0:
+            raise InputError(f"the standard deviation {deviation:g} is not positive; a prior is [mean, standard "
+                             "deviation]",
+                             field=f"fit.prior.{name}")
+    for name in table.fixed:
+        for key in ("start", "prior"):
+            if name in getattr(table, key):
+                raise InputError(f"{name} is fixed, so it takes no {key}; keep one of the two",
+                                 field=f"fit.{key}.{name}")

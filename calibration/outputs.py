@@ -1,0 +1,135 @@
+"""Files of a calibrated campaign."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from calibration.analytical import FIT_FILE, WORK_FILE, CalibrationResult, to_json
+from calibration.assess import curve, residual_of
+from calibration.fit import Fit
+from calibration.replicates import Replicate
+from calibration.report import write_report
+from tissue_sim.atomic_write import write_text
+from tissue_sim.laws import find_law
+from tissue_sim.material import Material
+from tissue_sim.material_file import MaterialFile, write_material_file
+
+CURVE_POINTS = 101
+_ABSCISSA = {"uniaxial": "stretch [-]", "simple_shear": "shear strain [-]"}
+
+
+def clear(folder: Path) -> None:
+    """Remove earlier results, and only those, so that no law that was dropped stays behind."""
+    if not folder.is_dir():
+        return
+    names = (WORK_FILE, FIT_FILE, "report.html", "curves.csv", "residuals.csv", "summary.csv")
+    for path in [*(folder / name for name in names), *folder.glob("*.material.json")]:
+        path.unlink(missing_ok=True)
+
+
+def write_campaign(result: CalibrationResult, replicates: Sequence[Replicate], *, figures: bool = True) -> None:
+    """Write everything; ``fit.json`` last, because it says that the campaign is finished."""
+    fitted = [r for r in replicates if not r.test.hold_out]
+    for fit in result.fits:
+        if fit.material_file is not None:
+            write_material_file(material_file(fit, result, fitted), result.output / fit.material_file)
+    write_text(result.output / "curves.csv", _curves(result, replicates))
+    write_text(result.output / "residuals.csv", _residuals(result, replicates))
+    write_report(result, replicates, result.output / "report.html", figures=figures)
+    text = json.dumps(to_json([result]), indent=2, ensure_ascii=False, allow_nan=False)
+    write_text(result.output / FIT_FILE, text + "\n")
+
+
+def material_file(fit: Fit, result: CalibrationResult, fitted: Sequence[Replicate]) -> MaterialFile:
+    """The material of a fit with its uncertainty, valid range and provenance."""
+    campaign = result.campaign
+    law = find_law(fit.law)
+    errors = {name: error for name, error in fit.standard_errors.items() if error is not None}
+    complete = len(errors) == len(fit.standard_errors)
+    residual = {"RMSE_Pa": fit.RMSE_Pa, "R2": fit.R2}
+    if fit.RMSE_N is not None:
+        residual["RMSE_N"] = fit.RMSE_N
+    return MaterialFile.of(
+        Material(fit.law, fit.parameters, campaign.fit.bulk, name=f"{campaign.name} {law.title}"),
+        standard_errors=errors, covariance=fit.covariance.matrix if complete else None,
+        valid_range={"stretch": list(fit.stretch_range)},
+        provenance={
+            "recordings": [{"file": r.file.name, "sha256": r.sha256} for r in fitted],
+            "method": "analytical: least squares on nominal stress", "residual": residual,
+            "settings": {"campaign": campaign.path.name, "campaign_sha256": campaign.sha256,
+                         "offset": campaign.fit.offset, "noise_Pa": result.noise_Pa,
+                         "noise_source": result.noise_source,
+                         "status": fit.status, "BIC": fit.BIC, "covariance_from": fit.covariance_from}})
+
+
+def write_summary(results: Sequence[CalibrationResult], path: Path) -> None:
+    """One row for each law of each campaign."""
+    names = list(dict.fromkeys(name for result in results for fit in result.fits for name in fit.parameters))
+    header = ["campaign", "rank", "law", "status", "E0 [Pa]", "mu0 [Pa]", "R2", "RMSE [N]", "RMSE [Pa]", "AIC", "BIC",
+              "stable_from", "stable_to"]
+    units = {name: unit for result in results for fit in result.fits for name, unit in find_law(fit.law).units.items()}
+    for name in names:
+        unit = "-" if units[name] == "1" else units[name]
+        header += [f"{name} [{unit}]", f"{name} standard error [{unit}]"]
+    rows = []
+    for result in results:
+        for rank, fit in enumerate(result.fits, start=1):
+            row = [result.campaign.name, rank, fit.law, fit.status, fit.E0, fit.mu0, fit.R2, fit.RMSE_N, fit.RMSE_Pa,
+                   fit.AIC, fit.BIC, fit.stable_from, fit.stable_to]
+            for name in names:
+                row += [fit.parameters.get(name), fit.standard_errors.get(name)]
+            rows.append(row)
+    write_text(path, _table(header, rows))
+
+
+def _curves(result: CalibrationResult, replicates: Sequence[Replicate]) -> str:
+    """Each law along each test, rest to the end of the data."""
+    rows = []
+    for test in result.campaign.tests:
+        mine = [r for r in replicates if r.test is test]
+        rest = 0.0 if test.mode == "simple_shear" else 1.0
+        end = max((r.abscissa for r in mine), key=lambda a: np.abs(a - rest).max())
+        abscissa = np.linspace(rest, end[np.argmax(np.abs(end - rest))], CURVE_POINTS)
+        for fit in result.fits:
+            stress = curve(fit.law, fit.parameters, abscissa, mine[0])
+            for a, p in zip(abscissa, stress, strict=True):
+                rows.append([fit.law, test.name, _ABSCISSA[test.mode], a, p, *_rig_units(a, p, mine[0])])
+    return _table(["law", "test", "abscissa", "value", "nominal stress [Pa]", "displacement [mm]", "force [N]"], rows)
+
+
+def _residuals(result: CalibrationResult, replicates: Sequence[Replicate]) -> str:
+    """Every sample: measured, model, model minus measured; offsets and zeros taken into account."""
+    rows = []
+    for fit in result.fits:
+        for replicate in replicates:
+            residual = residual_of(fit, replicate)
+            area = replicate.area
+            for a, p, r in zip(replicate.abscissa, replicate.stress, residual, strict=True):
+                rows.append([fit.law, replicate.name, _ABSCISSA[replicate.mode], a, p, p + r, r,
+                             None if area is None else replicate.force_sign * area * r])
+    return _table(["law", "replicate", "abscissa", "value", "measured [Pa]", "model [Pa]", "residual [Pa]",
+                   "residual [N]"], rows)
+
+
+def _rig_units(abscissa: float, stress: float, replicate: Replicate) -> tuple[float | None, float | None]:
+    """Displacement in mm and force in N, where there is a specimen."""
+    if replicate.test.specimen is None:
+        return None, None
+    rest = 0.0 if replicate.mode == "simple_shear" else 1.0
+    sign = replicate.force_sign
+    return sign * (abscissa - rest) * replicate.test.specimen.height * 1e3, sign * stress * replicate.area
+
+
+def _table(header: Sequence[str], rows: Iterable[Sequence]) -> str:
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows([f"{cell:.8g}" if isinstance(cell, float) else "" if cell is None else cell for cell in row]
+                     for row in rows)
+    return stream.getvalue()

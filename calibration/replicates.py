@@ -1,0 +1,194 @@
+"""Recordings of homogeneous tests as curves of nominal stress, ready to fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calibration.campaign import Campaign, Test
+from calibration.campaign_checks import CHANNEL_PAIRS
+from calibration.statistics import estimate_noise
+from tissue_sim.errors import InputError
+from tissue_sim.recording import MIN_POINTS, Recording
+from tissue_sim.recording_file import read_recording
+
+#: Segments in which the tissue relaxes or unloads: an elastic law is fitted to the loading.
+NOT_LOADING = ("hold", "unload")
+
+
+@dataclass(frozen=True, eq=False)
+class Replicate:
+    """The loading curve of one recording.
+
+    Attributes:
+        name: of the recording, unique among the replicates of a campaign.
+        test: the test that it belongs to.
+        abscissa: stretch, or shear strain for shear, shape (n,).
+        stress: nominal stress, Pa, negative in compression, shape (n,).
+        noise: standard deviation of the stress, Pa. noise_source: ``"stated"`` or ``"estimated"``.
+        mechanical: whether it was recorded as displacement and force, so that an offset and a zero make sense.
+        file, sha256: where it came from.
+    """
+
+    name: str
+    test: Test
+    abscissa: np.ndarray
+    stress: np.ndarray
+    noise: float
+    noise_source: str
+    mechanical: bool
+    file: Path
+    sha256: str
+
+    @property
+    def mode(self) -> str:
+        return self.test.mode
+
+    @property
+    def strain(self) -> np.ndarray:
+        """Nominal strain (shear strain for shear), positive under load, shape (n,)."""
+        return _strain(self.abscissa, self.test.kind)
+
+    @property
+    def offset_slope(self) -> float:
+        """d(abscissa)/d(contact offset), 1/m: a later contact means a smaller true displacement."""
+        return (1.0 if self.test.kind == "lubricated_compression" else -1.0) / self.test.specimen.height
+
+    @property
+    def zero_slope(self) -> float:
+        """d(nominal stress)/d(zero of the force), 1/m2."""
+        return self.force_sign / self.area
+
+    @property
+    def force_sign(self) -> float:
+        """Sign of the nominal stress under a positive force."""
+        return -1.0 if self.test.kind == "lubricated_compression" else 1.0
+
+    @property
+    def area(self) -> float | None:
+        """Undeformed cross-section, m2; None without a specimen."""
+        return None if self.test.specimen is None else self.test.specimen.area
+
+    @property
+    def force(self) -> np.ndarray:
+        """Force, N, positive under load; only with a specimen."""
+        return self.force_sign * self.area * self.stress
+
+
+def read_replicates(campaign: Campaign) -> tuple[Replicate, ...]:
+    """Read and check all recordings of a campaign, held-out tests included.
+
+    Raises:
+        InputError: an unreadable recording, columns that do not fit the kind, a recording deeper than its specimen,
+            stress of the wrong sign, too few points.
+    """
+    replicates: list[Replicate] = []
+    for test in campaign.tests:
+        for path in test.recordings:
+            try:
+                replicate = _read(path, test, campaign)
+            except InputError as error:
+                field = test.place if error.file is None else None
+                raise error.located(file=campaign.path, field=field) from None
+            if any(other.name == replicate.name for other in replicates):
+                raise InputError(f"two recordings are called {replicate.name!r}; give their tests different names",
+                                 file=campaign.path, field=f"{test.place}.recordings")
+            replicates.append(replicate)
+    if campaign.fit.offset == "fit" and not any(r.mechanical for r in replicates if not r.test.hold_out):
+        raise InputError('offset = "fit" needs tests recorded as displacement and force; use "none"',
+                         file=campaign.path, field="fit.offset")
+    return tuple(replicates)
+
+
+def _read(path: Path, test: Test, campaign: Campaign) -> Replicate:
+    options = {} if test.skip_lines is None else {"skip_lines": test.skip_lines}
+    columns = None if test.columns is None else dict(test.columns)
+    recording = read_recording(path, format=test.format, columns=columns, speed=test.speed, kind=test.kind, **options)
+    recording = _loading(recording)
+    mechanical, abscissa, stress = _curve(recording, test, path)
+    order_end = int(np.argmax(_strain(abscissa, test.kind))) + 1
+    abscissa, stress = abscissa[:order_end], stress[:order_end]
+    _check_range(abscissa, stress, test, path)
+    noise, source = _noise(stress, mechanical, test, campaign)
+    if campaign.fit.strain_points is not None:
+        abscissa, stress = _evenly_spaced(abscissa, stress, test, campaign.fit.strain_points)
+    elif test.max_strain is not None:
+        inside = _strain(abscissa, test.kind) <= test.max_strain * (1 + 1e-9)
+        abscissa, stress = abscissa[inside], stress[inside]
+    if abscissa.size < MIN_POINTS:
+        raise InputError(f"{path.name} has {abscissa.size} points of loading in the window; at least {MIN_POINTS} are "
+                         "needed, so widen max_strain or check the order of the samples", field="recordings")
+    for array in (abscissa, stress):
+        array.flags.writeable = False
+    return Replicate(f"{test.name}/{path.stem}", test, abscissa, stress, noise, source, mechanical, path,
+                     str(recording.metadata.get("sha256", "")))
+
+
+def _loading(recording: Recording) -> Recording:
+    if "segment" not in recording.labels:
+        return recording
+    keep = ~np.isin(np.char.lower(recording.labels["segment"].astype(str)), NOT_LOADING)
+    return recording.select(keep) if keep.any() else recording
+
+
+def _strain(abscissa: np.ndarray, kind: str) -> np.ndarray:
+    return {"lubricated_compression": 1.0 - abscissa, "uniaxial_tension": abscissa - 1.0}.get(kind, abscissa)
+
+
+def _curve(recording: Recording, test: Test, path: Path) -> tuple[bool, np.ndarray, np.ndarray]:
+    """Whether it is displacement and force, and the abscissa and nominal stress that they mean."""
+    mechanical, direct = CHANNEL_PAIRS[test.kind]
+    if all(name in recording for name in mechanical) and (test.specimen is not None
+                                                          or not all(name in recording for name in direct)):
+        if test.specimen is None:
+            raise InputError(f"{path.name} holds displacement and force, which need a [[specimen]] to become stress",
+                             field="specimen")
+        share = recording.displacement / test.specimen.height
+        if test.kind == "lubricated_compression":
+            if share.max() >= 1:
+                raise InputError(
+                    f"{path.name} goes to {recording.displacement.max() * 1e3:g} mm, deeper than the specimen "
+                    f"{test.specimen.name!r} is high ({test.specimen.height * 1e3:g} mm)", field="recordings")
+            return True, 1.0 - share, -recording.force / test.specimen.area
+        rest = 1.0 if test.kind == "uniaxial_tension" else 0.0
+        return True, rest + share, recording.force / test.specimen.area
+    if all(name in recording for name in direct):
+        return False, np.array(recording.channel(direct[0])), np.array(recording.channel(direct[1]))
+    raise InputError(f"{path.name} has {', '.join(recording.channels)}; {test.kind} needs {' and '.join(mechanical)}, "
+                     f"or {' and '.join(direct)}", field="recordings")
+
+
+def _check_range(abscissa: np.ndarray, stress: np.ndarray, test: Test, path: Path) -> None:
+    strain = _strain(abscissa, test.kind)
+    if test.mode == "uniaxial" and abscissa.min() <= 0:
+        raise InputError(f"{path.name} reaches stretch {abscissa.min():g}; a stretch is above zero", field="recordings")
+    if strain.max() <= 0:
+        raise InputError(f"{path.name} holds no {test.kind.split('_')[-1]}: its largest strain is {strain.max():g}; "
+                         "check the kind, or turn the column with sign = -1", field="recordings")
+    # Of the work of loading, so that a noisy zero does not decide.
+    if np.trapezoid(stress, abscissa) <= 0:
+        expected = "force above or stress below" if test.kind == "lubricated_compression" else "force or stress above"
+        raise InputError(f"{path.name} has a stress against the load; {test.kind} expects {expected} zero, so turn the "
+                         "column with sign = -1", field="recordings")
+
+
+def _noise(stress: np.ndarray, mechanical: bool, test: Test, campaign: Campaign) -> tuple[float, str]:
+    """Standard deviation of the nominal stress, Pa, and whether it was stated."""
+    if mechanical and campaign.noise.force is not None:
+        return campaign.noise.force / test.specimen.area, "stated"
+    if not mechanical and campaign.noise.nominal_stress is not None:
+        return campaign.noise.nominal_stress, "stated"
+    if not mechanical and campaign.noise.force is not None and test.specimen is not None:
+        return campaign.noise.force / test.specimen.area, "stated"
+    return estimate_noise(stress), "estimated"
+
+
+def _evenly_spaced(abscissa: np.ndarray, stress: np.ndarray, test: Test, points: int) -> tuple[np.ndarray, np.ndarray]:
+    """Linear interpolation onto evenly spaced strains from rest to the end of the window."""
+    strain, first = np.unique(_strain(abscissa, test.kind), return_index=True)
+    end = strain[-1] if test.max_strain is None else min(test.max_strain, strain[-1])
+    grid = np.linspace(max(strain[0], 0.0), end, points)
+    values = np.interp(grid, strain, stress[first])
+    return {"lubricated_compression": 1.0 - grid, "uniaxial_tension": 1.0 + grid}.get(test.kind, grid), values

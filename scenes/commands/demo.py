@@ -1,0 +1,34 @@
+"""`tissue-sim demo`: the main job on a virtual specimen."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from scenes.console import print_json, results_console
+from scenes.parsing import Parser, add_json, add_overwrite, at_least
+
+SUMMARY = "measure a virtual specimen, calibrate it, predict a test that the calibration never saw"
+EXAMPLE = "tissue-sim demo -o my-demo"
+FOLDER = Path("tissue-sim-demo")
+
+
+def add_arguments(parser: Parser) -> None:
+    parser.add_argument("-o", dest="output", type=Path, default=FOLDER, metavar="DIR",
+                        help=f"folder of the results (default: {FOLDER}, replaced on every run)")
+    parser.add_argument("--seed", type=at_least(0), metavar="N", default=0,
+                        help="seed of the measurement noise (default: 0)")
+    add_overwrite(parser)
+    add_json(parser)
+    parser.set_defaults(run=run, resume_hint="run it again with --overwrite")
+
+
+def run(arguments) -> int:
+    from scenes.demo import run_demo
+
+    # The default folder belongs to the demo, so that running it twice works; a folder that a user named is the user's.
+    overwrite = arguments.overwrite or arguments.output == FOLDER
+    answer = run_demo(arguments.output, overwrite=overwrite, console=results_console(quiet=arguments.json),
+                      seed=arguments.seed)
+    if arguments.json:
+        print_json(answer)
+    return 0

@@ -1,0 +1,36 @@
+"""`tissue-sim doctor`: does this computer have what the program needs?"""
+
+from __future__ import annotations
+
+from scenes.console import print_json, results_console
+from scenes.parsing import Parser, add_json, positive
+
+SUMMARY = "check Python, Taichi, the four packages, the 1 kHz clock, caches and ports"
+EXAMPLE = "tissue-sim doctor"
+_COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}
+
+
+def add_arguments(parser: Parser) -> None:
+    parser.add_argument("--clock-seconds", type=positive, metavar="N", default=2.0,
+                        help="how long to watch the clock (default: 2)")
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments) -> int:
+    from scenes.doctor import examine
+
+    checks = []
+    console = results_console(quiet=arguments.json)
+    for check in examine(clock_seconds=arguments.clock_seconds):
+        checks.append(check)
+        console.print(f"[{_COLOURS[check.status]}]{check.status:<4}[/]", end="  ")
+        console.print(f"{check.name}: {check.finding}", markup=False, soft_wrap=True)
+        if check.remedy:
+            console.print(f"      {check.remedy}", markup=False, soft_wrap=True)
+    failed = [check.name for check in checks if check.status == "fail"]
+    if arguments.json:
+        print_json({"ok": not failed, "checks": [check.as_json() for check in checks]})
+    elif failed:
+        console.print(f"\nto mend: {', '.join(failed)}", markup=False)
+    return 1 if failed else 0

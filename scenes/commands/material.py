@@ -1,0 +1,114 @@
+"""`tissue-sim material new|show|check`: material files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from scenes.console import print_json, results_console
+from scenes.parsing import Parser, add_json, add_overwrite, new_file, positive
+from tissue_sim.errors import InputError
+
+SUMMARY = "make, read and check material files"
+EXAMPLE = "tissue-sim material show phantom.material.json"
+ACTIONS = ("new", "show", "check")
+LATER = ("export", "import")
+
+_NEW = ("write a material file from parameters",
+        "tissue-sim material new --law reduced_polynomial_2 --set C10=1404.9 --set C20=699.4 --bulk-ratio 1000 "
+        "-o m.material.json")
+_SHOW = ("formula, parameters, moduli, stability and provenance of a material file",
+         "tissue-sim material show m.material.json")
+_CHECK = ("exit 0 when the file is good, 2 when it cannot be read, 1 when the law is unstable in its valid range",
+          "tissue-sim material check m.material.json")
+
+
+def add_arguments(parser: Parser) -> None:
+    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
+
+    def action(name, texts, run) -> Parser:
+        inner = actions.add_parser(name, help=texts[0], description=texts[0], epilog=f"example:\n  {texts[1]}")
+        inner.set_defaults(run=run)
+        add_json(inner)
+        return inner
+
+    new = action("new", _NEW, run_new)
+    new.add_argument("--law", required=True, help="neo_hooke, mooney_rivlin, reduced_polynomial_1 to _3, ogden_1 to _3")
+    new.add_argument("--set", dest="settings", action="append", default=[], metavar="NAME=VALUE",
+                     help="a parameter of the law, Pa (exponents: 1); once for each")
+    bulk = new.add_mutually_exclusive_group()
+    bulk.add_argument("--bulk-ratio", type=positive, metavar="N", help="K / mu0")
+    bulk.add_argument("--bulk-modulus-pa", type=positive, metavar="N", help="K in Pa")
+    bulk.add_argument("--incompressible", action="store_true", help="no change of volume (default)")
+    new.add_argument("--name", default="", help="name for people")
+    new.add_argument("--density-kg-m3", type=positive, metavar="N", help="density")
+    new.add_argument("-o", dest="output", type=Path, required=True, metavar="FILE", help="NAME.material.json")
+    add_overwrite(new)
+    action("show", _SHOW, run_show).add_argument("file", type=Path, metavar="FILE")
+    action("check", _CHECK, run_check).add_argument("file", type=Path, metavar="FILE")
+
+
+def run_new(arguments) -> int:
+    import tissue_sim as ts
+
+    new_file(arguments.output, "-o", overwrite=arguments.overwrite, suffixes=(".json",))
+    if arguments.bulk_ratio is not None:
+        bulk = ts.Bulk("bulk_ratio", arguments.bulk_ratio)
+    elif arguments.bulk_modulus_pa is not None:
+        bulk = ts.Bulk("K_Pa", arguments.bulk_modulus_pa)
+    else:
+        bulk = ts.Bulk()
+    material = ts.Material(arguments.law, read_settings(arguments.settings), bulk, density=arguments.density_kg_m3,
+                           name=arguments.name)
+    ts.write_material_file(ts.MaterialFile.of(material), arguments.output)
+    if arguments.json:
+        print_json({"material_file": str(arguments.output)})
+    else:
+        results_console().print(f"wrote {arguments.output}: E0 {material.E0:.1f} Pa, mu0 {material.mu0:.1f} Pa",
+                                markup=False, soft_wrap=True)
+    return 0
+
+
+def read_settings(settings: list[str]) -> dict[str, float]:
+    """``["C10=1404.9"]`` -> ``{"C10": 1404.9}``.
+
+    Raises:
+        InputError: no ``=``, a value that is not a number, or a name given twice.
+    """
+    parameters: dict[str, float] = {}
+    for setting in settings:
+        name, sign, text = setting.partition("=")
+        name = name.strip()
+        if not sign or not name:
+            raise InputError(f"{setting!r} is not NAME=VALUE; write it like C10=1404.9", field="--set")
+        if name in parameters:
+            raise InputError(f"{name} is given twice; give it once", field="--set")
+        try:
+            parameters[name] = float(text)
+        except ValueError:
+            raise InputError(f"{text!r} is not a number; write it like {name}=1404.9", field="--set") from None
+    return parameters
+
+
+def run_show(arguments) -> int:
+    from scenes.material_summary import print_summary, summarise
+    from tissue_sim import read_material_file
+
+    summary = summarise(read_material_file(arguments.file))
+    if arguments.json:
+        print_json(summary)
+    else:
+        print_summary(summary, results_console())
+    return 0
+
+
+def run_check(arguments) -> int:
+    from scenes.material_summary import loss_of_stability
+    from tissue_sim import read_material_file
+
+    material_file = read_material_file(arguments.file)
+    lost = loss_of_stability(material_file)
+    if arguments.json:
+        print_json({"material_file": str(arguments.file), "stable": lost is None, "message": lost or "good"})
+    else:
+        results_console().print(f"{arguments.file}: {lost or 'good'}", markup=False, soft_wrap=True)
+    return 0 if lost is None else 1

@@ -1,0 +1,119 @@
+"""Pictures of simulations: the deformed section coloured by a field, beside the force curve."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+
+from tissue_sim.atomic_write import write_bytes
+from tissue_sim.errors import InputError
+from tissue_sim.experiment import Model
+from tissue_sim.fem.fields import FIELD_UNITS, Fields
+from tissue_sim.recording import Recording
+
+#: Field -> (label with the unit people use, factor from SI).
+LABELS = {
+    "displacement": ("displacement [mm]", 1e3), "von_mises": ("von Mises stress [kPa]", 1e-3),
+    "cauchy_rr": ("radial stress [kPa]", 1e-3), "cauchy_zz": ("axial stress [kPa]", 1e-3),
+    "cauchy_rz": ("shear stress [kPa]", 1e-3), "cauchy_hoop": ("hoop stress [kPa]", 1e-3),
+    "pressure": ("pressure [kPa]", 1e-3), "energy": ("energy density [J/m³]", 1.0), "J": ("volume ratio J", 1.0),
+}
+assert set(LABELS) == set(FIELD_UNITS)
+
+
+def draw_simulation(recording: Recording, model: Model, path: Path, field: str = "von_mises") -> None:
+    """Draw the section at the last sample, and force against displacement, into an image file.
+
+    Args:
+        recording: of `simulate(..., fields=True)`.
+        model: what was simulated.
+        path: .png, .svg or .pdf.
+        field: a name in `LABELS`.
+
+    Raises:
+        InputError: unknown field, or a recording without fields.
+    """
+    from matplotlib.figure import Figure
+
+    if field not in LABELS:
+        raise InputError(f"unknown field {field!r}; known: {', '.join(LABELS)}", field="field")
+    if recording.fields is None:
+        raise InputError("this recording carries no fields; simulate with fields=True", field="fields")
+    figure = Figure(figsize=(10, 4.6), layout="constrained")
+    section, curve = figure.subplots(1, 2, width_ratios=[1.25, 1])
+    draw_section(section, recording.fields, field)
+    depth = recording.displacement[-1] * 1e3
+    curve.plot(recording.displacement * 1e3, recording.force, color="#0072B2", marker="o", markersize=3)
+    curve.set_xlabel("displacement [mm]")
+    curve.set_ylabel("force [N]")
+    curve.set_xlim(left=0)
+    curve.grid(alpha=0.3)
+    curve.spines[["top", "right"]].set_visible(False)
+    figure.suptitle(f"{model.material.energy_law.title}: {recording.force[-1]:.4g} N at {depth:.3g} mm")
+    save(figure, path)
+
+
+def draw_section(axes, fields: Fields, name: str, sample: int = -1) -> None:
+    """The whole deformed section, mirrored at the axis, with the undeformed outline and the element edges.
+
+    The ends of the colour scale leave out 1 % of the volume at either side, where edges are singular.
+    """
+    from matplotlib.collections import LineCollection
+    from matplotlib.tri import Triangulation
+
+    label, factor = LABELS[name]
+    mesh = fields.mesh
+    place = (mesh.nodes + fields.displacement(sample)) * 1e3
+    values = fields.at_nodes(name, sample) * factor
+    low, high = _volume_range(fields.at_points(name, sample) * factor, fields.weights)
+    triangles = _triangles(mesh)
+    edges = _outlines(mesh, place)
+    for mirror in (1, -1):
+        side = np.array([mirror, 1])
+        picture = axes.tripcolor(Triangulation(*(place * side).T, triangles), values, shading="gouraud", cmap="viridis",
+                                 vmin=low, vmax=high)
+        axes.add_collection(LineCollection(edges * side, colors="white", linewidths=0.35, alpha=0.6))
+    radius, height = mesh.nodes[:, 0].max() * 1e3, -mesh.nodes[:, 1].min() * 1e3
+    axes.plot(radius * np.array([-1, 1, 1, -1, -1]), height * np.array([-1, -1, 0, 0, -1]), color="0.4", linewidth=0.9,
+              linestyle=(0, (4, 3)))
+    width = 1.18 * max(radius, place[:, 0].max())
+    top, base = place[:, 1][mesh.sets["top"]].max(), place[:, 1][mesh.sets["base"]].min()
+    for face, thickness in ((top, 0.05 * height), (base, -0.05 * height)):
+        axes.fill_between([-width, width], face, face + thickness, color="0.72", linewidth=0)
+    axes.set_aspect("equal")
+    axes.set_xlabel("r [mm]")
+    axes.set_ylabel("z [mm]")
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.figure.colorbar(picture, ax=axes, label=label, extend="both", shrink=0.85)
+
+
+def save(figure, path: Path) -> None:
+    """Write a figure whole or not at all; the format is that of the file's ending."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format=Path(path).suffix.lstrip(".") or "png", dpi=150)
+    write_bytes(Path(path), buffer.getvalue())
+
+
+def _volume_range(values: np.ndarray, weights: np.ndarray) -> tuple[float, float]:
+    """Values at 1 % and 99 % of the volume, widened where the field is uniform."""
+    order = np.argsort(values, axis=None)
+    share = np.cumsum(weights.ravel()[order])
+    low, high = np.interp(np.array([0.01, 0.99]) * share[-1], share, values.ravel()[order])
+    middle, least = 0.5 * (low + high), 1e-3 * max(abs(low), abs(high), 1e-12)
+    return (low, high) if high - low > least else (middle - least, middle + least)
+
+
+def _triangles(mesh) -> np.ndarray:
+    """Every element as the triangles between its nodes."""
+    square = [(0, 1, 2), (0, 2, 3)]
+    nine = [(0, 4, 8), (0, 8, 7), (4, 1, 5), (4, 5, 8), (8, 5, 2), (8, 2, 6), (7, 8, 6), (7, 6, 3)]
+    return np.concatenate([mesh.connectivity[:, list(corners)]
+                           for corners in (square if mesh.element.order == 1 else nine)])
+
+
+def _outlines(mesh, place: np.ndarray) -> np.ndarray:
+    """Element edges as polylines, shape (elements, points, 2)."""
+    ring = [0, 1, 2, 3, 0] if mesh.element.order == 1 else [0, 4, 1, 5, 2, 6, 3, 7, 0]
+    return place[mesh.connectivity[:, ring]]

@@ -1,0 +1,106 @@
+"""What a person wants to know of a material file."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+
+from tissue_sim.laws import check_stability
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from tissue_sim import MaterialFile
+
+
+def summarise(material_file: MaterialFile) -> dict[str, Any]:
+    """The JSON object of ``material show``: formula, parameters, moduli (Pa), stability per mode, range, provenance."""
+    material = material_file.material
+    stability = check_stability(material.energy_law, material.values)
+    bulk_modulus = material.bulk_modulus
+    return {
+        "name": material.name,
+        "law": material.law,
+        "title": material.energy_law.title,
+        "formula": material.energy_law.formula(),
+        "parameters": {name: msgspec.to_builtins(parameter) for name, parameter in material_file.parameters.items()},
+        "E0_Pa": material.E0,
+        "mu0_Pa": material.mu0,
+        "K_Pa": bulk_modulus if math.isfinite(bulk_modulus) else None,
+        "incompressible": not math.isfinite(bulk_modulus),
+        "density_kg_m3": material.density,
+        "stability": {"stable": stability.stable, "stable_from": stability.stable_from,
+                      "stable_to": stability.stable_to, "stretch_range": list(stability.stretch_range),
+                      "modes": {mode: list(limits) for mode, limits in stability.limits.items()},
+                      "text": stability.describe()},
+        "valid_range": msgspec.to_builtins(material_file.valid_range),
+        "provenance": msgspec.to_builtins(material_file.provenance),
+    }
+
+
+def loss_of_stability(material_file: MaterialFile) -> str | None:
+    """One sentence where the law loses Drucker stability inside the file's valid stretch range; None where it does not.
+
+    All three modes must be stable over the stated stretches. A file without a valid range is asked at rest only: it
+    promises nothing else.
+    """
+    material = material_file.material
+    low, high = valid_stretches(material_file)
+    searched = (min(low, 1.0), max(high, 1.0))
+    stability = check_stability(material.energy_law, material.values, searched)
+    if stability.stable and np.all(np.isfinite(material.values)):
+        return None
+    return f"unstable inside its valid range of stretches {low:g} to {high:g}: {stability.describe()}"
+
+
+def valid_stretches(material_file: MaterialFile) -> tuple[float, float]:
+    """Lowest and highest stretch of the valid range; (1, 1) where the file states none."""
+    stated = msgspec.to_builtins(material_file.valid_range) or {}
+    low, high = stated.get("stretch") or (1.0, 1.0)
+    return float(low), float(high)
+
+
+def print_summary(summary: dict[str, Any], console: Console) -> None:
+    """Print `summarise` for people."""
+    from rich.table import Table
+
+    def line(text: str) -> None:
+        console.print(text, markup=False, soft_wrap=True)
+
+    line(f"{summary['name'] or 'unnamed'}: {summary['title']} ({summary['law']})")
+    line(summary["formula"])
+    table = Table("parameter", "value", "standard error", "unit")
+    for column in table.columns[1:3]:
+        column.justify = "right"
+    for name, parameter in summary["parameters"].items():
+        error = parameter.get("standard_error")
+        table.add_row(name, f"{parameter['value']:.6g}", "-" if error is None else f"{error:.3g}", parameter["unit"])
+    console.print(table)
+    K = "incompressible" if summary["incompressible"] else f"K {summary['K_Pa']:.6g} Pa"
+    line(f"E0 {summary['E0_Pa']:.1f} Pa, mu0 {summary['mu0_Pa']:.1f} Pa, {K}")
+    if summary["density_kg_m3"] is not None:
+        line(f"density {summary['density_kg_m3']:g} kg/m3")
+    low, high = summary["stability"]["stretch_range"]
+    for mode, (lower, upper) in summary["stability"]["modes"].items():
+        ends = " and ".join(name for name, lost in (("below", lower > low), ("above", upper < high)) if lost)
+        line(f"stable in {mode} loading: stretch {lower:.3g} to {upper:.3g} "
+             f"({f'lost {ends}' if ends else 'no loss found'})")
+    for title in ("valid_range", "provenance"):
+        content = summary[title]
+        line(f"{title.replace('_', ' ')}: {'not stated' if not content else ''}".rstrip())
+        for key, value in (content or {}).items():
+            if value not in (None, [], {}):
+                line(f"  {key}: {_brief(value)}")
+
+
+def _brief(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        if all(isinstance(entry, dict) for entry in value):
+            return ", ".join(str(entry["file"]) for entry in value)
+        return " to ".join(_brief(entry) for entry in value)
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {_brief(entry)}" for key, entry in value.items())
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,92 @@
+"""What the commands share in reading their arguments: one-sentence errors, numbers, options of later versions."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Iterable
+from pathlib import Path
+
+from tissue_sim.errors import InputError
+
+
+class Parser(argparse.ArgumentParser):
+    """argparse with one-sentence errors, no abbreviations, and a help that keeps the lines of its example."""
+
+    def __init__(self, **options):
+        options.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
+        super().__init__(**options, allow_abbrev=False)
+        # The innermost parser sets its defaults last, so `arguments.parser` is that of the command in use.
+        self.set_defaults(parser=self)
+
+    def error(self, message: str):
+        raise InputError(f"{message}; see '{self.prog} --help'")
+
+    def option_names(self) -> Iterable[str]:
+        return (option for action in self._actions for option in action.option_strings)
+
+
+class LaterOption(argparse.Action):
+    """An option whose name is settled and whose work is not in this version."""
+
+    def __call__(self, parser, namespace, values, option_string=None):
+        raise InputError(later_answer(f"option {option_string} of {parser.prog.removeprefix('tissue-sim ')!r}"))
+
+
+def later_answer(what: str) -> str:
+    """The one sentence for everything that is planned."""
+    return f"{what} is not available in this version; 'tissue-sim --help' lists what is"
+
+
+def add_later_options(parser: Parser, *names: str) -> None:
+    """Options that are known and answered as not available; they do not show in the help."""
+    for name in names:
+        parser.add_argument(name, action=LaterOption, nargs="?", help=argparse.SUPPRESS)
+
+
+def add_json(parser: Parser) -> None:
+    parser.add_argument("--json", action="store_true", help="print one JSON object on stdout and nothing else")
+
+
+def add_overwrite(parser: Parser) -> None:
+    parser.add_argument("--overwrite", action="store_true", help="replace output that is already there")
+
+
+def positive(text: str) -> float:
+    """A finite number above zero."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value > 0):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
+    return value
+
+
+def at_least(lowest: int):
+    """A whole number not below `lowest`."""
+    def whole(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            value = lowest - 1
+        if value < lowest:
+            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least {lowest}")
+        return value
+    return whole
+
+
+def new_file(path: Path | None, option: str, *, overwrite: bool, suffixes: tuple[str, ...] = ()) -> None:
+    """Refuse, before any work is done, an output file that cannot or must not be written.
+
+    Raises:
+        InputError: a directory, a suffix that is not in `suffixes`, or an existing file without ``--overwrite``.
+    """
+    if path is None:
+        return
+    if path.is_dir():
+        raise InputError("is a directory; give the name of a file", file=path, field=option)
+    if suffixes and not path.name.lower().endswith(suffixes):
+        raise InputError(f"expected a name that ends in {' or '.join(suffixes)}", file=path, field=option)
+    if path.exists() and not overwrite:
+        raise InputError("exists already; give another name, or --overwrite to replace it", file=path, field=option)

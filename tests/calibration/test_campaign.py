@@ -1,0 +1,231 @@
+"""Campaign files: what is read, and one sentence with the field for everything that is wrong."""
+
+import os
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import calibration
+import tissue_sim as ts
+
+GOOD = """
+[[specimen]]
+name = "phantom"
+radius_mm = 40.0
+height_mm = 70.0
+
+[[test]]
+name = "plates"
+specimen = "phantom"
+kind = "lubricated_compression"
+recordings = ["run_*.csv"]
+
+[fit]
+laws = ["neo_hooke", "reduced_polynomial_2"]
+start = { C10 = 1400.0 }
+bulk_ratio = 1000
+
+[fit.bounds]
+C10 = [1.0, 20000.0]
+
+[noise]
+force_N = 0.02
+contact_jitter_mm = 0.03
+"""
+
+
+def write_run(folder, name, depth=10e-3, points=21, force=5.0):
+    displacement = np.linspace(0.0, depth, points)
+    recording = ts.Recording({"displacement": displacement, "force": force * displacement / depth})
+    ts.write_recording(recording, folder / name)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    for name in ("run_2.csv", "run_1.csv"):
+        write_run(tmp_path, name)
+    return tmp_path
+
+
+def load(folder, text):
+    path = folder / "study.toml"
+    path.write_text(text, encoding="utf-8")
+    return calibration.load_campaign(path)
+
+
+def test_si_inside_and_recordings_resolved(folder):
+    campaign = load(folder, GOOD)
+    assert campaign.name == "study"
+    assert campaign.specimens["phantom"].radius == 0.04
+    test, = campaign.tests
+    assert [path.name for path in test.recordings] == ["run_1.csv", "run_2.csv"]
+    assert test.specimen is campaign.specimens["phantom"]
+    assert campaign.noise.contact_jitter == pytest.approx(3e-5)
+    assert campaign.fit.offset_prior == pytest.approx(3e-5)
+    assert campaign.fit.bulk == ts.Bulk("bulk_ratio", 1000.0)
+    assert campaign.fit.bounds["C10"] == (1.0, 20000.0)
+    with pytest.raises(TypeError):
+        campaign.fit.start["C10"] = 1.0
+
+
+def test_absolute_patterns_and_prisms(folder):
+    text = GOOD.replace("run_*.csv", (folder / "run_?.csv").as_posix()).replace(
+        "radius_mm = 40.0", 'shape = "prism"\narea_mm2 = 18.0')
+    campaign = load(folder, text)
+    assert len(campaign.tests[0].recordings) == 2
+    assert campaign.tests[0].specimen.area == pytest.approx(18e-6)
+
+
+BAD = [
+    ("radius_mm", "raduis_mm", "specimen[0].raduis_mm", "radius_mm"),
+    ("specimen = \"phantom\"", "tool_radius = 8.0", "test[0].tool_radius", "tool_radius_mm"),
+    ("[noise]", "[niose]", "niose", "noise"),
+    ("bulk_ratio = 1000", "bulk_ratoi = 1000", "fit.bulk_ratoi", "bulk_ratio"),
+    ("bulk_ratio = 1000", "bulk_ratio = \"stiff\"", "fit.bulk_ratio", "expected"),
+    ("bulk_ratio = 1000", "bulk_ratio = -1", "fit.bulk_ratio", "positive"),
+    ("radius_mm = 40.0", "radius_mm = -40.0", "specimen[0].radius_mm", "positive"),
+    ("height_mm = 70.0", "height_mm = 0", "specimen[0].height_mm", "positive"),
+    ("height_mm = 70.0", "", "specimen[0].height_mm", "missing"),
+    ("radius_mm = 40.0", "", "specimen[0].radius_mm", "needs radius_mm"),
+    ("radius_mm = 40.0", "radius_mm = nan", "specimen[0].radius_mm", "positive"),
+    ("radius_mm = 40.0", "radius_mm = 40.0\narea_mm2 = 3", "specimen[0].area_mm2", "leave it out"),
+    ("height_mm = 70.0", "height_mm = 70.0\ngravity = true", "specimen[0].gravity", "not available in this version"),
+    ("height_mm = 70.0", "height_mm = 70.0\nheight_is = \"cast\"", "specimen[0].height_is", "moulded"),
+    ("C10 = 1400.0", "C10 = 30000.0", "fit.start.C10", "outside its bounds"),
+    ("C10 = 1400.0", "C11 = 1400.0", "fit.start.C11", "C10"),
+    ("C10 = [1.0, 20000.0]", "C10 = [5.0, 1.0]", "fit.bounds.C10", "empty"),
+    ("C10 = [1.0, 20000.0]", "mu1 = [5.0, 10.0]", "fit.bounds.mu1", "parameter"),
+    ("bulk_ratio = 1000", "prior = { C10 = [1400.0, 0.0] }", "fit.prior.C10", "not positive"),
+    ("bulk_ratio = 1000", "fixed = { C10 = 1400.0 }", "fit.start.C10", "fixed"),
+    ("bulk_ratio = 1000", "method = \"inverse_fem\"", "fit.method", "not available in this version"),
+    ("bulk_ratio = 1000", "method = \"guess\"", "fit.method", "analytical"),
+    ("bulk_ratio = 1000", "strain_points = 3", "fit.strain_points", "at least 5"),
+    ("\"neo_hooke\"", "\"neo_hook\"", "fit.laws[0]", "neo_hooke"),
+    ("\"neo_hooke\"", "\"reduced_polynomial_2\"", "fit.laws[1]", "twice"),
+    ("laws = [\"neo_hooke\", \"reduced_polynomial_2\"]", "laws = []", "fit.laws", "at least one"),
+    ("laws = [\"neo_hooke\", \"reduced_polynomial_2\"]", "", "fit.laws", "missing"),
+    ("specimen = \"phantom\"", "specimen = \"fantom\"", "test[0].specimen", "phantom"),
+    ("lubricated_compression", "lubricated_compresion", "test[0].kind", "lubricated_compression"),
+    ("lubricated_compression", "needle_indentation", "test[0].kind", "not available in this version"),
+    ("run_*.csv", "walk_*.csv", "test[0].recordings[0]", "no file matches"),
+    ("[\"run_*.csv\"]", "[]", "test[0].recordings", "at least one"),
+    ("[\"run_*.csv\"]", "[\"run_*.csv\", \"run_1.csv\"]", "test[0].recordings[1]", "twice"),
+    ("[\"run_*.csv\"]", "\"run_1.csv\"", "test[0].recordings", "expected"),
+    ("[\"run_*.csv\"]", "[\"run_*.csv\"]\ntool = \"flat\"", "test[0].tool", "not available in this version"),
+    ("[\"run_*.csv\"]", "[\"run_*.csv\"]\ntool_radius_mm = 8", "test[0].tool_radius_mm", "leave it out"),
+    ("[\"run_*.csv\"]", "[\"run_*.csv\"]\nrig = \"a.json\"", "test[0].rig", "not available in this version"),
+    ("[\"run_*.csv\"]", "[\"run_*.csv\"]\nprotocol = \"ramp\"", "test[0].protocol", "not available in this version"),
+    ("[\"run_*.csv\"]", "[\"run_*.csv\"]\nfriction = 0.7", "test[0].friction", "frictionless"),
+    ("[\"run_*.csv\"]", "[\"run_*.csv\"]\nspeed_mm_s = 0", "test[0].speed_mm_s", "positive"),
+    ("[\"run_*.csv\"]", "[\"run_*.csv\"]\nmax_strain = 1.5", "test[0].max_strain", "below 1"),
+    ("[\"run_*.csv\"]", "[\"run_*.csv\"]\nhold_out = true", "test[0].hold_out", "nothing to fit"),
+    ("[\"run_*.csv\"]", "[\"run_*.csv\"]\ncolumns = { stretch = \"a\" }", "test[0].columns", "nominal stress"),
+    ("[\"run_*.csv\"]", "[\"run_*.csv\"]\ncolumns = { streth = \"a\" }", "test[0].columns.streth", "stretch"),
+    ("[\"run_*.csv\"]", "[\"run_*.csv\"]\ncolumns = { force = { nme = \"a\" } }", "test[0].columns.force.nme", "name"),
+    ("force_N = 0.02", "force_N = 0", "noise.force_N", "positive"),
+    ("force_N = 0.02", "force_N = \"guess\"", "noise.force_N", "estimate"),
+    ("contact_jitter_mm = 0.03", "contact_jitter_mm = \"estimate\"", "noise.contact_jitter_mm", "not available"),
+    ("[[test]]", "[test]", "test", "[[test]]"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "field", "hint"), BAD,
+                         ids=[f"{field}:{i}" for i, (*_, field, _) in enumerate(BAD)])
+def test_bad_campaigns_name_the_field(folder, old, new, field, hint):
+    assert GOOD.count(old) >= 1
+    with pytest.raises(ts.InputError) as error:
+        load(folder, GOOD.replace(old, new, 1))
+    assert error.value.field == field
+    assert hint in str(error.value)
+    assert "study.toml" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_names_are_unique(folder):
+    specimen = '[[specimen]]\nname = "phantom"\nradius_mm = 1.0\nheight_mm = 1.0\n'
+    with pytest.raises(ts.InputError, match=r"specimen\[1\]\.name: .*taken"):
+        load(folder, GOOD + specimen)
+    test = '[[test]]\nname = "plates"\nkind = "lubricated_compression"\nrecordings = ["run_1.csv"]\n'
+    with pytest.raises(ts.InputError, match=r"test\[1\]\.name: .*taken"):
+        load(folder, GOOD + test)
+    with pytest.raises(ts.InputError, match=r"test\[1\]\.specimen: name one of"):
+        load(folder, GOOD + specimen.replace("phantom", "other") + test.replace("plates", "again"))
+
+
+@pytest.mark.parametrize(("content", "hint"), [
+    (b"[fit\nlaws = 1\n", r"study\.toml:1: .*TOML"), (b"\xff\xfe", "UTF-8"), (b"", "missing"),
+    (b"fit = 3", "expected a table"),
+])
+def test_damaged_files(folder, content, hint):
+    (folder / "study.toml").write_bytes(content)
+    with pytest.raises(ts.InputError, match=hint):
+        calibration.load_campaign(folder / "study.toml")
+
+
+def test_missing_file_and_folder(tmp_path):
+    with pytest.raises(ts.InputError, match="no such file"):
+        calibration.load_campaign(tmp_path / "none.toml")
+    with pytest.raises(ts.InputError, match=r"folder|cannot be read"):
+        calibration.load_campaign(tmp_path)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(position=st.integers(0, len(GOOD) - 1), text=st.text(max_size=6))
+def test_any_slip_is_an_input_error_or_still_a_campaign(folder, position, text):
+    path = folder / "slip.toml"
+    path.write_bytes((GOOD[:position] + text + GOOD[position + 1:]).encode("utf-8", "surrogatepass"))
+    try:
+        assert calibration.load_campaign(path).tests
+    except ts.InputError as error:
+        assert re.search("slip.toml", str(error))
+
+
+BAD_RECORDINGS = [
+    ({"depth": 80e-3}, "", "deeper than the specimen"),
+    ({"force": -5.0}, "", "against the load"),
+    ({}, "max_strain = 0.001", "at least 5"),
+    ({"depth": -10e-3}, "", "largest strain"),
+]
+
+
+@pytest.mark.parametrize(("change", "key", "hint"), BAD_RECORDINGS)
+def test_bad_recordings_write_nothing(folder, change, key, hint):
+    write_run(folder, "run_2.csv", **change)
+    path = folder / "study.toml"
+    path.write_text(GOOD.replace('"phantom"\nkind', f'"phantom"\n{key}\nkind'), encoding="utf-8")
+    with pytest.raises(ts.InputError, match=hint) as error:
+        calibration.calibrate([path], folder / "out")
+    assert error.value.field.startswith("test[0].")
+    assert not (folder / "out").exists()
+
+
+def test_offset_needs_displacement_and_specimen_needs_naming(folder):
+    stretch = np.linspace(1.0, 1.5, 20)
+    ts.write_recording(ts.Recording({"stretch": stretch, "nominal stress": 1e3 * (stretch - 1)}), folder / "pull.csv")
+    path = folder / "pull.toml"
+    text = ('[[test]]\nkind = "uniaxial_tension"\nrecordings = ["pull.csv"]\n'
+            '[fit]\nlaws = ["neo_hooke"]\noffset = "fit"\n')
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ts.InputError, match=r"fit\.offset: .*displacement"):
+        calibration.calibrate([path], folder / "out")
+    path.write_text(text.replace("pull.csv", "run_1.csv").replace("fit\"", "none\""), encoding="utf-8")
+    with pytest.raises(ts.InputError, match=r"need a \[\[specimen\]\]"):
+        calibration.calibrate([path], folder / "out")
+    path.write_text(text.replace("uniaxial_tension", "simple_shear"), encoding="utf-8")
+    with pytest.raises(ts.InputError, match="simple_shear needs"):
+        calibration.calibrate([path], folder / "out")
+    assert not (folder / "out").exists()
+
+
+def test_campaigns_load_without_scipy_taichi_or_matplotlib(folder):
+    (folder / "study.toml").write_text(GOOD, encoding="utf-8")
+    code = ("import sys, calibration; calibration.load_campaign('study.toml');"
+            "print([m for m in ('scipy', 'taichi', 'matplotlib', 'viser') if m in sys.modules])")
+    done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=True,
+                          env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)})
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,29 @@
+"""Folders that tests share."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def root() -> Path:
+    """The repository."""
+    return ROOT
+
+
+@pytest.fixture(scope="session")
+def reference() -> Path:
+    """Reference curves from independent solvers."""
+    return ROOT / "tests" / "reference"
+
+
+@pytest.fixture(scope="session")
+def data_folder() -> Path:
+    """Measured data of others; not part of the repository."""
+    folder = Path(os.environ.get("TISSUE_SIM_DATA", ROOT.parent / "shared" / "data"))
+    if not folder.is_dir():
+        pytest.skip(f"no measured data in {folder}; set TISSUE_SIM_DATA to the folder that holds ecoflex_compression")
+    return folder

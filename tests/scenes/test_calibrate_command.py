@@ -1,0 +1,153 @@
+"""`tissue-sim calibrate`: campaigns in, table and JSON out."""
+
+import json
+
+import numpy as np
+import pytest
+
+import tissue_sim as ts
+from scenes.cli import main
+
+TRUE = {"C10": 1404.9, "C20": 699.4}
+RADIUS, HEIGHT = 0.04, 0.07
+CAMPAIGN = """
+[[specimen]]
+radius_mm = 40.0
+height_mm = 70.0
+
+[[test]]
+kind = "lubricated_compression"
+recordings = ["compression_*.csv"]
+max_strain = 0.14
+
+[fit]
+laws = ["neo_hooke", "reduced_polynomial_2"]
+
+[noise]
+force_N = 0.02
+"""
+
+
+@pytest.fixture
+def campaign(tmp_path):
+    """Three replicates of the study's compression test with its sensor noise, and their campaign file."""
+    random = np.random.default_rng(7)
+    displacement = np.linspace(0, 0.0098, 60)
+    stress = ts.find_law("reduced_polynomial_2").nominal_stress(1 - displacement / HEIGHT, TRUE)
+    for replicate in (1, 2, 3):
+        force = -np.pi * RADIUS**2 * stress + random.normal(0, 0.02, displacement.size)
+        recording = ts.Recording({"time": displacement / 0.248e-3, "displacement": displacement, "force": force})
+        ts.write_recording(recording, tmp_path / f"compression_{replicate}.csv")
+    path = tmp_path / "campaign.toml"
+    path.write_text(CAMPAIGN, encoding="utf-8")
+    return path
+
+
+def test_json(campaign, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert main(["calibrate", str(campaign), "-o", str(out), "--json"]) == 0
+    stdout, stderr = capsys.readouterr()
+    answer = json.loads(stdout)
+    assert stderr == ""
+    assert answer["best"] == "reduced_polynomial_2"
+    best = next(fit for fit in answer["fits"] if fit["law"] == answer["best"])
+    for name, value in TRUE.items():
+        assert abs(best["parameters"][name] - value) < 4 * best["standard_errors"][name]
+    material = ts.load_material(out / "reduced_polynomial_2.material.json")
+    assert dict(material.parameters) == pytest.approx(best["parameters"])
+    assert json.loads((out / "fit.json").read_text(encoding="utf-8")) == answer
+    assert (out / "report.html").is_file()
+
+
+def test_table(campaign, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert main(["calibrate", str(campaign), "-o", str(out)]) == 0
+    text = capsys.readouterr().out
+    for expected in ("reduced_polynomial_2 *", "neo_hooke", "±", "E0 [Pa]", "BIC - best"):
+        assert expected in text
+    assert f"wrote {out / 'report.html'}" in text
+
+
+def test_material_of_a_calibration_can_be_shown_and_checked(campaign, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert main(["calibrate", str(campaign), "-o", str(out), "--json"]) == 0
+    capsys.readouterr()
+    path = str(out / "reduced_polynomial_2.material.json")
+    assert main(["material", "check", path]) == 0
+    assert main(["material", "show", path]) == 0
+    assert "compression_1.csv" in capsys.readouterr().out
+
+
+def test_folder_with_other_work_is_kept(campaign, tmp_path, capsys):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "thesis.txt").write_text("do not lose", encoding="utf-8")
+    assert main(["calibrate", str(campaign), "-o", str(out)]) == 2
+    stdout, stderr = capsys.readouterr()
+    assert stdout == "" and "--overwrite" in stderr and stderr.count("\n") == 1
+    assert [path.name for path in out.iterdir()] == ["thesis.txt"]
+
+
+def test_two_campaigns_in_one_call(campaign, tmp_path, capsys):
+    second = tmp_path / "second.toml"
+    second.write_text(CAMPAIGN.replace('"neo_hooke", ', ""), encoding="utf-8")
+    out = tmp_path / "out"
+    assert main(["calibrate", str(campaign), str(second), "-o", str(out), "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert [len(one["fits"]) for one in answer["campaigns"]] == [2, 1]
+    assert main(["calibrate", str(campaign), str(second), "-o", str(out)]) == 0, "the same work again is resumed"
+    assert capsys.readouterr().out.count("best by BIC") == 2
+
+
+def test_no_usable_law_is_exit_code_1(tmp_path, capsys):
+    """Data that soften in compression: the only law asked for is unstable within them."""
+    displacement = np.linspace(0, 0.035, 60)
+    law, softening = ts.find_law("reduced_polynomial_2"), {"C10": 1400.0, "C20": -500.0}
+    force = -np.pi * RADIUS**2 * law.nominal_stress(1 - displacement / HEIGHT, softening)
+    ts.write_recording(ts.Recording({"displacement": displacement, "force": force}), tmp_path / "compression_1.csv")
+    campaign = tmp_path / "campaign.toml"
+    campaign.write_text(CAMPAIGN.replace("max_strain = 0.14", "").replace('"neo_hooke", ', ""), encoding="utf-8")
+    assert main(["calibrate", str(campaign), "-o", str(tmp_path / "out"), "--json"]) == 1
+    (fit,) = json.loads(capsys.readouterr().out)["fits"]
+    assert fit["status"] == "unstable" and fit["stable_from"] > 0.5
+
+
+@pytest.mark.parametrize(("old", "new", "expected"), [
+    ("radius_mm", "radius_m", "did you mean 'radius_mm'?"),
+    ("height_mm = 70.0", "height_mm = -70.0", "height_mm"),
+    ("compression_*", "compresion_*", "recordings"),
+    ("neo_hooke", "neo_hook", "did you mean 'neo_hooke'?"),
+    ("[fit]", "[fit", "campaign.toml:"),
+])
+def test_bad_campaign_writes_nothing(campaign, tmp_path, capsys, old, new, expected):
+    campaign.write_text(CAMPAIGN.replace(old, new, 1), encoding="utf-8")
+    out = tmp_path / "out"
+    assert main(["calibrate", str(campaign), "-o", str(out), "--json"]) == 2
+    stdout, stderr = capsys.readouterr()
+    assert stdout == "" and stderr.count("\n") == 1
+    assert expected in stderr and "campaign.toml" in stderr
+    assert not out.exists()
+
+
+def test_measured_silicone(data_folder, tmp_path, capsys):
+    """Ecoflex 00-10, ten recordings pooled to 66 % strain: the published Yeoh parameters 7.702, -0.063, 0.248 kPa."""
+    path = tmp_path / "ef10.toml"
+    path.write_text(f"""
+[[specimen]]
+radius_mm = 25.0
+height_mm = 30.0
+
+[[test]]
+kind = "lubricated_compression"
+recordings = ["{(data_folder / "ecoflex_compression").resolve().as_posix()}/EF10_0T_*.csv"]
+format = "instron"
+
+[fit]
+laws = ["reduced_polynomial_3"]
+""", encoding="utf-8")
+    assert main(["calibrate", str(path), "-o", str(tmp_path / "out"), "--json"]) == 0
+    (fit,) = json.loads(capsys.readouterr().out)["fits"]
+    C = fit["parameters"]
+    assert C["C10"] == pytest.approx(7702, rel=0.02)
+    assert C["C20"] == pytest.approx(-63, abs=50)
+    assert C["C30"] == pytest.approx(248, rel=0.02)

@@ -1,0 +1,164 @@
+"""The command line as a whole: instant help, one sentence for every error, exit codes."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from scenes.cli import main
+from scenes.commands import COMMANDS, LATER, material, simulate
+from tissue_sim.errors import MissingBackendError
+
+ROOT = Path(__file__).resolve().parents[2]
+HEAVY = ("taichi", "viser", "scipy", "numpy", "matplotlib", "sympy", "rich", "msgspec", "serial")
+HELPS = [["--help"], [], ["--version"], *([name, "--help"] for name in COMMANDS),
+         *(["material", action, "--help"] for action in material.ACTIONS)]
+
+
+@pytest.mark.parametrize("words", HELPS, ids=" ".join)
+def test_help_imports_nothing_heavy(words):
+    code = ("import sys; from scenes.cli import main; code = main(sys.argv[1:]); "
+            f"print([name for name in {HEAVY} if name in sys.modules], file=sys.stderr); sys.exit(code)")
+    done = subprocess.run([sys.executable, "-c", code, *words], cwd=ROOT, capture_output=True, text=True,
+                          encoding="utf-8")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.strip() == "[]", "help must answer at once"
+    assert "tissue-sim" in done.stdout
+
+
+@pytest.mark.parametrize("words", HELPS[3:], ids=" ".join)
+def test_every_help_has_a_description_and_an_example(words, capsys):
+    assert main(words) == 0
+    text = capsys.readouterr().out
+    name = " ".join(words[:-1])
+    assert f"example:\n  tissue-sim {name.split()[0]}" in text
+    if name in COMMANDS:
+        assert COMMANDS[name].SUMMARY in text
+        assert COMMANDS[name].EXAMPLE in text
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_example_of_a_help_is_understood(name):
+    from scenes.cli import build_parser
+
+    words = COMMANDS[name].EXAMPLE.split()
+    assert words[0] == "tissue-sim"
+    _, rest = build_parser().parse_known_args(words[1:])
+    assert rest == []
+
+
+def fails(capsys, words, code=2) -> str:
+    """Run, expect the exit code, an empty stdout and one line on stderr; return that line."""
+    assert main(words) == code
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("tissue-sim: ") and err.count("\n") == 1 and "Traceback" not in err
+    return err
+
+
+@pytest.mark.parametrize(("words", "expected"), [
+    (["simulat"], "did you mean 'simulate'?"),
+    (["xyz"], "known: demo"),
+    (["material", "shw"], "did you mean 'show'?"),
+    (["material"], "required: ACTION"),
+    (["simulate"], "required: SCENE, --material"),
+    (["simulate", "bonded_compression"], "required: --material"),
+    (["simulate", "bonded_compression", "--material", "m", "--dept-mm", "3"], "did you mean '--depth-mm'?"),
+    (["simulate", "bonded_compresion", "--material", "m"], "did you mean 'bonded_compression'?"),
+    (["simulate", "bonded_compression", "--material", "m", "--depth-mm", "-3"], "'-3' is not a positive number"),
+    (["simulate", "bonded_compression", "--material", "m", "--depth-mm", "nan"], "'nan' is not a positive number"),
+    (["simulate", "bonded_compression", "--material", "m", "--points", "1"], "whole number of at least 2"),
+    (["simulate", "bonded_compression", "--material", "m", "--points", "2.5"], "whole number of at least 2"),
+    (["simulate", "bonded_compression", "--material", "m", "--resolution", "fat"], "'fat'"),
+    (["simulate", "bonded_compression", "--material", "m", "again"], "unexpected 'again'"),
+    (["simulate", "bonded_compression", "--material", "missing.json"], "missing.json"),
+    (["doctor", "--clock-seconds", "x"], "'x' is not a positive number"),
+    (["calibrate", "-o", "out"], "required: CAMPAIGN.toml"),
+    (["calibrate", "missing.toml", "-o", "out"], "missing.toml"),
+    (["demo", "--seed", "-1"], "whole number of at least 0"),
+], ids=lambda value: " ".join(value) if isinstance(value, list) else None)
+def test_bad_words_get_one_sentence(words, expected, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert expected in fails(capsys, words)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("words", [
+    *([name] for name in LATER), ["design", "--help"], ["material", "export"], ["material", "import", "x"],
+    *(["simulate", name, "--material", "m"] for name in simulate.LATER_SCENES),
+    *(["simulate", "bonded_compression", "--material", "m", *option] for option in (
+        ["--tool", "flat"], ["--friction", "0.7"], ["--protocol", "ramp 10mm @0.248mm/s"], ["--rig", "rig.json"],
+        ["--gravity"])),
+], ids=" ".join)
+def test_what_is_planned_is_known(words, capsys):
+    assert "not available in this version" in fails(capsys, words)
+
+
+def test_version(capsys):
+    import tissue_sim
+
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"tissue-sim {tissue_sim.__version__}\n"
+
+
+@pytest.mark.parametrize(("error", "code", "expected"), [
+    (KeyboardInterrupt(), 130, "stopped by Ctrl-C; campaigns that were finished are kept"),
+    (MissingBackendError("the finite elements need taichi"), 1, "need taichi"),
+    (PermissionError(13, "Permission denied", "out/fit.json"), 2, "out/fit.json: Permission denied"),
+])
+def test_expected_errors_end_in_a_sentence(error, code, expected, capsys, monkeypatch):
+    def run(arguments):
+        raise error
+
+    monkeypatch.setattr("scenes.commands.calibrate.run", run)
+    assert expected in fails(capsys, ["calibrate", "c.toml", "-o", "out"], code)
+
+
+def test_a_programming_error_is_not_hidden(monkeypatch):
+    def run(arguments):
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("scenes.commands.calibrate.run", run)
+    with pytest.raises(ZeroDivisionError):
+        main(["calibrate", "c.toml", "-o", "out"])
+
+
+def test_reader_that_leaves_is_no_error():
+    script = "import sys; from scenes.cli import main; sys.exit(main(['doctor', '--clock-seconds', '0.01', '--json']))"
+    process = subprocess.Popen([sys.executable, "-c", script], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process.stdout.close()
+    stderr = process.stderr.read().decode("utf-8")
+    process.stderr.close()
+    assert process.wait() in (0, 1)
+    assert stderr == ""
+
+
+def test_output_survives_a_windows_code_page(tmp_path):
+    script = ("import sys; from scenes.cli import main; "
+              "sys.exit(main(['material', 'new', '--law', 'neo_hooke', '--set', 'C10=1', '--name', 'Möbius λ', "
+              "'-o', 'm.material.json']) or main(['material', 'show', 'm.material.json', '--json']))")
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True,
+                          env={**__import__("os").environ, "PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "cp1252",
+                               "PYTHONUTF8": "0"})
+    assert done.returncode == 0, done.stderr.decode("utf-8", "replace")
+    text = done.stdout.decode("utf-8")
+    assert json.loads(text[text.index("{"):])["name"] == "Möbius λ"
+
+
+_WORDS = st.one_of(
+    st.sampled_from(["--depth-mm", "--points", "--json", "--overwrite", "--resolution", "fast", "--field", "-o", "-x",
+                     "--", "-", "", "1", "-1", "1e400", "bonded_compression", "--radius-mm=3", "--tool", "--gravity="]),
+    st.text(st.characters(blacklist_characters="\0", blacklist_categories=("Cs",)), max_size=8))
+
+
+@settings(deadline=None, max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(_WORDS, max_size=6))
+def test_no_words_lead_to_a_traceback(capsys, words):
+    """Whatever is typed: help, or one sentence and exit code 2 (there is no material to simulate with)."""
+    code = main(["simulate", "--material", "no such folder/m.material.json", *words])
+    out, err = capsys.readouterr()
+    assert (code, err.count("\n"), out) == (2, 1, "") or (code == 0 and ("-h" in words or "--help" in words))

@@ -1,0 +1,21 @@
+"""`tissue-sim demo`: runs to its end without hardware and says where its results are."""
+
+import json
+from pathlib import Path
+
+from scenes.cli import main
+
+
+def test_demo(tmp_path, capsys):
+    out = tmp_path / "demo"
+    assert main(["demo", "-o", str(out), "--json"]) == 0
+    stdout, stderr = capsys.readouterr()
+    answer = json.loads(stdout)
+    assert stderr == ""
+    assert Path(answer["figure"]).read_bytes().startswith(b"\x89PNG")
+    assert Path(answer["report"]).is_file()
+    assert out in Path(answer["figure"]).parents and out in Path(answer["report"]).parents
+    files = {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.is_file()}
+    assert main(["demo", "-o", str(out)]) == 2, "a folder that the user named is kept"
+    assert "--overwrite" in capsys.readouterr().err
+    assert {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.is_file()} == files

@@ -1,0 +1,142 @@
+"""`tissue-sim doctor`: what it measures, and that it notices what is wrong."""
+
+import importlib.metadata
+import json
+import socket
+import sys
+
+import numpy as np
+import pytest
+
+from scenes.cli import main
+from scenes.doctor import Check, clock, installation, platform_services, taichi_backend
+
+SECONDS = "0.05"
+
+
+def test_json(capsys):
+    code = main(["doctor", "--clock-seconds", SECONDS, "--json"])
+    answer = json.loads(capsys.readouterr().out)
+    assert code == (0 if answer["ok"] else 1)
+    checks = {check["name"]: check for check in answer["checks"]}
+    assert {"Python", "numpy", "the four packages", "Taichi", "compiled kernels", "1 kHz clock", "real-time priority",
+            "pseudo-terminals", "matplotlib cache", "loopback port"} <= set(checks)
+    assert checks["1 kHz clock"]["values"]["ticks"] == 50
+    assert all(check["remedy"] for check in checks.values() if check["status"] != "ok")
+
+
+def test_one_line_a_check_for_people(capsys):
+    main(["doctor", "--clock-seconds", SECONDS])
+    lines = capsys.readouterr().out.splitlines()
+    assert sum(line.startswith(("ok ", "warn ", "fail ")) for line in lines) >= 18
+    assert any(line.startswith("ok    numpy: ") for line in lines)
+
+
+def test_a_failed_check_fails_the_command(monkeypatch, capsys):
+    broken = Check("numpy", "fail", "not installed", "python -m pip install numpy")
+    monkeypatch.setattr("scenes.doctor.examine", lambda clock_seconds: iter([broken]))
+    assert main(["doctor"]) == 1
+    text = capsys.readouterr().out
+    assert "fail  numpy: not installed" in text and "python -m pip install numpy" in text and "to mend: numpy" in text
+
+
+def test_lateness_is_measured_against_standing_deadlines(monkeypatch):
+    """A clock that stalls 5 ms once: the tick is 5 ms late and the next ones 4, 3, 2, 1 ms, as in a real loop."""
+    now, asleep = [0.0], []
+
+    def perf_counter():
+        now[0] += 1e-7
+        return now[0]
+
+    def sleep(seconds):
+        asleep.append(seconds)
+        now[0] += 5e-3 + seconds if len(asleep) == 3 else seconds
+
+    monkeypatch.setattr(clock.time, "perf_counter", perf_counter)
+    monkeypatch.setattr(clock.time, "sleep", sleep)
+    lateness = clock.measure_lateness(0.010)
+    assert lateness.shape == (10,)
+    np.testing.assert_allclose(lateness * 1e3, [0, 0, 4.8, 3.8, 2.8, 1.8, 0.8, 0, 0, 0], atol=2e-3)
+
+
+@pytest.mark.parametrize(("lateness", "status"), [(1e-6, "ok"), (2e-3, "fail")])
+def test_clock_verdict(monkeypatch, lateness, status):
+    monkeypatch.setattr(clock, "measure_lateness", lambda seconds: np.full(1000, lateness))
+    check = clock.ticks(1.0)
+    assert check.status == status and bool(check.remedy) == (status != "ok")
+
+
+def test_clock_warns_of_rare_late_ticks(monkeypatch):
+    lateness = np.full(1000, 1e-6)
+    lateness[::100] = 3e-3
+    monkeypatch.setattr(clock, "measure_lateness", lambda seconds: lateness)
+    check = clock.ticks(1.0)
+    assert check.status == "warn" and check.values["later_than_1_ms"] == pytest.approx(0.01)
+
+
+@pytest.mark.skipif(not hasattr(clock.os, "sched_getscheduler"), reason="this platform has one scheduler only")
+def test_scheduler_is_given_back():
+    before = clock.os.sched_getscheduler(0)
+    clock.ticks(0.01)
+    assert clock.os.sched_getscheduler(0) == before
+
+
+def test_missing_scheduler_is_a_warning_with_a_remedy(monkeypatch):
+    def refuse(*arguments):
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(clock.os, "sched_setscheduler", refuse, raising=False)
+    check = clock.real_time_priority()
+    assert check.status == "warn" and "rtprio" in check.remedy
+
+
+def test_packages_from_one_place():
+    assert installation.one_place().status == "ok"
+
+
+def test_shadowed_package_is_noticed(tmp_path, monkeypatch):
+    """A user's own calibration.py in the current folder is found before ours."""
+    stray = tmp_path / "calibration.py"
+    stray.write_text("", encoding="utf-8")
+    monkeypatch.delitem(sys.modules, "calibration", raising=False)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    check = installation.one_place()
+    assert check.status == "fail" and str(stray) in check.finding and check.remedy
+
+
+def test_missing_package_is_noticed(monkeypatch):
+    installed = importlib.metadata.version
+
+    def version(name):
+        if name == "sympy":
+            raise importlib.metadata.PackageNotFoundError(name)
+        return installed(name)
+
+    monkeypatch.setattr(importlib.metadata, "version", version)
+    checks = {check.name: check for check in installation.packages()}
+    assert checks["sympy"].status == "fail" and checks["sympy"].remedy == "python -m pip install sympy"
+    assert checks["numpy"].status == "ok" and checks["numpy"].finding == installed("numpy")
+
+
+def test_old_python_is_noticed(monkeypatch):
+    monkeypatch.setattr(installation.sys, "version_info", (3, 10, 4))
+    check = installation.python()
+    assert check.status == "fail" and "3.11" in check.remedy
+
+
+def test_kernel_ran():
+    check = taichi_backend.kernel()
+    if not installation.has_taichi_wheel():
+        assert check.status == "warn"
+    else:
+        assert check.status == "ok", check
+        assert check.values["backend"]
+
+
+def test_taken_port_is_noticed(monkeypatch):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        monkeypatch.setattr(platform_services, "VIEWER_PORT", taken.getsockname()[1])
+        assert platform_services.viewer_port().status == "warn"
+    assert platform_services.viewer_port().status == "ok"

@@ -1,0 +1,139 @@
+"""`tissue-sim material`: new, show, check."""
+
+import json
+
+import pytest
+
+import tissue_sim as ts
+from scenes.cli import main
+from scenes.commands.material import read_settings
+from tissue_sim.errors import InputError
+
+#: The study's reduced polynomial: E0 8429.6 Pa, mu0 2809.8 Pa.
+NEW = ["material", "new", "--law", "reduced_polynomial_2", "--set", "C10=1404.9", "--set", "C20=699.4"]
+
+
+@pytest.fixture
+def material(tmp_path):
+    path = tmp_path / "m.material.json"
+    assert main([*NEW, "--bulk-ratio", "1000", "--name", "phantom", "--density-kg-m3", "1040", "-o", str(path)]) == 0
+    return path
+
+
+def test_new_writes_what_was_asked(material):
+    loaded = ts.load_material(material)
+    assert dict(loaded.parameters) == {"C10": 1404.9, "C20": 699.4}
+    assert (loaded.law, loaded.name, loaded.density) == ("reduced_polynomial_2", "phantom", 1040.0)
+    assert loaded.bulk == ts.Bulk("bulk_ratio", 1000.0)
+
+
+@pytest.mark.parametrize(("flags", "bulk"), [
+    (["--bulk-modulus-pa", "2.8e6"], ts.Bulk("K_Pa", 2.8e6)), (["--incompressible"], ts.Bulk()), ([], ts.Bulk())])
+def test_bulk_flags(flags, bulk, tmp_path):
+    path = tmp_path / "m.material.json"
+    assert main([*NEW, *flags, "-o", str(path)]) == 0
+    assert ts.load_material(path).bulk == bulk
+
+
+def test_show_json(material, capsys):
+    capsys.readouterr()
+    assert main(["material", "show", str(material), "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["mu0_Pa"] == pytest.approx(2809.8)
+    # E0 of a slightly compressible solid lies below 3 mu0 = 8429.4 Pa by mu0 / (3 K) of itself.
+    assert summary["E0_Pa"] == pytest.approx(8429.4 / (1 + 1 / 3000), rel=1e-9)
+    assert summary["K_Pa"] == pytest.approx(2809.8e3)
+    assert summary["parameters"]["C20"]["value"] == 699.4 and summary["parameters"]["C20"]["unit"] == "Pa"
+    assert summary["stability"]["stable"]
+    assert set(summary["stability"]["modes"]) == {"uniaxial", "planar", "equibiaxial"}
+
+
+def test_show_for_people(material, capsys):
+    capsys.readouterr()
+    assert main(["material", "show", str(material)]) == 0
+    text = capsys.readouterr().out
+    for expected in ("phantom", "W = C10*(I1 - 3) + C20*(I1 - 3)^2", "1404.9", "mu0 2809.8 Pa",
+                     "stable in equibiaxial loading: stretch 0.3 to 3 (no loss found)", "valid range: not stated",
+                     "software: tissue-sim"):
+        assert expected in text
+
+
+def test_show_incompressible_has_no_infinity(tmp_path, capsys):
+    path = tmp_path / "m.material.json"
+    assert main([*NEW, "--incompressible", "--json", "-o", str(path)]) == 0
+    assert json.loads(capsys.readouterr().out) == {"material_file": str(path)}
+    assert main(["material", "show", str(path), "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["K_Pa"] is None and summary["incompressible"]
+
+
+def test_show_standard_errors(tmp_path, capsys):
+    path = tmp_path / "m.material.json"
+    material = ts.Material("neo_hooke", {"C10": 1461.6})
+    ts.write_material_file(ts.MaterialFile.of(material, standard_errors={"C10": 12.5},
+                                              valid_range={"stretch": [0.86, 1]}), path)
+    assert main(["material", "show", str(path)]) == 0
+    text = capsys.readouterr().out
+    assert "12.5" in text and "0.86 to 1" in text
+
+
+def unstable(path, lowest):
+    """Loses Drucker stability in compression: a negative second coefficient."""
+    material = ts.Material("reduced_polynomial_2", {"C10": 1000.0, "C20": -400.0})
+    ts.write_material_file(ts.MaterialFile.of(material, valid_range={"stretch": [lowest, 1.0]}), path)
+
+
+def test_check_good(material, capsys):
+    capsys.readouterr()
+    assert main(["material", "check", str(material)]) == 0
+    assert capsys.readouterr().out.endswith("m.material.json: good\n")
+
+
+def test_check_looks_at_the_valid_range_only(tmp_path, capsys):
+    path = tmp_path / "m.material.json"
+    unstable(path, lowest=0.95)
+    assert main(["material", "check", str(path)]) == 0
+    unstable(path, lowest=0.5)
+    capsys.readouterr()
+    assert main(["material", "check", str(path), "--json"]) == 1
+    answer = json.loads(capsys.readouterr().out)
+    assert not answer["stable"] and "unstable inside its valid range of stretches 0.5 to 1" in answer["message"]
+
+
+@pytest.mark.parametrize("content", ["", "{", "[]", '{"schema": "tissue_sim/material/99"}', "\0\0\0"])
+@pytest.mark.parametrize("action", ["show", "check"])
+def test_damaged_file(action, content, tmp_path, capsys):
+    path = tmp_path / "broken.material.json"
+    path.write_text(content, encoding="utf-8")
+    assert main(["material", action, str(path)]) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and err.count("\n") == 1 and "broken.material.json" in err
+
+
+def test_existing_file_is_kept(material, capsys):
+    before = material.read_bytes()
+    assert main(["material", "new", "--law", "neo_hooke", "--set", "C10=1", "-o", str(material)]) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert material.read_bytes() == before
+    assert main(["material", "new", "--law", "neo_hooke", "--set", "C10=1", "-o", str(material), "--overwrite"]) == 0
+    assert ts.load_material(material).law == "neo_hooke"
+
+
+@pytest.mark.parametrize(("words", "expected"), [
+    (["--law", "neo_hook", "--set", "C10=1"], "did you mean 'neo_hooke'?"),
+    (["--law", "neo_hooke", "--set", "C01=1"], "did you mean 'C10'?"),
+    (["--law", "neo_hooke"], "C10 is missing"),
+    (["--law", "neo_hooke", "--set", "C10=-1"], "must be positive"),
+    (["--law", "neo_hooke", "--set", "C10=nan"], "expected a finite number"),
+    (["--law", "neo_hooke", "--set", "C10=1", "--bulk-ratio", "2", "--incompressible"], "not allowed with"),
+])
+def test_bad_parameters_write_nothing(words, expected, tmp_path, capsys):
+    assert main(["material", "new", *words, "-o", str(tmp_path / "m.material.json")]) == 2
+    assert expected in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("settings", [["C10"], ["=3"], ["C10=x"], ["C10=1", "C10=2"], ["C10="]])
+def test_bad_settings(settings):
+    with pytest.raises(InputError, match=r"^--set: "):
+        read_settings(settings)

@@ -1,0 +1,113 @@
+"""`tissue-sim simulate`: JSON, files, figures, and a solver that gives up."""
+
+import json
+
+import numpy as np
+import pytest
+
+import tissue_sim as ts
+from scenes.cli import main
+from scenes.commands.simulate import FIELDS, SCENE_NAMES
+from tissue_sim.errors import ConvergenceError
+
+KEYS = {"displacement_mm", "time_s", "force_N", "status", "message", "newton_iterations", "wall_s", "mesh",
+        "resolution"}
+
+
+@pytest.fixture(scope="module")
+def material(tmp_path_factory):
+    path = tmp_path_factory.mktemp("material") / "m.material.json"
+    assert main(["material", "new", "--law", "reduced_polynomial_2", "--set", "C10=1404.9", "--set", "C20=699.4",
+                 "--bulk-ratio", "10000", "-o", str(path)]) == 0
+    return str(path)
+
+
+def test_scene_names_are_those_of_the_scenes():
+    from scenes import SCENES
+
+    assert set(SCENE_NAMES) == set(SCENES)
+
+
+def test_field_names_are_those_of_the_fields():
+    from tissue_sim.fem.fields import FIELD_UNITS
+
+    assert set(FIELDS) == set(FIELD_UNITS)
+
+
+def test_json_is_alone_and_right(material, capsys):
+    """Bonded compression against the independent reference curve: 1.5417 and 4.1035 N at 2 and 5 mm."""
+    capsys.readouterr()
+    assert main(["simulate", "bonded_compression", "--material", material, "--depth-mm", "5", "--points", "6",
+                 "--json"]) == 0
+    out, err = capsys.readouterr()
+    answer = json.loads(out)
+    assert err == "" and set(answer) == KEYS
+    np.testing.assert_allclose(answer["displacement_mm"], range(6), atol=1e-12)
+    np.testing.assert_allclose(answer["time_s"], np.arange(6) / 0.248)
+    assert answer["force_N"][2] == pytest.approx(1.5417, rel=0.01)
+    assert answer["force_N"][5] == pytest.approx(4.1035, rel=0.01)
+    assert answer["status"] == "converged" and answer["resolution"] == "fast"
+    assert set(answer["mesh"]) == {"elements", "freedoms"} and answer["newton_iterations"] > 0
+
+
+def test_writes_a_recording_and_a_figure(material, tmp_path, capsys):
+    curve, figure = tmp_path / "curve.csv", tmp_path / "f.png"
+    words = ["simulate", "lubricated_compression", "--material", material, "--depth-mm", "2", "--points", "5",
+             "-o", str(curve), "--figure", str(figure)]
+    assert main(words) == 0
+    text = capsys.readouterr().out
+    assert "displacement [mm]" in text and "2.000" in text and f"wrote {curve}" in text and f"wrote {figure}" in text
+    recording = ts.read_recording(curve)
+    # Closed form of the incompressible cylinder at 2 mm; K/mu0 = 1e4 lowers it by less than 1e-4.
+    assert recording.force[-1] == pytest.approx(1.24965, rel=2e-4)
+    assert figure.read_bytes().startswith(b"\x89PNG")
+    before = curve.read_bytes()
+    assert main(words) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert main([*words, "--overwrite"]) == 0
+    assert curve.read_bytes() == before, "the same question has the same answer"
+
+
+@pytest.mark.parametrize(("words", "expected"), [
+    (["--depth-mm", "70"], "deeper than the specimen is high"),
+    (["-o", "curve.csv", "--points", "4"], "give at least 5"),
+    (["-o", "curve.txt"], "ends in .csv"),
+    (["--figure", "f.bmp"], "ends in .png"),
+    (["-o", "."], "is a directory"),
+])
+def test_bad_input_writes_nothing(material, words, expected, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["simulate", "bonded_compression", "--material", material, *words]) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and expected in err and err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture
+def gives_up(monkeypatch):
+    """A solver that comes to the end of its means after half of the way."""
+    def simulate(model, **options):
+        protocol = model.experiment.protocol
+        half = ts.Recording({"time": protocol.time[:6], "displacement": protocol.displacement[:6],
+                             "force": np.arange(6.0)})
+        raise ConvergenceError("no convergence beyond 5 mm", recording=half, depth=5e-3)
+
+    monkeypatch.setattr(ts, "simulate", simulate, raising=False)
+
+
+def test_partial_curve_is_kept(material, gives_up, tmp_path, capsys):
+    curve = tmp_path / "curve.csv"
+    assert main(["simulate", "bonded_compression", "--material", material, "--points", "11", "-o", str(curve)]) == 1
+    err = capsys.readouterr().err
+    assert err == f"tissue-sim: no convergence beyond 5 mm; the curve up to there is in {curve}\n"
+    np.testing.assert_allclose(ts.read_recording(curve).force, np.arange(6.0))
+
+
+def test_partial_curve_in_json(material, gives_up, capsys):
+    capsys.readouterr()
+    assert main(["simulate", "bonded_compression", "--material", material, "--points", "11", "--json"]) == 1
+    out, err = capsys.readouterr()
+    answer = json.loads(out)
+    assert set(answer) == KEYS and answer["status"] != "converged"
+    assert answer["message"] == "no convergence beyond 5 mm" and answer["force_N"] == [0, 1, 2, 3, 4, 5]
+    assert err.count("\n") == 1

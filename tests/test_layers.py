@@ -1,0 +1,108 @@
+"""House rules that a machine can hold: who imports whom, encodings, lengths, names."""
+
+import ast
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("tissue_sim", "calibration", "haptics", "scenes")
+SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+IMPORTERS = {  # outside package -> where it may be imported
+    "taichi": ("tissue_sim/fem/runtime.py",),
+    "viser": ("scenes/",),
+    "rich": ("scenes/", "calibration/"),
+    "matplotlib": ("scenes/", "calibration/"),
+    "serial": ("haptics/",),
+    "socket": ("haptics/", "scenes/doctor/"),
+}
+VAGUE_NAMES = {"utils", "util", "helpers", "helper", "manager", "core", "misc", "common"}
+
+
+def place(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def imported(tree: ast.AST) -> set[str]:
+    """Top-level names of all modules that a source imports, wherever in it."""
+    names = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names.update(alias.name.split(".")[0] for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            names.add(node.module.split(".")[0])
+    return names
+
+
+def unencoded(tree: ast.AST) -> list[int]:
+    """Lines that open a text file without saying its encoding."""
+    lines = []
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Call) or any(keyword.arg == "encoding" for keyword in node.keywords):
+            continue
+        match node.func:
+            case ast.Attribute(attr="read_text" | "write_text"):
+                lines.append(node.lineno)
+            case ast.Attribute(value=ast.Name(id="os"), attr="open"):
+                pass  # a file descriptor
+            case ast.Name(id="open") | ast.Attribute(attr="open" | "fdopen"):
+                if not any("b" in mode for mode in modes(node)):
+                    lines.append(node.lineno)
+    return lines
+
+
+def modes(call: ast.Call) -> list[str]:
+    """Literals of a call that read like the mode of a file."""
+    values = [*call.args, *(keyword.value for keyword in call.keywords if keyword.arg == "mode")]
+    return [value.value for value in values if isinstance(value, ast.Constant) and isinstance(value.value, str)
+            and set(value.value) <= set("rwaxbt+")]
+
+
+def test_import_contracts_hold():
+    """The layers of pyproject.toml, by import-linter."""
+    code = "import sys; sys.path.insert(0, '.'); from importlinter.cli import lint_imports; " \
+           "sys.exit(lint_imports(no_cache=True))"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, encoding="utf-8")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "0 broken" in done.stdout
+
+
+@pytest.mark.parametrize("package", IMPORTERS)
+def test_outside_package_is_imported_where_it_belongs(package):
+    strangers = [place(path) for path in SOURCES
+                 if package in imported(ast.parse(path.read_text(encoding="utf-8")))
+                 and not place(path).startswith(IMPORTERS[package])]
+    assert not strangers, f"{package} is imported in {strangers}; it belongs to {IMPORTERS[package]}"
+
+
+def test_siblings_do_not_meet():
+    for one, other in (("calibration", "haptics"), ("haptics", "calibration")):
+        for path in (ROOT / one).rglob("*.py"):
+            assert other not in imported(ast.parse(path.read_text(encoding="utf-8"))), place(path)
+
+
+def test_text_files_are_opened_with_an_encoding():
+    found = {place(path): unencoded(ast.parse(path.read_text(encoding="utf-8"))) for path in SOURCES}
+    assert not {name: lines for name, lines in found.items() if lines}
+
+
+def test_encoding_check_sees_what_it_should():
+    assert unencoded(ast.parse("path.open()\npath.read_text()\nopen(p, 'w')")) == [1, 2, 3]
+    assert not unencoded(ast.parse("path.open('rb')\npath.read_text(encoding='utf-8')\nopen(p, mode='wb')"))
+
+
+def test_files_are_short_and_well_named():
+    long = [place(path) for path in SOURCES if len(path.read_text(encoding="utf-8").splitlines()) > 450]
+    assert not long, f"split {long}"
+    vague = [place(path) for path in SOURCES if {path.stem, path.parent.name} & VAGUE_NAMES]
+    assert not vague, f"name {vague} after what they do"
+
+
+def test_wheel_holds_exactly_the_four_packages():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    assert tuple(project["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]) == PACKAGES
+    assert project["project"]["scripts"] == {"tissue-sim": "scenes.cli:main"}
+    assert not list((ROOT / "tests").rglob("__init__.py"))

@@ -1,0 +1,239 @@
+"""The axisymmetric solid against closed forms, finite differences and itself."""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+import tissue_sim as ts
+from tissue_sim.fem import band
+from tissue_sim.fem.axisymmetric import AxisymmetricSolver
+from tissue_sim.fem.elements import Q4P0, Q9P1
+from tissue_sim.fem.newton import StepStatus
+from tissue_sim.mesh import cylinder_mesh, graded_line, structured_mesh
+
+LAWS = {
+    "reduced_polynomial_2": {"C10": 1404.9, "C20": 699.4},
+    "mooney_rivlin": {"C10": 624.3, "C01": 746.1},
+    "ogden_1": {"mu1": 3225.9, "alpha1": 14.8},
+}
+every_element = pytest.mark.parametrize("element", [Q9P1, Q4P0], ids=lambda e: e.name)
+every_law = pytest.mark.parametrize("law", LAWS)
+
+
+def material(law="reduced_polynomial_2", ratio=1e4):
+    return ts.Material(law, LAWS[law], ts.Bulk("bulk_ratio", ratio))
+
+
+def compressible_force(material, stretch, area):
+    """Homogeneous uniaxial compression of the slightly compressible solid: the lateral stretch that frees the side.
+
+    Independent of the elements: principal Kirchhoff stresses and U(J) = K/2 (J - 1)^2.
+    """
+    K = material.bulk_modulus
+
+    def stresses(lateral):
+        _, tau = material.energy_law.principal_response([stretch, lateral, lateral], material.parameters)
+        J = stretch * lateral**2
+        return tau + K * (J - 1) * J
+
+    lateral = brentq(lambda x: stresses(x)[1], 0.9 * stretch**-0.5, 1.1 * stretch**-0.5, xtol=1e-15, rtol=1e-15)
+    return -stresses(lateral)[0] / stretch * area
+
+
+@every_element
+@every_law
+@pytest.mark.parametrize("ratio", [50.0, 1e3, 1e5])
+def test_lubricated_compression_is_the_homogeneous_solution(element, law, ratio):
+    mesh = cylinder_mesh(0.04, 0.07, (3, 4), element, growth=(1.5, 0.8))
+    stuff = material(law, ratio)
+    solver = AxisymmetricSolver(mesh, stuff, {"base": "z"}, {"top": "z"})
+    for depth in (2e-3, 5e-3, 10e-3, 20e-3):
+        step = solver.step(depth)
+        assert step.status is StepStatus.CONVERGED
+        expected = compressible_force(stuff, 1 - depth / 0.07, np.pi * 0.04**2)
+        assert step.force == pytest.approx(expected, rel=1e-9)
+
+
+def test_lubricated_compression_tends_to_the_incompressible_closed_form():
+    """The difference to the closed form falls in proportion to mu/K."""
+    law = ts.find_law("reduced_polynomial_2")
+    closed = -law.nominal_stress(1 - 10 / 70, LAWS["reduced_polynomial_2"]) * np.pi * 0.04**2
+    errors = []
+    for ratio in (1e2, 1e3, 1e4, 1e5):
+        solver = AxisymmetricSolver(cylinder_mesh(0.04, 0.07, (2, 2), Q9P1), material(ratio=ratio), {"base": "z"},
+                                    {"top": "z"})
+        errors.append(abs(solver.step(10e-3).force / closed - 1))
+    np.testing.assert_allclose(np.array(errors[:-1]) / errors[1:], 10.0, rtol=0.05)
+
+
+@every_element
+def test_patch(element):
+    """Irregular quadrilaterals carry a homogeneous deformation exactly."""
+    mesh = cylinder_mesh(0.04, 0.07, (3, 3), element)
+    nodes = mesh.nodes.copy()
+    inside = np.ones(len(nodes), dtype=bool)
+    for members in mesh.sets.values():
+        inside[members] = False
+    rng = np.random.default_rng(1)
+    if element is Q4P0:
+        nodes[inside] += rng.uniform(-2e-3, 2e-3, (inside.sum(), 2))
+    else:
+        # Move the corners and place the other nodes half way, so that the map stays bilinear.
+        corners = np.unique(mesh.connectivity[:, :4])
+        moved = corners[inside[corners]]
+        nodes[moved] += rng.uniform(-2e-3, 2e-3, (moved.size, 2))
+        shapes = np.stack([(1 + a * element.reference_nodes[:, 0]) * (1 + b * element.reference_nodes[:, 1]) / 4
+                           for a, b in element.reference_nodes[:4]], axis=-1)
+        nodes[mesh.connectivity] = np.einsum("ac,eci->eai", shapes, nodes[mesh.connectivity[:, :4]])
+    mesh = type(mesh)(element, nodes, mesh.connectivity, mesh.sets)
+    stuff = material(ratio=1e3)
+    solver = AxisymmetricSolver(mesh, stuff, {"base": "z"}, {"top": "z"})
+    step = solver.step(7e-3)
+    assert step.force == pytest.approx(compressible_force(stuff, 0.9, np.pi * 0.04**2), rel=1e-9)
+
+
+@every_element
+@every_law
+def test_tangent_is_the_derivative_of_the_residual(element, law):
+    """Every column of the condensed tangent at a strained state, against central differences of nodal forces.
+
+    The nodal forces come from a second solver in which all shared nodes are moved as told; only what is condensed,
+    interior nodes and pressures, is free to settle there.
+    """
+    mesh = cylinder_mesh(0.04, 0.07, (2, 2), element)
+    stuff = material(law, 1e3)
+    solver = AxisymmetricSolver(mesh, stuff, {"base": "rz"}, {"top": "rz"})
+    depth = 8e-3
+    assert solver.step(depth).status is StepStatus.CONVERGED
+    lower = solver.tangent()
+    tangent = np.zeros((solver.free, solver.free))
+    for d in range(solver.half_band + 1):
+        i = np.arange(solver.free - d)
+        tangent[i + d, i] = tangent[i, i + d] = lower[d, : solver.free - d]
+
+    state = solver.state[: 2 * len(mesh.nodes)]
+    shared = np.unique(mesh.connectivity[:, : element.boundary_nodes])
+    everything_held = type(mesh)(element, mesh.nodes, mesh.connectivity, {**mesh.sets, "shared": shared})
+
+    def nodal_forces(displacement):
+        held = AxisymmetricSolver(everything_held, stuff, {"shared": "rz"}, {})
+        assert held.free == 0
+        held._direction = displacement / depth
+        assert held.step(depth, tolerance=1e-13, max_iterations=20).status is StepStatus.CONVERGED
+        return held._residual[held._equation]
+
+    h = 1e-7
+    unknowns = np.flatnonzero((solver._equation >= 0) & (solver._equation < solver.free))
+    numeric = np.zeros_like(tangent)
+    for dof in unknowns:
+        step = h * (np.arange(state.size) == dof)
+        column = (nodal_forces(state + step) - nodal_forces(state - step)) / (2 * h)
+        numeric[solver._equation[unknowns], solver._equation[dof]] = column[unknowns]
+    assert abs(tangent - numeric).max() < 1e-7 * abs(tangent).max()
+
+
+@pytest.mark.parametrize(("size", "half_band"), [(37, 5), (64, 8), (1, 0), (200, 44), (150, 149)])
+def test_band_cholesky_against_lapack(size, half_band):
+    from scipy.linalg import solveh_banded
+
+    from tissue_sim.fem.runtime import initialise
+
+    ti = initialise()
+    factorise, solve = band.functions()
+    block = ti.types.vector(band.BLOCK, ti.f64)
+    one, three = ti.types.ndarray(dtype=block, ndim=1), ti.types.ndarray(dtype=block, ndim=3)
+    reals = ti.types.ndarray(dtype=ti.f64, ndim=1)
+
+    @ti.kernel
+    def run(passes: ti.i32, matrix: three, inverse: reals, x: one, rows: ti.i32, width: ti.i32, good: reals):
+        for _ in range(passes):
+            good[0] = factorise(matrix, inverse, rows, width)
+            solve(matrix, inverse, x, rows, width)
+
+    rng = np.random.default_rng(size)
+    lower = rng.normal(size=(half_band + 1, size))
+    lower[0] = 3 * half_band + 1
+    for d in range(1, half_band + 1):
+        lower[d, size - d:] = 0
+    right = rng.normal(size=size)
+    blocks = band.pack(lower)
+    np.testing.assert_array_equal(band.unpack(blocks, size, half_band), lower)
+    rows, width = blocks.shape[:2]
+    x, good = np.zeros((rows, band.BLOCK)), np.zeros(1)
+    x.ravel()[:size] = right
+    run(1, blocks.copy(), np.zeros(rows * band.BLOCK), x, rows, width, good)
+    assert good[0] == 1
+    np.testing.assert_allclose(x.ravel()[:size], solveh_banded(lower, right, lower=True), rtol=1e-12, atol=1e-15)
+    lower[0, size // 2] = -1.0
+    run(1, band.pack(lower), np.zeros(rows * band.BLOCK), x, rows, width, good)
+    assert good[0] == 0, "a matrix that is not positive definite is noticed"
+
+
+class TestStepping:
+    def solver(self):
+        return AxisymmetricSolver(cylinder_mesh(0.04, 0.07, (4, 5), Q9P1), material(), {"base": "rz"}, {"top": "rz"})
+
+    def test_path_does_not_matter(self):
+        """An elastic solid: the force depends on the depth only, not on the steps or on unloading."""
+        one, many = self.solver(), self.solver()
+        direct = one.step(6e-3)
+        for depth in (1e-3, 4e-3, 9e-3, 5e-3, 5.5e-3, 6e-3):
+            step = many.step(depth)
+            assert step.status is StepStatus.CONVERGED
+        assert step.force == pytest.approx(direct.force, rel=1e-9)
+        assert many.step(0.0).force == pytest.approx(0.0, abs=1e-9)
+
+    def test_predictor_saves_iterations(self):
+        spent = []
+        for order in (0, 2):
+            solver = self.solver()
+            spent.append(sum(solver.step(d, predictor_order=order).iterations for d in np.linspace(2e-4, 1e-2, 50)))
+        assert spent[1] < 0.7 * spent[0]
+
+    def test_failed_step_commits_nothing(self):
+        solver = self.solver()
+        good = solver.step(4e-3)
+        assert solver.step(69e-3).status is not StepStatus.CONVERGED
+        assert solver.depth == 4e-3
+        again = solver.step(4e-3)
+        assert again.force == pytest.approx(good.force, rel=1e-9) and again.iterations <= 1
+
+    def test_every_status_says_what_to_do(self):
+        assert all(status.message for status in StepStatus)
+
+    def test_set_material_scales_the_force(self):
+        """The force is homogeneous of degree one in the moduli."""
+        solver = self.solver()
+        first = solver.step(5e-3).force
+        solver.set_material(ts.Material("reduced_polynomial_2", {"C10": 2809.8, "C20": 1398.8},
+                                        ts.Bulk("bulk_ratio", 1e4)))
+        assert solver.step(5e-3).force == pytest.approx(2 * first, rel=1e-9)
+
+    def test_bulk_ratio_out_of_range(self):
+        with pytest.raises(ts.InputError, match="K/mu0 is 2"):
+            AxisymmetricSolver(cylinder_mesh(0.04, 0.07, (2, 2), Q9P1), material(ratio=2.0), {"base": "z"}, {"top": "z"})
+
+
+class TestMesh:
+    def test_graded_line(self):
+        line = graded_line(10.0, 5, 2.0, "last")
+        np.testing.assert_allclose(np.diff(line)[:-1] / np.diff(line)[1:], 2.0)
+        both = np.diff(graded_line(10.0, 6, 1.5, "both"))
+        np.testing.assert_allclose(both, both[::-1])
+        assert graded_line(10.0, 5, 2.0, "first")[-1] == 10.0
+
+    @pytest.mark.parametrize(("count", "growth", "ends"), [(0, 1.0, "last"), (3, -1.0, "last"), (3, 1.0, "left")])
+    def test_bad_grading(self, count, growth, ends):
+        with pytest.raises(ts.InputError):
+            graded_line(1.0, count, growth, ends)
+
+    @every_element
+    def test_volume(self, element):
+        solver = AxisymmetricSolver(cylinder_mesh(0.04, 0.07, (3, 4), element, growth=(1.4, 1.4)), material(),
+                                    {"base": "z"}, {"top": "z"})
+        assert solver.weights.sum() == pytest.approx(np.pi * 0.04**2 * 0.07, rel=1e-12)
+
+    def test_folded_mesh_is_refused(self):
+        mesh = structured_mesh(np.array([0.0, 0.02, 0.01]), np.array([-0.07, 0.0]), Q4P0)
+        with pytest.raises(ts.InputError, match="no or negative area"):
+            AxisymmetricSolver(mesh, material(), {"base": "z"}, {"top": "z"})

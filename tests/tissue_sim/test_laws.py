@@ -1,0 +1,179 @@
+"""Everything that follows from a law's one formula, against closed forms and finite differences."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import tissue_sim as ts
+from tissue_sim.laws.law import MODES
+
+PARAMETERS = {
+    "neo_hooke": [1461.6],
+    "mooney_rivlin": [624.3, 746.1],
+    "reduced_polynomial_1": [1461.6],
+    "reduced_polynomial_2": [1404.9, 699.4],
+    "reduced_polynomial_3": [7702.0, -63.0, 248.0],
+    "ogden_1": [2729.0, -0.57],
+    "ogden_2": [2000.0, 3.0, 800.0, -2.0],
+    "ogden_3": [1500.0, 1.3, 20.0, 5.0, -10.0, -2.0],
+}
+STRETCHES = np.array([0.4, 0.7, 0.86, 0.99, 1.0, 1.01, 1.3, 2.5])
+
+every_law = pytest.mark.parametrize("name", sorted(PARAMETERS))
+
+
+def test_every_law_of_the_table_is_tested():
+    assert set(PARAMETERS) == set(ts.LAWS)
+
+
+@pytest.mark.parametrize(("name", "formula"), [
+    # Equations 4 to 7 of the study, written out by hand.
+    ("neo_hooke", lambda s, C10: 2 * C10 * (s - s**-2)),
+    ("mooney_rivlin", lambda s, C10, C01: 2 * (1 - s**-3) * (C10 * s + C01)),
+    ("reduced_polynomial_2", lambda s, C10, C20: 2 * (s - s**-2) * (C10 + 2 * C20 * (s**2 + 2 / s - 3))),
+    ("ogden_1", lambda s, mu, a: 2 * mu / a * (s**(a - 1) - s**(-a / 2 - 1))),
+])
+def test_uniaxial_stress_is_the_published_equation(name, formula):
+    law = ts.find_law(name)
+    np.testing.assert_allclose(law.nominal_stress(STRETCHES, PARAMETERS[name]), formula(STRETCHES, *PARAMETERS[name]),
+                               rtol=1e-12, atol=1e-9)
+
+
+@every_law
+@pytest.mark.parametrize("mode", [*MODES, "simple_shear"])
+def test_derivatives_are_those_of_the_stress(name, mode):
+    law, values = ts.find_law(name), np.array(PARAMETERS[name])
+    h = 1e-6
+    slope = (law.nominal_stress(STRETCHES + h, values, mode) - law.nominal_stress(STRETCHES - h, values, mode)) / (2 * h)
+    np.testing.assert_allclose(law.nominal_stress_slope(STRETCHES, values, mode), slope, rtol=1e-7, atol=1e-3)
+    analytic = law.nominal_stress_derivatives(STRETCHES, values, mode)
+    for i in range(values.size):
+        step = h * max(abs(values[i]), 1.0) * np.eye(values.size)[i]
+        numeric = (law.nominal_stress(STRETCHES, values + step, mode)
+                   - law.nominal_stress(STRETCHES, values - step, mode)) / (2 * step[i])
+        np.testing.assert_allclose(analytic[:, i], numeric, rtol=1e-6, atol=1e-6 * (1 + abs(numeric).max()))
+
+
+@every_law
+def test_moduli_are_the_slopes_at_rest(name):
+    law, values = ts.find_law(name), PARAMETERS[name]
+    h = 1e-5
+    shear = (law.nominal_stress(h, values, "simple_shear") - law.nominal_stress(-h, values, "simple_shear")) / (2 * h)
+    assert law.mu0(values) == pytest.approx(shear, rel=1e-7)
+    assert law.E0(values) == pytest.approx(3 * law.mu0(values), rel=1e-12)
+
+
+@pytest.mark.parametrize(("name", "values", "E0", "mu0"), [
+    # The study's table of laws.
+    ("reduced_polynomial_2", [1404.9, 699.4], 8429.6, 2809.8), ("mooney_rivlin", [624.3, 746.1], 8223.0, 2741.0),
+    ("ogden_1", [3225.9, 14.8], 9677.9, 3225.9), ("neo_hooke", [1461.6], 8769.6, 2923.2),
+])
+def test_moduli_of_the_study(name, values, E0, mu0):
+    law = ts.find_law(name)
+    assert law.E0(values) == pytest.approx(E0, abs=1.0)
+    assert law.mu0(values) == pytest.approx(mu0, abs=1.0)
+
+
+def random_rotation(rng) -> np.ndarray:
+    q, r = np.linalg.qr(rng.normal(size=(3, 3)))
+    q = q * np.sign(np.diag(r))
+    return q * np.linalg.det(q)
+
+
+@every_law
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_response_is_objective_isotropic_and_deviatoric(name, seed):
+    """The energy depends on the singular values of F only, and not on a change of volume."""
+    rng = np.random.default_rng(seed)
+    F = np.eye(3) + 0.4 * rng.uniform(-1, 1, (3, 3))
+    if np.linalg.det(F) < 0.1:
+        return
+    law, values = ts.find_law(name), PARAMETERS[name]
+    rotated = random_rotation(rng) @ F @ random_rotation(rng)
+    s, t = (np.linalg.svd(X, compute_uv=False) for X in (F, rotated))
+    energy, tau = law.principal_response(s, values)
+    energy_rotated, tau_rotated = law.principal_response(t, values)
+    assert energy_rotated == pytest.approx(energy, rel=1e-9, abs=1e-9)
+    np.testing.assert_allclose(tau_rotated, tau, rtol=1e-7, atol=1e-6)
+    energy_swollen, tau_swollen = law.principal_response(1.3 * s, values)
+    assert energy_swollen == pytest.approx(energy, rel=1e-9, abs=1e-9)
+    np.testing.assert_allclose(tau_swollen, tau, rtol=1e-9, atol=1e-8)
+    assert abs(tau.sum()) < 1e-9 * (1 + abs(tau).max())
+
+
+@every_law
+def test_kirchhoff_stress_of_uniaxial_loading(name):
+    """tau_1 - tau_2 of the tensor form is stretch times the nominal stress of the closed form."""
+    law, values = ts.find_law(name), PARAMETERS[name]
+    stretches = np.stack([STRETCHES, STRETCHES**-0.5, STRETCHES**-0.5], axis=-1)
+    _, tau = law.principal_response(stretches, values)
+    np.testing.assert_allclose(tau[:, 0] - tau[:, 1], STRETCHES * law.nominal_stress(STRETCHES, values), rtol=1e-10,
+                               atol=1e-8)
+
+
+class TestStability:
+    def test_neo_hooke_is_stable_everywhere(self):
+        stability = ts.check_stability(ts.find_law("neo_hooke"), [1000.0])
+        assert stability.stable and (stability.stable_from, stability.stable_to) == (0.3, 3.0)
+
+    def test_negative_second_coefficient_loses_stability_in_tension_and_compression(self):
+        """Along equibiaxial deformation W(I1) = C10 x + C20 x^2: the Hessian is evaluated by hand and bisected."""
+        C10, C20 = 1000.0, -50.0
+        stability = ts.check_stability(ts.find_law("reduced_polynomial_2"), [C10, C20])
+        assert not stability.stable
+
+        def smallest_eigenvalue(e1, e2, h=1e-4):
+            def W(a, b):
+                x = np.exp(2 * a) + np.exp(2 * b) + np.exp(-2 * (a + b)) - 3
+                return C10 * x + C20 * x**2
+            d11 = (W(e1 + h, e2) - 2 * W(e1, e2) + W(e1 - h, e2)) / h**2
+            d22 = (W(e1, e2 + h) - 2 * W(e1, e2) + W(e1, e2 - h)) / h**2
+            d12 = (W(e1 + h, e2 + h) - W(e1 + h, e2 - h) - W(e1 - h, e2 + h) + W(e1 - h, e2 - h)) / (4 * h**2)
+            return np.linalg.eigvalsh([[d11, d12], [d12, d22]])[0]
+
+        for mode, ratio in (("uniaxial", -0.5), ("planar", 0.0), ("equibiaxial", 1.0)):
+            for limit, outwards in zip(stability.limits[mode], (-1, 1), strict=True):
+                if limit in stability.stretch_range:
+                    continue
+                strain = np.log(limit)
+                inside, outside = strain - outwards * 0.01, strain + outwards * 0.01
+                assert smallest_eigenvalue(inside, ratio * inside) > 0 > smallest_eigenvalue(outside, ratio * outside)
+
+    def test_limit_is_reported_in_words(self):
+        text = ts.check_stability(ts.find_law("reduced_polynomial_2"), [1000.0, -50.0]).describe()
+        assert "uniaxial" in text and "unstable" in text
+
+
+class TestParameters:
+    def test_unknown_law_names_the_nearest(self):
+        with pytest.raises(ts.InputError, match="did you mean 'neo_hooke'"):
+            ts.find_law("neo_hook")
+
+    @pytest.mark.parametrize(("values", "words"), [
+        ({"C10": 1.0}, "C20 is missing"), ({"C10": 1.0, "C20": 2.0, "C3": 1.0}, "no parameter 'C3'"),
+        ({"C10": float("nan"), "C20": 1.0}, "expected a finite number"), ([1.0], "has 2 parameters"),
+    ])
+    def test_bad_parameters(self, values, words):
+        with pytest.raises(ts.InputError, match=words):
+            ts.find_law("reduced_polynomial_2").as_array(values)
+
+    def test_zero_exponent_is_refused(self):
+        with pytest.raises(ts.InputError, match="alpha1"):
+            ts.find_law("ogden_1").as_array([1000.0, 0.0])
+
+    def test_exponent_near_zero_reaches_the_logarithmic_limit(self):
+        """2 mu / a (s^(a-1) - s^(-a/2-1)) tends to 3 mu ln(s) / s."""
+        stress = ts.find_law("ogden_1").nominal_stress(STRETCHES, [1000.0, 1e-4])
+        np.testing.assert_allclose(stress, 3000.0 * np.log(STRETCHES) / STRETCHES, rtol=1e-4, atol=1e-9)
+
+
+def test_treloar_rubber(data_folder):
+    """Ogden's six published numbers (Ogden 1972, converted to this convention) follow Treloar's 1944 tension."""
+    table = np.loadtxt(data_folder / "rubber_treloar_kawabata" / "treloar1944_uniaxial.csv", delimiter=",", skiprows=1)
+    # Ogden 1972: mu_p = 0.63, 0.0012, -0.01 MPa with alpha = 1.3, 5, -2 and W = sum mu_p/alpha_p (...): mu = mu_p a/2.
+    published, exponents = np.array([0.63e6, 0.0012e6, -0.01e6]), np.array([1.3, 5.0, -2.0])
+    values = np.column_stack([published * exponents / 2, exponents]).ravel()
+    stress = ts.find_law("ogden_3").nominal_stress(table[:, 0], values)
+    assert np.sqrt(np.mean((stress - table[:, 1] * 1e6) ** 2)) < 0.05 * 1e6 * table[:, 1].max()

@@ -1,0 +1,37 @@
+"""Files that appear whole or not at all."""
+
+from __future__ import annotations
+
+import secrets
+from pathlib import Path
+
+from tissue_sim.errors import InputError
+
+
+def write_bytes(path: str | Path, data: bytes) -> None:
+    """Write `data` to `path` in one step; a reader sees the old file or the new one, never a part.
+
+    The parent folder is created where it is missing.
+
+    Raises:
+        InputError: the file cannot be written (a folder of that name, no permission, disk full); the old file stays.
+    """
+    path = Path(path)
+    # Same folder: a rename is atomic only within one file system.
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with temporary.open("xb") as stream:
+                stream.write(data)
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot be written ({error.strerror or error}); choose another place or free this one",
+                         file=path) from error
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write `text` as UTF-8 with the line ends it has; otherwise as `write_bytes`."""
+    write_bytes(path, text.encode("utf-8"))

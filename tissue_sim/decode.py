@@ -1,0 +1,140 @@
+"""JSON to msgspec structs and back, with every problem named by its dotted field path."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from msgspec.inspect import DictType, NoneType, StructType, UnionType, type_info
+
+from tissue_sim.errors import InputError, nearest
+from tissue_sim.formats.text import read_text
+
+_WORDS = {"float": "a number", "int": "a whole number", "str": "text", "bool": "true or false", "null": "null",
+          "object": "an object {...}", "array": "a list [...]"}
+
+
+def read_json(path: str | Path, expected: str) -> Any:
+    """The JSON value in a file.
+
+    Args:
+        path: the file.
+        expected: what the file should have been, for the message.
+
+    Raises:
+        InputError: no such file, not text, damaged JSON (line and column), or a key that appears twice.
+    """
+    path = Path(path)
+    text = read_text(path, expected)
+    try:
+        return json.loads(text, object_pairs_hook=_without_duplicates)
+    except InputError as error:
+        raise error.located(file=path) from None
+    except json.JSONDecodeError as error:
+        raise InputError(f"damaged JSON at column {error.colno} ({error.msg}), expected {expected}; mend or restore it",
+                         file=path, line=error.lineno) from None
+    except (RecursionError, ValueError) as error:
+        raise InputError(f"damaged JSON ({error}), expected {expected}; mend or restore it", file=path) from None
+
+
+def decode(value: Any, kind: Any, field: str = "") -> Any:
+    """`value` (of JSON types) as a struct of type `kind`.
+
+    Args:
+        value: decoded JSON; a struct of that type is taken as it is.
+        kind: a `msgspec.Struct` type, or an optional one.
+        field: dotted path of `value`, for the message.
+
+    Raises:
+        InputError: unknown key (names the nearest), missing key, wrong type; with the dotted field path.
+    """
+    try:
+        return msgspec.convert(value, kind)
+    except msgspec.ValidationError as error:
+        message, _, place = str(error).partition(" - at `$")
+    except OverflowError:
+        message, place = "A number is too large for a float", ""
+    place = place.rstrip("`").lstrip(".")
+    path = ".".join(part for part in (field, place) if part)
+    if unknown := re.search(r"unknown field `(.*)`$", message):
+        raise InputError(f"unknown key{nearest(unknown[1], _keys_at(kind, place))}",
+                         field=f"{path}.{unknown[1]}".lstrip("."))
+    if missing := re.search(r"missing required field `(.*)`$", message):
+        hint = "; give a unit such as Pa, kPa or 1" if missing[1] == "unit" else "; add it"
+        raise InputError(f"is missing{hint}", field=f"{path}.{missing[1]}".lstrip("."))
+    sentence = re.sub(r"`([^`]*)`", lambda match: " or ".join(_WORDS.get(word, word) for word in match[1].split(" | ")),
+                      message)
+    raise InputError(sentence[0].lower() + sentence[1:], field=path or None)
+
+
+def as_json_types(value: Any) -> Any:
+    """Maps, lists, text and numbers of Python for structs, read-only maps, tuples, numpy numbers and paths.
+
+    Raises:
+        TypeError: a value that JSON has no form for.
+    """
+    if isinstance(value, msgspec.Struct):
+        return as_json_types(msgspec.to_builtins(value))
+    if isinstance(value, np.generic | np.ndarray):
+        return as_json_types(value.tolist())
+    if isinstance(value, Mapping):
+        return {str(key): as_json_types(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [as_json_types(item) for item in value]
+    if isinstance(value, Path):
+        return str(value)
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    raise TypeError(f"{type(value).__name__} has no JSON form")
+
+
+def require_writable(value: Any, field: str = "") -> None:
+    """Refuse what no UTF-8 JSON file can hold, anywhere in decoded JSON: NaN, infinity, half a surrogate pair.
+
+    Raises:
+        InputError: with the dotted path of the value.
+    """
+    if isinstance(value, float) and not math.isfinite(value):
+        raise InputError(f"{value} is not a finite number; give one, or leave the key out", field=field)
+    if isinstance(value, str) and any("\ud800" <= character <= "\udfff" for character in value):
+        raise InputError(f"{value!r} holds half of a surrogate pair, expected whole characters", field=field)
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            require_writable(key, field)
+            require_writable(item, f"{field}.{key}".lstrip("."))
+    elif isinstance(value, list | tuple):
+        for index, item in enumerate(value):
+            require_writable(item, f"{field}[{index}]")
+
+
+def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    seen: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in seen:
+            raise InputError(f"key {key!r} appears twice; remove one")
+        seen[key] = value
+    return seen
+
+
+def _keys_at(kind: Any, place: str) -> list[str]:
+    """Keys of the struct at a dotted place such as ``provenance.recordings[0]``."""
+    info = _struct(type_info(kind))
+    for name in filter(None, re.split(r"\.|\[[^\]]*\]", place)):
+        info = _struct(next(field.type for field in info.fields if field.encode_name == name))
+    return [field.encode_name for field in info.fields]
+
+
+def _struct(info: Any) -> StructType:
+    """The struct inside options, lists and maps."""
+    while not isinstance(info, StructType):
+        if isinstance(info, UnionType):
+            info = next(option for option in info.types if not isinstance(option, NoneType))
+        else:
+            info = info.value_type if isinstance(info, DictType) else info.item_type
+    return info

@@ -1,0 +1,1 @@
+"""Finite elements: mixed displacement-pressure quadrilaterals, compiled by Taichi, with a band Cholesky inside."""

@@ -1,0 +1,105 @@
+"""Converged fields of a simulation, computed from the stored states when asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissue_sim.errors import InputError, nearest
+from tissue_sim.fem.axisymmetric import AxisymmetricSolver
+from tissue_sim.material import Material
+from tissue_sim.mesh import Mesh
+
+#: Field -> unit.
+FIELD_UNITS = {"displacement": "m", "von_mises": "Pa", "cauchy_rr": "Pa", "cauchy_zz": "Pa", "cauchy_rz": "Pa",
+               "cauchy_hoop": "Pa", "pressure": "Pa", "energy": "J/m3", "J": "1"}
+
+
+@dataclass(frozen=True, eq=False)
+class Fields:
+    """Fields at every sample of a simulated recording.
+
+    Attributes:
+        mesh: undeformed mesh.
+        material: what it is made of.
+        states: solver states, shape (samples, unknowns).
+        gradients: shape gradients at the quadrature points, shape (elements, q, nodes, 3).
+        pressure_modes: orthonormal pressure modes there, shape (elements, q, modes).
+        weights: volumes of the quadrature points, m3, shape (elements, q).
+    """
+
+    mesh: Mesh
+    material: Material
+    states: np.ndarray
+    gradients: np.ndarray
+    pressure_modes: np.ndarray
+    weights: np.ndarray
+
+    @classmethod
+    def of(cls, solver: AxisymmetricSolver, states: list[np.ndarray]) -> Fields:
+        """Fields of the states that a solver went through."""
+        return cls(solver.mesh, solver.material, np.array(states), solver.node_gradients, solver.pressure_modes,
+                   solver.weights)
+
+    def displacement(self, sample: int = -1) -> np.ndarray:
+        """Nodal displacement (r, z), m, shape (nodes, 2)."""
+        return self.states[sample, : 2 * len(self.mesh.nodes)].reshape(-1, 2)
+
+    def deformation_gradient(self, sample: int = -1) -> np.ndarray:
+        """Components rR, rZ, zR, zZ, hoop at the quadrature points, shape (elements, q, 5)."""
+        u = self.displacement(sample)[self.mesh.connectivity]
+        rates = np.einsum("eqak,eai->eqik", self.gradients, u)
+        return np.stack([1 + rates[..., 0, 0], rates[..., 0, 1], rates[..., 1, 0], 1 + rates[..., 1, 1],
+                         1 + rates[..., 0, 2]], axis=-1)
+
+    def at_points(self, name: str, sample: int = -1) -> np.ndarray:
+        """A field of `FIELD_UNITS` at the quadrature points, shape (elements, q).
+
+        Cauchy stress is that of the mixed element: sigma = dev(tau)/J + p I, with p the element's pressure.
+
+        Raises:
+            InputError: no such field.
+        """
+        if name not in FIELD_UNITS:
+            raise InputError(f"unknown field {name!r}{nearest(name, FIELD_UNITS)}", field="field")
+        if name == "displacement":
+            u = np.linalg.norm(self.displacement(sample), axis=1)[self.mesh.connectivity]
+            shapes, _ = self.mesh.element.shape_functions(self.mesh.element.quadrature[0])
+            return np.einsum("qa,ea->eq", shapes, u)
+        F = self.deformation_gradient(sample)
+        in_plane = F[..., :4].reshape(*F.shape[:-1], 2, 2)
+        J = np.linalg.det(in_plane) * F[..., 4]
+        amplitudes = self.states[sample, 2 * len(self.mesh.nodes):].reshape(len(self.mesh.connectivity), -1)
+        p = np.einsum("eqm,em->eq", self.pressure_modes, amplitudes)
+        if name == "J":
+            return J
+        if name == "pressure":
+            return -p
+        directions, stretches, _ = np.linalg.svd(in_plane)
+        all_stretches = np.concatenate([stretches, F[..., 4:]], axis=-1)
+        energy, tau = self.material.energy_law.principal_response(all_stretches, self.material.parameters)
+        if name == "energy":
+            return energy
+        sigma = tau / J[..., None]
+        if name == "von_mises":
+            return np.sqrt(1.5 * (sigma**2).sum(axis=-1))
+        tensor = np.einsum("eqik,eqk,eqjk->eqij", directions, sigma[..., :2], directions)
+        return {"cauchy_rr": tensor[..., 0, 0] + p, "cauchy_zz": tensor[..., 1, 1] + p, "cauchy_rz": tensor[..., 0, 1],
+                "cauchy_hoop": sigma[..., 2] + p}[name]
+
+    def at_nodes(self, name: str, sample: int = -1) -> np.ndarray:
+        """A field carried to the nodes: each element's polynomial through its quadrature points, averaged over the
+        elements that share a node and kept inside the range of their quadrature points; shape (nodes,)."""
+        if name == "displacement":
+            return np.linalg.norm(self.displacement(sample), axis=1)
+        values = self.at_points(name, sample)
+        element = self.mesh.element
+        shapes, _ = element.shape_functions(element.quadrature[0])
+        nodal = values @ np.linalg.inv(shapes).T
+        nodal = np.clip(nodal, values.min(axis=1, keepdims=True), values.max(axis=1, keepdims=True))
+        total = np.zeros(len(self.mesh.nodes))
+        count = np.zeros(len(self.mesh.nodes))
+        np.add.at(total, self.mesh.connectivity, nodal)
+        np.add.at(count, self.mesh.connectivity, 1.0)
+        return total / count

@@ -1,0 +1,387 @@
+"""One converged step of the axisymmetric solid as one Taichi kernel.
+
+Two-field potential of displacement u and element pressures p:
+
+    Pi(u, p) = integral of W(F / J^(1/3)) + p (J - 1) - p^2 / (2 K)
+
+(Sussman and Bathe, Computers & Structures 26 (1987) 357, for U(J) = K/2 (J - 1)^2). The pressure is a Newton unknown
+of its own, eliminated element by element from the linearised equations: slaved to the volume, p = K (v/V - 1), it
+makes the tangent indefinite at the first large step. The interior node is eliminated likewise.
+"""
+
+from enum import IntEnum
+from functools import cache
+
+from tissue_sim.fem import band as band_matrix
+from tissue_sim.fem import energy as point
+from tissue_sim.fem.elements import ELEMENTS
+from tissue_sim.fem.runtime import initialise
+from tissue_sim.laws import KernelEnergy
+
+
+class StepStatus(IntEnum):
+    """How a step ended; the text says what to do about it."""
+
+    CONVERGED = 1
+    INVERTED = 2
+    INDEFINITE = 3
+    SLOW = 4
+    DIVERGED = 5
+
+    @property
+    def message(self) -> str:
+        return {
+            StepStatus.CONVERGED: "converged",
+            StepStatus.INVERTED: "an element turned inside out: take smaller steps or a coarser mesh at the corner",
+            StepStatus.INDEFINITE: "the tangent lost positive definiteness: the law is unstable at this strain, or the "
+                                   "step is too large",
+            StepStatus.SLOW: "Newton's iteration did not reach its tolerance: take smaller steps",
+            StepStatus.DIVERGED: "Newton's iteration diverged: take smaller steps",
+        }[self]
+
+
+#: Places in the kernel's report.
+STATUS, ITERATIONS, RESIDUAL, FORCE = range(4)
+
+
+@cache
+def step_kernel(element_name: str, energy: KernelEnergy):
+    """The compiled step of one element and one family of laws; see `AxisymmetricSolver.step` for its arguments."""
+    ti = initialise()
+    element = ELEMENTS[element_name]
+    nb, modes, points = element.boundary_nodes, element.pressure_modes, element.quadrature[1].size
+    has_centre = element.nodes > nb
+    centre = element.nodes - 1
+    vec = ti.types.vector(nb, ti.f64)
+    block = ti.types.vector(band_matrix.BLOCK, ti.f64)
+    B = band_matrix.BLOCK
+    real1, real2, real3, real4 = (ti.types.ndarray(dtype=ti.f64, ndim=n) for n in range(1, 5))
+    int1, int2 = (ti.types.ndarray(dtype=ti.i32, ndim=n) for n in (1, 2))
+    vector1, vector2, vector3 = (ti.types.ndarray(dtype=vec, ndim=n) for n in (1, 2, 3))
+    block1, block3 = (ti.types.ndarray(dtype=block, ndim=n) for n in (1, 3))
+    stress_and_tangent = point.function(energy)
+    factorise, solve = band_matrix.functions()
+    converged, inverted, indefinite, slow, diverged = (float(status) for status in StepStatus)
+    # The tangent's rows that meet an r freedom (rR, rZ, hoop) and a z freedom (zR, zZ).
+    row = [[point._packed(i, k) for k in range(5)] for i in range(5)]
+
+    # Throughout, `a = a + b` on arrays: `a += b` is an atomic operation in Taichi, four times slower here.
+
+    @ti.func
+    def predict(x: ti.template(), history: ti.template(), slots: ti.template(), weights: ti.template()):
+        """Extrapolate the state from up to three earlier ones."""
+        for i in range(x.shape[0]):
+            x[i] = (weights[0] * history[slots[0], i] + weights[1] * history[slots[1], i]
+                    + weights[2] * history[slots[2], i])
+
+    @ti.func
+    def integrate(e, tangent, kappa, x: ti.template(), pressures, connectivity: ti.template(),
+                  gradients: ti.template(), node_gradients: ti.template(), quadrature: ti.template(),
+                  coefficients: ti.template(), force: ti.template(), stiffness: ti.template(),
+                  centre_stiffness: ti.template(), volume: ti.template(), centre_volume: ti.template(),
+                  gap: ti.template()):
+        """Element residual, stiffness and volume constraint by quadrature; returns the smallest J."""
+        smallest = 1e30
+        ur, uz = vec(0.0), vec(0.0)
+        for a in ti.static(range(nb)):
+            node = connectivity[e, a]
+            ur[a] = x[2 * node]
+            uz[a] = x[2 * node + 1]
+        cr, cz = 0.0, 0.0
+        if ti.static(has_centre):
+            cr = x[2 * connectivity[e, centre]]
+            cz = x[2 * connectivity[e, centre] + 1]
+        for b in range(element.nodes):
+            for k in ti.static(range(4)):
+                stiffness[b, k] = vec(0.0)
+        for k in ti.static(range(3)):
+            centre_stiffness[k] = 0.0
+        for m in range(modes):
+            volume[e, m, 0], volume[e, m, 1] = vec(0.0), vec(0.0)
+            centre_volume[e, m, 0], centre_volume[e, m, 1] = 0.0, 0.0
+            gap[e, m] = -x[pressures + modes * e + m] / kappa
+        fr, fz = vec(0.0), vec(0.0)
+        fcr, fcz = 0.0, 0.0
+        for q in range(points):
+            w = quadrature[e, q, 0]
+            nx, ny, nr = gradients[e, q, 0], gradients[e, q, 1], gradients[e, q, 2]
+            H = ti.Vector([ur.dot(nx), ur.dot(ny), uz.dot(nx), uz.dot(ny), ur.dot(nr)])
+            cx, cy, ch = 0.0, 0.0, 0.0
+            if ti.static(has_centre):
+                cx, cy, ch = node_gradients[e, q, centre, 0], node_gradients[e, q, centre, 1], node_gradients[
+                    e, q, centre, 2]
+                H += ti.Vector([cr * cx, cr * cy, cz * cx, cz * cy, cr * ch])
+            F = H + ti.Vector([1.0, 0.0, 0.0, 1.0, 1.0])
+            # J - 1 from the displacement gradient: nothing is lost to the 1 when K/mu multiplies it.
+            area = H[0] + H[3] + H[0] * H[3] - H[1] * H[2]
+            dilation = area + H[4] + area * H[4]
+            j, J = 1.0 + area, 1.0 + dilation
+            smallest = ti.min(smallest, ti.min(J, F[4]))
+            p = 0.0
+            for m in ti.static(range(modes)):
+                p += quadrature[e, q, 1 + m] * x[pressures + modes * e + m]
+            if J > 0.0 and F[4] > 0.0:
+                P, A = stress_and_tangent(F, p, coefficients)
+                P *= w
+                fr += P[0] * nx + P[1] * ny + P[4] * nr
+                fz += P[2] * nx + P[3] * ny
+                # dJ/du of each freedom, for the constraint.
+                c = F[4]
+                gr = (c * F[3]) * nx - (c * F[2]) * ny + j * nr
+                gz = (c * F[0]) * ny - (c * F[1]) * nx
+                gcr, gcz = 0.0, 0.0
+                if ti.static(has_centre):
+                    fcr += P[0] * cx + P[1] * cy + P[4] * ch
+                    fcz += P[2] * cx + P[3] * cy
+                    gcr = c * (F[3] * cx - F[2] * cy) + j * ch
+                    gcz = c * (F[0] * cy - F[1] * cx)
+                for m in range(modes):
+                    phi = w * quadrature[e, q, 1 + m]
+                    gap[e, m] = gap[e, m] + phi * dilation
+                    volume[e, m, 0] = volume[e, m, 0] + phi * gr
+                    volume[e, m, 1] = volume[e, m, 1] + phi * gz
+                    if ti.static(has_centre):
+                        centre_volume[e, m, 0] = centre_volume[e, m, 0] + phi * gcr
+                        centre_volume[e, m, 1] = centre_volume[e, m, 1] + phi * gcz
+                if tangent == 1:
+                    A *= w
+                    for b in range(element.nodes):
+                        bx, by, bh = node_gradients[e, q, b, 0], node_gradients[e, q, b, 1], node_gradients[e, q, b, 2]
+                        # Stress rates of an r and of a z motion of node b.
+                        r0 = A[ti.static(row[0][0])] * bx + A[ti.static(row[0][1])] * by + A[ti.static(row[0][4])] * bh
+                        r1 = A[ti.static(row[1][0])] * bx + A[ti.static(row[1][1])] * by + A[ti.static(row[1][4])] * bh
+                        r2 = A[ti.static(row[2][0])] * bx + A[ti.static(row[2][1])] * by + A[ti.static(row[2][4])] * bh
+                        r3 = A[ti.static(row[3][0])] * bx + A[ti.static(row[3][1])] * by + A[ti.static(row[3][4])] * bh
+                        r4 = A[ti.static(row[4][0])] * bx + A[ti.static(row[4][1])] * by + A[ti.static(row[4][4])] * bh
+                        z0 = A[ti.static(row[0][2])] * bx + A[ti.static(row[0][3])] * by
+                        z1 = A[ti.static(row[1][2])] * bx + A[ti.static(row[1][3])] * by
+                        z2 = A[ti.static(row[2][2])] * bx + A[ti.static(row[2][3])] * by
+                        z3 = A[ti.static(row[3][2])] * bx + A[ti.static(row[3][3])] * by
+                        z4 = A[ti.static(row[4][2])] * bx + A[ti.static(row[4][3])] * by
+                        stiffness[b, 0] = stiffness[b, 0] + r0 * nx + r1 * ny + r4 * nr
+                        stiffness[b, 1] = stiffness[b, 1] + r2 * nx + r3 * ny
+                        stiffness[b, 2] = stiffness[b, 2] + z0 * nx + z1 * ny + z4 * nr
+                        stiffness[b, 3] = stiffness[b, 3] + z2 * nx + z3 * ny
+                        if ti.static(has_centre):
+                            if b == centre:
+                                centre_stiffness[0] = centre_stiffness[0] + r0 * cx + r1 * cy + r4 * ch
+                                centre_stiffness[1] = centre_stiffness[1] + r2 * cx + r3 * cy
+                                centre_stiffness[2] = centre_stiffness[2] + z2 * cx + z3 * cy
+        force[0], force[1] = fr, fz
+        force[2] = vec(0.0)
+        force[2][0], force[2][1] = fcr, fcz
+        return smallest
+
+    @ti.func
+    def condense_pressure(e, tangent, kappa, force: ti.template(), stiffness: ti.template(),
+                          centre_stiffness: ti.template(), volume: ti.template(), centre_volume: ti.template(),
+                          gap: ti.template()):
+        """Add K B^T B to the stiffness and K B^T gap to the residual (the pressure modes are orthonormal)."""
+        for m in range(modes):
+            br, bz = volume[e, m, 0], volume[e, m, 1]
+            scaled = kappa * gap[e, m]
+            force[0] = force[0] + scaled * br
+            force[1] = force[1] + scaled * bz
+            if ti.static(has_centre):
+                bcr, bcz = centre_volume[e, m, 0], centre_volume[e, m, 1]
+                force[2][0] = force[2][0] + scaled * bcr
+                force[2][1] = force[2][1] + scaled * bcz
+                stiffness[centre, 0] = stiffness[centre, 0] + (kappa * bcr) * br
+                stiffness[centre, 1] = stiffness[centre, 1] + (kappa * bcr) * bz
+                stiffness[centre, 2] = stiffness[centre, 2] + (kappa * bcz) * br
+                stiffness[centre, 3] = stiffness[centre, 3] + (kappa * bcz) * bz
+                centre_stiffness[0] = centre_stiffness[0] + kappa * bcr * bcr
+                centre_stiffness[1] = centre_stiffness[1] + kappa * bcr * bcz
+                centre_stiffness[2] = centre_stiffness[2] + kappa * bcz * bcz
+            if tangent == 1:
+                for b in range(nb):
+                    kr, kz = kappa * volume[e, m, 0][b], kappa * volume[e, m, 1][b]
+                    stiffness[b, 0] = stiffness[b, 0] + kr * br
+                    stiffness[b, 1] = stiffness[b, 1] + kr * bz
+                    stiffness[b, 2] = stiffness[b, 2] + kz * br
+                    stiffness[b, 3] = stiffness[b, 3] + kz * bz
+
+    @ti.func
+    def condense_centre(e, force: ti.template(), stiffness: ti.template(), centre_stiffness: ti.template(),
+                        centre_rows: ti.template(), centre_force: ti.template()):
+        """Eliminate the interior node; keep what recovers its motion: u_c = -(centre_force + centre_rows . u_b)."""
+        a, b, d = centre_stiffness[0], centre_stiffness[1], centre_stiffness[2]
+        determinant = a * d - b * b
+        kr0, kr1, kz0, kz1 = stiffness[centre, 0], stiffness[centre, 1], stiffness[centre, 2], stiffness[centre, 3]
+        centre_rows[e, 0, 0] = (d * kr0 - b * kz0) / determinant
+        centre_rows[e, 0, 1] = (d * kr1 - b * kz1) / determinant
+        centre_rows[e, 1, 0] = (a * kz0 - b * kr0) / determinant
+        centre_rows[e, 1, 1] = (a * kz1 - b * kr1) / determinant
+        f0, f1 = force[2][0], force[2][1]
+        centre_force[e, 0] = (d * f0 - b * f1) / determinant
+        centre_force[e, 1] = (a * f1 - b * f0) / determinant
+        force[0] = force[0] - (centre_force[e, 0] * kr0 + centre_force[e, 1] * kz0)
+        force[1] = force[1] - (centre_force[e, 0] * kr1 + centre_force[e, 1] * kz1)
+        for n in range(nb):
+            x0, x1 = centre_rows[e, 0, 0][n], centre_rows[e, 1, 0][n]
+            y0, y1 = centre_rows[e, 0, 1][n], centre_rows[e, 1, 1][n]
+            stiffness[n, 0] = stiffness[n, 0] - (x0 * kr0 + x1 * kz0)
+            stiffness[n, 1] = stiffness[n, 1] - (x0 * kr1 + x1 * kz1)
+            stiffness[n, 2] = stiffness[n, 2] - (y0 * kr0 + y1 * kz0)
+            stiffness[n, 3] = stiffness[n, 3] - (y0 * kr1 + y1 * kz1)
+
+    @ti.func
+    def add_pending(e, depth, x: ti.template(), free, connectivity: ti.template(), equation: ti.template(),
+                    direction: ti.template(), force: ti.template(), stiffness: ti.template()):
+        """Residual of the motion that the tool still has to make in this step, so that the tissue follows it."""
+        for b in range(nb):
+            for k in ti.static(range(2)):
+                dof = 2 * connectivity[e, b] + k
+                if equation[dof] >= free:
+                    step = depth * direction[dof] - x[dof]
+                    force[0] = force[0] + step * stiffness[b, 2 * k]
+                    force[1] = force[1] + step * stiffness[b, 2 * k + 1]
+
+    @ti.func
+    def scatter(e, tangent, free, width, connectivity: ti.template(), equation: ti.template(), force: ti.template(),
+                stiffness: ti.template(), entries: ti.template(), residual: ti.template()):
+        """Add an element to the band matrix and to the residual."""
+        for a in range(nb):
+            for i in ti.static(range(2)):
+                ia = equation[2 * connectivity[e, a] + i]
+                residual[ia] = residual[ia] + force[i][a]
+                if tangent == 1 and ia < free:
+                    for b in range(nb):
+                        for k in ti.static(range(2)):
+                            ib = equation[2 * connectivity[e, b] + k]
+                            if ib <= ia:
+                                rows, columns = ia // B, ib // B
+                                w, c, r = columns - rows + width - 1, ib % B, ia % B
+                                entries[rows, w, c, r] = entries[rows, w, c, r] + stiffness[b, 2 * k + i][a]
+
+    @ti.func
+    def update(x: ti.template(), pressures, free, depth, kappa, connectivity: ti.template(), equation: ti.template(),
+               direction: ti.template(), right: ti.template(), volume: ti.template(), centre_volume: ti.template(),
+               gap: ti.template(), centre_rows: ti.template(), centre_force: ti.template()):
+        """Move the state by the solution of the linear equations, eliminated unknowns included."""
+        for e in range(connectivity.shape[0]):
+            dr, dz = vec(0.0), vec(0.0)
+            for a in ti.static(range(nb)):
+                dof = 2 * connectivity[e, a]
+                ir, iz = equation[dof], equation[dof + 1]
+                if ir < free:
+                    dr[a] = -right[ir // B][ir % B]
+                else:
+                    dr[a] = depth * direction[dof] - x[dof]
+                if iz < free:
+                    dz[a] = -right[iz // B][iz % B]
+                else:
+                    dz[a] = depth * direction[dof + 1] - x[dof + 1]
+            cr, cz = 0.0, 0.0
+            if ti.static(has_centre):
+                cr = -(centre_force[e, 0] + centre_rows[e, 0, 0].dot(dr) + centre_rows[e, 0, 1].dot(dz))
+                cz = -(centre_force[e, 1] + centre_rows[e, 1, 0].dot(dr) + centre_rows[e, 1, 1].dot(dz))
+                x[2 * connectivity[e, centre]] = x[2 * connectivity[e, centre]] + cr
+                x[2 * connectivity[e, centre] + 1] = x[2 * connectivity[e, centre] + 1] + cz
+            for m in range(modes):
+                change = volume[e, m, 0].dot(dr) + volume[e, m, 1].dot(dz)
+                if ti.static(has_centre):
+                    change += centre_volume[e, m, 0] * cr + centre_volume[e, m, 1] * cz
+                x[pressures + modes * e + m] = x[pressures + modes * e + m] + kappa * (gap[e, m] + change)
+        for dof in range(pressures):
+            i = equation[dof]
+            if i >= free:
+                x[dof] = depth * direction[dof]
+            elif i >= 0:
+                x[dof] = x[dof] - right[i // B][i % B]
+
+    @ti.kernel
+    def step(passes: ti.i32, free: ti.i32, depth: ti.f64, kappa: ti.f64, tolerance: ti.f64, floor: ti.f64,
+             rounding: ti.f64, max_iterations: ti.i32, connectivity: int2, equation: int1, direction: real1,
+             gradients: vector3, node_gradients: real4, quadrature: real3, coefficients: real1, x: real1,
+             history: real2, slots: int1, weights: real1, entries: real4, blocks: block3, inverse: real1, right: block1, residual: real1,
+             force: vector1, stiffness: vector2, centre_stiffness: real1, volume: vector3, centre_volume: real3,
+             gap: real2, centre_rows: vector3, centre_force: real2, report: real1):
+        # A loop of one pass keeps everything below in one serial task.
+        for _ in range(passes):
+            elements, width, rows = connectivity.shape[0], entries.shape[1], entries.shape[0]
+            pressures = equation.shape[0]
+            predict(x, history, slots, weights)
+            pending = 0
+            for dof in range(pressures):
+                if equation[dof] >= free and x[dof] != depth * direction[dof]:
+                    pending = 1
+            report[STATUS] = 0.0
+            iterations, tangent = 0, 1
+            first_ratio = 0.0
+            # The status lives in the report: Taichi 1.7.4 loses a local variable that a branch of such a loop sets.
+            # Each solve may need one more pass, for a tangent that was skipped.
+            for _attempt in range(2 * max_iterations + 2):
+                if report[STATUS] != 0.0:
+                    break
+                for i in range(residual.shape[0]):
+                    residual[i] = 0.0
+                if tangent == 1:
+                    for I in range(rows):
+                        for w in range(width):
+                            for c in range(B):
+                                for r in ti.static(range(B)):
+                                    entries[I, w, c, r] = 0.0
+                interior, smallest = 0.0, 1e30
+                for e in range(elements):
+                    J = integrate(e, tangent, kappa, x, pressures, connectivity, gradients, node_gradients,
+                                  quadrature, coefficients, force, stiffness, centre_stiffness, volume,
+                                  centre_volume, gap)
+                    smallest = ti.min(smallest, J)
+                    condense_pressure(e, tangent, kappa, force, stiffness, centre_stiffness, volume, centre_volume,
+                                      gap)
+                    if ti.static(has_centre):
+                        interior += force[2][0] * force[2][0] + force[2][1] * force[2][1]
+                        if tangent == 1:
+                            condense_centre(e, force, stiffness, centre_stiffness, centre_rows, centre_force)
+                    if pending == 1:
+                        add_pending(e, depth, x, free, connectivity, equation, direction, force, stiffness)
+                    scatter(e, tangent, free, width, connectivity, equation, force, stiffness, entries, residual)
+                unbalanced, balanced = interior, 0.0
+                for i in range(free):
+                    unbalanced += residual[i] * residual[i]
+                for i in range(free, residual.shape[0]):
+                    balanced += residual[i] * residual[i]
+                scale = ti.max(ti.sqrt(balanced), floor)
+                ratio = ti.sqrt(unbalanced) / scale
+                target = tolerance + rounding / scale
+                if iterations == 1:
+                    first_ratio = ratio
+                report[RESIDUAL] = ratio
+                if smallest <= 0.0 or smallest >= 1e30 or ti.math.isnan(smallest):
+                    report[STATUS] = inverted
+                elif ti.math.isnan(ratio) or ti.math.isinf(ratio):
+                    report[STATUS] = diverged
+                elif pending == 0 and ratio <= target:
+                    report[STATUS] = converged
+                elif iterations >= max_iterations:
+                    report[STATUS] = slow
+                elif iterations > 3 and ratio > 1e3 * first_ratio:
+                    report[STATUS] = diverged
+                elif tangent == 0:
+                    tangent = 1
+                else:
+                    for i in range(free, rows * B):
+                        entries[i // B, width - 1, i % B, i % B] = 1.0
+                    for I in range(rows):
+                        for k in ti.static(range(B)):
+                            right[I][k] = residual[I * B + k] if I * B + k < free else 0.0
+                    if factorise(blocks, inverse, rows, width) == 0:
+                        report[STATUS] = indefinite
+                    else:
+                        solve(blocks, inverse, right, rows, width)
+                        update(x, pressures, free, depth, kappa, connectivity, equation, direction, right, volume,
+                               centre_volume, gap, centre_rows, centre_force)
+                        # Convergence is quadratic: where the next residual should pass, its tangent is not needed.
+                        tangent = 0 if pending == 0 and ratio * ratio < 1e-2 * target else 1
+                        pending = 0
+                        iterations += 1
+            total = 0.0
+            for dof in range(pressures):
+                i = equation[dof]
+                if i >= free:
+                    total += direction[dof] * residual[i]
+            report[FORCE] = total
+            report[ITERATIONS] = iterations
+
+    return step

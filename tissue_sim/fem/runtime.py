@@ -1,0 +1,53 @@
+"""Taichi is initialised once, lazily, here and nowhere else.
+
+CPU only, one thread: a tissue step is a chain of small dependent operations, and the processes beside it need the
+other cores. Compiled kernels are kept in Taichi's offline cache, so a machine compiles each of them once.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import logging
+import os
+from functools import cache
+from pathlib import Path
+
+from tissue_sim.errors import MissingBackendError
+
+
+def cache_folder() -> Path:
+    """Where compiled kernels are kept: `TISSUE_SIM_CACHE`, else a folder in the user's cache directory."""
+    if "TISSUE_SIM_CACHE" in os.environ:
+        return Path(os.environ["TISSUE_SIM_CACHE"])
+    if os.name == "nt":
+        base = os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local")
+    else:
+        base = os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")
+    return Path(base) / "tissue_sim" / "kernels"
+
+
+@cache
+def initialise():
+    """Initialise Taichi on first call and return the module.
+
+    Raises:
+        MissingBackendError: no Taichi wheel exists for this platform.
+    """
+    # Taichi prints its version at import and its backend at start to stdout, where --json must be alone.
+    os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
+    try:
+        import taichi as ti
+    except ImportError as error:
+        raise MissingBackendError(
+            "the finite elements need taichi 1.7.4, which exists for Linux x86-64, Windows x86-64 and macOS on Apple "
+            f"silicon ({error}); analytical calibration works without it") from None
+    folder = cache_folder()
+    folder.mkdir(parents=True, exist_ok=True)
+    with contextlib.redirect_stdout(io.StringIO()):
+        ti.init(arch=ti.cpu, default_fp=ti.f64, default_ip=ti.i32, cpu_max_num_threads=1, offline_cache=True,
+                offline_cache_file_path=str(folder), log_level=ti.ERROR, fast_math=True,
+                # Halves the compile time and does not slow the kernels down.
+                cfg_optimization=False)
+    logging.getLogger("taichi").setLevel(logging.ERROR)
+    return ti

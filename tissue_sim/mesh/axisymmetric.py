@@ -1,0 +1,101 @@
+"""Graded structured meshes of a cylinder's half section."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tissue_sim.errors import InputError
+from tissue_sim.fem.elements import Element
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Quadrilaterals in the (r, z) half plane; the axis is r = 0, the undeformed top face z = 0, the base z = -height.
+
+    Attributes:
+        element: element type.
+        nodes: coordinates, m, shape (n, 2), numbered row by row from base to top.
+        connectivity: node numbers in the element's order, shape (elements, nodes of the element).
+        sets: named node numbers: ``axis``, ``base``, ``top``, ``side``.
+    """
+
+    element: Element
+    nodes: np.ndarray
+    connectivity: np.ndarray
+    sets: dict[str, np.ndarray] = field(default_factory=dict)
+
+    @property
+    def freedoms(self) -> int:
+        """Displacement freedoms that remain after condensation of interior nodes, boundary conditions not counted."""
+        return 2 * np.unique(self.connectivity[:, : self.element.boundary_nodes]).size
+
+
+def graded_line(length: float, count: int, growth: float = 1.0, ends: str = "last") -> np.ndarray:
+    """Break points of a line divided geometrically.
+
+    Args:
+        length: m.
+        count: number of intervals.
+        growth: ratio of neighbouring intervals, away from the fine end; 1 is uniform.
+        ends: where it is fine: ``first``, ``last`` or ``both``.
+
+    Returns:
+        count + 1 coordinates from 0 to length.
+    """
+    if count < 1:
+        raise InputError(f"{count} intervals cannot divide a line; give at least 1", field="count")
+    if growth <= 0:
+        raise InputError(f"growth {growth:g} must be positive", field="growth")
+    index = np.arange(count)
+    match ends:
+        case "first":
+            power = index
+        case "last":
+            power = count - 1 - index
+        case "both":
+            power = np.minimum(index, count - 1 - index)
+        case _:
+            raise InputError(f"{ends!r} is not an end; use first, last or both", field="ends")
+    steps = growth ** power.astype(float)
+    points = np.concatenate([[0.0], np.cumsum(steps)]) * (length / steps.sum())
+    points[-1] = length
+    return points
+
+
+def structured_mesh(r: np.ndarray, z: np.ndarray, element: Element) -> Mesh:
+    """A mesh from element boundaries.
+
+    Args:
+        r: radii of the element boundaries, ascending from 0, m.
+        z: heights of the element boundaries, ascending (base first), m.
+        element: element type; mid-side and centre nodes are placed half way.
+    """
+    if element.order == 2:
+        r, z = (np.insert(line, np.arange(1, line.size), 0.5 * (line[1:] + line[:-1])) for line in (r, z))
+    columns, rows = r.size, z.size
+    nodes = np.stack(np.meshgrid(r, z), axis=-1).reshape(-1, 2)
+    number = np.arange(rows * columns).reshape(rows, columns)
+    step = element.order
+    i, j = np.meshgrid(np.arange(0, columns - 1, step), np.arange(0, rows - 1, step))
+    i, j = i.ravel(), j.ravel()
+    offsets = ((element.reference_nodes + 1) * step / 2).round().astype(int)
+    connectivity = np.stack([number[j + dj, i + di] for di, dj in offsets], axis=-1)
+    sets = {"axis": number[:, 0], "side": number[:, -1], "base": number[0], "top": number[-1]}
+    return Mesh(element, nodes, connectivity, {name: members.copy() for name, members in sets.items()})
+
+
+def cylinder_mesh(radius: float, height: float, elements: tuple[int, int], element: Element, *,
+                  growth: tuple[float, float] = (1.0, 1.0)) -> Mesh:
+    """A cylinder, fine towards the side face and towards both end faces, where bonded corners are singular.
+
+    Args:
+        radius, height: m.
+        elements: number along r and along z.
+        element: element type.
+        growth: ratio of neighbouring element sizes along r and along z; 1 is uniform.
+    """
+    r = graded_line(radius, elements[0], growth[0], "last")
+    z = graded_line(height, elements[1], growth[1], "both") - height
+    return structured_mesh(r, z, element)

@@ -1,0 +1,160 @@
+"""Recordings as files: a CSV and, beside it, a JSON sidecar with everything that is not a column."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+from collections.abc import Mapping
+from numbers import Real
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tissue_sim.atomic_write import write_bytes, write_text
+from tissue_sim.decode import as_json_types, read_json, require_writable
+from tissue_sim.errors import InputError, nearest
+from tissue_sim.formats import find_format, read_columns
+from tissue_sim.recording import CHANNELS, LABELS, Recording
+from tissue_sim.units import to_si
+
+_FILE_UNITS = {"time": "s", "length": "mm", "force": "N", "torque": "Nm", "stress": "Pa", "ratio": "-",
+               "temperature": "degC"}
+_FORCE, _STRETCH, _SHEAR = ("displacement", "force"), ("stretch", "nominal stress"), ("shear strain", "nominal stress")
+#: Kind of test -> pairs of channels, one of which its recordings must have.
+KINDS: dict[str, tuple[tuple[str, str], ...]] = {
+    "lubricated_compression": (_FORCE, _STRETCH),
+    "bonded_compression": (_FORCE,),
+    "friction_compression": (_FORCE,),
+    "needle_indentation": (_FORCE,),
+    "uniaxial_tension": (_STRETCH, _FORCE),
+    "simple_shear": (_SHEAR, _FORCE),
+}
+
+
+def read_recording(path: str | Path, *, format: str = "native", columns: Mapping[str, Any] | None = None,
+                   skip_lines: int = 0, speed: float | None = None, kind: str | None = None) -> Recording:
+    """Read one replicate; SI inside.
+
+    Args:
+        path: the file. ``NAME.json`` beside ``NAME.csv`` is merged into the metadata.
+        format: name in `tissue_sim.formats.FORMATS`.
+        columns: channel -> column name, for any other CSV; see `tissue_sim.formats.read_columns`.
+        skip_lines: lines at the top that are not looked at; with `columns` only.
+        speed: m/s; makes the time from the displacement where the file has none.
+        kind: kind of test, such as ``"lubricated_compression"``: refuse a recording without the channels it needs.
+
+    Returns:
+        The recording; its metadata always has ``name``, ``source`` and ``sha256``.
+
+    Raises:
+        InputError: anything wrong with the file, with its line where there is one.
+    """
+    path = Path(path)
+    reader = find_format(format)
+    if kind is not None and kind not in KINDS:
+        raise InputError(f"unknown kind of test {kind!r}{nearest(str(kind), KINDS)}", field="kind")
+    if columns is not None and format != "native":
+        raise InputError(f"give either format = {format!r} or columns, not both", field="columns")
+    if skip_lines and columns is None:
+        raise InputError("lines are skipped only where columns are named; give columns too", field="skip_lines")
+    recording = reader(path) if columns is None else read_columns(path, columns, skip_lines=skip_lines)
+    _require_channels(recording, kind, path)
+    if "time" not in recording and speed is not None:
+        recording = _with_time(recording, speed, path)
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    metadata = {"name": path.stem, **_read_sidecar(path, digest), "source": str(path), "sha256": digest}
+    return recording.with_metadata(**metadata)
+
+
+def write_recording(recording: Recording, path: str | Path) -> None:
+    """Write ``NAME.csv`` with every digit, and ``NAME.json`` with the metadata and the SHA-256 of the CSV.
+
+    Metadata ``source`` is left out: it is the place of another file.
+
+    Raises:
+        InputError: a name that does not end in ``.csv``, a label or metadata that a file cannot hold, or a place that
+            cannot be written; nothing is written then.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".csv":
+        raise InputError("a recording is written as CSV; give a name that ends in .csv", file=path)
+    data = _as_csv(recording, path).encode("utf-8")
+    metadata = {key: value for key, value in recording.metadata.items() if key != "source"}
+    metadata["sha256"] = hashlib.sha256(data).hexdigest()
+    try:
+        metadata = as_json_types(metadata)
+        require_writable(metadata, "metadata")
+    except TypeError as error:
+        raise InputError(f"the metadata cannot be written as JSON ({error}); keep text, finite numbers, lists and maps",
+                         file=path, field="metadata") from error
+    except InputError as error:
+        raise error.located(file=path) from None
+    # A crash between the two leaves a sidecar whose SHA-256 does not match, which the reader reports.
+    write_bytes(path, data)
+    write_text(path.with_suffix(".json"), json.dumps(metadata, indent=2, ensure_ascii=False) + "\n")
+
+
+def _as_csv(recording: Recording, path: Path) -> str:
+    header, cells = [], []
+    for name in (name for name in CHANNELS if name in recording):
+        unit = _FILE_UNITS[CHANNELS[name]]
+        factor, offset = to_si(unit)
+        values = (recording.channel(name) - offset) / factor
+        if not np.isfinite(values).all():
+            raise InputError(f"a value does not fit a number in {unit}", file=path, field=name)
+        header.append(f"{name} [{unit}]")
+        cells.append(map(repr, values.tolist()))
+    for name in (name for name in LABELS if name in recording.labels):
+        labels = [str(label) for label in recording.labels[name].tolist()]
+        for label in labels:
+            if not label.isprintable() or label != label.strip():
+                raise InputError(f"label {label!r} has line breaks, control characters or blanks at its ends; expected "
+                                 "plain words", file=path, field=name)
+        header.append(name)
+        cells.append(labels)
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(zip(*cells, strict=True))
+    return stream.getvalue()
+
+
+def _read_sidecar(path: Path, digest: str) -> dict[str, Any]:
+    sidecar = path.with_suffix(".json")
+    if path.suffix.lower() != ".csv" or not sidecar.exists():
+        return {}
+    metadata = read_json(sidecar, f"the sidecar of {path.name} (JSON)")
+    if not isinstance(metadata, dict):
+        raise InputError(f"expected an object {{...}} with the metadata of {path.name}; mend or rename this file",
+                         file=sidecar)
+    if metadata.get("sha256", digest) != digest:
+        raise InputError(f"{path.name} was changed after it was recorded, expected the SHA-256 given here; restore "
+                         "it, or delete this key to accept the change", file=sidecar, field="sha256")
+    return metadata
+
+
+def _require_channels(recording: Recording, kind: str | None, path: Path) -> None:
+    has = ", ".join(recording.channels)
+    if kind is not None:
+        if not any(set(pair) <= set(recording.channels) for pair in KINDS[kind]):
+            needs = " or ".join(f"{motion!r} and {load!r}" for motion, load in KINDS[kind])
+            raise InputError(f"{kind} needs columns {needs}; this file has {has}", file=path)
+        return
+    for words, names in (("a motion", ("displacement", "stretch", "shear strain")),
+                         ("a load", ("force", "nominal stress"))):
+        if not any(name in recording for name in names):
+            raise InputError(f"the column with {words} is missing, expected {', '.join(names[:-1])} or {names[-1]}; "
+                             f"this file has {has}", file=path)
+
+
+def _with_time(recording: Recording, speed: float, path: Path) -> Recording:
+    if isinstance(speed, bool) or not isinstance(speed, Real) or not (np.isfinite(speed) and speed > 0):
+        raise InputError(f"{speed!r} is not a speed; give a positive number in m/s", field="speed")
+    if "displacement" not in recording:
+        raise InputError(f"a speed makes the time from the displacement, which this file lacks; it has "
+                         f"{', '.join(recording.channels)}", file=path, field="speed")
+    path_length = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(recording.displacement)))])
+    return recording.with_channels(time=path_length / speed)

@@ -1,0 +1,146 @@
+"""Offline simulation of a whole test: model in, recording out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from tissue_sim.errors import ConvergenceError, InputError, nearest
+from tissue_sim.experiment import Experiment, Model
+from tissue_sim.fem.axisymmetric import AxisymmetricSolver, Step
+from tissue_sim.fem.elements import Q9P1, Element
+from tissue_sim.fem.fields import Fields
+from tissue_sim.fem.newton import StepStatus
+from tissue_sim.mesh import Mesh, cylinder_mesh
+from tissue_sim.recording import Recording
+
+#: Resolution -> (elements along r, along z, growth of neighbouring elements) of a cylinder as slender as the study's
+#: (radius 40, height 70 mm). Bonded compression to 10 mm errs by 0.28 % (fast) and 0.03 % (accurate) at most.
+RESOLUTIONS = {"fast": (6, 8, 1.6), "accurate": (16, 20, 1.3)}
+_STUDY_SLENDERNESS = 70.0 / 40.0
+#: A step is cut until it is this small a part of the way between two samples.
+_SMALLEST_CUT = 2.0**-10
+
+
+def build_mesh(experiment: Experiment, resolution: str = "fast", element: Element = Q9P1) -> Mesh:
+    """The mesh that a named resolution stands for.
+
+    Raises:
+        InputError: unknown resolution.
+    """
+    if resolution not in RESOLUTIONS:
+        raise InputError(f"unknown resolution {resolution!r}{nearest(resolution, RESOLUTIONS)}", field="resolution")
+    specimen = experiment.specimen
+    if experiment.homogeneous:
+        # Every mesh is exact.
+        return cylinder_mesh(specimen.radius, specimen.height, (2, 2), element)
+    along_r, along_z, growth = RESOLUTIONS[resolution]
+    stretch = np.sqrt(specimen.height / specimen.radius / _STUDY_SLENDERNESS)
+    counts = (max(4, round(along_r / stretch)), max(4, round(along_z * stretch)))
+    return cylinder_mesh(specimen.radius, specimen.height, counts, element, growth=(growth, growth))
+
+
+def build_solver(model: Model, mesh: Mesh) -> AxisymmetricSolver:
+    """The boundary-value problem of an experiment on a mesh."""
+    held = {"bonded": "rz", "frictionless": "z"}
+    experiment = model.experiment
+    return AxisymmetricSolver(mesh, model.material, supports={"base": held[experiment.friction_base]},
+                              tool={"top": held[experiment.friction]})
+
+
+def simulate(model: Model, *, resolution: str = "fast", mesh: Mesh | None = None, fields: bool = False,
+             progress: Callable[[int, int], None] | None = None) -> Recording:
+    """Simulate a whole test quasi-statically.
+
+    Args:
+        model: experiment, material, rig.
+        resolution: ``"fast"`` or ``"accurate"``, see `RESOLUTIONS`.
+        mesh: a mesh of your own instead.
+        fields: keep the converged fields of every sample in ``recording.fields``.
+        progress: called with (samples done, samples in all); the first call comes before the kernels are compiled.
+
+    Returns:
+        Recording at the times of the protocol, as the model's rig reports it. ``metadata["solver"]`` holds status,
+        message, newton_iterations, cuts, wall_s, mesh and resolution.
+
+    Raises:
+        ConvergenceError: a step did not converge however small; its `recording` keeps the converged part.
+        InputError: unknown resolution, or a bulk response out of range.
+        MissingBackendError: Taichi is not there.
+    """
+    started = time.perf_counter()
+    protocol = model.experiment.protocol
+    own_mesh = mesh is not None
+    mesh = mesh if own_mesh else build_mesh(model.experiment, resolution)
+    solver = build_solver(model, mesh)
+    forces, states, iterations, cuts, bulge_depth = [], [], 0, 0, None
+
+    def record(status: str, message: str) -> Recording:
+        done = len(forces)
+        report = {"status": status, "message": message, "newton_iterations": iterations, "cuts": cuts,
+                  "wall_s": time.perf_counter() - started,
+                  "element": mesh.element.name,
+                  "mesh": {"elements": len(mesh.connectivity), "freedoms": solver.free},
+                  "resolution": "own mesh" if own_mesh else resolution}
+        ideal = Recording({"time": protocol.time[:done], "displacement": protocol.displacement[:done], "force": forces},
+                          metadata={"name": "simulation", "solver": report},
+                          fields=Fields.of(solver, states) if fields else None)
+        return model.rig.measure(ideal)
+
+    if progress:
+        progress(0, protocol.displacement.size)
+    force = 0.0
+    for sample, depth in enumerate(protocol.displacement):
+        for step in _approach(solver, float(depth)):
+            iterations += step.iterations
+            if step.status is StepStatus.CONVERGED:
+                force = step.force
+            else:
+                cuts += 1
+        if step.status is not StepStatus.CONVERGED:
+            message = (f"stopped at {solver.depth * 1e3:.4g} mm of {protocol.depth * 1e3:.4g} mm after cutting the "
+                       f"step to {_SMALLEST_CUT:.1g} of its length: {step.status.message}")
+            partial = record("not_converged", message) if forces else None
+            raise ConvergenceError(message, recording=partial, depth=solver.depth)
+        forces.append(force)
+        if bulge_depth is None and _bulge_passes_a_plate(solver):
+            bulge_depth = solver.depth
+        if fields:
+            states.append(solver.state)
+        if progress:
+            progress(sample + 1, protocol.displacement.size)
+    message = f"converged at every sample{f' with {cuts} step cuts' if cuts else ''}"
+    if bulge_depth is not None:
+        message += (f"; from {bulge_depth * 1e3:.3g} mm on the bulging side passes a plate, which would hold it back: "
+                    "the force is too low there")
+    return record("converged", message)
+
+
+def _bulge_passes_a_plate(solver: AxisymmetricSolver) -> bool:
+    """Whether the free side has gone beyond the plane of a plate, by more than a ten-thousandth of the height."""
+    mesh = solver.mesh
+    side = mesh.sets["side"]
+    z = mesh.nodes[side, 1] + solver.x[2 * side + 1]
+    base, top = mesh.nodes[:, 1].min(), -solver.depth
+    return bool(z.max() > top + 1e-4 * -base or z.min() < base - 1e-4 * -base)
+
+
+def _approach(solver: AxisymmetricSolver, target: float):
+    """Steps to `target`, halved where they fail and doubled where they succeed; yields each `Step`."""
+    way = target - solver.depth
+    length = way
+    while True:
+        rest = target - solver.depth
+        trial = target if abs(rest) <= abs(length) * (1 + 1e-9) else solver.depth + length
+        step: Step = solver.step(trial)
+        yield step
+        if step.status is StepStatus.CONVERGED:
+            if trial == target:
+                return
+            length *= 2.0
+        else:
+            length /= 2.0
+            if abs(length) < _SMALLEST_CUT * abs(way) or way == 0.0:
+                return
