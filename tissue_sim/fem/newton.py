@@ -294,9 +294,10 @@ def step_kernel(element_name: str, energy: KernelEnergy):
     def step(passes: ti.i32, free: ti.i32, depth: ti.f64, kappa: ti.f64, tolerance: ti.f64, floor: ti.f64,
              rounding: ti.f64, max_iterations: ti.i32, connectivity: int2, equation: int1, direction: real1,
              gradients: vector3, node_gradients: real4, quadrature: real3, coefficients: real1, x: real1,
-             history: real2, slots: int1, weights: real1, entries: real4, blocks: block3, inverse: real1, right: block1, residual: real1,
-             force: vector1, stiffness: vector2, centre_stiffness: real1, volume: vector3, centre_volume: real3,
-             gap: real2, centre_rows: vector3, centre_force: real2, report: real1):
+             history: real2, slots: int1, weights: real1, entries: real4, blocks: block3, inverse: real1,
+             right: block1, residual: real1, force: vector1, stiffness: vector2, centre_stiffness: real1,
+             volume: vector3, centre_volume: real3, gap: real2, centre_rows: vector3, centre_force: real2,
+             report: real1):
         # A loop of one pass keeps everything below in one serial task.
         for _ in range(passes):
             elements, width, rows = connectivity.shape[0], entries.shape[1], entries.shape[0]

@@ -32,13 +32,13 @@ class Mesh:
         return 2 * np.unique(self.connectivity[:, : self.element.boundary_nodes]).size
 
 
-def graded_line(length: float, count: int, growth: float = 1.0, ends: str = "last") -> np.ndarray:
+def graded_line(length: float, count: int, grading: float = 1.0, ends: str = "last") -> np.ndarray:
     """Break points of a line divided geometrically.
 
     Args:
         length: m.
         count: number of intervals.
-        growth: ratio of neighbouring intervals, away from the fine end; 1 is uniform.
+        grading: largest over smallest interval; 1 is uniform.
         ends: where it is fine: ``first``, ``last`` or ``both``.
 
     Returns:
@@ -46,8 +46,9 @@ def graded_line(length: float, count: int, growth: float = 1.0, ends: str = "las
     """
     if count < 1:
         raise InputError(f"{count} intervals cannot divide a line; give at least 1", field="count")
-    if growth <= 0:
-        raise InputError(f"growth {growth:g} must be positive", field="growth")
+    if grading < 1:
+        raise InputError(f"grading {grading:g} is the largest over the smallest interval; give at least 1",
+                         field="grading")
     index = np.arange(count)
     match ends:
         case "first":
@@ -58,7 +59,7 @@ def graded_line(length: float, count: int, growth: float = 1.0, ends: str = "las
             power = np.minimum(index, count - 1 - index)
         case _:
             raise InputError(f"{ends!r} is not an end; use first, last or both", field="ends")
-    steps = growth ** power.astype(float)
+    steps = grading ** (power / max(1, power.max()))
     points = np.concatenate([[0.0], np.cumsum(steps)]) * (length / steps.sum())
     points[-1] = length
     return points
@@ -87,15 +88,15 @@ def structured_mesh(r: np.ndarray, z: np.ndarray, element: Element) -> Mesh:
 
 
 def cylinder_mesh(radius: float, height: float, elements: tuple[int, int], element: Element, *,
-                  growth: tuple[float, float] = (1.0, 1.0)) -> Mesh:
+                  grading: tuple[float, float] = (1.0, 1.0)) -> Mesh:
     """A cylinder, fine towards the side face and towards both end faces, where bonded corners are singular.
 
     Args:
         radius, height: m.
         elements: number along r and along z.
         element: element type.
-        growth: ratio of neighbouring element sizes along r and along z; 1 is uniform.
+        grading: largest over smallest element along r and along z; 1 is uniform.
     """
-    r = graded_line(radius, elements[0], growth[0], "last")
-    z = graded_line(height, elements[1], growth[1], "both") - height
+    r = graded_line(radius, elements[0], grading[0], "last")
+    z = graded_line(height, elements[1], grading[1], "both") - height
     return structured_mesh(r, z, element)

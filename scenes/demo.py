@@ -1,0 +1,144 @@
+"""The main job on a virtual specimen: measure two tests, calibrate on one, predict the other."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import tissue_sim as ts
+from scenes.compression import BONDED, LUBRICATED
+from scenes.scene import Scene
+from tissue_sim.atomic_write import write_text
+
+#: The virtual specimen: the silicone brain phantom of the study, its size, its depth and its sensor.
+RADIUS, HEIGHT, DEPTH = 0.040, 0.070, 0.010
+PHANTOM = {"C10": 1404.9, "C20": 699.4}
+BULK_RATIO = 1e4
+FORCE_NOISE = 0.02
+REPLICATES, SAMPLES = 3, 101
+LAWS = ("neo_hooke", "mooney_rivlin", "reduced_polynomial_2", "ogden_1")
+
+CAMPAIGN = """# Lubricated compression of the virtual specimen; the bonded test is kept from the calibration.
+[[specimen]]
+name = "virtual phantom"
+shape = "cylinder"
+radius_mm = {radius_mm}
+height_mm = {height_mm}
+
+[[test]]
+name = "lubricated"
+kind = "lubricated_compression"
+recordings = ["measured/lubricated_compression_*.csv"]
+
+[fit]
+method = "analytical"
+laws = {laws}
+bulk_ratio = {bulk_ratio}
+
+[noise]
+force_N = {force_N}
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """A predicted test beside its measurement; forces in N.
+
+    Attributes:
+        measured: the replicates, all on the same displacements.
+        predicted: what the calibrated material gives.
+    """
+
+    measured: list[ts.Recording]
+    predicted: ts.Recording
+
+    @property
+    def mean(self) -> np.ndarray:
+        return np.mean([recording.force for recording in self.measured], axis=0)
+
+    @property
+    def error(self) -> np.ndarray:
+        """Predicted minus mean measured force, N."""
+        return self.predicted.force - self.mean
+
+
+def run_demo(output: Path, *, overwrite: bool = False, console=None, seed: int = 0) -> dict:
+    """Measure, calibrate, predict; write everything into `output` and say where.
+
+    Args:
+        output: folder of the results.
+        overwrite: write into a folder that is not empty.
+        console: a rich console for what happens; none: silent.
+        seed: seed of the sensor noise.
+
+    Returns:
+        Paths ``figure``, ``report``, ``campaign``, ``material_file``; ``law``; ``prediction_rmse_N``,
+        ``prediction_error_N`` at the deepest sample, ``noise_N``, ``wall_s``.
+
+    Raises:
+        InputError: `output` is not empty and `overwrite` is not set.
+    """
+    import calibration
+
+    started = time.perf_counter()
+    output = Path(output)
+    if output.exists() and (not output.is_dir() or any(output.iterdir())) and not overwrite:
+        raise ts.InputError("the folder is not empty; name another one or add --overwrite", file=output)
+    say = console.print if console else lambda *_, **__: None
+    # Fresh sensor noise for every replicate of every test.
+    seeds = iter(np.random.SeedSequence(seed).generate_state(2 * REPLICATES).tolist())
+
+    say("1 measuring the virtual specimen (a machine's first run compiles the solver, about 10 s) ...")
+    measured = {scene: _measure(scene, output / "measured", seeds) for scene in (LUBRICATED, BONDED)}
+
+    say(f"2 calibrating {len(LAWS)} laws on the lubricated test ...")
+    campaign = output / "campaign.toml"
+    write_text(campaign, CAMPAIGN.format(radius_mm=RADIUS * 1e3, height_mm=HEIGHT * 1e3, laws=json.dumps(LAWS),
+                                         bulk_ratio=BULK_RATIO, force_N=FORCE_NOISE))
+    (result,) = calibration.calibrate([campaign], output / "calibration", overwrite=overwrite)
+    material_file = output / "calibration" / result.best.material_file
+
+    say("3 predicting the bonded test, which the calibration never saw ...")
+    material = ts.load_material(material_file)
+    motion = measured[BONDED][0]
+    experiment = BONDED.experiment(radius=RADIUS, height=HEIGHT, protocol=ts.Protocol(motion.time, motion.displacement))
+    predicted = ts.simulate(ts.Model(experiment, material), resolution="accurate", fields=True)
+    ts.write_recording(predicted, output / "predicted_bonded_compression.csv")
+    comparison = Comparison(measured[BONDED], predicted)
+
+    from scenes.demo_figure import draw_demo
+
+    figure = output / "prediction.png"
+    draw_demo(measured[LUBRICATED], material, comparison, figure, noise=FORCE_NOISE, area=experiment.specimen.area,
+              height=HEIGHT)
+    rmse = float(np.sqrt(np.mean(comparison.error**2)))
+    answer = {
+        "figure": str(figure), "report": str(output / "calibration" / "report.html"), "campaign": str(campaign),
+        "material_file": str(material_file), "law": material.law, "parameters": dict(material.parameters),
+        "prediction_rmse_N": rmse, "prediction_error_N": float(comparison.error[-1]), "noise_N": FORCE_NOISE,
+        "wall_s": time.perf_counter() - started,
+    }
+    say(f"\nBest law: {material.energy_law.title}. Bonded compression at {DEPTH * 1e3:.0f} mm: predicted "
+        f"{predicted.force[-1]:.3f} N, measured {comparison.mean[-1]:.3f} N; RMSE over the curve {rmse:.3f} N with a "
+        f"sensor noise of {FORCE_NOISE} N.", markup=False)
+    for name in ("figure", "report", "material_file"):
+        say(f"{name.replace('_', ' '):>14}: {answer[name]}", markup=False, soft_wrap=True)
+    return answer
+
+
+def _measure(scene: Scene, folder: Path, seeds) -> list[ts.Recording]:
+    """Three replicates of a test as the virtual rig reports them, written as recordings."""
+    truth = ts.Material("reduced_polynomial_2", PHANTOM, ts.Bulk("bulk_ratio", BULK_RATIO), name="virtual phantom")
+    experiment = scene.experiment(radius=RADIUS, height=HEIGHT, protocol=ts.Protocol.ramp(DEPTH, SAMPLES))
+    true = ts.simulate(ts.Model(experiment, truth), resolution="accurate")
+    replicates = []
+    for number in range(1, REPLICATES + 1):
+        rig = ts.Rig(force_noise=FORCE_NOISE, seed=next(seeds))
+        replicate = rig.measure(true).with_metadata(name=f"{scene.name}_{number}", kind=scene.name, virtual=True)
+        ts.write_recording(replicate, folder / f"{scene.name}_{number}.csv")
+        replicates.append(replicate)
+    return replicates

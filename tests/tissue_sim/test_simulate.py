@@ -1,0 +1,226 @@
+"""Whole tests, through the function that a user calls, against curves of an independent solver."""
+
+import numpy as np
+import pytest
+
+import tissue_sim as ts
+from tissue_sim.fem.fields import FIELD_UNITS
+from tissue_sim.mesh import cylinder_mesh
+from tissue_sim.simulation import build_mesh
+
+STUDY = {"C10": 1404.9, "C20": 699.4}
+SAMPLES = {2: 4, 5: 10, 10: 20}  # mm -> sample of the 21-point ramp to 10 mm
+
+
+def model(friction="bonded", law="reduced_polynomial_2", parameters=STUDY, ratio=1e4, depth=10e-3, points=21, **rig):
+    experiment = ts.Experiment(ts.Specimen(0.040, 0.070), ts.Protocol.ramp(depth, points), friction=friction,
+                               friction_base=friction)
+    return ts.Model(experiment, ts.Material(law, parameters, ts.Bulk("bulk_ratio", ratio)), ts.Rig(**rig))
+
+
+@pytest.fixture(scope="module")
+def bonded_reference(reference):
+    return np.loadtxt(reference / "bonded_RP.csv", delimiter=",")
+
+
+@pytest.fixture(scope="module")
+def accurate():
+    return ts.simulate(model(), resolution="accurate", fields=True)
+
+
+class TestBondedCompression:
+    """Reference: Taylor-Hood Q2/Q1, exactly incompressible, 930 elements; K/mu = 1e4 costs 0.01 % against that."""
+
+    def test_accurate(self, accurate, bonded_reference):
+        np.testing.assert_allclose(accurate.displacement * 1e3, bonded_reference[:, 0], atol=1e-12)
+        error = accurate.force[1:] / bonded_reference[1:, 1] - 1
+        assert abs(error[SAMPLES[2] - 1]) < 1e-3 and abs(error[SAMPLES[5] - 1]) < 1e-3
+        assert abs(error).max() < 2e-3
+
+    @pytest.mark.parametrize("ratio", [1e4, 1e5])
+    def test_fast(self, bonded_reference, ratio):
+        fast = ts.simulate(model(ratio=ratio))
+        assert abs(fast.force[1:] / bonded_reference[1:, 1] - 1).max() < 1e-2
+
+    def test_halving_the_accurate_mesh(self, accurate):
+        """Every interval of the accurate mesh is cut in two."""
+        coarse = build_mesh(model().experiment, "accurate")
+        lines = (np.unique(coarse.nodes[coarse.connectivity[:, :4], k]) for k in range(2))
+        halved = [np.sort(np.concatenate([x, 0.5 * (x[1:] + x[:-1])])) for x in lines]
+        from tissue_sim.mesh import structured_mesh
+
+        fine = ts.simulate(model(), mesh=structured_mesh(*halved, coarse.element))
+        assert fine.metadata["solver"]["mesh"]["elements"] == 4 * len(coarse.connectivity)
+        assert abs(accurate.force[1:] / fine.force[1:] - 1).max() < 1e-3
+
+    @pytest.mark.parametrize(("law", "parameters", "force"), [
+        # The reference README: laws that fit the uniaxial test alike differ when bonded.
+        ("neo_hooke", {"C10": 1461.6}, 8.92), ("mooney_rivlin", {"C10": 624.3, "C01": 746.1}, 9.17),
+        ("ogden_1", {"mu1": 3225.9, "alpha1": 14.8}, 10.9),
+    ])
+    def test_other_laws(self, law, parameters, force):
+        recording = ts.simulate(model(law=law, parameters=parameters), resolution="accurate")
+        assert recording.force[-1] == pytest.approx(force, rel=7e-3)  # the reference has three digits
+
+    @pytest.mark.parametrize(("ratio", "loss"), [(1e2, -1.06e-2), (1e3, -0.11e-2)])
+    def test_compressibility_costs_force(self, accurate, ratio, loss):
+        """-1.06 and -0.11 % at 10 mm for K/mu = 1e2 and 1e3 (reference README)."""
+        softer = ts.simulate(model(ratio=ratio), resolution="accurate")
+        assert softer.force[-1] / accurate.force[-1] - 1 == pytest.approx(loss + 1e-4, abs=2e-4)
+
+    def test_incompressible_material(self, accurate):
+        experiment = model().experiment
+        recording = ts.simulate(ts.Model(experiment, ts.Material("reduced_polynomial_2", STUDY)), resolution="accurate")
+        assert recording.force[-1] == pytest.approx(accurate.force[-1] * (1 + 1e-4), rel=5e-5)
+
+
+class TestLubricatedCompression:
+    def test_against_the_reference_curve(self, reference):
+        curve = np.loadtxt(reference / "lubricated_RP.csv", delimiter=",")
+        recording = ts.simulate(model("frictionless", ratio=1e5))
+        np.testing.assert_allclose(recording.force, curve[:, 1], rtol=2e-4, atol=1e-9)
+
+
+class TestRecordingOfASimulation:
+    def test_report(self, accurate):
+        report = accurate.metadata["solver"]
+        assert report["status"] == "converged" and report["resolution"] == "accurate"
+        assert report["newton_iterations"] > 20 and report["wall_s"] > 0 and report["cuts"] == 0
+        assert report["mesh"] == {"elements": 320, "freedoms": 1895}
+
+    def test_own_motion_drives_it(self):
+        """Loading, holding and unloading samples, any spacing: an elastic force depends on the depth alone."""
+        depth = np.array([0, 1, 4, 4, 9, 9.5, 3, 1, 0]) * 1e-3
+        protocol = ts.Protocol(np.arange(depth.size) * 2.0, depth)
+        base = model()
+        experiment = ts.Experiment(base.experiment.specimen, protocol, friction="bonded", friction_base="bonded")
+        recording = ts.simulate(ts.Model(experiment, base.material))
+        np.testing.assert_array_equal(recording.displacement, depth)
+        assert recording.force[1] == pytest.approx(recording.force[7], rel=1e-8)
+        assert recording.force[2] == pytest.approx(recording.force[3], rel=1e-9)
+        assert recording.force[-1] == pytest.approx(0.0, abs=1e-8)
+
+    def test_progress_is_told(self):
+        calls = []
+        ts.simulate(model(points=5), progress=lambda *call: calls.append(call))
+        assert calls == [(i, 5) for i in range(6)]
+
+    def test_one_big_step_is_cut_when_needed(self):
+        far = ts.simulate(model(depth=15e-3, points=2))
+        near = ts.simulate(model(depth=15e-3, points=31))
+        assert far.force[-1] == pytest.approx(near.force[-1], rel=1e-8)
+
+    def test_rig_reports_what_a_rig_would(self):
+        ideal = ts.simulate(model())
+        noisy = ts.simulate(model(contact_offset=1e-4, zero_offset=0.5, force_noise=0.02, seed=3))
+        again = ts.simulate(model(contact_offset=1e-4, zero_offset=0.5, force_noise=0.02, seed=3))
+        np.testing.assert_array_equal(noisy.force, again.force)
+        np.testing.assert_allclose(noisy.displacement, ideal.displacement + 1e-4)
+        residual = noisy.force - ideal.force - 0.5
+        assert 0.01 < residual.std() < 0.03
+
+    def test_unreachable_depth_keeps_the_converged_part(self):
+        with pytest.raises(ts.ConvergenceError, match="stopped at") as caught:
+            ts.simulate(model(depth=60e-3, points=31))
+        part = caught.value.recording
+        assert 10e-3 < caught.value.depth < 60e-3
+        assert 5 < len(part) < 31 and part.displacement[-1] <= caught.value.depth
+        assert part.metadata["solver"]["status"] == "not_converged"
+        reference = ts.simulate(model(depth=part.displacement[-1], points=len(part)))
+        np.testing.assert_allclose(part.force, reference.force, rtol=1e-8, atol=1e-9)
+
+    def test_bulge_beyond_the_plates_is_said(self):
+        message = ts.simulate(model(depth=20e-3)).metadata["solver"]["message"]
+        assert "bulging side passes a plate" in message
+        assert "bulging" not in ts.simulate(model(depth=5e-3)).metadata["solver"]["message"]
+
+    def test_unknown_resolution(self):
+        with pytest.raises(ts.InputError, match="did you mean 'fast'"):
+            ts.simulate(model(), resolution="fats")
+
+    @pytest.mark.parametrize(("radius", "height", "strain"), [(0.025, 0.030, 0.1), (0.04, 0.012, 0.05),
+                                                              (0.005, 0.05, 0.1)])
+    def test_other_shapes(self, radius, height, strain):
+        """A squat, a flat and a slender cylinder: fast against accurate. (Flat ones soon fold onto their plates.)"""
+        experiment = ts.Experiment(ts.Specimen(radius, height), ts.Protocol.ramp(strain * height, 11),
+                                   friction="bonded", friction_base="bonded")
+        forces = [ts.simulate(ts.Model(experiment, model().material), resolution=r).force[-1]
+                  for r in ("fast", "accurate")]
+        assert forces[0] == pytest.approx(forces[1], rel=1e-2)
+
+
+class TestFields:
+    def test_virtual_work(self, accurate):
+        """The stored energy is the work of the tool: the integral of the energy density over the undeformed volume."""
+        fields = accurate.fields
+        ratio = fields.material.bulk_modulus
+        stored = [(fields.weights * (fields.at_points("energy", s)
+                                     + 0.5 * (fields.at_points("pressure", s)) ** 2 / ratio)).sum()
+                  for s in range(len(accurate))]
+        from scipy.interpolate import CubicSpline
+
+        work = CubicSpline(accurate.displacement, accurate.force).antiderivative()(accurate.displacement)
+        np.testing.assert_allclose(stored[5:], work[5:], rtol=1e-4)
+
+    def test_homogeneous_stress(self):
+        recording = ts.simulate(model("frictionless"), fields=True)
+        fields, stretch = recording.fields, 1 - 10 / 70
+        law = ts.find_law("reduced_polynomial_2")
+        cauchy = stretch * law.nominal_stress(stretch, STUDY)
+        np.testing.assert_allclose(fields.at_points("cauchy_zz"), cauchy, rtol=1e-4)
+        np.testing.assert_allclose(fields.at_points("von_mises"), -cauchy, rtol=1e-4)
+        for name in ("cauchy_rr", "cauchy_hoop", "cauchy_rz"):
+            np.testing.assert_allclose(fields.at_points(name), 0.0, atol=1e-8 * abs(cauchy))
+        np.testing.assert_allclose(fields.at_points("pressure"), -cauchy / 3, rtol=1e-4)
+        np.testing.assert_allclose(fields.at_points("energy"), -np.trapezoid(
+            law.nominal_stress(np.linspace(stretch, 1, 2001), STUDY), np.linspace(stretch, 1, 2001)), rtol=1e-4)
+        np.testing.assert_allclose(fields.at_points("J"), 1.0, atol=1e-3)
+        assert fields.at_points("displacement").max() < 10.0e-3
+
+    def test_every_field_has_values_at_points_and_nodes(self, accurate):
+        for name in FIELD_UNITS:
+            assert np.isfinite(accurate.fields.at_points(name)).all()
+            nodal = accurate.fields.at_nodes(name)
+            assert nodal.shape == (len(accurate.fields.mesh.nodes),) and np.isfinite(nodal).all()
+
+    def test_volume_is_kept(self, accurate):
+        fields = accurate.fields
+        assert (fields.weights * fields.at_points("J")).sum() == pytest.approx(fields.weights.sum(), rel=2e-4)
+
+    def test_unknown_field(self, accurate):
+        with pytest.raises(ts.InputError, match="did you mean 'von_mises'"):
+            accurate.fields.at_points("von_mieses")
+
+
+class TestExperiment:
+    def test_deeper_than_the_specimen(self):
+        with pytest.raises(ts.InputError, match="deeper than the specimen"):
+            ts.Experiment(ts.Specimen(0.04, 0.07), ts.Protocol.ramp(0.08))
+
+    @pytest.mark.parametrize("values", [(-0.04, 0.07), (0.04, 0.0), (float("nan"), 0.07)])
+    def test_sizes(self, values):
+        with pytest.raises(ts.InputError, match="not positive"):
+            ts.Specimen(*values)
+
+    @pytest.mark.parametrize(("time", "displacement", "words"), [
+        ([0, 1], [0], "same length"), ([0, 0], [0, 1], "increase"), ([0, np.nan], [0, 1], "finite"), ([], [], "length"),
+    ])
+    def test_protocol(self, time, displacement, words):
+        with pytest.raises(ts.InputError, match=words):
+            ts.Protocol(time, displacement)
+
+    def test_interface(self):
+        with pytest.raises(ts.InputError, match="not available in this version"):
+            ts.Experiment(ts.Specimen(0.04, 0.07), ts.Protocol.ramp(0.01), friction=0.7)
+
+    def test_mesh_of_a_homogeneous_experiment_is_small(self):
+        assert len(build_mesh(model("frictionless").experiment, "accurate").connectivity) == 4
+
+    def test_cylinder_mesh_sets(self):
+        from tissue_sim.fem.elements import Q9P1
+
+        mesh = cylinder_mesh(0.04, 0.07, (2, 3), Q9P1)
+        np.testing.assert_allclose(mesh.nodes[mesh.sets["top"], 1], 0)
+        np.testing.assert_allclose(mesh.nodes[mesh.sets["base"], 1], -0.07)
+        np.testing.assert_allclose(mesh.nodes[mesh.sets["axis"], 0], 0)
+        np.testing.assert_allclose(mesh.nodes[mesh.sets["side"], 0], 0.04)
