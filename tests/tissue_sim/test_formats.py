@@ -148,8 +148,12 @@ def test_format_names(tmp_path):
     assert refusal(path, format="instron", columns=COLUMNS).field == "columns"
 
 
+# No subnormal numbers: loading Taichi makes the processor take them for zero.
+numbers = st.floats(-1e6, 1e6, allow_subnormal=False)
+
+
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(values=st.lists(st.tuples(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6)), min_size=5, max_size=9),
+@given(values=st.lists(st.tuples(numbers, numbers), min_size=5, max_size=9),
        delimiter=st.sampled_from(",;\t"), comma=st.booleans(), above=st.integers(0, 4))
 def test_any_table_is_read_back(tmp_path, values, delimiter, comma, above):
     comma = comma and delimiter != ","
@@ -161,8 +165,6 @@ def test_any_table_is_read_back(tmp_path, values, delimiter, comma, above):
     assert recording.displacement.tolist() == [way for way, _ in values]
     assert recording.force.tolist() == [load for _, load in values]
 
-
-# -- named formats ------------------------------------------------------------------------------------------------
 
 INSTRON = """Phantom_A_sample_1
 Compression test;
@@ -213,8 +215,6 @@ def test_every_format_refuses_a_file_of_another_kind(tmp_path):
     for name in FORMATS:
         assert refusal(path, format=name).file == path
 
-
-# -- measured data ------------------------------------------------------------------------------------------------
 
 
 def test_ecoflex_compression(data_folder):

@@ -88,7 +88,8 @@ def test_text_that_looks_like_a_list_is_kept(tmp_path):
 @st.composite
 def materials(draw):
     law = ts.find_law(draw(st.sampled_from(sorted(ts.LAWS))))
-    small = st.floats(-1e9, 1e9)
+    # No subnormal numbers: loading Taichi makes the processor take them for zero.
+    small = st.floats(-1e9, 1e9, allow_subnormal=False)
     parameters = {name: draw(st.floats(1e-3, 1e9) if unit == "Pa" else st.floats(0.1, 20.0) | st.floats(-20.0, -0.1))
                   for name, unit in law.units.items()}
     if law.name.startswith("reduced_polynomial"):

@@ -163,8 +163,6 @@ class AxisymmetricSolver:
         # Below this force, N, nothing is loaded: the residual is measured against it instead of the reactions.
         self._floor = 1e-6 * material.mu0 * np.pi * top**2
 
-    # -- stepping -----------------------------------------------------------------------------------------------
-
     def step(self, depth: float, *, tolerance: float = 1e-9, max_iterations: int = 12,
              predictor_order: int = 2) -> Step:
         """Move the tool to `depth` and find equilibrium; commits the state only when it converges.
@@ -221,8 +219,6 @@ class AxisymmetricSolver:
         # No residual is small enough and no iteration is allowed: the matrix stays as it was assembled.
         self._launch(self.depth, -1.0, 0.0, 0)
         return band.unpack(self._entries, self.free, self.half_band)
-
-    # -- state --------------------------------------------------------------------------------------------------
 
     @property
     def depth(self) -> float:

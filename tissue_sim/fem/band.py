@@ -67,7 +67,7 @@ def functions():
                 t4, t5, t6, t7 = band[I, w, 4], band[I, w, 5], band[I, w, 6], band[I, w, 7]
                 for K in range(ti.max(first, J - width + 1), J):
                     wi, wj = K - I + width - 1, K - J + width - 1
-                    for k in ti.static(range(BLOCK)):
+                    for k in range(BLOCK):
                         a, b = band[I, wi, k], band[J, wj, k]
                         t0 -= a * b[0]
                         t1 -= a * b[1]

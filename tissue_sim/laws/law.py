@@ -82,8 +82,6 @@ class Law:
         """d coefficients / d parameters at these parameters; shape (coefficients, parameters)."""
         return np.eye(len(self.parameters))
 
-    # -- parameters ---------------------------------------------------------------------------------------------
-
     def as_array(self, values) -> np.ndarray:
         """Values in the order of `parameters`, SI, shape (m,).
 
@@ -111,8 +109,6 @@ class Law:
 
     def as_mapping(self, values) -> dict[str, float]:
         return {name: float(value) for name, value in zip(self.parameters, self.as_array(values), strict=True)}
-
-    # -- closed forms -------------------------------------------------------------------------------------------
 
     @lru_cache  # noqa: B019 - laws are module-level singletons
     def _along(self, mode: str):
@@ -188,8 +184,6 @@ class Law:
     def E0(self, values) -> float:
         """Initial Young's modulus of the incompressible solid, Pa: E0 = 3 mu0."""
         return float(self.nominal_stress_slope(1.0, values))
-
-    # -- formula ------------------------------------------------------------------------------------------------
 
     def formula(self) -> str:
         """The energy as one line of text."""
