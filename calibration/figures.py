@@ -73,7 +73,7 @@ def draw_test(fits: Sequence[Fit], replicates: Sequence[Replicate], noise: float
         below.set_ylabel(r_label)
         below.set_xlabel(x_label)
         above.legend(loc="best")
-        below.legend(loc="upper left", fontsize=8, ncols=2)
+        below.legend(loc="upper left", fontsize=8, ncols=2, framealpha=0.9)
         figure.align_ylabels((above, below))
         return _png(figure, 150)
 

@@ -60,7 +60,7 @@ def _page(result: CalibrationResult, replicates: Sequence[Replicate], figures: b
         parts.append("<p><small>Below: mean residual of all recordings; a law that is far off leaves the frame."
                      + (" Curves are drawn without the fitted offsets, residuals with them."
                         if campaign.fit.offset == "fit" else "") + "</small></p>")
-    parts += ["<h2>Ranking</h2>", _ranking_table(result.fits), "<h2>Parameters</h2>",
+    parts += ["<h2>Ranking</h2>", _ranking_table(result.fits), _remarks(result.fits), "<h2>Parameters</h2>",
               _parameter_table(result.fits, figures)]
     if result.predictions:
         parts += ["<h2>Predictions of held-out tests</h2>", _prediction_table(result)]
@@ -102,17 +102,24 @@ def _ranking_table(fits: Sequence[Fit]) -> str:
     rows = []
     for i, fit in enumerate(fits):
         force = "-" if fit.RMSE_N is None else f"{fit.RMSE_N:.4g}"
-        warn = ' class="text bad"' if fit.status != "converged" else ' class="text"'
         rows.append(
             f'<tr{" class=best" if i == 0 else ""}><td>{escape(find_law(fit.law).title)}</td><td>{fit.E0:.1f}</td>'
             f"<td>{fit.mu0:.1f}</td><td>{fit.R2:.6f}</td><td>{force}</td><td>{fit.RMSE_Pa:.4g}</td>"
-            f'<td>{fit.AIC:.6g}</td><td>{fit.BIC:.6g}</td><td>{fit.BIC - best:.4g}</td>'
-            f'<td class="text">{escape(fit.stability)}</td>'
-            f"<td{warn}>{escape(fit.message)}</td></tr>")
+            f"<td>{fit.AIC:.6g}</td><td>{fit.BIC:.6g}</td><td>{fit.BIC - best:.4g}</td>"
+            f"<td>{fit.stable_from:.3g} to {fit.stable_to:.3g}</td></tr>")
     head = ("<th>Law</th><th>E<sub>0</sub> [Pa]</th><th>μ<sub>0</sub> [Pa]</th><th>R²</th><th>RMSE [N]</th>"
-            '<th>RMSE [Pa]</th><th>AIC</th><th>BIC</th><th>ΔBIC</th><th class="text">Drucker stability</th>'
-            '<th class="text">Remarks</th>')
+            "<th>RMSE [Pa]</th><th>AIC</th><th>BIC</th><th>ΔBIC</th><th>Stable stretches</th>")
     return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
+
+
+def _remarks(fits: Sequence[Fit]) -> str:
+    """Drucker stability and the message of each fit, a line each."""
+    lines = []
+    for fit in fits:
+        warn = "" if fit.status == "converged" else ' class="bad"'
+        lines.append(f"<li{warn}>{escape(find_law(fit.law).title)}: {escape(fit.message)}; "
+                     f"Drucker: {escape(fit.stability)}</li>")
+    return f"<ul>{''.join(lines)}</ul>"
 
 
 def _parameter_table(fits: Sequence[Fit], figures: bool) -> str:

@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 
 from calibration.campaign import FitSettings, Noise
 from calibration.replicates import Replicate
+from tissue_sim.errors import ConvergenceError
 from tissue_sim.laws import Law, find_law
 
 #: Exponents and other numbers without unit that the starts are made of, and how far they may run.
@@ -213,7 +214,8 @@ def fit_law(law: Law | str, replicates: Sequence[Replicate], settings: FitSettin
         settings: bounds, start, fixed, prior, offset.
 
     Raises:
-        ValueError: no replicate, or no start gives a finite stress.
+        ValueError: no replicate.
+        ConvergenceError: no start gives a finite stress.
 
     Source: trust region reflective method of scipy.optimize.least_squares (Branch, Coleman, Li, SIAM J. Sci. Comput.
     21 (1999) 1).
@@ -239,7 +241,7 @@ def fit_law(law: Law | str, replicates: Sequence[Replicate], settings: FitSettin
             evaluations += result.nfev
             refined.append((result, count))
     if not refined and full.low.size:
-        raise ValueError(f"no start of {law.name} gives a finite stress over the data")
+        raise ConvergenceError(f"no start of {law.name} gives a finite stress over the data; state one in fit.start")
     refined.sort(key=lambda item: item[0].cost)
     unknowns = refined[0][0].x if refined else np.zeros(0)
     values, nuisances = full.split(unknowns)

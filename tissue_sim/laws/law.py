@@ -260,8 +260,15 @@ class StretchLaw(Law):
         return sp.Add(*(sp.sympify(self.energy_of_stretch(s, *parameters)) for s in (l1, l2, l3)))
 
     def formula_expression(self) -> sp.Expr:
-        stretches = sp.symbols("lambda_1:4", positive=True)
-        return self.energy_of_stretches(*stretches, self.symbols)
+        """Energy of one stretch."""
+        return sp.sympify(self.energy_of_stretch(sp.Symbol("lambda", positive=True), *self.symbols))
+
+    def formula(self) -> str:
+        return f"W = w(lambda_1) + w(lambda_2) + w(lambda_3), {super().formula().replace('W', 'w', 1)}"
+
+    def latex(self) -> str:
+        return (r"W = w(\lambda_1) + w(\lambda_2) + w(\lambda_3), \quad "
+                + super().latex().replace("W", "w", 1))
 
     @cached_property
     def kernel_energy(self) -> KernelEnergy:
