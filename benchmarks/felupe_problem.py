@@ -121,8 +121,8 @@ def compression_curve(mesh: Mesh, law: fem.Material, bulk_modulus: float, depths
         depths: m, without rest.
         held: ``"rz"``: both faces bonded; ``"z"``: both lubricated.
         pressure: ``"P0"``: constant in four-node quads, condensed (`SolidBodyNearlyIncompressible`); the others keep
-            pressure and volume ratio as unknowns (`NearlyIncompressible`): ``"P0 mixed"``, ``"P-1"`` three discontinuous
-            modes, ``"Q1"`` continuous bilinear (Taylor-Hood).
+            pressure and volume ratio as unknowns (`NearlyIncompressible`): ``"P0 mixed"``, ``"P-1"`` three
+            discontinuous modes, ``"Q1"`` continuous bilinear (Taylor-Hood).
         tolerance: of FElupe's Newton iteration; its default when None.
 
     Returns:

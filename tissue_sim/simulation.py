@@ -111,7 +111,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Mesh | None = None
             states.append(solver.state)
         if progress:
             progress(sample + 1, protocol.displacement.size)
-    message = f"converged at every sample{f' with {cuts} step cuts' if cuts else ''}"
+    message = f"converged at every sample{f', step cuts: {cuts}' if cuts else ''}"
     if bulge_depth is not None:
         message += (f"; from {bulge_depth * 1e3:.3g} mm on the bulging side passes a plate, which would hold it back: "
                     "the force is too low there")

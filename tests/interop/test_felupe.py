@@ -75,7 +75,7 @@ def test_tangent_of_the_oracle(felupe_problem, law):
 @pytest.mark.parametrize("held", ["rz", "z"], ids=["bonded", "lubricated"])
 @pytest.mark.parametrize("law", LAWS)
 def test_forces_equal_those_of_felupe(felupe_problem, element, pressure, held, law):
-    mesh = cylinder_mesh(RADIUS, HEIGHT, (3, 4), element, growth=(1.5, 1.2))
+    mesh = cylinder_mesh(RADIUS, HEIGHT, (3, 4), element, grading=(2.0, 1.5))
     forces, bulk_modulus = simulated(mesh, law, held, 1e3)
     theirs = felupe_problem.compression_curve(mesh, felupe_law(felupe_problem, law), bulk_modulus, DEPTHS, held=held,
                                               pressure=pressure, tolerance=1e-10)
@@ -88,15 +88,15 @@ def test_forces_equal_over_the_range_of_bulk_moduli(felupe_problem, element, pre
     mesh = cylinder_mesh(RADIUS, HEIGHT, (3, 4), element)
     forces, bulk_modulus = simulated(mesh, "reduced_polynomial_2", "rz", ratio)
     theirs = felupe_problem.compression_curve(mesh, felupe_law(felupe_problem, "reduced_polynomial_2"), bulk_modulus,
-                                              DEPTHS, pressure=pressure, tolerance=1e-9)
-    np.testing.assert_allclose(forces, theirs, rtol=1e-8)
+                                              DEPTHS, pressure=pressure)
+    np.testing.assert_allclose(forces, theirs, rtol=1e-7)
 
 
 def test_taylor_hood_tends_to_the_same_forces(felupe_problem):
     """FElupe's Q9/Q1 is another element: it differs on a coarse mesh, and less on a finer one."""
     differences = []
     for counts in ((3, 4), (6, 8)):
-        mesh = cylinder_mesh(RADIUS, HEIGHT, counts, Q9P1, growth=(1.5, 1.3))
+        mesh = cylinder_mesh(RADIUS, HEIGHT, counts, Q9P1, grading=(3.0, 2.0))
         forces, bulk_modulus = simulated(mesh, "reduced_polynomial_2", "rz", 1e3)
         theirs = felupe_problem.compression_curve(mesh, felupe_law(felupe_problem, "reduced_polynomial_2"),
                                                   bulk_modulus, DEPTHS, pressure="Q1")

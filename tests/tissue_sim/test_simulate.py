@@ -105,10 +105,14 @@ class TestRecordingOfASimulation:
         ts.simulate(model(points=5), progress=lambda *call: calls.append(call))
         assert calls == [(i, 5) for i in range(6)]
 
-    def test_one_big_step_is_cut_when_needed(self):
-        far = ts.simulate(model(depth=15e-3, points=2))
-        near = ts.simulate(model(depth=15e-3, points=31))
+    @pytest.mark.parametrize(("depth", "cut"), [(20e-3, False), (25e-3, True)])
+    def test_one_big_step(self, depth, cut):
+        """20 mm of 70 in one go converges; 25 mm is cut and ends at the same force as small steps."""
+        far = ts.simulate(model(depth=depth, points=2))
+        near = ts.simulate(model(depth=depth, points=26))
         assert far.force[-1] == pytest.approx(near.force[-1], rel=1e-8)
+        assert (far.metadata["solver"]["cuts"] > 0) == cut
+        assert ("step cuts" in far.metadata["solver"]["message"]) == cut
 
     def test_rig_reports_what_a_rig_would(self):
         ideal = ts.simulate(model())

@@ -183,14 +183,23 @@ class AxisymmetricSolver:
         return result
 
     def _predict(self, depth: float, order: int) -> None:
-        """Weights of Lagrange's extrapolation through the latest distinct depths."""
-        known = self._depths[: order + 1]
+        """Weights of Lagrange's extrapolation from the latest state through earlier ones.
+
+        States that lie closer together than a tenth of the step are left out: extrapolation would magnify their
+        rounding, and far away it would be a wild guess.
+        """
+        known = self._depths
         self._weights[:] = 0.0
-        if order == 0 or depth in known:
-            self._weights[known.index(depth) if depth in known else 0] = 1.0
+        if depth in known:
+            self._weights[known.index(depth)] = 1.0
             return
-        for i, own in enumerate(known):
-            self._weights[i] = np.prod([(depth - other) / (own - other) for other in known if other != own])
+        chosen = [0]
+        for i in range(1, len(known)):
+            apart = min(abs(known[i] - known[j]) for j in chosen)
+            if len(chosen) <= order and apart >= 0.1 * abs(depth - known[0]):
+                chosen.append(i)
+        for i in chosen[: order + 1]:
+            self._weights[i] = np.prod([(depth - known[j]) / (known[i] - known[j]) for j in chosen if j != i])
 
     def _commit(self, depth: float) -> None:
         if depth in self._depths:
