@@ -37,8 +37,10 @@ def build_mesh(experiment: Experiment, resolution: str = "fast", element: Elemen
         # Every mesh is exact.
         return cylinder_mesh(specimen.radius, specimen.height, (2, 2), element)
     (along_r, along_z), grading = RESOLUTIONS[resolution]
+    # As many elements in other shapes, with no fewer than half and no more than four times as many along a side.
     stretch = np.sqrt(specimen.height / specimen.radius / _STUDY_SLENDERNESS)
-    counts = (max(along_r // 2, round(along_r / stretch)), max(along_z // 2, round(along_z * stretch)))
+    counts = [round(float(np.clip(count * share, count / 2, 4 * count)))
+              for count, share in ((along_r, 1 / stretch), (along_z, stretch))]
     return cylinder_mesh(specimen.radius, specimen.height, counts, element, grading=grading)
 
 

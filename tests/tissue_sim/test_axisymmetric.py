@@ -105,11 +105,7 @@ def test_tangent_is_the_derivative_of_the_residual(element, law):
     solver = AxisymmetricSolver(mesh, stuff, {"base": "rz"}, {"top": "rz"})
     depth = 8e-3
     assert solver.step(depth).status is StepStatus.CONVERGED
-    lower = solver.tangent()
-    tangent = np.zeros((solver.free, solver.free))
-    for d in range(solver.half_band + 1):
-        i = np.arange(solver.free - d)
-        tangent[i + d, i] = tangent[i, i + d] = lower[d, : solver.free - d]
+    tangent = _full(solver.tangent())
 
     state = solver.state[: 2 * len(mesh.nodes)]
     shared = np.unique(mesh.connectivity[:, : element.boundary_nodes])
@@ -212,6 +208,25 @@ class TestStepping:
     def test_bulk_ratio_out_of_range(self):
         with pytest.raises(ts.InputError, match="K/mu0 is 2"):
             AxisymmetricSolver(cylinder_mesh(0.04, 0.07, (2, 2), Q9P1), material(ratio=2.0), {}, {"top": "z"})
+
+
+    def test_band_is_narrow_in_flat_and_in_tall_specimens(self):
+        """The half band follows the shorter side of the mesh, and the answer does not depend on the numbering."""
+        flat, tall = (AxisymmetricSolver(cylinder_mesh(0.04, 0.07, counts, Q9P1), material(), {"base": "rz"},
+                                         {"top": "rz"}) for counts in ((12, 3), (3, 12)))
+        assert flat.half_band < 40 and tall.half_band < 40
+        dense = np.linalg.solve(_full(flat.tangent()), np.ones(flat.free))
+        assert np.isfinite(dense).all() and flat.step(3e-3).force == pytest.approx(tall.step(3e-3).force, rel=0.02)
+
+
+def _full(lower):
+    """Symmetric dense matrix of LAPACK's lower band storage."""
+    size = lower.shape[1]
+    dense = np.zeros((size, size))
+    for d in range(lower.shape[0]):
+        i = np.arange(size - d)
+        dense[i + d, i] = dense[i, i + d] = lower[d, : size - d]
+    return dense
 
 
 class TestMesh:

@@ -74,7 +74,7 @@ class AxisymmetricSolver:
         self.set_material(material)
 
     def _number_equations(self, supports: dict[str, str], tool: dict[str, str]) -> None:
-        """Free freedoms first, row by row from base to top; then the prescribed ones."""
+        """Free freedoms first, then the prescribed ones."""
         mesh, nb = self.mesh, self.mesh.element.boundary_nodes
         prescribed = np.zeros((len(mesh.nodes), 2), dtype=bool)
         self._direction = np.zeros((len(mesh.nodes), 2))
@@ -90,15 +90,27 @@ class AxisymmetricSolver:
         free = shared[:, None] & ~prescribed
         held = shared[:, None] & prescribed
         self.free = int(free.sum())
-        # Interior nodes have no equation: they are eliminated inside their element.
-        self._equation = np.full((len(mesh.nodes), 2), -1, dtype=np.int32)
-        self._equation[free] = np.arange(self.free)
-        self._equation[held] = self.free + np.arange(held.sum())
-        numbers = self._equation[mesh.connectivity[:, :nb]].reshape(len(mesh.connectivity), -1)
+        # Row by row or column by column, whichever makes the narrower band; row by row where it is the same.
+        by_rows, by_columns = np.arange(len(mesh.nodes)), np.lexsort(mesh.nodes[:, ::-1].T)
+        numberings = [self._equations(order, free, held) for order in (by_rows, by_columns)]
+        self._equation, self.half_band = min(numberings, key=lambda numbering: numbering[1])
+        self._equation, self._direction = self._equation.ravel(), self._direction.ravel()
+
+    def _equations(self, order: np.ndarray, free: np.ndarray, held: np.ndarray) -> tuple[np.ndarray, int]:
+        """Equation of every freedom when nodes are taken in this order, and the half band that follows.
+
+        Interior nodes have none (-1): they are eliminated inside their element.
+        """
+        equation = np.full(free.shape, -1, dtype=np.int32)
+        for members, first in ((free, 0), (held, self.free)):
+            ordered = np.zeros_like(equation)
+            ordered[order] = np.cumsum(members[order].ravel()).reshape(-1, 2)
+            equation[members] = first + ordered[members] - 1
+        connectivity = self.mesh.connectivity[:, : self.mesh.element.boundary_nodes]
+        numbers = equation[connectivity].reshape(len(connectivity), -1)
         lowest = np.where(numbers < self.free, numbers, self.free).min(axis=1)
         highest = np.where(numbers < self.free, numbers, -1).max(axis=1)
-        self.half_band = int(max(0, (highest - lowest).max()))
-        self._equation, self._direction = self._equation.ravel(), self._direction.ravel()
+        return equation, int(max(0, (highest - lowest).max()))
 
     def _band_scratch(self) -> None:
         rows, width = band.block_shape(self.free, self.half_band)
