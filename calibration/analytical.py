@@ -16,14 +16,11 @@ import tissue_sim
 from calibration.assess import assess, predict
 from calibration.campaign import Campaign, load_campaign
 from calibration.fit import Fit, Prediction
+from calibration.output_folder import FIT_FILE, SUMMARY_FILE, TABLES, claim
 from calibration.replicates import Replicate, read_replicates
 from calibration.statistics import MODEL_ERROR_RATIO
 from calibration.uniaxial import fit_law
-from tissue_sim.atomic_write import write_text
 from tissue_sim.errors import InputError
-
-WORK_FILE, FIT_FILE = "work.json", "fit.json"
-WORK_SCHEMA = "tissue_sim/calibration/1"
 
 
 @dataclass(frozen=True)
@@ -35,7 +32,7 @@ class CalibrationResult:
         fits: best first, by BIC; fits that give no stable material come after those that do.
         predictions: of the held-out tests, for each law.
         noise_Pa: pooled standard deviation of the nominal stress.
-        noise_source: ``"stated"``, ``"estimated"`` or ``"mixed"``.
+        noise_source: ``"stated"``, ``"estimated"``, ``"resolution"`` (of the sensor) or ``"mixed"``.
         message: for people: what the ranking is worth.
         output: folder of this campaign's files. work: digest of everything that the result depends on.
         resumed: read back from an earlier run instead of computed.
@@ -63,7 +60,8 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
 
     ``LAW.material.json``, ``fit.json``, ``report.html``, ``curves.csv`` and ``residuals.csv`` go into `output`, or into
     one subfolder a campaign, named by its file's stem, with a ``summary.csv`` beside them when there are several. A
-    campaign that is finished in `output` is read back instead of computed.
+    campaign that is finished in `output` is read back instead of computed. ``work.json`` lists what was written; files
+    that it does not list are never removed or replaced.
 
     Args:
         paths: campaign files.
@@ -76,7 +74,7 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
         InputError: anything wrong in a campaign or a recording, or `output` holds something else; nothing is written.
     """
     # Here, so that importing calibration draws nothing in.
-    from calibration.outputs import clear, write_campaign, write_summary
+    from calibration.outputs import write_campaign, write_summary
 
     output = Path(output)
     campaigns = [load_campaign(path) for path in paths]
@@ -89,38 +87,35 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
     replicates = [read_replicates(campaign) for campaign in campaigns]
     for campaign, measured in zip(campaigns, replicates, strict=True):
         _check_size(campaign, measured)
-    works = [_digest(campaign, measured) for campaign, measured in zip(campaigns, replicates, strict=True)]
-    folders = [output / campaign.name if len(campaigns) > 1 else output for campaign in campaigns]
-    known = {campaign.name: work for campaign, work in zip(campaigns, works, strict=True)}
-    same = _claim(output, known, overwrite)
-    if not same:
-        for folder in dict.fromkeys([output, *folders]):
-            clear(folder)
-        write_text(output / WORK_FILE, json.dumps({"schema": WORK_SCHEMA, "campaigns": known}, indent=2) + "\n")
+    works = {campaign.name: _digest(campaign, measured)
+             for campaign, measured in zip(campaigns, replicates, strict=True)}
+    folders = {campaign.name: output / campaign.name if len(campaigns) > 1 else output for campaign in campaigns}
+    same = claim(output, folders, campaigns, [r for measured in replicates for r in measured], works, overwrite)
 
     results = []
-    for campaign, measured, work, folder in zip(campaigns, replicates, works, folders, strict=True):
+    for campaign, measured in zip(campaigns, replicates, strict=True):
+        folder, work = folders[campaign.name], works[campaign.name]
         result = _read_back(campaign, folder, work) if same else None
         if result is None:
             result = _fit_all(campaign, measured, folder, work, progress)
             write_campaign(result, measured, figures=figures)
         results.append(result)
     if len(results) > 1:
-        write_summary(results, output / "summary.csv")
+        write_summary(results, output / SUMMARY_FILE)
     return results
 
 
 def to_json(results: Sequence[CalibrationResult]) -> dict[str, Any]:
-    """The object of ``calibrate --json`` and of ``fit.json``: one campaign plainly, several under ``campaigns``."""
+    """The object of ``calibrate --json`` and of ``fit.json``: one campaign plainly, several under ``campaigns``.
+
+    ``output`` is the folder of the campaign's files as it was named in the call; each ``material_file`` is relative to
+    it, so that ``fit.json`` stays true when the folder moves.
+    """
     if len(results) != 1:
         return {"campaigns": [to_json([result]) for result in results]}
     result = results[0]
-    fits = msgspec.to_builtins(result.fits)
-    for fit in fits:
-        if fit["material_file"] is not None:
-            fit["material_file"] = str(result.output / fit["material_file"])
     return {
-        "campaign": result.campaign.name, "fits": list(fits), "best": result.best.law,
+        "campaign": result.campaign.name, "fits": list(msgspec.to_builtins(result.fits)), "best": result.best.law,
         "predictions": list(msgspec.to_builtins(result.predictions)), "noise_Pa": result.noise_Pa,
         "noise_source": result.noise_source, "message": result.message, "output": str(result.output),
         "work": result.work,
@@ -141,31 +136,15 @@ def _digest(campaign: Campaign, measured: Sequence[Replicate]) -> str:
     return hashlib.sha256("\n".join(content).encode()).hexdigest()
 
 
-def _claim(output: Path, known: dict[str, str], overwrite: bool) -> bool:
-    """Whether `output` holds this same work; an error when it holds anything else and must not be overwritten."""
-    if output.exists() and not output.is_dir():
-        raise InputError("is a file; give a folder for the results", file=output)
-    if overwrite or not output.exists() or not any(output.iterdir()):
-        return False
-    try:
-        found = json.loads((output / WORK_FILE).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        found = None
-    if found != {"schema": WORK_SCHEMA, "campaigns": known}:
-        what = "the results of other work" if isinstance(found, dict) else "other files"
-        raise InputError(f"the folder holds {what}; choose an empty one or add --overwrite", file=output)
-    return True
-
-
 def _read_back(campaign: Campaign, folder: Path, work: str) -> CalibrationResult | None:
-    """The finished result of the same work, None where there is none that can be read."""
+    """The finished result of the same work, None where there is none that can be read or a file of it is missing."""
     try:
         found = json.loads((folder / FIT_FILE).read_text(encoding="utf-8"))
         if found["work"] != work:
             return None
-        for fit in found["fits"]:
-            if fit["material_file"] is not None:
-                fit["material_file"] = Path(fit["material_file"]).name
+        files = [*TABLES, *(fit["material_file"] for fit in found["fits"] if fit["material_file"] is not None)]
+        if not all((folder / name).is_file() for name in files):
+            return None
         return CalibrationResult(
             campaign, msgspec.convert(tuple(found["fits"]), tuple[Fit, ...]),
             msgspec.convert(tuple(found["predictions"]), tuple[Prediction, ...]), found["noise_Pa"],
@@ -188,7 +167,7 @@ def _fit_all(campaign: Campaign, measured: Sequence[Replicate], folder: Path, wo
     noise = float(np.sqrt(np.mean([r.noise**2 for r in fitted])))
     sources = {r.noise_source for r in fitted}
     source = sources.pop() if len(sources) == 1 else "mixed"
-    return CalibrationResult(campaign, tuple(fits), tuple(predictions), noise, source, _ranking_message(fits, noise),
+    return CalibrationResult(campaign, tuple(fits), tuple(predictions), noise, source, _ranking_message(fits, noise_ratio),
                              folder, work)
 
 

@@ -12,6 +12,7 @@ from calibration.replicates import Replicate
 from calibration.statistics import (
     MODEL_ERROR_RATIO,
     Uncertainty,
+    chi_square,
     correlation,
     information_criteria,
     r_squared,
@@ -32,24 +33,34 @@ def assess(solution: Solution, replicates: Sequence[Replicate], campaign: Campai
     law, residual = solution.law, solution.residual
     data = np.concatenate([r.stress for r in replicates])
     index = np.repeat(np.arange(len(replicates)), [r.stress.size for r in replicates])
-    jitter = jitter_columns(solution, replicates, campaign.noise) if campaign.fit.offset == "none" else None
-    spread = uncertainty(solution.jacobian, residual, index, solution.noise, solution.prior_precision, jitter)
+    noise = np.array([r.noise for r in replicates])
+    interpolations = [r.interpolation for r in replicates]
+    jitter = jitter_columns(solution, replicates, campaign.noise, campaign.fit.offset)
+    # What a bound holds is not free; its own error is not known.
+    inside = ~solution.on_bound
+    spread = uncertainty(solution.jacobian[:, inside], residual, index, noise, solution.prior_precision[inside], jitter,
+                         interpolations)
+    squares, samples = chi_square(residual, index, noise, interpolations)
+    ratio = float(np.sqrt(squares / samples))
 
     count = len(law.parameters)
     free = solution.free
+    unknown_errors = np.full(inside.size, np.nan)
+    unknown_errors[inside] = spread.standard_errors
     errors, covariance = np.zeros(count), np.zeros((count, count))
-    errors[free] = spread.standard_errors[: free.size]
-    covariance[np.ix_(free, free)] = spread.covariance[: free.size, : free.size]
+    errors[free] = unknown_errors[: free.size]
+    kept = free[inside[: free.size]]
+    covariance[np.ix_(kept, kept)] = spread.covariance[: kept.size, : kept.size]
     loose = [name for name, error, value in zip(law.parameters, errors, solution.values, strict=True)
              if error > abs(value)]
     stretches = _stretch_range(replicates)
     stability = check_stability(law, solution.values, (min(STRETCH_RANGE[0], stretches[0]),
                                                        max(STRETCH_RANGE[1], stretches[1])))
     mu0 = law.mu0(solution.values)
-    status, message = _verdict(solution, spread, stability, stretches, mu0, loose, len(replicates))
-    aic, bic = information_criteria(residual, solution.noise, solution.unknowns.size)
+    status, message = _verdict(solution, spread, stability, stretches, mu0, loose, len(replicates), ratio)
+    aic, bic = information_criteria(squares + solution.prior_squares, samples, solution.unknowns.size)
     on_bound = [law.parameters[i] for i, hit in zip(free, solution.on_bound[: free.size], strict=True) if hit]
-    nuisances = _nuisances(solution, spread, replicates)
+    nuisances = _nuisances(solution, unknown_errors, replicates)
     on_bound += [f"{n.replicate}: {name}" for n in nuisances for name in n.on_bound]
     total = float(np.sum((data - data.mean())**2))
     return Fit(
@@ -58,10 +69,10 @@ def assess(solution: Solution, replicates: Sequence[Replicate], campaign: Campai
                          for name, e in zip(law.parameters, errors, strict=True)},
         covariance=Covariance(order=list(law.parameters), matrix=covariance.tolist()),
         correlation=correlation(covariance).tolist(), covariance_from=spread.basis,
-        intervals95={name: (float(v - spread.quantile * e), float(v + spread.quantile * e)) if np.isfinite(e) else None
-                     for name, v, e in zip(law.parameters, solution.values, errors, strict=True)},
+        intervals95=_intervals(solution, errors, spread.quantile),
         not_identifiable=loose, on_bound=on_bound, R2=r_squared(data, residual),
-        RMSE_N=_force_rmse(residual, replicates), RMSE_Pa=float(np.sqrt(np.mean(residual**2))), AIC=aic, BIC=bic,
+        RMSE_N=_force_rmse(residual, replicates), RMSE_Pa=float(np.sqrt(np.mean(residual**2))),
+        noise_ratio=ratio, AIC=aic, BIC=bic,
         E0=law.E0(solution.values), mu0=mu0, stable_from=stability.stable_from, stable_to=stability.stable_to,
         stability=stability.describe(), stretch_range=stretches, nuisances=nuisances,
         minima=[Minimum(parameters=law.as_mapping(values), R2=1.0 - squares / total, starts=starts)
@@ -124,21 +135,30 @@ def _stretch_range(replicates: Sequence[Replicate]) -> tuple[float, float]:
     return low, high
 
 
-def _nuisances(solution: Solution, spread: Uncertainty, replicates: Sequence[Replicate]) -> list[Nuisance]:
-    errors = np.sqrt(np.diag(spread.covariance))[solution.free.size:].reshape(-1, 2)
+def _intervals(solution: Solution, errors: np.ndarray, quantile: float) -> dict[str, tuple[float, float] | None]:
+    """95 % intervals inside the bounds; None without a standard error."""
+    low, high = np.full(errors.size, -np.inf), np.full(errors.size, np.inf)
+    low[solution.free], high[solution.free] = (side[: solution.free.size] for side in (solution.low, solution.high))
+    ends = np.clip([solution.values - quantile * errors, solution.values + quantile * errors], low, high)
+    return {name: (float(start), float(end)) if np.isfinite(error) else None
+            for name, start, end, error in zip(solution.law.parameters, *ends, errors, strict=True)}
+
+
+def _nuisances(solution: Solution, errors: np.ndarray, replicates: Sequence[Replicate]) -> list[Nuisance]:
+    errors = errors[solution.free.size:].reshape(-1, 2)
     hits = solution.on_bound[solution.free.size:].reshape(-1, 2)
     if not errors.size:
         return []
     fitted = [(r, values) for r, values in zip(replicates, solution.nuisances, strict=True) if r.mechanical]
     names = np.array(["contact_offset_mm", "zero_offset_N"])
-    return [Nuisance(replicate=r.name, contact_offset_mm=float(values[0] * 1e3),
-                     contact_offset_error_mm=float(error[0] * 1e3), zero_offset_N=float(values[1]),
-                     zero_offset_error_N=float(error[1]), on_bound=names[hit].tolist())
-            for (r, values), error, hit in zip(fitted, errors, hits, strict=True)]
+    contact, zero = ([float(e) if np.isfinite(e) else None for e in column] for column in (errors * [1e3, 1.0]).T)
+    return [Nuisance(replicate=r.name, contact_offset_mm=float(values[0] * 1e3), contact_offset_error_mm=contact[i],
+                     zero_offset_N=float(values[1]), zero_offset_error_N=zero[i], on_bound=names[hits[i]].tolist())
+            for i, (r, values) in enumerate(fitted)]
 
 
 def _verdict(solution: Solution, spread: Uncertainty, stability: Stability, stretches: tuple[float, float], mu0: float,
-             loose: list[str], replicates: int) -> tuple[str, str]:
+             loose: list[str], replicates: int, ratio: float) -> tuple[str, str]:
     """Status and message."""
     parts = []
     if not mu0 > 0:
@@ -156,7 +176,6 @@ def _verdict(solution: Solution, spread: Uncertainty, stability: Stability, stre
     else:
         status = "converged"
         parts.append(f"converged from {solution.starts} start{'s' if solution.starts != 1 else ''}")
-    ratio = float(np.sqrt(np.mean(solution.residual**2))) / solution.noise
     if ratio > MODEL_ERROR_RATIO:
         parts.append(f"residuals are {ratio:.3g} times the noise: model error dominates")
     if spread.basis == "replicates":

@@ -39,7 +39,7 @@ class Test:
         kind: a key of `HOMOGENEOUS`.
         specimen: None where the recordings are stretch and stress already.
         recordings: files, sorted, at least one.
-        format, columns, skip_lines: how to read them, see `tissue_sim.read_recording`.
+        format, columns, skip_lines, delimiter: how to read them, see `tissue_sim.read_recording`.
         speed: m/s, for recordings without time.
         max_strain: fitted window of the nominal strain (shear strain for shear), or None for everything.
         hold_out: predicted, not fitted.
@@ -53,6 +53,7 @@ class Test:
     format: str = "native"
     columns: Mapping[str, Any] | None = None
     skip_lines: int | None = None
+    delimiter: str | None = None
     speed: float | None = None
     max_strain: float | None = None
     hold_out: bool = False
@@ -77,7 +78,7 @@ class FitSettings:
         bulk: bulk response that goes into the material files; the fit itself is incompressible.
         offset: ``"none"`` or ``"fit"``: a contact offset and a zero per replicate.
         offset_bound, offset_prior: m, half width of the bounds and standard deviation of the prior.
-        zero_bound, zero_prior: N; None: ten and five times the noise of the force.
+        zero_bound, zero_prior: N; None: ten times the prior, which is five times the noise of the force.
         strain_points: evenly spaced strains that every replicate is interpolated to, or None for its own samples.
         start, fixed: parameter -> value, SI. prior: parameter -> (mean, standard deviation). bounds: (low, high).
     """
@@ -123,6 +124,7 @@ class Campaign:
         specimens: by name.
         tests: at least one that is not held out.
         sha256: of the campaign file.
+        density: kg/m3, where all fitted tests state the same for their specimens; None otherwise.
     """
 
     path: Path
@@ -131,6 +133,7 @@ class Campaign:
     fit: FitSettings
     noise: Noise
     sha256: str
+    density: float | None = None
 
     @property
     def name(self) -> str:
@@ -149,7 +152,7 @@ def load_campaign(path: str | Path) -> Campaign:
         specimens = _specimens(table)
         tests = _tests(table, specimens, path.parent)
         return Campaign(path, _read_only(specimens), tests, _fit_settings(table.fit, table.noise), _noise(table.noise),
-                        hashlib.sha256(data).hexdigest())
+                        hashlib.sha256(data).hexdigest(), _density(table, tests))
     except InputError as error:
         raise error.located(file=path) from None
 
@@ -173,6 +176,8 @@ def _specimen(entry: SpecimenTable, name: str, field: str) -> Specimen:
     require_positive(entry.density_kg_m3, f"{field}.density_kg_m3", " kg/m3")
     if entry.gravity:
         raise later("gravity = true (self-weight)", f"{field}.gravity")
+    if entry.height_is == "placed":
+        raise later('height_is = "placed" (a height that self-weight has lowered)', f"{field}.height_is")
     needed, other = ("radius_mm", "area_mm2") if entry.shape == "cylinder" else ("area_mm2", "radius_mm")
     size = getattr(entry, needed)
     if size is None:
@@ -183,6 +188,12 @@ def _specimen(entry: SpecimenTable, name: str, field: str) -> Specimen:
     # Homogeneous tests know a specimen by its cross-section and height only.
     radius = size * 1e-3 if needed == "radius_mm" else np.sqrt(size * 1e-6 / np.pi)
     return Specimen(radius, entry.height_mm * 1e-3, name)
+
+
+def _density(table: CampaignTable, tests: tuple[Test, ...]) -> float | None:
+    stated = {entry.name if entry.name is not None else "specimen": entry.density_kg_m3 for entry in table.specimen}
+    fitted = {None if test.specimen is None else stated[test.specimen.name] for test in tests if not test.hold_out}
+    return fitted.pop() if len(fitted) == 1 else None
 
 
 def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path) -> tuple[Test, ...]:
@@ -203,11 +214,15 @@ def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path
                              field=f"{field}.max_strain")
         if entry.skip_lines is not None and entry.skip_lines < 0:
             raise InputError(f"{entry.skip_lines} is negative; give a number of lines", field=f"{field}.skip_lines")
+        for key in ("skip_lines", "delimiter"):
+            if getattr(entry, key) is not None and entry.columns is None:
+                raise InputError(f"{key} is for files whose columns are named; give columns too, or leave it out",
+                                 field=f"{field}.{key}")
         columns = read_columns_key(entry, field)
         tests[name] = Test(
             name, entry.kind, _find_specimen(entry, specimens, columns, field),
             find_recordings(entry.recordings, folder, f"{field}.recordings"), entry.format, columns, entry.skip_lines,
-            None if entry.speed_mm_s is None else entry.speed_mm_s * 1e-3, entry.max_strain, entry.hold_out, field)
+            entry.delimiter, None if entry.speed_mm_s is None else entry.speed_mm_s * 1e-3, entry.max_strain, entry.hold_out, field)
     if all(test.hold_out for test in tests.values()):
         raise InputError("every test is held out, so there is nothing to fit; set hold_out = false on one",
                          field="test[0].hold_out")

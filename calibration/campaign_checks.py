@@ -11,17 +11,16 @@ import numpy as np
 
 from calibration.campaign_schema import FitTable, TestTable
 from tissue_sim.errors import InputError, nearest
+from tissue_sim.formats import check_columns
 from tissue_sim.laws import LAWS
-from tissue_sim.recording import CHANNELS, LABELS
+from tissue_sim.recording_file import KINDS
 
 #: Test kinds with a homogeneous deformation -> mode of `Law.nominal_stress`.
 HOMOGENEOUS = {"lubricated_compression": "uniaxial", "uniaxial_tension": "uniaxial", "simple_shear": "simple_shear"}
-#: Test kind -> pairs of channels (abscissa, ordinate), any one of which is enough.
-CHANNEL_PAIRS = {
-    "lubricated_compression": (("displacement", "force"), ("stretch", "nominal stress")),
-    "uniaxial_tension": (("displacement", "force"), ("stretch", "nominal stress")),
-    "simple_shear": (("displacement", "force"), ("shear strain", "nominal stress")),
-}
+#: What `tool` may say; a profile file beside these. Only the plate is available in this version.
+TOOLS = ("plate", "flat", "round", "cone", "sphere")
+#: What a friction may say in words; a coefficient beside these.
+FRICTIONS = ("bonded", "stick", "frictionless")
 
 
 def later(what: str, field: str) -> InputError:
@@ -40,6 +39,8 @@ def check_available(entry: TestTable, field: str) -> None:
     if entry.kind not in HOMOGENEOUS:
         raise InputError(f"a test of kind {entry.kind!r} is not available in this version; the analytical method takes "
                          f"{', '.join(HOMOGENEOUS)}", field=f"{field}.kind")
+    if entry.tool not in TOOLS and not Path(entry.tool).suffix:
+        raise InputError(f"unknown tool {entry.tool!r}{nearest(entry.tool, TOOLS)}", field=f"{field}.tool")
     if entry.tool != "plate":
         raise InputError(f"tool {entry.tool!r} is not available in this version; use 'plate'", field=f"{field}.tool")
     for key in ("protocol", "rig"):
@@ -51,6 +52,9 @@ def check_available(entry: TestTable, field: str) -> None:
     expected = ("frictionless", 0) if entry.kind == "lubricated_compression" else ("bonded",)
     for key in ("friction", "friction_base"):
         value = getattr(entry, key)
+        if isinstance(value, str) and value not in FRICTIONS:
+            raise InputError(f"unknown friction {value!r}{nearest(value, FRICTIONS)}; or give a coefficient",
+                             field=f"{field}.{key}")
         if value is not None and value not in expected:
             raise InputError(f"{value!r} contradicts kind = {entry.kind!r}, whose faces are {expected[0]}; leave it "
                              "out", field=f"{field}.{key}")
@@ -60,22 +64,14 @@ def read_columns_key(entry: TestTable, field: str) -> Mapping[str, Any] | None:
     """Column map for `tissue_sim.read_recording`, None where the file names its own channels."""
     if entry.columns is None:
         return None
-    for channel in entry.columns:
-        if channel not in (*CHANNELS, *LABELS):
-            raise InputError(f"unknown channel{nearest(channel, [*CHANNELS, *LABELS])}",
-                             field=f"{field}.columns.{channel}")
-    pairs = CHANNEL_PAIRS[entry.kind]
-    if not any(set(pair) <= set(entry.columns) for pair in pairs):
+    try:
+        columns = check_columns(entry.columns)
+    except InputError as error:
+        raise error.located(field=field) from None
+    pairs = KINDS[entry.kind]
+    if not any(set(pair) <= set(columns) for pair in pairs):
         raise InputError(f"{entry.kind} needs the columns {' or '.join(' and '.join(pair) for pair in pairs)}",
                          field=f"{field}.columns")
-    columns: dict[str, Any] = {}
-    for channel, column in entry.columns.items():
-        if isinstance(column, str):
-            columns[channel] = column
-        else:
-            columns[channel] = {"name": column.name, "sign": column.sign}
-            if column.unit is not None:
-                columns[channel]["unit"] = column.unit
     return MappingProxyType(columns)
 
 

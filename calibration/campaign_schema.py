@@ -9,14 +9,21 @@ from typing import Any, Literal
 
 import msgspec
 
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.decode import decode
+from tissue_sim.errors import InputError
+from tissue_sim.formats.text import read_text
+from tissue_sim.recording_file import KINDS
 
-KINDS = ("lubricated_compression", "uniaxial_tension", "simple_shear", "bonded_compression", "friction_compression",
-         "needle_indentation")
 Pair = tuple[float, float]
+#: JSON's words in TOML.
+_WORDS = {"object": "a table, written [name] or { ... }", "array": "a list, written [...]"}
 
 
-class SpecimenTable(msgspec.Struct, frozen=True, kw_only=True):
+class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How every table is read: unknown keys are errors."""
+
+
+class SpecimenTable(_Table):
     """``[[specimen]]``."""
 
     name: str | None = None
@@ -29,24 +36,17 @@ class SpecimenTable(msgspec.Struct, frozen=True, kw_only=True):
     density_kg_m3: float | None = None
 
 
-class ColumnTable(msgspec.Struct, frozen=True, kw_only=True):
-    """A column of a foreign file, spelt out."""
-
-    name: str
-    unit: str | None = None
-    sign: Literal[1, -1] = 1
-
-
-class TestTable(msgspec.Struct, frozen=True, kw_only=True):
+class TestTable(_Table):
     """``[[test]]``."""
 
     name: str | None = None
     specimen: str | None = None
-    kind: Literal[KINDS]
+    kind: Literal[tuple(KINDS)]
     recordings: list[str] = []
     format: str = "native"
-    columns: dict[str, str | ColumnTable] | None = None
+    columns: dict[str, Any] | None = None
     skip_lines: int | None = None
+    delimiter: str | None = None
     tool: str = "plate"
     tool_radius_mm: float | None = None
     edge_radius_mm: float | None = None
@@ -61,7 +61,7 @@ class TestTable(msgspec.Struct, frozen=True, kw_only=True):
     rig: str | None = None
 
 
-class FitTable(msgspec.Struct, frozen=True, kw_only=True):
+class FitTable(_Table):
     """``[fit]``."""
 
     method: Literal["analytical", "inverse_fem"] = "analytical"
@@ -79,7 +79,7 @@ class FitTable(msgspec.Struct, frozen=True, kw_only=True):
     bounds: dict[str, Pair] = {}
 
 
-class NoiseTable(msgspec.Struct, frozen=True, kw_only=True):
+class NoiseTable(_Table):
     """``[noise]``."""
 
     force_N: float | Literal["estimate"] = "estimate"
@@ -88,16 +88,13 @@ class NoiseTable(msgspec.Struct, frozen=True, kw_only=True):
     zero_jitter_N: float | Literal["estimate"] | None = None
 
 
-class CampaignTable(msgspec.Struct, frozen=True, kw_only=True):
+class CampaignTable(_Table):
     """The whole file."""
 
     specimen: list[SpecimenTable] = []
     test: list[TestTable]
     fit: FitTable
     noise: NoiseTable = NoiseTable()
-
-
-_TABLES = {"specimen": SpecimenTable, "test": TestTable, "fit": FitTable, "noise": NoiseTable}
 
 
 def decode_campaign(path: Path) -> tuple[CampaignTable, bytes]:
@@ -107,73 +104,19 @@ def decode_campaign(path: Path) -> tuple[CampaignTable, bytes]:
         InputError: missing or unreadable file, not TOML (line), unknown key (names the nearest), missing key, wrong
             type.
     """
+    text = read_text(path, "a campaign (TOML)")
     try:
-        data = path.read_bytes()
-        content = tomllib.loads(data.decode("utf-8"))
-    except FileNotFoundError:
-        raise InputError("no such file; give the path of a campaign file (TOML)", file=path) from None
-    except IsADirectoryError:
-        raise InputError("is a folder; give the path of a campaign file (TOML)", file=path) from None
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", file=path) from None
-    except UnicodeDecodeError as error:
-        raise InputError(f"byte {error.start + 1} is not UTF-8; save the campaign as UTF-8 text", file=path) from None
+        content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         place = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
-        text = re.sub(r"\s*\(at .*\)$", "", str(error))
+        reason = re.sub(r"\s*\(at .*\)$", "", str(error))
         where = f" at column {place[2]}" if place else ""
-        raise InputError(f"this is not valid TOML: {text}{where}", file=path,
+        raise InputError(f"this is not valid TOML: {reason}{where}", file=path,
                          line=int(place[1]) if place else None) from None
-    _check_keys(content, path)
+    for key in ("specimen", "test"):
+        if not isinstance(content.get(key, []), list):
+            raise InputError(f"expected a list of tables, written [[{key}]]", file=path, field=key)
     try:
-        return msgspec.convert(content, CampaignTable), data
-    except msgspec.ValidationError as error:
-        raise _as_input_error(str(error), content, path) from None
-
-
-def _check_keys(content: dict[str, Any], path: Path) -> None:
-    """Unknown keys, before types: the nearest known key is the better answer to a typing slip."""
-    for key, value in content.items():
-        if key not in _TABLES:
-            raise InputError(f"unknown key{nearest(key, _TABLES)}", file=path, field=key)
-        known = _TABLES[key].__struct_fields__
-        is_list = key in ("specimen", "test")
-        if is_list != isinstance(value, list):
-            raise InputError(f"expected {'a list of tables, written [[' if is_list else 'one table, written ['}"
-                             f"{key}{']]' if is_list else ']'}", file=path, field=key)
-        for i, table in enumerate(value if is_list else [value]):
-            place = f"{key}[{i}]" if is_list else key
-            if not isinstance(table, dict):
-                raise InputError(f"expected a table, written {'[[' if is_list else '['}{key}{']]' if is_list else ']'}",
-                                 file=path, field=place)
-            for name in table:
-                if name not in known:
-                    raise InputError(f"unknown key{nearest(name, known)}", file=path, field=f"{place}.{name}")
-            _check_columns(table.get("columns"), f"{place}.columns", path)
-
-
-def _check_columns(columns: Any, place: str, path: Path) -> None:
-    """Keys of the columns that are spelt out."""
-    for channel, column in columns.items() if isinstance(columns, dict) else ():
-        known = ColumnTable.__struct_fields__
-        for name in column if isinstance(column, dict) else ():
-            if name not in known:
-                raise InputError(f"unknown key{nearest(name, known)}", file=path, field=f"{place}.{channel}.{name}")
-
-
-def _as_input_error(message: str, content: dict[str, Any], path: Path) -> InputError:
-    """msgspec's message as one sentence with the dotted field."""
-    text, _, place = message.partition(" - at `")
-    field = re.sub(r"^\$\.?", "", place.rstrip("`")) or None
-    missing = re.match(r"Object missing required field `(.*)`", text)
-    if missing:
-        return InputError("this key is needed and missing", file=path,
-                          field=f"{field}.{missing[1]}" if field else missing[1])
-    found = re.match(r"Invalid enum value '(.*)'", text)
-    if found:
-        key = field.rsplit(".", 1)[-1] if field else ""
-        choices = {"kind": KINDS, "shape": ("cylinder", "prism"), "method": ("analytical", "inverse_fem"),
-                   "offset": ("none", "fit"), "height_is": ("moulded", "placed")}.get(key, ("estimate",))
-        return InputError(f"unknown value {found[1]!r}{nearest(found[1], choices)}", file=path, field=field)
-    text = text.replace("Expected", "expected").replace("`", "")
-    return InputError(f"{text[0].lower()}{text[1:]}", file=path, field=field)
+        return decode(content, CampaignTable, words=_WORDS), path.read_bytes()
+    except InputError as error:
+        raise error.located(file=path) from None

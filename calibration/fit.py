@@ -26,15 +26,15 @@ class Nuisance(msgspec.Struct, frozen=True, kw_only=True):
         replicate: its name.
         contact_offset_mm: reported displacement at which the tool truly touches.
         zero_offset_N: reading without load.
-        contact_offset_error_mm, zero_offset_error_N: standard errors.
+        contact_offset_error_mm, zero_offset_error_N: standard errors; None on a bound, or where not determined.
         on_bound: names of those that ended on their bound.
     """
 
     replicate: str
     contact_offset_mm: float
-    contact_offset_error_mm: float
+    contact_offset_error_mm: float | None
     zero_offset_N: float
-    zero_offset_error_N: float
+    zero_offset_error_N: float | None
     on_bound: list[str] = []
 
 
@@ -68,14 +68,16 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
     Attributes:
         law, formula: name and energy.
         parameters: name -> value, SI.
-        standard_errors: name -> standard deviation of the estimate; None where not determined; 0 if fixed.
-        covariance: of the parameters. correlation: in the same order.
+        standard_errors: name -> standard deviation of the estimate; None where not determined or on a bound; 0 if
+            fixed.
+        covariance: of the parameters, zero for those that are fixed or on a bound. correlation: in the same order.
         covariance_from: ``"noise"``, ``"residuals"`` or ``"replicates"``: what the standard errors rest on.
-        intervals95: name -> (low, high), None where not determined.
+        intervals95: name -> (low, high) inside the bounds, None without a standard error.
         not_identifiable: names whose standard error exceeds the value or that lie in a singular direction.
         on_bound: parameters and nuisances that ended on a bound.
         R2: of the nominal stress. RMSE_N: None without a specimen. RMSE_Pa: of the nominal stress.
-        AIC, BIC: with the noise taken as known, up to a constant that all laws share.
+        noise_ratio: root mean square of the residuals, each in units of its noise.
+        AIC, BIC: with the noise taken as known and priors as penalties, up to a constant that all laws share.
         E0, mu0: initial Young's and shear modulus of the incompressible law, Pa.
         stable_from, stable_to: Drucker-stable stretches; stability: the same in words; stretch_range: of the data.
         nuisances: of the replicates when offsets are fitted.
@@ -99,6 +101,7 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
     R2: float
     RMSE_N: float | None
     RMSE_Pa: float
+    noise_ratio: float
     AIC: float
     BIC: float
     E0: float

@@ -10,9 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.analytical import FIT_FILE, WORK_FILE, CalibrationResult, to_json
+from calibration.analytical import CalibrationResult, to_json
 from calibration.assess import curve, residual_of
 from calibration.fit import Fit
+from calibration.output_folder import FIT_FILE
 from calibration.replicates import Replicate
 from calibration.report import write_report
 from tissue_sim.atomic_write import write_text
@@ -22,15 +23,6 @@ from tissue_sim.material_file import MaterialFile, write_material_file
 
 CURVE_POINTS = 101
 _ABSCISSA = {"uniaxial": "stretch [-]", "simple_shear": "shear strain [-]"}
-
-
-def clear(folder: Path) -> None:
-    """Remove earlier results, and only those, so that no law that was dropped stays behind."""
-    if not folder.is_dir():
-        return
-    names = (WORK_FILE, FIT_FILE, "report.html", "curves.csv", "residuals.csv", "summary.csv")
-    for path in [*(folder / name for name in names), *folder.glob("*.material.json")]:
-        path.unlink(missing_ok=True)
 
 
 def write_campaign(result: CalibrationResult, replicates: Sequence[Replicate], *, figures: bool = True) -> None:
@@ -56,7 +48,8 @@ def material_file(fit: Fit, result: CalibrationResult, fitted: Sequence[Replicat
     if fit.RMSE_N is not None:
         residual["RMSE_N"] = fit.RMSE_N
     return MaterialFile.of(
-        Material(fit.law, fit.parameters, campaign.fit.bulk, name=f"{campaign.name} {law.title}"),
+        Material(fit.law, fit.parameters, campaign.fit.bulk, density=campaign.density,
+                 name=f"{campaign.name} {law.title}"),
         standard_errors=errors, covariance=fit.covariance.matrix if complete else None,
         valid_range={"stretch": list(fit.stretch_range)},
         provenance={

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from calibration.campaign import Campaign, Test
-from calibration.campaign_checks import CHANNEL_PAIRS
-from calibration.statistics import estimate_noise
+from calibration.statistics import estimate_noise, resolution
 from tissue_sim.errors import InputError
 from tissue_sim.recording import MIN_POINTS, Recording
-from tissue_sim.recording_file import read_recording
+from tissue_sim.recording_file import KINDS, read_recording
 
+#: Largest difference of a specimen's size between a recording's own word and the campaign's, as a share.
+SIZE_TOLERANCE = 0.02
 #: Segments in which the tissue relaxes or unloads: an elastic law is fitted to the loading.
 NOT_LOADING = ("hold", "unload")
 
@@ -27,9 +30,11 @@ class Replicate:
         test: the test that it belongs to.
         abscissa: stretch, or shear strain for shear, shape (n,).
         stress: nominal stress, Pa, negative in compression, shape (n,).
-        noise: standard deviation of the stress, Pa. noise_source: ``"stated"`` or ``"estimated"``.
+        noise: standard deviation of the stress of a sample, Pa. noise_source: ``"stated"``, ``"estimated"`` or, where
+            the sensor's step makes it, ``"resolution"``.
         mechanical: whether it was recorded as displacement and force, so that an offset and a zero make sense.
         file, sha256: where it came from.
+        interpolation: what takes the samples of the file to these points, shape (n, samples); None: they are samples.
     """
 
     name: str
@@ -41,6 +46,7 @@ class Replicate:
     mechanical: bool
     file: Path
     sha256: str
+    interpolation: csr_array | None = None
 
     @property
     def mode(self) -> str:
@@ -81,8 +87,8 @@ def read_replicates(campaign: Campaign) -> tuple[Replicate, ...]:
     """Read and check all recordings of a campaign, held-out tests included.
 
     Raises:
-        InputError: an unreadable recording, columns that do not fit the kind, a recording deeper than its specimen,
-            stress of the wrong sign, too few points.
+        InputError: an unreadable recording, columns that do not fit the kind, a recording deeper than its specimen or
+            of a specimen of another size, stress of the wrong sign, too few points.
     """
     replicates: list[Replicate] = []
     for test in campaign.tests:
@@ -103,27 +109,52 @@ def read_replicates(campaign: Campaign) -> tuple[Replicate, ...]:
 
 
 def _read(path: Path, test: Test, campaign: Campaign) -> Replicate:
-    options = {} if test.skip_lines is None else {"skip_lines": test.skip_lines}
+    options = {key: value for key, value in (("skip_lines", test.skip_lines), ("delimiter", test.delimiter))
+               if value is not None}
     columns = None if test.columns is None else dict(test.columns)
     recording = read_recording(path, format=test.format, columns=columns, speed=test.speed, kind=test.kind, **options)
+    _check_size(recording, test, campaign, path)
     recording = _loading(recording)
     mechanical, abscissa, stress = _curve(recording, test, path)
-    order_end = int(np.argmax(_strain(abscissa, test.kind))) + 1
-    abscissa, stress = abscissa[:order_end], stress[:order_end]
-    _check_range(abscissa, stress, test, path)
-    noise, source = _noise(stress, mechanical, test, campaign)
-    if campaign.fit.strain_points is not None:
-        abscissa, stress = _evenly_spaced(abscissa, stress, test, campaign.fit.strain_points)
-    elif test.max_strain is not None:
-        inside = _strain(abscissa, test.kind) <= test.max_strain * (1 + 1e-9)
-        abscissa, stress = abscissa[inside], stress[inside]
-    if abscissa.size < MIN_POINTS:
-        raise InputError(f"{path.name} has {abscissa.size} points of loading in the window; at least {MIN_POINTS} are "
+    _check_range(abscissa, test, path)
+    if mechanical or "time" in recording:
+        loaded = slice(0, int(np.argmax(_strain(abscissa, test.kind))) + 1)
+    else:
+        # A table of stress and stretch has no order in time; sorted, its neighbours tell the noise.
+        loaded = np.argsort(_strain(abscissa, test.kind), kind="stable")
+    abscissa, stress = abscissa[loaded], stress[loaded]
+    inside = np.ones(abscissa.size, bool)
+    if test.max_strain is not None:
+        strain = _strain(abscissa, test.kind)
+        inside = (np.abs(strain) if test.mode == "simple_shear" else strain) <= test.max_strain * (1 + 1e-9)
+    if inside.sum() < MIN_POINTS:
+        raise InputError(f"{path.name} has {inside.sum()} points of loading in the window; at least {MIN_POINTS} are "
                          "needed, so widen max_strain or check the order of the samples", field="recordings")
+    _check_sign(abscissa, stress, test, path)
+    noise, source = _noise(stress, mechanical, test, campaign)
+    interpolation = None
+    if campaign.fit.strain_points is not None:
+        abscissa, interpolation = _evenly_spaced(abscissa, test, campaign, path)
+        stress = interpolation @ stress
+    else:
+        abscissa, stress = abscissa[inside], stress[inside]
     for array in (abscissa, stress):
         array.flags.writeable = False
     return Replicate(f"{test.name}/{path.stem}", test, abscissa, stress, noise, source, mechanical, path,
-                     str(recording.metadata.get("sha256", "")))
+                     str(recording.metadata.get("sha256", "")), interpolation)
+
+
+def _check_size(recording: Recording, test: Test, campaign: Campaign, path: Path) -> None:
+    """Refuse a recording that says itself that its specimen has another size."""
+    said = recording.metadata.get("specimen")
+    if test.specimen is None or not isinstance(said, Mapping):
+        return
+    place = f"specimen[{list(campaign.specimens).index(test.specimen.name)}]"
+    for key, size in (("radius_mm", test.specimen.radius * 1e3), ("height_mm", test.specimen.height * 1e3)):
+        own = said.get(key)
+        if isinstance(own, int | float) and abs(own - size) > SIZE_TOLERANCE * size:
+            raise InputError(f"{size:g} mm, but {path.name} says of itself that it is {own:g} mm; mend the one that is "
+                             "wrong", file=campaign.path, field=f"{place}.{key}")
 
 
 def _loading(recording: Recording) -> Recording:
@@ -139,7 +170,7 @@ def _strain(abscissa: np.ndarray, kind: str) -> np.ndarray:
 
 def _curve(recording: Recording, test: Test, path: Path) -> tuple[bool, np.ndarray, np.ndarray]:
     """Whether it is displacement and force, and the abscissa and nominal stress that they mean."""
-    mechanical, direct = CHANNEL_PAIRS[test.kind]
+    mechanical, direct = KINDS[test.kind]
     if all(name in recording for name in mechanical) and (test.specimen is not None
                                                           or not all(name in recording for name in direct)):
         if test.specimen is None:
@@ -160,15 +191,19 @@ def _curve(recording: Recording, test: Test, path: Path) -> tuple[bool, np.ndarr
                      f"or {' and '.join(direct)}", field="recordings")
 
 
-def _check_range(abscissa: np.ndarray, stress: np.ndarray, test: Test, path: Path) -> None:
-    strain = _strain(abscissa, test.kind)
+def _check_range(abscissa: np.ndarray, test: Test, path: Path) -> None:
+    largest = _strain(abscissa, test.kind).max()
     if test.mode == "uniaxial" and abscissa.min() <= 0:
         raise InputError(f"{path.name} reaches stretch {abscissa.min():g}; a stretch is above zero", field="recordings")
-    if strain.max() <= 0:
-        raise InputError(f"{path.name} holds no {test.kind.split('_')[-1]}: its largest strain is {strain.max():g}; "
+    if largest <= 0:
+        raise InputError(f"{path.name} holds no {test.kind.split('_')[-1]}: its largest strain is {largest:g}; "
                          "check the kind, or turn the column with sign = -1", field="recordings")
-    # Of the work of loading, so that a noisy zero does not decide.
-    if np.trapezoid(stress, abscissa) <= 0:
+
+
+def _check_sign(abscissa: np.ndarray, stress: np.ndarray, test: Test, path: Path) -> None:
+    # Stress and strain together, so that shear may go both ways and a noisy zero does not decide.
+    rest = 0.0 if test.mode == "simple_shear" else 1.0
+    if np.sum(stress * (abscissa - rest)) <= 0:
         expected = "force above or stress below" if test.kind == "lubricated_compression" else "force or stress above"
         raise InputError(f"{path.name} has a stress against the load; {test.kind} expects {expected} zero, so turn the "
                          "column with sign = -1", field="recordings")
@@ -182,13 +217,23 @@ def _noise(stress: np.ndarray, mechanical: bool, test: Test, campaign: Campaign)
         return campaign.noise.nominal_stress, "stated"
     if not mechanical and campaign.noise.force is not None and test.specimen is not None:
         return campaign.noise.force / test.specimen.area, "stated"
-    return estimate_noise(stress), "estimated"
+    spread, rounding = estimate_noise(stress), resolution(stress) / np.sqrt(12.0)
+    return (spread, "estimated") if spread >= rounding else (rounding, "resolution")
 
 
-def _evenly_spaced(abscissa: np.ndarray, stress: np.ndarray, test: Test, points: int) -> tuple[np.ndarray, np.ndarray]:
-    """Linear interpolation onto evenly spaced strains from rest to the end of the window."""
-    strain, first = np.unique(_strain(abscissa, test.kind), return_index=True)
-    end = strain[-1] if test.max_strain is None else min(test.max_strain, strain[-1])
-    grid = np.linspace(max(strain[0], 0.0), end, points)
-    values = np.interp(grid, strain, stress[first])
-    return {"lubricated_compression": 1.0 - grid, "uniaxial_tension": 1.0 + grid}.get(test.kind, grid), values
+def _evenly_spaced(abscissa: np.ndarray, test: Test, campaign: Campaign, path: Path) -> tuple[np.ndarray, csr_array]:
+    """Evenly spaced strains from rest to the end of the window, and the linear interpolation onto them."""
+    points, limit = campaign.fit.strain_points, np.inf if test.max_strain is None else test.max_strain
+    strain, samples = np.unique(_strain(abscissa, test.kind), return_index=True)
+    start = max(strain[0], -limit if test.mode == "simple_shear" else 0.0)
+    grid = np.linspace(start, min(strain[-1], limit), points)
+    inside = int(np.sum((strain >= grid[0]) & (strain <= grid[-1] * (1 + 1e-9))))
+    if points > inside:
+        raise InputError(f"{points} points, but {path.name} has {inside} samples of different strain in the window; "
+                         f"give at most {inside}", file=campaign.path, field="fit.strain_points")
+    right = np.clip(np.searchsorted(strain, grid), 1, strain.size - 1)
+    share = (grid - strain[right - 1]) / (strain[right] - strain[right - 1])
+    weights = np.concatenate([1.0 - share, share])
+    places = np.tile(np.arange(points), 2), np.concatenate([samples[right - 1], samples[right]])
+    interpolation = csr_array((weights, places), shape=(points, abscissa.size))
+    return {"lubricated_compression": 1.0 - grid, "uniaxial_tension": 1.0 + grid}.get(test.kind, grid), interpolation

@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 
 from calibration.campaign import FitSettings, Noise
 from calibration.replicates import Replicate
+from calibration.statistics import pooled_noise
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.laws import Law, find_law
 
@@ -32,10 +33,9 @@ class Solution:
     Attributes:
         values: all parameters in the order of the law, shape (m,).
         free: indices of the free ones. nuisances: shape (replicates, 2), zero where not fitted.
-        unknowns: shape (k,). on_bound: bool, shape (k,).
+        unknowns: shape (k,). low, high: their bounds, shape (k,). on_bound: bool, shape (k,).
         jacobian: d(stress)/d(unknown), Pa per unit, shape (n, k). residual: model minus data, Pa, shape (n,).
-        noise: pooled standard deviation of the stress, Pa.
-        prior_precision: 1/variance, shape (k,).
+        prior_precision: 1/variance, shape (k,). prior_squares: sum of squares of the prior rows, in units of them.
         minima: (parameters, sum of squares, starts that ended there), best first.
         starts, evaluations: how many. converged: whether the optimiser said so. cpu_s: processor seconds.
     """
@@ -45,11 +45,13 @@ class Solution:
     free: np.ndarray
     nuisances: np.ndarray
     unknowns: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
     on_bound: np.ndarray
     jacobian: np.ndarray
     residual: np.ndarray
-    noise: float
     prior_precision: np.ndarray
+    prior_squares: float
     minima: tuple[tuple[np.ndarray, float, int], ...]
     starts: int
     evaluations: int
@@ -142,9 +144,12 @@ class _Problem:
 
     def residual(self, unknowns: np.ndarray) -> np.ndarray:
         """Stress residuals and priors, both in units of the noise."""
+        return np.concatenate([(self.stress(unknowns) - self.data) / self.noise, self.prior_residual(unknowns)])
+
+    def prior_residual(self, unknowns: np.ndarray) -> np.ndarray:
+        """Distance of each unknown with a prior from its mean, in standard deviations."""
         rows = self.prior_rows
-        prior = (unknowns[rows] - self.prior_mean[rows]) / self.prior_deviation[rows]
-        return np.concatenate([(self.stress(unknowns) - self.data) / self.noise, prior])
+        return (unknowns[rows] - self.prior_mean[rows]) / self.prior_deviation[rows]
 
     def jacobian(self, unknowns: np.ndarray) -> np.ndarray:
         rows = self.prior_rows
@@ -206,7 +211,7 @@ def fit_law(law: Law | str, replicates: Sequence[Replicate], settings: FitSettin
     """Fit one law to all replicates together.
 
     Minimises the sum of squares of the nominal-stress error over all samples, unweighted as in the study, plus the
-    priors in units of the noise.
+    priors in units of the pooled noise.
 
     Args:
         law: a law or its name.
@@ -224,7 +229,8 @@ def fit_law(law: Law | str, replicates: Sequence[Replicate], settings: FitSettin
     if not replicates:
         raise ValueError("fit_law needs at least one replicate")
     began = time.process_time()
-    deviation = float(np.sqrt(np.mean([r.noise**2 for r in replicates])))
+    index = np.repeat(np.arange(len(replicates)), [r.stress.size for r in replicates])
+    deviation = pooled_noise([r.noise for r in replicates], index)
     force_noise = max((r.noise * r.area for r in replicates if r.area is not None), default=0.0)
     full = _Problem(law, replicates, settings, deviation, force_noise)
     stride = max(1, full.data.size // THINNED_POINTS)
@@ -252,19 +258,22 @@ def fit_law(law: Law | str, replicates: Sequence[Replicate], settings: FitSettin
     reach = np.where(np.isfinite(full.high - full.low), full.high - full.low, np.inf)
     near = 1e-6 * np.where(np.isfinite(reach), reach, np.maximum(np.abs(unknowns), 1.0))
     on_bound = (unknowns - full.low <= near) | (full.high - unknowns <= near)
-    return Solution(law, values, full.free, nuisances, unknowns, on_bound, jacobian, residual, deviation,
-                    1.0 / full.prior_deviation**2, tuple((full.split(x)[0], s, n) for x, s, n in merged) or
+    return Solution(law, values, full.free, nuisances, unknowns, full.low, full.high, on_bound, jacobian, residual,
+                    1.0 / full.prior_deviation**2, float(np.sum(full.prior_residual(unknowns)**2)), tuple((full.split(x)[0], s, n) for x, s, n in merged) or
                     ((values, float(residual @ residual), 0),), len(starts), evaluations,
                     not refined or refined[0][0].status > 0, time.process_time() - began)
 
 
-def jitter_columns(solution: Solution, replicates: Sequence[Replicate], noise: Noise) -> np.ndarray | None:
+def jitter_columns(solution: Solution, replicates: Sequence[Replicate], noise: Noise,
+                   offset: str) -> np.ndarray | None:
     """Stress that one standard deviation of contact and zero jitter makes, Pa, shape (n, 2); None where none is stated.
 
-    Offsets that are fitted carry their jitter as a prior instead.
+    Offsets that are fitted carry their jitter as a prior instead: no columns then.
     """
     if not (noise.contact_jitter or noise.zero_jitter):
         return None
+    if offset == "fit":
+        return np.empty((solution.residual.size, 0))
     columns = []
     for replicate in replicates:
         column = np.zeros((replicate.abscissa.size, 2))

@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from msgspec.inspect import DictType, NoneType, StructType, UnionType, type_info
+from msgspec.inspect import DictType, LiteralType, NoneType, StructType, UnionType, type_info
 
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.formats.text import read_text
@@ -43,16 +43,17 @@ def read_json(path: str | Path, expected: str) -> Any:
         raise InputError(f"damaged JSON ({error}), expected {expected}; mend or restore it", file=path) from None
 
 
-def decode(value: Any, kind: Any, field: str = "") -> Any:
+def decode(value: Any, kind: Any, field: str = "", words: Mapping[str, str] | None = None) -> Any:
     """`value` (of JSON types) as a struct of type `kind`.
 
     Args:
         value: decoded JSON; a struct of that type is taken as it is.
         kind: a `msgspec.Struct` type, or an optional one.
         field: dotted path of `value`, for the message.
+        words: names of JSON's types where the file is of another kind.
 
     Raises:
-        InputError: unknown key (names the nearest), missing key, wrong type; with the dotted field path.
+        InputError: unknown key or choice (names the nearest), missing key, wrong type; with the dotted field path.
     """
     try:
         return msgspec.convert(value, kind)
@@ -68,7 +69,10 @@ def decode(value: Any, kind: Any, field: str = "") -> Any:
     if missing := re.search(r"missing required field `(.*)`$", message):
         hint = "; give a unit such as Pa, kPa or 1" if missing[1] == "unit" else "; add it"
         raise InputError(f"is missing{hint}", field=f"{path}.{missing[1]}".lstrip("."))
-    sentence = re.sub(r"`([^`]*)`", lambda match: " or ".join(_WORDS.get(word, word) for word in match[1].split(" | ")),
+    if choice := re.match(r"Invalid enum value '(.*)'$", message):
+        raise InputError(f"unknown value {choice[1]!r}{nearest(choice[1], _choices_at(kind, place))}", field=path)
+    known = {**_WORDS, **(words or {})}
+    sentence = re.sub(r"`([^`]*)`", lambda match: " or ".join(known.get(word, word) for word in match[1].split(" | ")),
                       message)
     raise InputError(sentence[0].lower() + sentence[1:], field=path or None)
 
@@ -124,10 +128,21 @@ def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def _keys_at(kind: Any, place: str) -> list[str]:
     """Keys of the struct at a dotted place such as ``provenance.recordings[0]``."""
-    info = _struct(type_info(kind))
+    return [field.encode_name for field in _struct(_type_at(kind, place)).fields]
+
+
+def _choices_at(kind: Any, place: str) -> list[str]:
+    """What the text at a dotted place may be."""
+    info = _type_at(kind, place)
+    options = info.types if isinstance(info, UnionType) else (info,)
+    return [choice for option in options if isinstance(option, LiteralType) for choice in option.values]
+
+
+def _type_at(kind: Any, place: str) -> Any:
+    info = type_info(kind)
     for name in filter(None, re.split(r"\.|\[[^\]]*\]", place)):
-        info = _struct(next(field.type for field in info.fields if field.encode_name == name))
-    return [field.encode_name for field in info.fields]
+        info = next(field.type for field in _struct(info).fields if field.encode_name == name)
+    return info
 
 
 def _struct(info: Any) -> StructType:

@@ -23,19 +23,20 @@ from tissue_sim.units import to_si
 _FILE_UNITS = {"time": "s", "length": "mm", "force": "N", "torque": "Nm", "stress": "Pa", "ratio": "-",
                "temperature": "degC"}
 _FORCE, _STRETCH, _SHEAR = ("displacement", "force"), ("stretch", "nominal stress"), ("shear strain", "nominal stress")
-#: Kind of test -> pairs of channels, one of which its recordings must have.
+#: Kind of test -> pairs of channels (motion, load), one of which its recordings must have; displacement and force first.
 KINDS: dict[str, tuple[tuple[str, str], ...]] = {
     "lubricated_compression": (_FORCE, _STRETCH),
     "bonded_compression": (_FORCE,),
     "friction_compression": (_FORCE,),
     "needle_indentation": (_FORCE,),
-    "uniaxial_tension": (_STRETCH, _FORCE),
-    "simple_shear": (_SHEAR, _FORCE),
+    "uniaxial_tension": (_FORCE, _STRETCH),
+    "simple_shear": (_FORCE, _SHEAR),
 }
 
 
 def read_recording(path: str | Path, *, format: str = "native", columns: Mapping[str, Any] | None = None,
-                   skip_lines: int = 0, speed: float | None = None, kind: str | None = None) -> Recording:
+                   skip_lines: int = 0, delimiter: str | None = None, speed: float | None = None,
+                   kind: str | None = None) -> Recording:
     """Read one replicate; SI inside.
 
     Args:
@@ -43,6 +44,7 @@ def read_recording(path: str | Path, *, format: str = "native", columns: Mapping
         format: name in `tissue_sim.formats.FORMATS`.
         columns: channel -> column name, for any other CSV; see `tissue_sim.formats.read_columns`.
         skip_lines: lines at the top that are not looked at; with `columns` only.
+        delimiter: one character between the cells; with `columns` only. None: found.
         speed: m/s; makes the time from the displacement where the file has none.
         kind: kind of test, such as ``"lubricated_compression"``: refuse a recording without the channels it needs.
 
@@ -58,9 +60,11 @@ def read_recording(path: str | Path, *, format: str = "native", columns: Mapping
         raise InputError(f"unknown kind of test {kind!r}{nearest(str(kind), KINDS)}", field="kind")
     if columns is not None and format != "native":
         raise InputError(f"give either format = {format!r} or columns, not both", field="columns")
-    if skip_lines and columns is None:
-        raise InputError("lines are skipped only where columns are named; give columns too", field="skip_lines")
-    recording = reader(path) if columns is None else read_columns(path, columns, skip_lines=skip_lines)
+    for key, value in (("skip_lines", skip_lines), ("delimiter", delimiter)):
+        if value and columns is None:
+            raise InputError(f"{key} counts only where columns are named; give columns too", field=key)
+    recording = reader(path) if columns is None else read_columns(path, columns, skip_lines=skip_lines,
+                                                                  delimiter=delimiter)
     _require_channels(recording, kind, path)
     if "time" not in recording and speed is not None:
         recording = _with_time(recording, speed, path)
@@ -75,12 +79,13 @@ def write_recording(recording: Recording, path: str | Path) -> None:
     Metadata ``source`` is left out: it is the place of another file.
 
     Raises:
-        InputError: a name that does not end in ``.csv``, a label or metadata that a file cannot hold, or a place that
-            cannot be written; nothing is written then.
+        InputError: a name that does not end in ``.csv``, a label or metadata that a file cannot hold, a ``NAME.json``
+            that is no sidecar of a recording, or a place that cannot be written; nothing is written then.
     """
     path = Path(path)
     if path.suffix.lower() != ".csv":
         raise InputError("a recording is written as CSV; give a name that ends in .csv", file=path)
+    require_sidecar_place(path)
     data = _as_csv(recording, path).encode("utf-8")
     metadata = {key: value for key, value in recording.metadata.items() if key != "source"}
     metadata["sha256"] = hashlib.sha256(data).hexdigest()
@@ -95,6 +100,24 @@ def write_recording(recording: Recording, path: str | Path) -> None:
     # A crash between the two leaves a sidecar whose SHA-256 does not match, which the reader reports.
     write_bytes(path, data)
     write_text(path.with_suffix(".json"), json.dumps(metadata, indent=2, ensure_ascii=False) + "\n")
+
+
+def require_sidecar_place(path: Path) -> None:
+    """Refuse to write the sidecar of ``NAME.csv`` over a ``NAME.json`` that is none: it holds no ``sha256``.
+
+    Raises:
+        InputError: such a file is there.
+    """
+    sidecar = path.with_suffix(".json")
+    if not sidecar.exists():
+        return
+    try:
+        found = read_json(sidecar, "the sidecar of a recording")
+    except InputError:
+        found = None
+    if not isinstance(found, dict) or "sha256" not in found:
+        raise InputError(f"is not the sidecar of a recording (it has no sha256), and {path.name} would replace it with "
+                         "its own; move it away or choose another name", file=sidecar)
 
 
 def _as_csv(recording: Recording, path: Path) -> str:

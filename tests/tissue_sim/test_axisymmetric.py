@@ -114,7 +114,7 @@ def test_tangent_is_the_derivative_of_the_residual(element, law):
     def nodal_forces(displacement):
         held = AxisymmetricSolver(everything_held, stuff, {"shared": "rz"}, {})
         assert held.free == 0
-        held._direction = displacement / depth
+        held._direction[:] = displacement / depth
         assert held.step(depth, tolerance=1e-13, max_iterations=20).status is StepStatus.CONVERGED
         return held._residual[held._equation]
 

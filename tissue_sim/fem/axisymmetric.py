@@ -8,6 +8,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.fem import band, newton
+from tissue_sim.fem.launch import BoundKernel
 from tissue_sim.fem.newton import StepStatus
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.material import INCOMPRESSIBLE_RATIO, Material
@@ -63,14 +64,18 @@ class AxisymmetricSolver:
         self._slots = np.array([0, 1, 2], dtype=np.int32)
         self._weights = np.array([1.0, 0.0, 0.0])
         self._force = np.zeros((3, nb))
+        self._rates = np.zeros((10, nb))
         self._stiffness = np.zeros((element.nodes, 4, nb))
         self._centre_stiffness = np.zeros(3)
         self._volume = np.zeros((elements, modes, 2, nb))
         self._centre_volume = np.zeros((elements, modes, 2))
         self._gap = np.zeros((elements, modes))
         self._centre_rows = np.zeros((elements, 2, 2, nb))
+        self._centre_inverse = np.zeros((elements, 3))
         self._centre_force = np.zeros((elements, 2))
         self._report = np.zeros(4)
+        self._settings = np.zeros(5)
+        self._counts = np.array([1, self.free, 0], dtype=np.int32)
         self.set_material(material)
 
     def _number_equations(self, supports: dict[str, str], tool: dict[str, str]) -> None:
@@ -170,7 +175,12 @@ class AxisymmetricSolver:
                              field="bulk")
         self.material = material
         self._coefficients = law.kernel_coefficients(material.parameters)
-        self._kernel = newton.step_kernel(self.mesh.element.name, energy)
+        self._kernel = BoundKernel(newton.step_kernel(self.mesh.element.name, energy), (
+            self._counts, self._settings, self._connectivity, self._equation, self._direction, self._gradients,
+            self.node_gradients, self._quadrature, self._coefficients, self.x, self._history, self._slots,
+            self._weights, self._entries, self._entries, self._inverse, self._right, self._residual, self._force,
+            self._rates, self._stiffness, self._centre_stiffness, self._volume, self._centre_volume, self._gap,
+            self._centre_rows, self._centre_inverse, self._centre_force, self._report))
         top = self.mesh.nodes[self.mesh.sets["top"], 0].max()
         # Below this force, N, nothing is loaded: the residual is measured against it instead of the reactions.
         self._floor = 1e-6 * material.mu0 * np.pi * top**2
@@ -186,7 +196,7 @@ class AxisymmetricSolver:
             predictor_order: highest order of extrapolation in depth from earlier steps (0: none).
         """
         self._predict(depth, predictor_order)
-        rounding = self._rounding * self.bulk_modulus * max(abs(depth), *map(abs, self._depths))
+        rounding = self._rounding * self.bulk_modulus * abs(depth)
         self._launch(depth, tolerance, rounding, max_iterations)
         result = Step(StepStatus(int(self._report[newton.STATUS])), int(self._report[newton.ITERATIONS]),
                       float(self._report[newton.RESIDUAL]), float(self._report[newton.FORCE]))
@@ -218,21 +228,17 @@ class AxisymmetricSolver:
             # Coming back to a known depth: newest first, without a second sample at the same place.
             place = self._depths.index(depth)
             order = [place, *(i for i in range(3) if i != place)]
-            self._slots = self._slots[order].copy()
+            self._slots[:] = self._slots[order]
             self._depths = [self._depths[i] for i in order if i < len(self._depths)]
         else:
-            self._slots = np.roll(self._slots, 1)
+            self._slots[:] = np.roll(self._slots, 1)
             self._depths = [depth, *self._depths][:3]
         self._history[self._slots[0]] = self.x
 
     def _launch(self, depth: float, tolerance: float, rounding: float, max_iterations: int) -> None:
-        self._kernel(
-            1, self.free, depth, self.bulk_modulus, tolerance, self._floor, rounding, max_iterations,
-            self._connectivity, self._equation, self._direction, self._gradients, self.node_gradients,
-            self._quadrature, self._coefficients, self.x, self._history, self._slots, self._weights, self._entries,
-            self._entries, self._inverse, self._right, self._residual, self._force, self._stiffness,
-            self._centre_stiffness, self._volume, self._centre_volume, self._gap, self._centre_rows,
-            self._centre_force, self._report)
+        self._settings[:] = depth, self.bulk_modulus, tolerance, self._floor, rounding
+        self._counts[newton.MAX_ITERATIONS] = max_iterations
+        self._kernel()
 
     def tangent(self) -> np.ndarray:
         """Condensed tangent at the last committed state: lower band in LAPACK's storage, (half_band + 1, free), N/m."""

@@ -21,22 +21,30 @@ def _packed(i: int, j: int) -> int:
 
 @cache
 def _isochoric_chain():
-    """Python function of (a, j, c, W1, W2, W11, W12, W22) -> gradient and Hessian of the isochoric energy.
+    """Python function of (a, j, c, s, W1, W2, W11, W12, W22) -> gradient and Hessian of the isochoric energy.
 
     In axisymmetry every invariant is a function of three scalars: a, the sum of squares of the in-plane deformation
-    gradient; j, its determinant; c, the hoop stretch: I1 = a + c^2, I2 = j^2 + a c^2, J = j c.
+    gradient; j, its determinant; c, the hoop stretch: I1 = a + c^2, I2 = j^2 + a c^2, J = j c. The derivatives are
+    those with respect to a, j and c; s = J^(-2/3) comes in ready, so that no other power is taken.
     """
     a, j, c = v = sp.symbols("a j c", positive=True)
+    s = sp.Symbol("s", positive=True)
     first = sp.symbols("W1 W2", real=True)
     second = sp.symbols("W11 W12 W22", real=True)
-    bars = ((a + c**2) * (j * c)**sp.Rational(-2, 3), (j**2 + a * c**2) * (j * c)**sp.Rational(-4, 3))
     hessian = sp.Matrix(2, 2, [second[0], second[1], second[1], second[2]])
-    slopes = [[sp.diff(bar, x) for x in v] for bar in bars]
+
+    def total(expression, x):
+        """Derivative with respect to x, s included."""
+        inner = 0 if x is a else -sp.Rational(2, 3) * s / x
+        return sp.diff(expression, x) + sp.diff(expression, s) * inner
+
+    bars = (s * (a + c**2), s**2 * (j**2 + a * c**2))
+    slopes = [[total(bar, x) for x in v] for bar in bars]
     gradient = [sum(first[m] * slopes[m][i] for m in range(2)) for i in range(3)]
-    curvature = [sum(first[m] * sp.diff(bars[m], v[i], v[k]) for m in range(2))
+    curvature = [sum(first[m] * total(slopes[m][i], v[k]) for m in range(2))
                  + sum(hessian[m, n] * slopes[m][i] * slopes[n][k] for m in range(2) for n in range(2))
                  for i in range(3) for k in range(i + 1)]
-    return _taichi_expression((*v, *first, *second), [*gradient, *curvature])
+    return _taichi_expression((*v, s, *first, *second), [*gradient, *curvature])
 
 
 def _taichi_expression(arguments, expressions):
@@ -92,7 +100,7 @@ def function(energy: KernelEnergy):
             I1 = (a + c * c) * scale
             I2 = (j * j + a * c * c) * scale * scale
             W = ti.Vector(ti.static(derivatives(I1, I2, [coefficients[i] for i in range(count)])))
-            d = ti.Vector(ti.static(chain(a, j, c, W[0], W[1], W[2], W[3], W[4])))
+            d = ti.Vector(ti.static(chain(a, j, c, scale, W[0], W[1], W[2], W[3], W[4])))
             # dW/dF = d_a 2F + d_j cof F + d_c e, and the same vectors span the second derivative.
             twice = ti.Vector([2.0 * F[0], 2.0 * F[1], 2.0 * F[2], 2.0 * F[3]])
             cof = ti.Vector([F[3], -F[2], -F[1], F[0]])

@@ -19,12 +19,12 @@ DELIMITERS = (",", ";", "\t")
 _KEYS = ("name", "unit", "sign")
 
 
-def read_columns(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int = 0,
+def read_columns(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int = 0, delimiter: str | None = None,
                  metadata: Mapping[str, Any] | None = None) -> Recording:
     """A recording from named columns of any delimited text file.
 
     The header is the first row that contains every named column. Delimiter: comma, semicolon or tab, whichever has
-    such a row; with the last two, decimal commas are read too. A column matches by its whole header
+    such a row, unless it is stated; with any but the comma, decimal commas are read too. A column matches by its whole header
     (``"Load (N)"``) or by the part before the unit (``"Load"``), whatever the case.
 
     Args:
@@ -32,6 +32,7 @@ def read_columns(path: str | Path, columns: Mapping[str, Any], *, skip_lines: in
         columns: channel -> header, or a mapping with ``name`` and, where wanted, ``unit`` (in place of the one in the
             header's brackets) and ``sign`` (1 or -1).
         skip_lines: lines at the top of the file that are not looked at.
+        delimiter: one character; a blank stands for any number of blanks. None: found.
         metadata: goes into the recording.
 
     Raises:
@@ -41,9 +42,10 @@ def read_columns(path: str | Path, columns: Mapping[str, Any], *, skip_lines: in
     wanted = check_columns(columns)
     if isinstance(skip_lines, bool) or not isinstance(skip_lines, int) or skip_lines < 0:
         raise InputError(f"{skip_lines!r} is not a number of lines; give 0 or more", field="skip_lines")
+    delimiters = DELIMITERS if delimiter is None else (check_delimiter(delimiter),)
     text = read_text(path, "a table with the columns " + ", ".join(repr(entry["name"]) for entry in wanted.values()))
     delimiter, header, data = find_header(text, [entry["name"] for entry in wanted.values()], file=path,
-                                          skip_lines=skip_lines)
+                                          skip_lines=skip_lines, delimiters=delimiters)
     found: list[Column] = []
     for channel, entry in wanted.items():
         index = _matches(header.cells, entry["name"])[0]
@@ -65,6 +67,18 @@ def read_columns(path: str | Path, columns: Mapping[str, Any], *, skip_lines: in
     return read_recording_table(header, data, found, file=path, delimiter=delimiter, metadata=metadata)
 
 
+def check_delimiter(delimiter: Any) -> str:
+    """The delimiter, if it is one.
+
+    Raises:
+        InputError: not one character, or one that numbers and quoted cells are made of; with the field.
+    """
+    if not isinstance(delimiter, str) or len(delimiter) != 1 or delimiter.isalnum() or delimiter in "\"'.+-\r\n":
+        raise InputError(f'{delimiter!r} is not a delimiter; give one character such as " ", "|" or ";"',
+                         field="delimiter")
+    return delimiter
+
+
 def check_columns(columns: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """The map with every entry as ``{"name": ..., "unit": ..., "sign": ...}``; unit and sign only where given.
 
@@ -83,7 +97,7 @@ def check_columns(columns: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
             raise InputError(f"{entry!r} is not a column name or a map with name, unit and sign", field=field)
         for key, value in entry.items():
             if key not in _KEYS:
-                raise InputError(f"unknown key {key!r}{nearest(str(key), _KEYS)}", field=field)
+                raise InputError(f"unknown key{nearest(str(key), _KEYS)}", field=f"{field}.{key}")
             if key == "sign" and (isinstance(value, bool) or value not in (1, -1)):
                 raise InputError(f"{value!r} is not a sign; give 1 or -1", field=f"{field}.sign")
             if key != "sign" and not isinstance(value, str):
@@ -96,7 +110,8 @@ def check_columns(columns: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     return checked
 
 
-def find_header(text: str, names: Sequence[str], *, file: Path, skip_lines: int = 0) -> tuple[str, Row, list[Row]]:
+def find_header(text: str, names: Sequence[str], *, file: Path, skip_lines: int = 0,
+                delimiters: Sequence[str] = DELIMITERS) -> tuple[str, Row, list[Row]]:
     """Delimiter, header row and data rows of the first table that has all the named columns.
 
     Raises:
@@ -104,7 +119,7 @@ def find_header(text: str, names: Sequence[str], *, file: Path, skip_lines: int 
     """
     closest = None
     kept = _skip(text, skip_lines)
-    for delimiter in DELIMITERS:
+    for delimiter in delimiters:
         rows = split_rows(kept, delimiter, file=file)
         for i, row in enumerate(rows):
             # numpy.savetxt writes its header as a comment.
@@ -122,7 +137,7 @@ def find_header(text: str, names: Sequence[str], *, file: Path, skip_lines: int 
             score = (sum(map(bool, found)), above_numbers, len(row.cells) if above_numbers else 0)
             if closest is None or score > closest[0]:
                 closest = (score, row)
-    raise _missing(closest, names, file)
+    raise _missing(closest, names, file, delimiters)
 
 
 def _skip(text: str, lines: int) -> str:
@@ -131,7 +146,7 @@ def _skip(text: str, lines: int) -> str:
     return "\n" * min(lines, len(content)) + "".join(content[lines:])
 
 
-def _missing(closest, names, file) -> InputError:
+def _missing(closest, names, file, delimiters) -> InputError:
     if closest is None:
         return InputError(f"no lines are left, expected a header with {names[0]!r}; skip fewer lines", file=file)
     (matches, above_numbers, _), row = closest
@@ -140,10 +155,14 @@ def _missing(closest, names, file) -> InputError:
     if matches or (above_numbers and len(row.cells) > 1):
         bare = {split_header(cell)[0].casefold(): cell for cell in cells}
         close = difflib.get_close_matches(split_header(missing)[0].casefold(), bare, n=1)
-        hint = f"; did you mean {bare[close[0]]!r}?" if close else nearest(missing, cells)
+        if close:
+            hint = f"; did you mean {bare[close[0]]!r}?"
+        else:
+            hint = nearest(missing, cells) if cells else ": this row has numbers only; add a line with names above it"
         return InputError(f"no column {missing!r}{hint}", file=file, line=row.line)
-    return InputError(f"no row with the column {missing!r}, expected a header line and cells separated by commas, "
-                      "semicolons or tabs", file=file)
+    found = "commas, semicolons or tabs (or state the delimiter)" if len(delimiters) > 1 else repr(delimiters[0])
+    return InputError(f"no row with the column {missing!r}, expected a header line and cells separated by {found}",
+                      file=file)
 
 
 def _matches(cells: Sequence[str], name: str) -> list[int]:

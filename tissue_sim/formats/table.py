@@ -40,17 +40,17 @@ class Column:
 
 
 def split_rows(text: str, delimiter: str, *, file: Path) -> list[Row]:
-    """Every line that is not blank, split at `delimiter` with the quoting of RFC 4180."""
+    """Every line that is not blank, split at `delimiter` with the quoting of RFC 4180; a blank means any number."""
     line = 0
 
     def lines():
         nonlocal line
         for content in io.StringIO(text, newline=None):
             line += 1
-            yield content
+            yield " ".join(content.split()) + "\n" if delimiter == " " else content
 
     rows = []
-    reader = csv.reader(lines(), delimiter=delimiter, skipinitialspace=True)
+    reader = csv.reader(lines(), delimiter=delimiter, skipinitialspace=delimiter != " ")
     while True:
         start = line + 1
         try:
@@ -119,13 +119,16 @@ def _decimal_comma(rows, columns, file) -> bool:
     first = {}
     for row in rows:
         for cell in (row.cells[column.index] for column in columns):
-            for mark in ",.":
-                if mark in cell and mark not in first:
-                    first[mark] = (row.line, cell)
+            marks = [mark for mark in ",." if mark in cell]
+            if len(marks) == 2:
+                raise InputError(f"{cell!r} has a decimal point and a comma, expected one of them and no thousands "
+                                 "separators", file=file, line=row.line)
+            for mark in marks:
+                first.setdefault(mark, (row.line, cell))
         if len(first) == 2:
             (_, earlier), (line, later) = sorted(first.values())
             raise InputError(f"{later!r} after {earlier!r} mixes decimal points and decimal commas, expected one of "
-                             "them and no thousands separators", file=file, line=line)
+                             "them", file=file, line=line)
     return "," in first
 
 
