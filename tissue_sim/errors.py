@@ -39,8 +39,8 @@ class ConvergenceError(RuntimeError):
     """The solver came to the end of its means.
 
     Attributes:
-        recording: the converged part of the test (a `Recording`, possibly of one point).
-        depth: deepest converged tool displacement, m.
+        recording: the converged part of the test (a `Recording`), None where not even the first sample converged.
+        depth: tool displacement of the last converged state, m.
     """
 
     def __init__(self, message: str, *, recording=None, depth: float = 0.0):

@@ -61,11 +61,14 @@ INTERFACES = ("bonded", "frictionless")
 
 @dataclass(frozen=True, eq=False)
 class Protocol:
-    """Tool displacement against time: straight lines between its points.
+    """True tool displacement against time: straight lines between its points.
+
+    The motion of a measured recording is what the rig reported: take its contact offset off first,
+    ``Protocol(recording.time, recording.displacement - offset)``.
 
     Attributes:
         time: s, strictly increasing, shape (n,).
-        displacement: m, >= 0 into the tissue, shape (n,).
+        displacement: m, positive into the tissue, shape (n,). Below zero a bonded plate pulls.
     """
 
     time: np.ndarray

@@ -71,7 +71,10 @@ class Recording:
                 raise InputError(f"time runs backwards after sample {back[0] + 1} ({channels['time'][back[0]]:g} s, "
                                  f"then {channels['time'][back[0] + 1]:g} s)", field="time")
         object.__setattr__(self, "channels", MappingProxyType(channels))
-        object.__setattr__(self, "labels", MappingProxyType({k: np.array(v) for k, v in self.labels.items()}))
+        labels = {name: np.array(values) for name, values in self.labels.items()}
+        for values in labels.values():
+            values.flags.writeable = False
+        object.__setattr__(self, "labels", MappingProxyType(labels))
         object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))
 
     def __len__(self) -> int:

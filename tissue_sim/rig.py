@@ -15,7 +15,8 @@ class Rig:
     """Effects of the load frame and the sensor on a recording. `Rig()` is ideal.
 
     Attributes:
-        contact_offset: reported displacement at which the tool truly touches, m.
+        contact_offset: reported displacement at which the tool truly touches, m; the protocol of a model is the true
+            motion, and this is added to what is reported of it.
         zero_offset: reading of the sensor without load, N.
         force_noise: standard deviation of white noise on every force sample, N.
         seed: seed of that noise; the same seed gives the same recording.

@@ -13,6 +13,7 @@ from tissue_sim.fem.axisymmetric import AxisymmetricSolver, Step
 from tissue_sim.fem.elements import Q9P1, Element
 from tissue_sim.fem.fields import Fields
 from tissue_sim.fem.newton import StepStatus
+from tissue_sim.laws import check_stability
 from tissue_sim.mesh import Mesh, cylinder_mesh
 from tissue_sim.recording import Recording
 
@@ -65,7 +66,8 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Mesh | None = None
 
     Returns:
         Recording at the times of the protocol, as the model's rig reports it. ``metadata["solver"]`` holds status,
-        message, newton_iterations, cuts, wall_s, mesh and resolution.
+        message, warnings, newton_iterations (linear solves), cuts, residual (the largest), wall_s, element, mesh and
+        resolution.
 
     Raises:
         ConvergenceError: a step did not converge however small; its `recording` keeps the converged part.
@@ -77,56 +79,58 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Mesh | None = None
     own_mesh = mesh is not None
     mesh = mesh if own_mesh else build_mesh(model.experiment, resolution)
     solver = build_solver(model, mesh)
-    forces, states, iterations, cuts, bulge_depth = [], [], 0, 0, None
+    forces, states, warnings = [], [], {}
+    report = {"newton_iterations": 0, "cuts": 0, "residual": 0.0, "element": mesh.element.name,
+              "mesh": {"elements": len(mesh.connectivity), "freedoms": solver.free},
+              "resolution": "own mesh" if own_mesh else resolution}
 
     def record(status: str, message: str) -> Recording:
         done = len(forces)
-        report = {"status": status, "message": message, "newton_iterations": iterations, "cuts": cuts,
-                  "wall_s": time.perf_counter() - started,
-                  "element": mesh.element.name,
-                  "mesh": {"elements": len(mesh.connectivity), "freedoms": solver.free},
-                  "resolution": "own mesh" if own_mesh else resolution}
+        told = "; ".join([message, *warnings.values()])
+        solved = {"status": status, "message": told, "warnings": list(warnings.values()), **report,
+                  "wall_s": time.perf_counter() - started}
         ideal = Recording({"time": protocol.time[:done], "displacement": protocol.displacement[:done], "force": forces},
-                          metadata={"name": "simulation", "solver": report},
+                          metadata={"name": "simulation", "solver": solved},
                           fields=Fields.of(solver, states) if fields else None)
         return model.rig.measure(ideal)
 
     if progress:
         progress(0, protocol.displacement.size)
-    force = 0.0
     for sample, depth in enumerate(protocol.displacement):
         for step in _approach(solver, float(depth)):
-            iterations += step.iterations
-            if step.status is StepStatus.CONVERGED:
-                force = step.force
-            else:
-                cuts += 1
+            report["newton_iterations"] += step.iterations
+            report["cuts"] += step.status is not StepStatus.CONVERGED
         if step.status is not StepStatus.CONVERGED:
-            message = (f"stopped at {solver.depth * 1e3:.4g} mm of {protocol.depth * 1e3:.4g} mm after cutting the "
-                       f"step to {_SMALLEST_CUT:.1g} of its length: {step.status.message}")
+            message = (f"stopped at {solver.depth * 1e3:.4g} mm on the way to {depth * 1e3:.4g} mm (sample "
+                       f"{sample + 1}), the step cut to {_SMALLEST_CUT:.1g} of its length: {step.status.message}")
+            if step.status is StepStatus.INDEFINITE and not warnings:
+                message += f"; the law alone is {check_stability(model.material.energy_law, model.material.values)}"
             partial = record("not_converged", message) if forces else None
-            raise ConvergenceError(message, recording=partial, depth=solver.depth)
-        forces.append(force)
-        if bulge_depth is None and _bulge_passes_a_plate(solver):
-            bulge_depth = solver.depth
+            told = partial.metadata["solver"]["message"] if partial else message
+            raise ConvergenceError(told, recording=partial, depth=solver.depth)
+        report["residual"] = max(report["residual"], step.residual)
+        forces.append(step.force)
+        for kind, words in _limits(model.experiment, solver, step.force):
+            warnings.setdefault(kind, f"from {depth * 1e3:.3g} mm on {words}")
         if fields:
             states.append(solver.state)
         if progress:
             progress(sample + 1, protocol.displacement.size)
-    message = f"converged at every sample{f', step cuts: {cuts}' if cuts else ''}"
-    if bulge_depth is not None:
-        message += (f"; from {bulge_depth * 1e3:.3g} mm on the bulging side passes a plate, which would hold it back: "
-                    "the force is too low there")
-    return record("converged", message)
+    cuts = report["cuts"]
+    return record("converged", f"converged at every sample{f', step cuts: {cuts}' if cuts else ''}")
 
 
-def _bulge_passes_a_plate(solver: AxisymmetricSolver) -> bool:
-    """Whether the free side has gone beyond the plane of a plate, by more than a ten-thousandth of the height."""
+def _limits(experiment: Experiment, solver: AxisymmetricSolver, force: float):
+    """What the model cannot do and this state would need, as (kind, sentence)."""
     mesh = solver.mesh
     side = mesh.sets["side"]
-    z = mesh.nodes[side, 1] + solver.x[2 * side + 1]
+    z = mesh.nodes[side, 1] + solver.state[2 * side + 1]
     base, top = mesh.nodes[:, 1].min(), -solver.depth
-    return bool(z.max() > top + 1e-4 * -base or z.min() < base - 1e-4 * -base)
+    slack = -1e-4 * base
+    if z.max() > top + slack or z.min() < base - slack:
+        yield "bulge", ("the bulging side passes a plate, which would hold it back: the force is too low there")
+    if solver.depth < 0 and force < 0 and "frictionless" in (experiment.friction, experiment.friction_base):
+        yield "pull", "a frictionless plate pulls, which it cannot: it would have lifted off"
 
 
 def _approach(solver: AxisymmetricSolver, target: float):

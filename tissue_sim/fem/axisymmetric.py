@@ -10,12 +10,10 @@ from tissue_sim.errors import InputError
 from tissue_sim.fem import band, newton
 from tissue_sim.fem.launch import BoundKernel
 from tissue_sim.fem.newton import StepStatus
+from tissue_sim.fem.runtime import LOCK
 from tissue_sim.laws import KernelEnergy
-from tissue_sim.material import INCOMPRESSIBLE_RATIO, Material
+from tissue_sim.material import BULK_RATIOS, Material, incompressible_ratio
 from tissue_sim.mesh import Mesh
-
-#: K / mu0 inside which the mixed element is checked.
-BULK_RATIOS = (10.0, 1e6)
 
 
 @dataclass(frozen=True)
@@ -166,8 +164,9 @@ class AxisymmetricSolver:
         """
         law = material.energy_law
         energy: KernelEnergy = law.kernel_energy
+        radius, height = np.ptp(self.mesh.nodes, axis=0)
         K = material.bulk_modulus
-        self.bulk_modulus = INCOMPRESSIBLE_RATIO * material.mu0 if np.isinf(K) else K
+        self.bulk_modulus = incompressible_ratio(radius, height) * material.mu0 if np.isinf(K) else K
         ratio = self.bulk_modulus / material.mu0
         low, high = BULK_RATIOS
         if not low <= ratio <= high:
@@ -175,7 +174,9 @@ class AxisymmetricSolver:
                              field="bulk")
         self.material = material
         self._coefficients = law.kernel_coefficients(material.parameters)
-        self._kernel = BoundKernel(newton.step_kernel(self.mesh.element.name, energy), (
+        with LOCK:
+            kernel = newton.step_kernel(self.mesh.element.name, energy)
+        self._kernel = BoundKernel(kernel, (
             self._counts, self._settings, self._connectivity, self._equation, self._direction, self._gradients,
             self.node_gradients, self._quadrature, self._coefficients, self.x, self._history, self._slots,
             self._weights, self._entries, self._entries, self._inverse, self._right, self._residual, self._force,
@@ -238,7 +239,8 @@ class AxisymmetricSolver:
     def _launch(self, depth: float, tolerance: float, rounding: float, max_iterations: int) -> None:
         self._settings[:] = depth, self.bulk_modulus, tolerance, self._floor, rounding
         self._counts[newton.MAX_ITERATIONS] = max_iterations
-        self._kernel()
+        with LOCK:
+            self._kernel()
 
     def tangent(self) -> np.ndarray:
         """Condensed tangent at the last committed state: lower band in LAPACK's storage, (half_band + 1, free), N/m."""

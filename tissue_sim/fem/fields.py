@@ -23,6 +23,7 @@ class Fields:
     Attributes:
         mesh: undeformed mesh.
         material: what it is made of.
+        bulk_modulus: K that the elements used, Pa.
         states: solver states, shape (samples, unknowns).
         gradients: shape gradients at the quadrature points, shape (elements, q, nodes, 3).
         pressure_modes: orthonormal pressure modes there, shape (elements, q, modes).
@@ -31,6 +32,7 @@ class Fields:
 
     mesh: Mesh
     material: Material
+    bulk_modulus: float
     states: np.ndarray
     gradients: np.ndarray
     pressure_modes: np.ndarray
@@ -39,8 +41,8 @@ class Fields:
     @classmethod
     def of(cls, solver: AxisymmetricSolver, states: list[np.ndarray]) -> Fields:
         """Fields of the states that a solver went through."""
-        return cls(solver.mesh, solver.material, np.array(states), solver.node_gradients, solver.pressure_modes,
-                   solver.weights)
+        return cls(solver.mesh, solver.material, solver.bulk_modulus, np.array(states), solver.node_gradients,
+                   solver.pressure_modes, solver.weights)
 
     def displacement(self, sample: int = -1) -> np.ndarray:
         """Nodal displacement (r, z), m, shape (nodes, 2)."""
@@ -56,7 +58,8 @@ class Fields:
     def at_points(self, name: str, sample: int = -1) -> np.ndarray:
         """A field of `FIELD_UNITS` at the quadrature points, shape (elements, q).
 
-        Cauchy stress is that of the mixed element: sigma = dev(tau)/J + p I, with p the element's pressure.
+        Cauchy stress is that of the mixed element: sigma = dev(tau)/J + p I, with p the element's pressure; the energy
+        density is W + p^2 / (2 K), per undeformed volume.
 
         Raises:
             InputError: no such field.
@@ -64,9 +67,9 @@ class Fields:
         if name not in FIELD_UNITS:
             raise InputError(f"unknown field {name!r}{nearest(name, FIELD_UNITS)}", field="field")
         if name == "displacement":
-            u = np.linalg.norm(self.displacement(sample), axis=1)[self.mesh.connectivity]
             shapes, _ = self.mesh.element.shape_functions(self.mesh.element.quadrature[0])
-            return np.einsum("qa,ea->eq", shapes, u)
+            u = np.einsum("qa,eai->eqi", shapes, self.displacement(sample)[self.mesh.connectivity])
+            return np.linalg.norm(u, axis=-1)
         F = self.deformation_gradient(sample)
         in_plane = F[..., :4].reshape(*F.shape[:-1], 2, 2)
         J = np.linalg.det(in_plane) * F[..., 4]
@@ -80,7 +83,7 @@ class Fields:
         all_stretches = np.concatenate([stretches, F[..., 4:]], axis=-1)
         energy, tau = self.material.energy_law.principal_response(all_stretches, self.material.parameters)
         if name == "energy":
-            return energy
+            return energy + p**2 / (2.0 * self.bulk_modulus)
         sigma = tau / J[..., None]
         if name == "von_mises":
             return np.sqrt(1.5 * (sigma**2).sum(axis=-1))
@@ -89,17 +92,18 @@ class Fields:
                 "cauchy_hoop": sigma[..., 2] + p}[name]
 
     def at_nodes(self, name: str, sample: int = -1) -> np.ndarray:
-        """A field carried to the nodes: each element's polynomial through its quadrature points, averaged over the
-        elements that share a node and kept inside the range of their quadrature points; shape (nodes,)."""
+        """A field carried to the nodes, shape (nodes,): each element's polynomial through its quadrature points,
+        averaged over the elements that share a node."""
         if name == "displacement":
             return np.linalg.norm(self.displacement(sample), axis=1)
-        values = self.at_points(name, sample)
-        element = self.mesh.element
-        shapes, _ = element.shape_functions(element.quadrature[0])
-        nodal = values @ np.linalg.inv(shapes).T
-        nodal = np.clip(nodal, values.min(axis=1, keepdims=True), values.max(axis=1, keepdims=True))
-        total = np.zeros(len(self.mesh.nodes))
-        count = np.zeros(len(self.mesh.nodes))
-        np.add.at(total, self.mesh.connectivity, nodal)
-        np.add.at(count, self.mesh.connectivity, 1.0)
-        return total / count
+        return extrapolate(self.mesh, self.at_points(name, sample))
+
+
+def extrapolate(mesh: Mesh, values: np.ndarray) -> np.ndarray:
+    """Values at the quadrature points, shape (elements, q), as nodal averages, shape (nodes,)."""
+    shapes, _ = mesh.element.shape_functions(mesh.element.quadrature[0])
+    nodal = values @ np.linalg.inv(shapes).T
+    total, count = np.zeros(len(mesh.nodes)), np.zeros(len(mesh.nodes))
+    np.add.at(total, mesh.connectivity, nodal)
+    np.add.at(count, mesh.connectivity, 1.0)
+    return total / count

@@ -20,7 +20,7 @@ from tissue_sim.laws import KernelEnergy
 
 
 class StepStatus(IntEnum):
-    """How a step ended; the text says what to do about it."""
+    """How a step ended."""
 
     CONVERGED = 1
     INVERTED = 2
@@ -32,11 +32,10 @@ class StepStatus(IntEnum):
     def message(self) -> str:
         return {
             StepStatus.CONVERGED: "converged",
-            StepStatus.INVERTED: "an element turned inside out: take smaller steps or a coarser mesh at the corner",
-            StepStatus.INDEFINITE: "the tangent lost positive definiteness: the law is unstable at this strain, or the "
-                                   "step is too large",
-            StepStatus.SLOW: "Newton's iteration did not reach its tolerance: take smaller steps",
-            StepStatus.DIVERGED: "Newton's iteration diverged: take smaller steps",
+            StepStatus.INVERTED: "an element turned inside out",
+            StepStatus.INDEFINITE: "the tangent lost positive definiteness, so the equilibrium is no longer stable",
+            StepStatus.SLOW: "Newton's iteration did not reach its tolerance",
+            StepStatus.DIVERGED: "Newton's iteration diverged",
         }[self]
 
 

@@ -10,6 +10,7 @@ import contextlib
 import io
 import logging
 import os
+import threading
 from functools import cache
 from pathlib import Path
 
@@ -27,13 +28,22 @@ def cache_folder() -> Path:
     return Path(base) / "tissue_sim" / "kernels"
 
 
-@cache
+#: Taichi compiles and starts kernels for one thread at a time. A running kernel holds the interpreter lock anyway.
+LOCK = threading.RLock()
+
+
 def initialise():
     """Initialise Taichi on first call and return the module.
 
     Raises:
         MissingBackendError: no Taichi wheel exists for this platform.
     """
+    with LOCK:
+        return _initialise()
+
+
+@cache
+def _initialise():
     # Taichi prints its version at import and its backend at start to stdout, where --json must be alone.
     os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
     try:

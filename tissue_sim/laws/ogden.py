@@ -8,6 +8,8 @@ from tissue_sim.errors import InputError
 from tissue_sim.laws.law import KernelEnergy, StretchLaw
 
 MAX_TERMS = 3
+#: Below it the difference of powers loses the digits that Newton's method needs.
+SMALLEST_EXPONENT = 1e-4
 
 
 class Ogden(StretchLaw):
@@ -27,9 +29,9 @@ class Ogden(StretchLaw):
     def as_array(self, values) -> np.ndarray:
         array = super().as_array(values)
         for i, alpha in enumerate(array[1::2], start=1):
-            if abs(alpha) < 1e-6:
-                raise InputError(f"alpha{i} is {alpha:g}: the formula divides by alpha^2; use 1e-3 for the limit",
-                                 field=f"parameters.alpha{i}")
+            if abs(alpha) < SMALLEST_EXPONENT:
+                raise InputError(f"alpha{i} is {alpha:g}, and the formula divides by alpha^2; give at least "
+                                 f"{SMALLEST_EXPONENT:g}, where the limit is reached", field=f"parameters.alpha{i}")
         return array
 
     @cached_property

@@ -72,7 +72,12 @@ def structured_mesh(r: np.ndarray, z: np.ndarray, element: Element) -> Mesh:
         r: radii of the element boundaries, ascending from 0, m.
         z: heights of the element boundaries, ascending (base first), m.
         element: element type; mid-side and centre nodes are placed half way.
+
+    Raises:
+        InputError: the first radius is not the axis.
     """
+    if r[0] != 0:
+        raise InputError(f"the first radius is {r[0]:g}; the mesh starts at the axis, r = 0", field="mesh.r")
     if element.order == 2:
         r, z = (np.insert(line, np.arange(1, line.size), 0.5 * (line[1:] + line[:-1])) for line in (r, z))
     columns, rows = r.size, z.size
