@@ -194,7 +194,7 @@ class TestStepping:
         again = solver.step(4e-3)
         assert again.force == pytest.approx(good.force, rel=1e-9) and again.iterations <= 1
 
-    def test_every_status_says_what_to_do(self):
+    def test_every_status_has_words(self):
         assert all(status.message for status in StepStatus)
 
     def test_set_material_scales_the_force(self):
@@ -248,6 +248,10 @@ class TestMesh:
         solver = AxisymmetricSolver(cylinder_mesh(0.04, 0.07, (3, 4), element, grading=(2.0, 2.0)), material(),
                                     {"base": "z"}, {"top": "z"})
         assert solver.weights.sum() == pytest.approx(np.pi * 0.04**2 * 0.07, rel=1e-12)
+
+    def test_mesh_starts_at_the_axis(self):
+        with pytest.raises(ts.InputError, match="starts at the axis"):
+            structured_mesh(np.array([0.01, 0.02]), np.array([-0.07, 0.0]), Q4P0)
 
     def test_folded_mesh_is_refused(self):
         mesh = structured_mesh(np.array([0.0, 0.02, 0.01]), np.array([-0.07, 0.0]), Q4P0)

@@ -61,3 +61,9 @@ def test_with_channels_and_metadata_keep_the_rest():
     assert shifted.displacement.tolist() == recording.displacement.tolist()
     assert shifted.metadata["device"] == "frame" and "device" not in ramp().metadata
     assert "force" in shifted and "stretch" not in shifted
+
+
+def test_labels_are_read_only():
+    recording = Recording({"displacement": [0.0, 1.0], "force": [0.0, 1.0]}, labels={"cycle": [1, 1]})
+    with pytest.raises(ValueError, match="read-only"):
+        recording.labels["cycle"][0] = 2

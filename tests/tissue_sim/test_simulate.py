@@ -1,12 +1,17 @@
 """Whole tests, through the function that a user calls, against curves of an independent solver."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 import tissue_sim as ts
-from tissue_sim.fem.fields import FIELD_UNITS
+from tissue_sim.fem.axisymmetric import Step
+from tissue_sim.fem.fields import FIELD_UNITS, extrapolate
+from tissue_sim.fem.newton import StepStatus
 from tissue_sim.mesh import cylinder_mesh
-from tissue_sim.simulation import build_mesh
+from tissue_sim.simulation import _approach, build_mesh
 
 STUDY = {"C10": 1404.9, "C20": 699.4}
 SAMPLES = {2: 4, 5: 10, 10: 20}  # mm -> sample of the 21-point ramp to 10 mm
@@ -124,8 +129,9 @@ class TestRecordingOfASimulation:
         assert 0.01 < residual.std() < 0.03
 
     def test_unreachable_depth_keeps_the_converged_part(self):
-        with pytest.raises(ts.ConvergenceError, match="stopped at") as caught:
+        with pytest.raises(ts.ConvergenceError, match=r"stopped at .* mm on the way to .* mm \(sample") as caught:
             ts.simulate(model(depth=60e-3, points=31))
+        assert "passes a plate" in str(caught.value)
         part = caught.value.recording
         assert 10e-3 < caught.value.depth < 60e-3
         assert 5 < len(part) < 31 and part.displacement[-1] <= caught.value.depth
@@ -133,10 +139,74 @@ class TestRecordingOfASimulation:
         reference = ts.simulate(model(depth=part.displacement[-1], points=len(part)))
         np.testing.assert_allclose(part.force, reference.force, rtol=1e-8, atol=1e-9)
 
+    def test_failure_names_the_law_when_the_law_is_at_fault(self):
+        with pytest.raises(ts.ConvergenceError, match="the law alone is uniaxial: unstable below"):
+            ts.simulate(model("frictionless", parameters={"C10": 1404.9, "C20": -300.0}, depth=50e-3))
+
+    def test_first_sample_that_fails_leaves_no_recording(self):
+        protocol = ts.Protocol([0.0], [69e-3])
+        experiment = ts.Experiment(ts.Specimen(0.04, 0.07), protocol)
+        with pytest.raises(ts.ConvergenceError) as caught:
+            ts.simulate(ts.Model(experiment, model().material))
+        assert caught.value.recording is None and 0 < caught.value.depth < 69e-3
+
+    def test_steps_are_halved_and_doubled(self):
+        """A stand-in for the solver that manages 3 mm at a time shows the order of the trials."""
+        class Slow:
+            depth = 0.0
+
+            def step(self, trial):
+                good = abs(trial - self.depth) <= 3.0
+                self.depth = trial if good else self.depth
+                return Step(StepStatus.CONVERGED if good else StepStatus.SLOW, 1, 0.0, 0.0)
+
+        solver, trials = Slow(), []
+        for _step in _approach(solver, 10.0):
+            trials.append(solver.depth)
+        # 10 and 5 fail, 2.5 succeeds, 5 more fail, 2.5 succeeds, ...
+        assert trials == [0.0, 0.0, 2.5, 2.5, 5.0, 5.0, 7.5, 10.0]
+
+        class Stuck(Slow):
+            def step(self, trial):
+                return Step(StepStatus.SLOW, 1, 0.0, 0.0)
+
+        assert len(list(_approach(Stuck(), 10.0))) == 11  # 2^0 down to 2^-10 of the way
+
     def test_bulge_beyond_the_plates_is_said(self):
         message = ts.simulate(model(depth=20e-3)).metadata["solver"]["message"]
         assert "bulging side passes a plate" in message
         assert "bulging" not in ts.simulate(model(depth=5e-3)).metadata["solver"]["message"]
+
+    def test_frictionless_plate_that_pulls_is_said(self):
+        experiment = ts.Experiment(ts.Specimen(0.04, 0.07), ts.Protocol([0.0, 1.0, 2.0], [-1e-3, 0.0, 1e-3]),
+                                   friction="frictionless", friction_base="frictionless")
+        recording = ts.simulate(ts.Model(experiment, model().material))
+        (warning,) = recording.metadata["solver"]["warnings"]
+        assert "plate pulls" in warning and recording.force[0] < 0
+
+    def test_threads_take_turns(self):
+        with ThreadPoolExecutor(4) as pool:
+            forces = list(pool.map(lambda _: ts.simulate(model(points=5)).force, range(8)))
+        for force in forces[1:]:
+            np.testing.assert_array_equal(force, forces[0])
+
+    @pytest.mark.parametrize("resolution", ["fast", "accurate"])
+    def test_slender_specimen_does_not_remember_its_path(self, resolution):
+        """Radius 1, height 100 mm, as stiff in volume as the program goes for an incompressible material."""
+        def force(depths):
+            experiment = ts.Experiment(ts.Specimen(1e-3, 0.1), ts.Protocol(np.arange(len(depths)), depths))
+            return ts.simulate(ts.Model(experiment, ts.Material("reduced_polynomial_2", STUDY)),
+                               resolution=resolution).force[-1]
+
+        assert force([0.0, 10e-3, 1e-3]) == pytest.approx(force([0.0, 1e-3]), rel=1e-6)
+
+    def test_incompressible_flat_specimen(self):
+        """K is chosen from the shape: at radius over height 5 a ratio of 1e5 would cost 5e-4."""
+        experiment = ts.Experiment(ts.Specimen(0.04, 0.008), ts.Protocol.ramp(0.16e-3, 5))
+        forces = [ts.simulate(ts.Model(experiment, ts.Material("reduced_polynomial_2", STUDY, bulk))).force[-1]
+                  for bulk in (ts.Bulk(), ts.Bulk("bulk_ratio", 1e6), ts.Bulk("bulk_ratio", 1e5))]
+        assert forces[0] == pytest.approx(forces[1], rel=1e-9)
+        assert forces[2] / forces[1] - 1 == pytest.approx(-4.8e-4, rel=0.1)
 
     def test_unknown_resolution(self):
         with pytest.raises(ts.InputError, match="did you mean 'fast'"):
@@ -154,17 +224,27 @@ class TestRecordingOfASimulation:
 
 
 class TestFields:
-    def test_virtual_work(self, accurate):
-        """The stored energy is the work of the tool: the integral of the energy density over the undeformed volume."""
-        fields = accurate.fields
-        ratio = fields.material.bulk_modulus
-        stored = [(fields.weights * (fields.at_points("energy", s)
-                                     + 0.5 * (fields.at_points("pressure", s)) ** 2 / ratio)).sum()
-                  for s in range(len(accurate))]
-        from scipy.interpolate import CubicSpline
-
-        work = CubicSpline(accurate.displacement, accurate.force).antiderivative()(accurate.displacement)
+    @pytest.mark.parametrize("ratio", [50.0, 1e4])
+    def test_stored_energy_is_the_work_of_the_tool(self, ratio):
+        """Volume changes store energy too: 2 % of it at K/mu = 50."""
+        recording = ts.simulate(model(ratio=ratio), resolution="accurate", fields=True)
+        fields = recording.fields
+        stored = [(fields.weights * fields.at_points("energy", sample)).sum() for sample in range(len(recording))]
+        work = CubicSpline(recording.displacement, recording.force).antiderivative()(recording.displacement)
         np.testing.assert_allclose(stored[5:], work[5:], rtol=1e-4)
+
+    def test_linear_field_reaches_the_nodes_unchanged(self, accurate):
+        fields = accurate.fields
+        mesh = fields.mesh
+        shapes, _ = mesh.element.shape_functions(mesh.element.quadrature[0])
+        linear = 3.0 + mesh.nodes @ np.array([2.0, -5.0])
+        at_points = np.einsum("qa,ea->eq", shapes, linear[mesh.connectivity])
+        np.testing.assert_allclose(extrapolate(mesh, at_points), linear, rtol=1e-12)
+
+    def test_displacement_at_points_is_that_of_the_vector(self, accurate):
+        """On a plate that comes down everything moves between 0 and 10 mm, and near the top by almost 10."""
+        at_points = accurate.fields.at_points("displacement")
+        assert 9.5e-3 < at_points.max() < 10.5e-3 and at_points.min() < 5e-4
 
     def test_homogeneous_stress(self):
         recording = ts.simulate(model("frictionless"), fields=True)
