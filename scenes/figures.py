@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import textwrap
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ LABELS = {
     "cauchy_rz": ("shear stress [kPa]", 1e-3), "cauchy_hoop": ("hoop stress [kPa]", 1e-3),
     "pressure": ("pressure [kPa]", 1e-3), "energy": ("energy density [J/m³]", 1.0), "J": ("volume ratio J", 1.0),
 }
-assert set(LABELS) == set(FIELD_UNITS)
+
 
 
 def draw_simulation(recording: Recording, model: Model, path: Path, field: str = "von_mises") -> None:
@@ -41,8 +42,13 @@ def draw_simulation(recording: Recording, model: Model, path: Path, field: str =
         raise InputError(f"unknown field {field!r}; known: {', '.join(LABELS)}", field="field")
     if recording.fields is None:
         raise InputError("this recording carries no fields; simulate with fields=True", field="fields")
-    figure = Figure(figsize=(10, 4.6), layout="constrained")
-    section, curve = figure.subplots(1, 2, width_ratios=[1.25, 1])
+    specimen = model.experiment.specimen
+    if specimen.radius > 1.5 * specimen.height:
+        figure = Figure(figsize=(10, 6.4), layout="constrained")
+        section, curve = figure.subplots(2, 1, height_ratios=[1, 1.6])
+    else:
+        figure = Figure(figsize=(10, 4.6), layout="constrained")
+        section, curve = figure.subplots(1, 2, width_ratios=[1.25, 1])
     draw_section(section, recording.fields, field)
     depth = recording.displacement[-1] * 1e3
     curve.plot(recording.displacement * 1e3, recording.force, color="#0072B2", marker="o", markersize=3)
@@ -52,6 +58,9 @@ def draw_simulation(recording: Recording, model: Model, path: Path, field: str =
     curve.grid(alpha=0.3)
     curve.spines[["top", "right"]].set_visible(False)
     figure.suptitle(f"{model.material.energy_law.title}: {recording.force[-1]:.4g} N at {depth:.3g} mm")
+    warnings = recording.metadata.get("solver", {}).get("warnings", [])
+    if warnings:
+        curve.set_title("\n".join(textwrap.wrap("; ".join(warnings), 60)), fontsize=8, color="#a33c00")
     save(figure, path)
 
 
@@ -70,23 +79,32 @@ def draw_section(axes, fields: Fields, name: str, sample: int = -1) -> None:
     low, high = _volume_range(fields.at_points(name, sample) * factor, fields.weights)
     triangles = _triangles(mesh)
     edges = _outlines(mesh, place)
+    least = 1e-6 * fields.material.mu0 * factor if FIELD_UNITS[name] == "Pa" else 0.0
+    uniform = high - low <= max(1e-6 * max(abs(low), abs(high)), least)
+    if uniform:
+        # Rounding, not a pattern: a scale that starts at zero.
+        value = 0.5 * (low + high) if max(abs(low), abs(high)) > least else 0.0
+        label = f"{label}, uniform {value:.5g}"
+        low, high = sorted((0.0, 2.0 * value)) if value else (-1.0, 1.0)
     for mirror in (1, -1):
         side = np.array([mirror, 1])
         picture = axes.tripcolor(Triangulation(*(place * side).T, triangles), values, shading="gouraud", cmap="viridis",
                                  vmin=low, vmax=high)
-        axes.add_collection(LineCollection(edges * side, colors="white", linewidths=0.35, alpha=0.6))
+        thickness = min(0.35, 6.0 / np.sqrt(len(edges)))
+        axes.add_collection(LineCollection(edges * side, colors="white", linewidths=thickness, alpha=0.5))
     radius, height = mesh.nodes[:, 0].max() * 1e3, -mesh.nodes[:, 1].min() * 1e3
     axes.plot(radius * np.array([-1, 1, 1, -1, -1]), height * np.array([-1, -1, 0, 0, -1]), color="0.4", linewidth=0.9,
               linestyle=(0, (4, 3)))
     width = 1.18 * max(radius, place[:, 0].max())
     top, base = place[:, 1][mesh.sets["top"]].max(), place[:, 1][mesh.sets["base"]].min()
-    for face, thickness in ((top, 0.05 * height), (base, -0.05 * height)):
+    plate = 0.05 * max(height, 0.5 * radius)
+    for face, thickness in ((top, plate), (base, -plate)):
         axes.fill_between([-width, width], face, face + thickness, color="0.72", linewidth=0)
     axes.set_aspect("equal")
     axes.set_xlabel("r [mm]")
     axes.set_ylabel("z [mm]")
     axes.spines[["top", "right"]].set_visible(False)
-    axes.figure.colorbar(picture, ax=axes, label=label, extend="both", shrink=0.85)
+    axes.figure.colorbar(picture, ax=axes, label=label, extend="neither" if uniform else "both", shrink=0.85)
 
 
 def save(figure, path: Path) -> None:
@@ -97,12 +115,10 @@ def save(figure, path: Path) -> None:
 
 
 def _volume_range(values: np.ndarray, weights: np.ndarray) -> tuple[float, float]:
-    """Values at 1 % and 99 % of the volume, widened where the field is uniform."""
+    """Values at 1 % and 99 % of the volume."""
     order = np.argsort(values, axis=None)
     share = np.cumsum(weights.ravel()[order])
-    low, high = np.interp(np.array([0.01, 0.99]) * share[-1], share, values.ravel()[order])
-    middle, least = 0.5 * (low + high), 1e-3 * max(abs(low), abs(high), 1e-12)
-    return (low, high) if high - low > least else (middle - least, middle + least)
+    return tuple(np.interp(np.array([0.01, 0.99]) * share[-1], share, values.ravel()[order]))
 
 
 def _triangles(mesh) -> np.ndarray:

@@ -3,6 +3,8 @@
 import json
 from pathlib import Path
 
+import pytest
+
 from scenes.cli import main
 
 
@@ -12,6 +14,10 @@ def test_demo(tmp_path, capsys):
     stdout, stderr = capsys.readouterr()
     answer = json.loads(stdout)
     assert stderr == ""
+    # The law that made the measurements is found, and its prediction errs by no more than the sensor does.
+    assert answer["law"] == "reduced_polynomial_2"
+    assert answer["parameters"]["C10"] == pytest.approx(1404.9, rel=0.01)
+    assert answer["prediction_rmse_N"] < answer["noise_N"] and abs(answer["prediction_error_N"]) < 0.05
     assert Path(answer["figure"]).read_bytes().startswith(b"\x89PNG")
     assert Path(answer["report"]).is_file()
     assert out in Path(answer["figure"]).parents and out in Path(answer["report"]).parents

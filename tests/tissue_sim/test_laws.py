@@ -140,6 +140,15 @@ class TestStability:
         assert "uniaxial" in text and "unstable" in text
 
 
+@pytest.mark.parametrize(("name", "formula"), [
+    ("mooney_rivlin", "W = C10*(I1 - 3) + C01*(I2 - 3)"),
+    ("reduced_polynomial_3", "W = C10*(I1 - 3) + C20*(I1 - 3)^2 + C30*(I1 - 3)^3"),
+    ("ogden_1", "W = w(lambda_1) + w(lambda_2) + w(lambda_3), w = 2*mu1*(lambda^alpha1 - 1)/alpha1^2"),
+])
+def test_formula_is_printed_in_the_order_of_its_parameters(name, formula):
+    assert ts.find_law(name).formula() == formula
+
+
 class TestParameters:
     def test_unknown_law_names_the_nearest(self):
         with pytest.raises(ts.InputError, match="did you mean 'neo_hooke'"):

@@ -187,11 +187,19 @@ class Law:
 
     def formula(self) -> str:
         """The energy as one line of text."""
-        return "W = " + sp.sstr(self.formula_expression()).replace("**", "^")
+        return "W = " + self._in_order(sp.sstr).replace("**", "^")
 
     def latex(self) -> str:
         """The energy as LaTeX, for reports."""
-        return "W = " + sp.latex(self.formula_expression())
+        return "W = " + self._in_order(sp.latex)
+
+    def _in_order(self, write) -> str:
+        """The formula with its terms in the order of the parameters, where sympy has an order of its own."""
+        def first_parameter(term):
+            return min((i for i, p in enumerate(self.symbols) if term.has(p)), default=len(self.symbols))
+
+        terms = sorted(sp.Add.make_args(self.formula_expression()), key=first_parameter)
+        return " + ".join(write(term) for term in terms).replace("+ -", "- ")
 
     def formula_expression(self) -> sp.Expr:
         raise TypeError(f"{type(self).__name__} must derive from InvariantLaw or StretchLaw")
