@@ -18,7 +18,7 @@ from calibration.campaign import Campaign, load_campaign
 from calibration.fit import Fit, Prediction
 from calibration.output_folder import FIT_FILE, SUMMARY_FILE, TABLES, claim
 from calibration.replicates import Replicate, read_replicates
-from calibration.statistics import MODEL_ERROR_RATIO
+from calibration.statistics import MODEL_ERROR_RATIO, pooled_noise
 from calibration.uniaxial import fit_law
 from tissue_sim.errors import InputError
 
@@ -164,23 +164,25 @@ def _fit_all(campaign: Campaign, measured: Sequence[Replicate], folder: Path, wo
         fits.append(assess(fit_law(name, fitted, campaign.fit), fitted, campaign))
     fits.sort(key=lambda fit: (fit.status != "converged", fit.material_file is None, fit.BIC))
     predictions = [p for fit in fits for p in predict(fit.law, fit.parameters, held_out)]
-    noise = float(np.sqrt(np.mean([r.noise**2 for r in fitted])))
+    noise = pooled_noise([r.noise for r in fitted], np.repeat(np.arange(len(fitted)), [r.stress.size for r in fitted]))
     sources = {r.noise_source for r in fitted}
     source = sources.pop() if len(sources) == 1 else "mixed"
-    return CalibrationResult(campaign, tuple(fits), tuple(predictions), noise, source, _ranking_message(fits, noise_ratio),
+    return CalibrationResult(campaign, tuple(fits), tuple(predictions), noise, source, _ranking_message(fits),
                              folder, work)
 
 
-def _ranking_message(fits: Sequence[Fit], noise: float) -> str:
+def _ranking_message(fits: Sequence[Fit]) -> str:
     best = fits[0]
-    ratio = best.RMSE_Pa / noise
     if best.status != "converged":
         return f"No law gives a stable, converged fit; the first is {best.law}: {best.message}."
-    if ratio > MODEL_ERROR_RATIO:
-        return (f"Best by BIC: {best.law}; its residuals are {ratio:.3g} times the noise, so model error dominates and "
+    sentence = f"Best of the stable, converged laws by BIC: {best.law}"
+    unsound = [fit.law for fit in fits if fit.status != "converged" and fit.BIC < best.BIC]
+    if unsound:
+        sentence += f" ({', '.join(unsound)} would be lower, but see the remarks)"
+    if best.noise_ratio > MODEL_ERROR_RATIO:
+        return (f"{sentence}; its residuals are {best.noise_ratio:.3g} times the noise, so model error dominates and "
                 "the ranking says which law is least wrong over this range, not which one is right.")
     rivals = [fit.law for fit in fits[1:] if fit.status == "converged" and fit.BIC - best.BIC < 10]
     if rivals:
-        return (f"Best by BIC: {best.law}; {', '.join(rivals)} within 10 of it, so these data do not decide between "
-                "them.")
-    return f"Best by BIC: {best.law}; its residuals are {ratio:.2g} times the noise."
+        return f"{sentence}; {', '.join(rivals)} within 10 of it, so these data do not decide between them."
+    return f"{sentence}; its residuals are {best.noise_ratio:.2g} times the noise."

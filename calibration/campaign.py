@@ -23,6 +23,7 @@ from calibration.campaign_checks import (
 from calibration.campaign_schema import CampaignTable, FitTable, NoiseTable, SpecimenTable, TestTable, decode_campaign
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment import Specimen
+from tissue_sim.formats import check_delimiter
 from tissue_sim.laws import LAWS
 from tissue_sim.material import Bulk
 
@@ -215,14 +216,17 @@ def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path
         if entry.skip_lines is not None and entry.skip_lines < 0:
             raise InputError(f"{entry.skip_lines} is negative; give a number of lines", field=f"{field}.skip_lines")
         for key in ("skip_lines", "delimiter"):
-            if getattr(entry, key) is not None and entry.columns is None:
+            if getattr(entry, key) and entry.columns is None:
                 raise InputError(f"{key} is for files whose columns are named; give columns too, or leave it out",
                                  field=f"{field}.{key}")
         columns = read_columns_key(entry, field)
+        if entry.delimiter is not None:
+            check_delimiter(entry.delimiter, f"{field}.delimiter")
         tests[name] = Test(
             name, entry.kind, _find_specimen(entry, specimens, columns, field),
             find_recordings(entry.recordings, folder, f"{field}.recordings"), entry.format, columns, entry.skip_lines,
-            entry.delimiter, None if entry.speed_mm_s is None else entry.speed_mm_s * 1e-3, entry.max_strain, entry.hold_out, field)
+            entry.delimiter, None if entry.speed_mm_s is None else entry.speed_mm_s * 1e-3, entry.max_strain,
+            entry.hold_out, field)
     if all(test.hold_out for test in tests.values()):
         raise InputError("every test is held out, so there is nothing to fit; set hold_out = false on one",
                          field="test[0].hold_out")

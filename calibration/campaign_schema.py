@@ -19,11 +19,11 @@ Pair = tuple[float, float]
 _WORDS = {"object": "a table, written [name] or { ... }", "array": "a list, written [...]"}
 
 
-class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How every table is read: unknown keys are errors."""
 
 
-class SpecimenTable(_Table):
+class SpecimenTable(_Table, kw_only=True):
     """``[[specimen]]``."""
 
     name: str | None = None
@@ -36,7 +36,7 @@ class SpecimenTable(_Table):
     density_kg_m3: float | None = None
 
 
-class TestTable(_Table):
+class TestTable(_Table, kw_only=True):
     """``[[test]]``."""
 
     name: str | None = None
@@ -61,7 +61,7 @@ class TestTable(_Table):
     rig: str | None = None
 
 
-class FitTable(_Table):
+class FitTable(_Table, kw_only=True):
     """``[fit]``."""
 
     method: Literal["analytical", "inverse_fem"] = "analytical"
@@ -79,7 +79,7 @@ class FitTable(_Table):
     bounds: dict[str, Pair] = {}
 
 
-class NoiseTable(_Table):
+class NoiseTable(_Table, kw_only=True):
     """``[noise]``."""
 
     force_N: float | Literal["estimate"] = "estimate"
@@ -88,7 +88,7 @@ class NoiseTable(_Table):
     zero_jitter_N: float | Literal["estimate"] | None = None
 
 
-class CampaignTable(_Table):
+class CampaignTable(_Table, kw_only=True):
     """The whole file."""
 
     specimen: list[SpecimenTable] = []

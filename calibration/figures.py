@@ -10,7 +10,7 @@ import numpy as np
 
 from calibration.assess import curve, residual_of
 from calibration.fit import Fit
-from calibration.replicates import Replicate
+from calibration.replicates import Replicate, loading_path, strain_of
 from tissue_sim.laws import find_law
 
 #: Okabe and Ito's palette without yellow and black: apart for every kind of colour vision.
@@ -21,14 +21,14 @@ _STYLE = {"font.size": 10, "axes.spines.top": False, "axes.spines.right": False,
 _DATA_POINTS, _CURVE_POINTS, _BINS = 250, 200, 60
 
 
-def draw_test(fits: Sequence[Fit], replicates: Sequence[Replicate], noise: float) -> bytes:
+def draw_test(fits: Sequence[Fit], replicates: Sequence[Replicate]) -> bytes:
     """Data and curves above, residuals below, of one test.
 
     As the field plots it: force against displacement for recordings of force, otherwise nominal stress in kPa against
     stretch or shear strain; compression positive.
 
     Args:
-        fits: in the order of the legend. replicates: of one test. noise: standard deviation of the stress, Pa.
+        fits: in the order of the legend. replicates: of one test.
 
     Returns:
         A PNG.
@@ -36,6 +36,7 @@ def draw_test(fits: Sequence[Fit], replicates: Sequence[Replicate], noise: float
     import matplotlib
 
     first = replicates[0]
+    noise = float(np.sqrt(np.mean([r.noise**2 for r in replicates])))
     to_x, to_y, x_label, y_label, r_label = _axes_of(first)
     with matplotlib.rc_context(_STYLE):
         figure = _figure(8.0, 6.6)
@@ -47,10 +48,8 @@ def draw_test(fits: Sequence[Fit], replicates: Sequence[Replicate], noise: float
             few = sum(r.stress.size for r in replicates) <= _DATA_POINTS
             style = {"mfc": "none", "mec": "0.2", "zorder": 4} if few else {"color": "0.35", "mew": 0, "alpha": 0.35}
             above.plot(to_x(replicate.abscissa[thin]), to_y(replicate.stress[thin]), "o", ms=4.5, label=label, **style)
-        rest = 0.0 if first.mode == "simple_shear" else 1.0
-        ends = np.concatenate([[r.abscissa.min(), r.abscissa.max()] for r in replicates])
-        abscissa = np.linspace(rest, ends[np.argmax(np.abs(ends - rest))], _CURVE_POINTS)
-        edges = np.linspace(0.0, max(r.strain.max() for r in replicates), _BINS + 1)
+        abscissa = loading_path(replicates, _CURVE_POINTS)
+        edges = np.linspace(*sorted(strain_of(abscissa[[0, -1]], first.test.kind)), _BINS + 1)
         # Model minus data, with the sign and the unit of the panel above.
         factor = to_y(np.array([1.0]))[0]
         scale, reach = abs(factor), []

@@ -8,13 +8,11 @@ import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-import numpy as np
-
 from calibration.analytical import CalibrationResult, to_json
 from calibration.assess import curve, residual_of
 from calibration.fit import Fit
 from calibration.output_folder import FIT_FILE
-from calibration.replicates import Replicate
+from calibration.replicates import Replicate, loading_path
 from calibration.report import write_report
 from tissue_sim.atomic_write import write_text
 from tissue_sim.laws import find_law
@@ -43,7 +41,8 @@ def material_file(fit: Fit, result: CalibrationResult, fitted: Sequence[Replicat
     campaign = result.campaign
     law = find_law(fit.law)
     errors = {name: error for name, error in fit.standard_errors.items() if error is not None}
-    complete = len(errors) == len(fit.standard_errors)
+    # The covariance of the others holds for a parameter that stays on its bound, as it does for a fixed one.
+    complete = all(name in errors or name in fit.on_bound for name in fit.standard_errors)
     residual = {"RMSE_Pa": fit.RMSE_Pa, "R2": fit.R2}
     if fit.RMSE_N is not None:
         residual["RMSE_N"] = fit.RMSE_N
@@ -82,13 +81,11 @@ def write_summary(results: Sequence[CalibrationResult], path: Path) -> None:
 
 
 def _curves(result: CalibrationResult, replicates: Sequence[Replicate]) -> str:
-    """Each law along each test, rest to the end of the data."""
+    """Each law along each test, from rest (shear that goes both ways: from one end) to the end of the data."""
     rows = []
     for test in result.campaign.tests:
         mine = [r for r in replicates if r.test is test]
-        rest = 0.0 if test.mode == "simple_shear" else 1.0
-        end = max((r.abscissa for r in mine), key=lambda a: np.abs(a - rest).max())
-        abscissa = np.linspace(rest, end[np.argmax(np.abs(end - rest))], CURVE_POINTS)
+        abscissa = loading_path(mine, CURVE_POINTS)
         for fit in result.fits:
             stress = curve(fit.law, fit.parameters, abscissa, mine[0])
             for a, p in zip(abscissa, stress, strict=True):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -55,7 +55,7 @@ class Replicate:
     @property
     def strain(self) -> np.ndarray:
         """Nominal strain (shear strain for shear), positive under load, shape (n,)."""
-        return _strain(self.abscissa, self.test.kind)
+        return strain_of(self.abscissa, self.test.kind)
 
     @property
     def offset_slope(self) -> float:
@@ -118,14 +118,14 @@ def _read(path: Path, test: Test, campaign: Campaign) -> Replicate:
     mechanical, abscissa, stress = _curve(recording, test, path)
     _check_range(abscissa, test, path)
     if mechanical or "time" in recording:
-        loaded = slice(0, int(np.argmax(_strain(abscissa, test.kind))) + 1)
+        loaded = slice(0, int(np.argmax(strain_of(abscissa, test.kind))) + 1)
     else:
         # A table of stress and stretch has no order in time; sorted, its neighbours tell the noise.
-        loaded = np.argsort(_strain(abscissa, test.kind), kind="stable")
+        loaded = np.argsort(strain_of(abscissa, test.kind), kind="stable")
     abscissa, stress = abscissa[loaded], stress[loaded]
     inside = np.ones(abscissa.size, bool)
     if test.max_strain is not None:
-        strain = _strain(abscissa, test.kind)
+        strain = strain_of(abscissa, test.kind)
         inside = (np.abs(strain) if test.mode == "simple_shear" else strain) <= test.max_strain * (1 + 1e-9)
     if inside.sum() < MIN_POINTS:
         raise InputError(f"{path.name} has {inside.sum()} points of loading in the window; at least {MIN_POINTS} are "
@@ -164,8 +164,21 @@ def _loading(recording: Recording) -> Recording:
     return recording.select(keep) if keep.any() else recording
 
 
-def _strain(abscissa: np.ndarray, kind: str) -> np.ndarray:
+def strain_of(abscissa: np.ndarray, kind: str) -> np.ndarray:
+    """Nominal strain (shear strain for shear), positive under load, of a stretch or shear strain; same shape."""
     return {"lubricated_compression": 1.0 - abscissa, "uniaxial_tension": abscissa - 1.0}.get(kind, abscissa)
+
+
+def loading_path(replicates: Sequence[Replicate], points: int) -> np.ndarray:
+    """Evenly spaced stretches or shear strains from rest to the farthest of one test's data, shape (points,).
+
+    Shear may go both ways: there the path leads from one end to the other.
+    """
+    first = replicates[0]
+    reached = np.concatenate([r.abscissa for r in replicates])
+    if first.mode == "simple_shear":
+        return np.linspace(min(reached.min(), 0.0), reached.max(), points)
+    return np.linspace(1.0, reached[np.argmax(strain_of(reached, first.test.kind))], points)
 
 
 def _curve(recording: Recording, test: Test, path: Path) -> tuple[bool, np.ndarray, np.ndarray]:
@@ -192,7 +205,7 @@ def _curve(recording: Recording, test: Test, path: Path) -> tuple[bool, np.ndarr
 
 
 def _check_range(abscissa: np.ndarray, test: Test, path: Path) -> None:
-    largest = _strain(abscissa, test.kind).max()
+    largest = strain_of(abscissa, test.kind).max()
     if test.mode == "uniaxial" and abscissa.min() <= 0:
         raise InputError(f"{path.name} reaches stretch {abscissa.min():g}; a stretch is above zero", field="recordings")
     if largest <= 0:
@@ -224,7 +237,7 @@ def _noise(stress: np.ndarray, mechanical: bool, test: Test, campaign: Campaign)
 def _evenly_spaced(abscissa: np.ndarray, test: Test, campaign: Campaign, path: Path) -> tuple[np.ndarray, csr_array]:
     """Evenly spaced strains from rest to the end of the window, and the linear interpolation onto them."""
     points, limit = campaign.fit.strain_points, np.inf if test.max_strain is None else test.max_strain
-    strain, samples = np.unique(_strain(abscissa, test.kind), return_index=True)
+    strain, samples = np.unique(strain_of(abscissa, test.kind), return_index=True)
     start = max(strain[0], -limit if test.mode == "simple_shear" else 0.0)
     grid = np.linspace(start, min(strain[-1], limit), points)
     inside = int(np.sum((strain >= grid[0]) & (strain <= grid[-1] * (1 + 1e-9))))

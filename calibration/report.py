@@ -21,6 +21,7 @@ _STYLE = """
 body { font: 15px/1.5 system-ui, -apple-system, "Segoe UI", sans-serif; color: #1b1f24; background: #fff;
        max-width: 76rem; margin: 2rem auto; padding: 0 1.2rem; }
 h1 { font-size: 1.55rem; margin: 0 0 .2rem; } h2 { font-size: 1.15rem; margin: 2rem 0 .5rem; }
+h3 { font-size: 1rem; margin: 1rem 0 .3rem; } table.narrow { width: auto; }
 .verdict { background: #eef4fa; border-left: 4px solid #0072b2; padding: .7rem 1rem; margin: 1rem 0; }
 .wide { overflow-x: auto; }
 table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
@@ -55,13 +56,13 @@ def _page(result: CalibrationResult, replicates: Sequence[Replicate], figures: b
             mine = [r for r in replicates if r.test is test]
             held_out = " (held out: predicted, not fitted)" if test.hold_out else ""
             caption = escape(f"{test.name}{held_out}")
-            image = as_data_uri(draw_test(result.fits, mine, result.noise_Pa))
+            image = as_data_uri(draw_test(result.fits, mine))
             parts.append(f'<h2>{caption}</h2><img src="{image}" alt="Data, curves and residuals of {caption}">')
         parts.append("<p><small>Below: mean residual of all recordings; a law that is far off leaves the frame."
                      + (" Curves are drawn without the fitted offsets, residuals with them."
                         if campaign.fit.offset == "fit" else "") + "</small></p>")
     parts += ["<h2>Ranking</h2>", _ranking_table(result.fits), _remarks(result.fits), "<h2>Parameters</h2>",
-              _parameter_table(result.fits, figures)]
+              _parameter_table(result.fits, figures), *_correlation_tables(result.fits)]
     if result.predictions:
         parts += ["<h2>Predictions of held-out tests</h2>", _prediction_table(result)]
     if any(fit.nuisances for fit in result.fits):
@@ -89,9 +90,12 @@ def assumptions(result: CalibrationResult) -> list[str]:
         lines.append(f"Each recording has a contact offset (prior 0 ± {fit.offset_prior * 1e3:g} mm, bounds "
                      f"± {fit.offset_bound * 1e3:g} mm) and a zero, fitted beside the parameters.")
     source = {"stated": "stated in the campaign", "estimated": "estimated from second differences of the samples",
-              "mixed": "partly stated, partly estimated"}[result.noise_source]
+              "resolution": "the resolution of the sensor, step/√12, because neighbouring samples are mostly equal",
+              "mixed": "of different sources for different recordings"}[result.noise_source]
     lines.append(f"The noise of the nominal stress is {result.noise_Pa:.3g} Pa (standard deviation), {source}; AIC and "
                  "BIC take it as known.")
+    if fit.prior or fit.offset == "fit":
+        lines.append("AIC and BIC are those of the penalised likelihood: the distance from the priors counts.")
     if fit.strain_points is not None:
         lines.append(f"Each recording was interpolated to {fit.strain_points} evenly spaced strains.")
     return lines
@@ -134,12 +138,30 @@ def _parameter_table(fits: Sequence[Fit], figures: bool) -> str:
             unit = "" if law.units[name] == "1" else f" {law.units[name]}"
             doubtful = ' <span class="bad">not determined</span>' if name in fit.not_identifiable else ""
             lead = f'<td rowspan="{len(fit.parameters)}">{escape(law.title)}<br>{formula}</td>' if i == 0 else ""
-            spread = "-" if error is None else "fixed" if error == 0 else f"{error:.3g}{unit}"
+            held = "on its bound" if name in fit.on_bound else "-"
+            spread = held if error is None else "fixed" if error == 0 else f"{error:.3g}{unit}"
             bounds = "-" if interval is None or error == 0 else f"{interval[0]:.5g} to {interval[1]:.5g}"
             rows.append(f'<tr>{lead}<td class="text">{escape(name)}{doubtful}</td><td>{value:.6g}{unit}</td>'
                         f"<td>{spread}</td><td>{bounds}</td></tr>")
     head = ('<th>Law</th><th class="text">Parameter</th><th>Value</th><th>Standard error</th><th>95 % interval</th>')
     return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
+
+
+def _correlation_tables(fits: Sequence[Fit]) -> list[str]:
+    """How the estimates depend on each other, for every law with more than one free parameter."""
+    parts = []
+    for fit in fits:
+        order = fit.covariance.order
+        free = [i for i, name in enumerate(order) if fit.standard_errors[name] not in (None, 0.0)]
+        if len(free) < 2:
+            continue
+        head = "".join(f"<th>{escape(order[i])}</th>" for i in free)
+        rows = "".join(
+            f"<tr><td>{escape(order[i])}</td>{''.join(f'<td>{fit.correlation[i][j]:.3f}</td>' for j in free)}</tr>"
+            for i in free)
+        parts.append(f'<h3>{escape(find_law(fit.law).title)}</h3><table class="narrow"><thead><tr><th></th>{head}</tr>'
+                     f"</thead><tbody>{rows}</tbody></table>")
+    return ["<h2>Correlation of the parameters</h2>", *parts] if parts else []
 
 
 def _prediction_table(result: CalibrationResult) -> str:
@@ -153,11 +175,15 @@ def _prediction_table(result: CalibrationResult) -> str:
 
 
 def _nuisance_table(fit: Fit) -> str:
-    rows = [f"<tr><td>{escape(n.replicate)}</td><td>{n.contact_offset_mm:.4f} ± {n.contact_offset_error_mm:.2g}</td>"
-            f"<td>{n.zero_offset_N:.4f} ± {n.zero_offset_error_N:.2g}</td>"
+    rows = [f"<tr><td>{escape(n.replicate)}</td><td>{n.contact_offset_mm:.4f}{_error(n.contact_offset_error_mm)}</td>"
+            f"<td>{n.zero_offset_N:.4f}{_error(n.zero_offset_error_N)}</td>"
             f'<td class="text bad">{escape(", ".join(n.on_bound))}</td></tr>' for n in fit.nuisances]
     head = '<th>Recording</th><th>Contact offset [mm]</th><th>Zero [N]</th><th class="text">On its bound</th>'
     return f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
+
+
+def _error(error: float | None) -> str:
+    return "" if error is None else f" ± {error:.2g}"
 
 
 def _recording_list(replicates: Sequence[Replicate]) -> str:

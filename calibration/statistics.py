@@ -98,7 +98,7 @@ def chi_square(residual: np.ndarray, replicate: np.ndarray, noise: np.ndarray,
         count, kept = effective_samples(None if interpolations is None else interpolations[i], mine.size)
         total += float(mine @ mine) / (deviation**2 * kept) * count / mine.size
         samples += count
-    return total, samples
+    return float(total), float(samples)
 
 
 @dataclass(frozen=True, eq=False)

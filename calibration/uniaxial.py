@@ -258,10 +258,10 @@ def fit_law(law: Law | str, replicates: Sequence[Replicate], settings: FitSettin
     reach = np.where(np.isfinite(full.high - full.low), full.high - full.low, np.inf)
     near = 1e-6 * np.where(np.isfinite(reach), reach, np.maximum(np.abs(unknowns), 1.0))
     on_bound = (unknowns - full.low <= near) | (full.high - unknowns <= near)
+    minima = [(full.split(x)[0], s, n) for x, s, n in merged] or [(values, float(residual @ residual), 0)]
     return Solution(law, values, full.free, nuisances, unknowns, full.low, full.high, on_bound, jacobian, residual,
-                    1.0 / full.prior_deviation**2, float(np.sum(full.prior_residual(unknowns)**2)), tuple((full.split(x)[0], s, n) for x, s, n in merged) or
-                    ((values, float(residual @ residual), 0),), len(starts), evaluations,
-                    not refined or refined[0][0].status > 0, time.process_time() - began)
+                    1.0 / full.prior_deviation**2, float(np.sum(full.prior_residual(unknowns)**2)), tuple(minima),
+                    len(starts), evaluations, not refined or refined[0][0].status > 0, time.process_time() - began)
 
 
 def jitter_columns(solution: Solution, replicates: Sequence[Replicate], noise: Noise,

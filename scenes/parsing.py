@@ -63,8 +63,8 @@ def positive(text: str) -> float:
     return value
 
 
-def at_least(lowest: int):
-    """A whole number not below `lowest`."""
+def at_least(lowest: int, highest: int | None = None):
+    """A whole number not below `lowest`, nor above `highest` where that is given."""
     def whole(text: str) -> int:
         try:
             value = int(text)
@@ -72,6 +72,8 @@ def at_least(lowest: int):
             value = lowest - 1
         if value < lowest:
             raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least {lowest}")
+        if highest is not None and value > highest:
+            raise argparse.ArgumentTypeError(f"{text!r} is too many, give at most {highest}")
         return value
     return whole
 

@@ -23,7 +23,7 @@ from tissue_sim.units import to_si
 _FILE_UNITS = {"time": "s", "length": "mm", "force": "N", "torque": "Nm", "stress": "Pa", "ratio": "-",
                "temperature": "degC"}
 _FORCE, _STRETCH, _SHEAR = ("displacement", "force"), ("stretch", "nominal stress"), ("shear strain", "nominal stress")
-#: Kind of test -> pairs of channels (motion, load), one of which its recordings must have; displacement and force first.
+#: Kind of test -> pairs of channels (motion, load), one of which its recordings must have; those of a rig first.
 KINDS: dict[str, tuple[tuple[str, str], ...]] = {
     "lubricated_compression": (_FORCE, _STRETCH),
     "bonded_compression": (_FORCE,),

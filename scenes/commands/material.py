@@ -50,7 +50,7 @@ def add_arguments(parser: Parser) -> None:
 def run_new(arguments) -> int:
     import tissue_sim as ts
 
-    new_file(arguments.output, "-o", overwrite=arguments.overwrite, suffixes=(".json",))
+    new_file(arguments.output, "-o", overwrite=arguments.overwrite, suffixes=(".material.json",))
     if arguments.bulk_ratio is not None:
         bulk = ts.Bulk("bulk_ratio", arguments.bulk_ratio)
     elif arguments.bulk_modulus_pa is not None:

@@ -23,6 +23,7 @@ EXAMPLE = "tissue-sim simulate bonded_compression --material m.material.json --d
 SCENE_NAMES = ("lubricated_compression", "bonded_compression")
 LATER_SCENES = ("friction_compression", "needle_indentation")
 FIELDS = ("displacement", "von_mises", "cauchy_rr", "cauchy_zz", "cauchy_rz", "cauchy_hoop", "pressure", "energy", "J")
+MOST_POINTS = 100_000
 FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
 
 
@@ -31,7 +32,7 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument("--material", type=Path, required=True, metavar="FILE", help="NAME.material.json")
     parser.add_argument("--depth-mm", type=positive, metavar="N", default=10.0,
                         help="largest tool displacement (default: 10)")
-    parser.add_argument("--points", type=at_least(2), metavar="N", default=21,
+    parser.add_argument("--points", type=at_least(2, MOST_POINTS), metavar="N", default=21,
                         help="points of the curve, rest included (default: 21)")
     parser.add_argument("--resolution", choices=("fast", "accurate"), default="fast",
                         help="fast: force within 1 %%; accurate: within 0.2 %% (default: fast)")
@@ -51,11 +52,16 @@ def add_arguments(parser: Parser) -> None:
 def run(arguments) -> int:
     check_scene(arguments.scene)
     new_file(arguments.output, "-o", overwrite=arguments.overwrite, suffixes=(".csv",))
+    if arguments.output is not None:
+        new_file(arguments.output.with_suffix(".json"), "-o", overwrite=arguments.overwrite)
     new_file(arguments.figure, "--figure", overwrite=arguments.overwrite, suffixes=FIGURE_SUFFIXES)
 
     import tissue_sim as ts
     from tissue_sim.recording import MIN_POINTS
+    from tissue_sim.recording_file import require_sidecar_place
 
+    if arguments.output is not None:
+        require_sidecar_place(arguments.output)
     if arguments.output is not None and arguments.points < MIN_POINTS:
         raise InputError(f"{arguments.points} points are too few for a recording; give at least {MIN_POINTS}, or leave "
                          "out -o", field="--points")

@@ -3,7 +3,6 @@
 import csv
 import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -81,7 +80,10 @@ def test_files_ranking_and_prediction(campaign, tmp_path):
             "material_file"}
     assert keys <= set(saved["fits"][0])
     assert saved["best"] == "reduced_polynomial_2"
-    assert Path(saved["fits"][0]["material_file"]).is_file()
+    # Relative to fit.json, so that the folder may move.
+    (tmp_path / "out").rename(tmp_path / "moved")
+    assert (tmp_path / "moved" / saved["fits"][0]["material_file"]).is_file()
+    (tmp_path / "moved").rename(tmp_path / "out")
 
     residuals = table(tmp_path / "out" / "residuals.csv")
     mine = [float(row["residual [N]"]) for row in residuals
@@ -95,7 +97,8 @@ def test_files_ranking_and_prediction(campaign, tmp_path):
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert page.count("data:image/png;base64,") == 2 + 3
     assert not re.search(r"(src|href)=[\"']?https?:", page)
-    for text in ("frictionless", "Self-weight is not included", "held out", "Standard error"):
+    for text in ("frictionless", "Self-weight is not included", "held out", "Standard error",
+                 "Correlation of the parameters", f"<td>{result.best.correlation[0][1]:.3f}</td>"):
         assert text in page
 
 
@@ -114,10 +117,11 @@ def test_overwrite_and_resume(campaign, tmp_path, monkeypatch):
     assert again.fits == first.fits
     assert calibration.to_json([again]) == calibration.to_json([first])
 
-    # An interrupted run: fit.json is written last.
-    (out / "fit.json").unlink()
-    assert not calibration.calibrate([campaign], out, figures=False)[0].resumed
-    assert (out / "fit.json").exists()
+    # An interrupted run, and files that somebody lost: all of them come back.
+    for name in ("fit.json", "report.html", "residuals.csv", "neo_hooke.material.json"):
+        (out / name).unlink()
+        assert not calibration.calibrate([campaign], out, figures=False)[0].resumed
+        assert (out / name).exists()
 
     campaign.write_text(TEXT.replace('"mooney_rivlin", ', ""), encoding="utf-8")
     before = sorted(path.name for path in out.iterdir())
@@ -139,6 +143,89 @@ def test_foreign_folder_and_file_are_left_alone(campaign, tmp_path):
     assert [path.name for path in out.iterdir()] == ["thesis.txt"]
     with pytest.raises(ts.InputError, match="is a file"):
         calibration.calibrate([campaign], out / "thesis.txt")
+
+
+def listing(folder):
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_overwrite_spares_what_no_calibration_wrote(campaign, tmp_path):
+    """Results beside the input: a material made by hand, and a recording with the name of a result."""
+    ts.write_material_file(ts.MaterialFile.of(ts.Material("neo_hooke", {"C10": 1.0})), tmp_path / "mine.material.json")
+    before = listing(tmp_path)
+    calibration.calibrate([campaign], tmp_path, overwrite=True, figures=False)
+    after = listing(tmp_path)
+    assert before.items() <= after.items()
+    assert "fit.json" in after
+
+    (tmp_path / "neo_hooke.material.json").rename(tmp_path / "kept.json")
+    campaign.write_text(TEXT.replace('"mooney_rivlin", ', '"ogden_1", '), encoding="utf-8")
+    (tmp_path / "ogden_1.material.json").write_text("by hand", encoding="utf-8")
+    before = listing(tmp_path)
+    with pytest.raises(ts.InputError, match=r"ogden_1\.material\.json: is in the way"):
+        calibration.calibrate([campaign], tmp_path, overwrite=True, figures=False)
+    assert listing(tmp_path) == before
+
+
+def test_a_result_never_replaces_what_it_is_made_from(campaign, tmp_path):
+    (tmp_path / "fit_1.csv").rename(tmp_path / "curves.csv")
+    (tmp_path / "fit_1.json").rename(tmp_path / "curves.json")
+    campaign.write_text(TEXT.replace('"fit_*.csv"', '"fit_*.csv", "curves.csv"'), encoding="utf-8")
+    before = listing(tmp_path)
+    with pytest.raises(ts.InputError, match=r"curves\.csv: is read by this calibration"):
+        calibration.calibrate([campaign], tmp_path, overwrite=True, figures=False)
+    assert listing(tmp_path) == before
+
+
+def test_a_recording_called_fit_keeps_its_sidecar(campaign, tmp_path):
+    (tmp_path / "fit_1.csv").rename(tmp_path / "fit.csv")
+    (tmp_path / "fit_1.json").rename(tmp_path / "fit.json")
+    campaign.write_text(TEXT.replace('"fit_*.csv"', '"fit.csv"'), encoding="utf-8")
+    with pytest.raises(ts.InputError, match=r"fit\.json: is read by this calibration"):
+        calibration.calibrate([campaign], tmp_path, overwrite=True, figures=False)
+
+
+def test_overwrite_clears_the_folders_of_the_earlier_work(campaign, tmp_path):
+    other = tmp_path / "other.toml"
+    other.write_text(TEXT.replace('"mooney_rivlin", ', ""), encoding="utf-8")
+    out = tmp_path / "out"
+    calibration.calibrate([campaign, other], out, figures=False)
+    (out / "other" / "notes.txt").write_text("mine", encoding="utf-8")
+    calibration.calibrate([campaign], out, overwrite=True, figures=False)
+    assert set(listing(out)) == {"work.json", "fit.json", "report.html", "curves.csv", "residuals.csv",
+                                 "other/notes.txt", *(f"{law}.material.json" for law in (
+                                     "neo_hooke", "mooney_rivlin", "reduced_polynomial_2"))}
+    assert not (out / "study").exists()
+
+
+def test_a_forged_list_of_files_removes_nothing_outside(campaign, tmp_path):
+    out = tmp_path / "out"
+    calibration.calibrate([campaign], out, figures=False)
+    work = json.loads((out / "work.json").read_text(encoding="utf-8"))
+    for name in ("../study.toml", str(campaign)):
+        (out / "work.json").write_text(json.dumps({**work, "files": [name]}), encoding="utf-8")
+        with pytest.raises(ts.InputError):
+            calibration.calibrate([campaign], out, overwrite=True, figures=False)
+        assert campaign.exists()
+
+
+def test_an_unsound_law_may_have_the_lower_bic(tmp_path):
+    """Data that soften under compression: the law that follows them is not stable, and the message says so."""
+    displacement = np.linspace(0, 0.5, 200) * 70e-3
+    stress = ts.find_law("reduced_polynomial_2").nominal_stress(1 - displacement / 70e-3, {"C10": 1400.0, "C20": -500})
+    ts.write_recording(ts.Recording({"displacement": displacement, "force": -stress * np.pi * 0.04**2}),
+                       tmp_path / "fit_1.csv")
+    text = TEXT.split("[[test]]\nname = \"later\"")[0] + TEXT[TEXT.index("[fit]"):]
+    (tmp_path / "soft.toml").write_text(text.replace('"mooney_rivlin", ', ""), encoding="utf-8")
+    result, = calibration.calibrate([tmp_path / "soft.toml"], tmp_path / "out", figures=False)
+    assert result.best.law == "neo_hooke" and result.fits[1].BIC < result.best.BIC
+    assert result.message.startswith("Best of the stable, converged laws by BIC: neo_hooke (reduced_polynomial_2 would")
+
+
+def test_density_of_the_specimen_goes_into_the_material(campaign, tmp_path):
+    campaign.write_text(TEXT.replace("height_mm = 70.0", "height_mm = 70.0\ndensity_kg_m3 = 1040.0"), encoding="utf-8")
+    calibration.calibrate([campaign], tmp_path / "out", figures=False)
+    assert ts.load_material(tmp_path / "out" / "neo_hooke.material.json").density == 1040.0
 
 
 def test_changed_recording_is_other_work(campaign, tmp_path):

@@ -95,6 +95,7 @@ BAD = [
     ("radius_mm = 40.0", "radius_mm = nan", "specimen[0].radius_mm", "positive"),
     ("radius_mm = 40.0", "radius_mm = 40.0\narea_mm2 = 3", "specimen[0].area_mm2", "leave it out"),
     ("height_mm = 70.0", "height_mm = 70.0\ngravity = true", "specimen[0].gravity", "not available in this version"),
+    ("height_mm = 70.0", "height_mm = 70.0\nheight_is = \"placed\"", "specimen[0].height_is", "not available"),
     ("height_mm = 70.0", "height_mm = 70.0\nheight_is = \"cast\"", "specimen[0].height_is", "moulded"),
     ("C10 = 1400.0", "C10 = 30000.0", "fit.start.C10", "outside its bounds"),
     ("C10 = 1400.0", "C11 = 1400.0", "fit.start.C11", "C10"),
@@ -121,6 +122,15 @@ BAD = [
     ("[\"run_*.csv\"]", "[\"run_*.csv\"]\nrig = \"a.json\"", "test[0].rig", "not available in this version"),
     ("[\"run_*.csv\"]", "[\"run_*.csv\"]\nprotocol = \"ramp\"", "test[0].protocol", "not available in this version"),
     ("[\"run_*.csv\"]", "[\"run_*.csv\"]\nfriction = 0.7", "test[0].friction", "frictionless"),
+    ("[\"run_*.csv\"]", "[\"run_*.csv\"]\nfriction = \"bondde\"", "test[0].friction", "did you mean 'bonded'?"),
+    ("[\"run_*.csv\"]", "[\"run_*.csv\"]\nfriction_base = \"bonded\"", "test[0].friction_base", "contradicts"),
+    ("[\"run_*.csv\"]", "[\"run_*.csv\"]\ntool = \"plaet\"", "test[0].tool", "did you mean 'plate'?"),
+    ("[\"run_*.csv\"]", "[\"run_*.csv\"]\ntool = \"tip.csv\"", "test[0].tool", "not available in this version"),
+    ("[\"run_*.csv\"]", "[\"run_*.csv\"]\ndelimiter = \"|\"", "test[0].delimiter", "give columns too"),
+    ("[\"run_*.csv\"]", "[\"run_*.csv\"]\nskip_lines = 2", "test[0].skip_lines", "give columns too"),
+    ("[\"run_*.csv\"]",
+     "[\"run_*.csv\"]\ndelimiter = \"ab\"\ncolumns = { force = \"a\", displacement = \"b\" }",
+     "test[0].delimiter", "one character"),
     ("[\"run_*.csv\"]", "[\"run_*.csv\"]\nspeed_mm_s = 0", "test[0].speed_mm_s", "positive"),
     ("[\"run_*.csv\"]", "[\"run_*.csv\"]\nmax_strain = 1.5", "test[0].max_strain", "below 1"),
     ("[\"run_*.csv\"]", "[\"run_*.csv\"]\nhold_out = true", "test[0].hold_out", "nothing to fit"),
@@ -158,13 +168,48 @@ def test_names_are_unique(folder):
 
 
 @pytest.mark.parametrize(("content", "hint"), [
-    (b"[fit\nlaws = 1\n", r"study\.toml:1: .*TOML"), (b"\xff\xfe", "UTF-8"), (b"", "missing"),
-    (b"fit = 3", "expected a table"),
+    (b"[fit\nlaws = 1\n", r"study\.toml:1: .*TOML"), (b"\xff\xfe", "UTF-8"), (b"", "is empty"),
+    (b"noise = {}", "missing"), (b"fit = 3", "expected a table"),
 ])
 def test_damaged_files(folder, content, hint):
     (folder / "study.toml").write_bytes(content)
     with pytest.raises(ts.InputError, match=hint):
         calibration.load_campaign(folder / "study.toml")
+
+
+def test_a_byte_order_mark_is_no_error(folder):
+    (folder / "study.toml").write_bytes(GOOD.encode("utf-8-sig"))
+    assert calibration.load_campaign(folder / "study.toml").tests
+
+
+def test_a_stated_delimiter_reaches_the_reader(folder):
+    lines = ["way load", *(f"{0.5 * i:.1f}  {0.1 * i * (1 + i):.2f}" for i in range(8))]
+    (folder / "blanks.txt").write_text("\n".join(lines), encoding="utf-8")
+    columns = 'columns = { displacement = { name = "way", unit = "mm" }, force = { name = "load", unit = "N" } }'
+    path = folder / "study.toml"
+    path.write_text(GOOD.replace('["run_*.csv"]', f'["blanks.txt"]\n{columns}\ndelimiter = " "'), encoding="utf-8")
+    replicate, = calibration.read_replicates(calibration.load_campaign(path))
+    assert replicate.force == pytest.approx([0.1 * i * (1 + i) for i in range(8)])
+
+
+@pytest.mark.parametrize(("size", "field"), [
+    ({"radius_mm": 25.0, "height_mm": 70.0}, "specimen[0].radius_mm"), ({"height_mm": 30}, "specimen[0].height_mm")])
+def test_a_recording_of_another_specimen_is_refused(folder, size, field):
+    recording = ts.read_recording(folder / "run_1.csv")
+    ts.write_recording(recording.with_metadata(specimen=size), folder / "run_1.csv")
+    path = folder / "study.toml"
+    path.write_text(GOOD, encoding="utf-8")
+    with pytest.raises(ts.InputError, match=r"run_1\.csv says of itself") as error:
+        calibration.read_replicates(calibration.load_campaign(path))
+    assert error.value.field == field and error.value.file == path
+
+
+def test_no_more_strain_points_than_samples(folder):
+    path = folder / "study.toml"
+    path.write_text(GOOD.replace("bulk_ratio = 1000", "strain_points = 22"), encoding="utf-8")
+    with pytest.raises(ts.InputError, match="give at most 21") as error:
+        calibration.read_replicates(calibration.load_campaign(path))
+    assert error.value.field == "fit.strain_points"
 
 
 def test_missing_file_and_folder(tmp_path):

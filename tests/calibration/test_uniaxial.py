@@ -111,6 +111,56 @@ def test_fixed_prior_and_bound(tmp_path):
     assert fit.parameters["C20"] == pytest.approx(50.0, rel=1e-6)
     assert fit.on_bound == ["C20"]
     assert "bounds" in fit.message
+    # Nothing is known about what a bound holds; the other one is as sure as if it had been fixed.
+    assert fit.standard_errors["C20"] is None and fit.intervals95["C20"] is None
+    held = run(tmp_path, [recording], f'laws = ["{law}"]\nfixed = {{ C20 = 50.0 }}')[law]
+    assert fit.standard_errors["C10"] == pytest.approx(held.standard_errors["C10"], rel=1e-3)
+
+
+def test_priors_and_bounds_with_replicates_that_scatter(tmp_path):
+    """The scatter of the replicates is added to what is free, and to nothing else."""
+    recordings = [compression("mooney_rivlin", [scale, scale], force_noise=0.01, seed=i)
+                  for i, scale in enumerate((680.0, 700.0, 730.0))]
+    fit = run(tmp_path, recordings, 'laws = ["mooney_rivlin"]\nprior = { C10 = [700.0, 1.0] }',
+              noise="force_N = 0.01")["mooney_rivlin"]
+    assert fit.covariance_from == "replicates"
+    assert fit.standard_errors["C10"] < 1.5
+    fit = run(tmp_path, recordings, 'laws = ["mooney_rivlin"]\nbounds = { C01 = [2000.0, 5000.0] }',
+              noise="force_N = 0.01")["mooney_rivlin"]
+    assert fit.on_bound == ["C01"] and fit.standard_errors["C01"] is None
+    free = run(tmp_path, recordings, 'laws = ["mooney_rivlin"]\nfixed = { C01 = 2000.0 }',
+               noise="force_N = 0.01")["mooney_rivlin"]
+    assert fit.standard_errors["C10"] == pytest.approx(free.standard_errors["C10"], rel=1e-3)
+    near = run(tmp_path, recordings, 'laws = ["mooney_rivlin"]\nbounds = { C10 = [690.0, 5000.0] }',
+               noise="force_N = 0.01")["mooney_rivlin"]
+    assert near.intervals95["C10"] is None or near.intervals95["C10"][0] >= 690.0
+
+
+def test_a_prior_counts_in_the_ranking(tmp_path):
+    """A prior far from the data: a law that must break it does not win over the one in which it is nested."""
+    fits = run(tmp_path, [compression("reduced_polynomial_2", STUDY, force_noise=0.02)],
+               'laws = ["neo_hooke", "reduced_polynomial_2"]\nprior = { C10 = [500.0, 1.0] }', noise="force_N = 0.02")
+    assert fits["neo_hooke"].BIC > fits["reduced_polynomial_2"].BIC
+
+
+def test_quantised_forces_have_the_noise_of_their_step(tmp_path):
+    exact = compression("neo_hooke", [1461.6], points=5000)
+    recording = exact.with_channels(force=0.02 * np.round(exact.force / 0.02))
+    fit = run(tmp_path, [recording], 'laws = ["neo_hooke"]')["neo_hooke"]
+    assert fit.noise_ratio == pytest.approx(1.0, abs=0.1)
+    assert fit.status == "converged" and "model error" not in fit.message
+    assert "resolution of the sensor" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+
+
+def test_strain_points_do_not_make_the_errors_smaller(tmp_path):
+    answers, errors = [], []
+    for seed in range(60):
+        recording = compression("neo_hooke", [1461.6], force_noise=0.02, seed=seed)
+        fit = run(tmp_path / str(seed), [recording], 'laws = ["neo_hooke"]\nstrain_points = 33',
+                  noise="force_N = 0.02")["neo_hooke"]
+        answers.append(fit.parameters["C10"])
+        errors.append(fit.standard_errors["C10"])
+    assert np.median(errors) == pytest.approx(np.std(answers), rel=0.3)
 
 
 @settings(max_examples=15, deadline=None)

@@ -96,7 +96,32 @@ def test_two_campaigns_in_one_call(campaign, tmp_path, capsys):
     answer = json.loads(capsys.readouterr().out)
     assert [len(one["fits"]) for one in answer["campaigns"]] == [2, 1]
     assert main(["calibrate", str(campaign), str(second), "-o", str(out)]) == 0, "the same work again is resumed"
-    assert capsys.readouterr().out.count("best by BIC") == 2
+    assert capsys.readouterr().out.count("* best of the stable, converged laws by BIC") == 2
+
+
+def test_only_what_this_call_wrote_is_announced(campaign, tmp_path, capsys):
+    second = tmp_path / "second.toml"
+    second.write_text(CAMPAIGN, encoding="utf-8")
+    out = tmp_path / "out"
+    assert main(["calibrate", str(campaign), str(second), "-o", str(out)]) == 0
+    text = capsys.readouterr().out
+    wrote = [line.removeprefix("wrote ") for line in text.splitlines() if line.startswith("wrote ")]
+    assert wrote == [str(out / name) for name in ("campaign/report.html", "second/report.html", "summary.csv")]
+    (out / "second" / "report.html").rename(tmp_path / "moved.html")
+    (out / "second" / "keep").mkdir()
+    (tmp_path / "moved.html").rename(out / "second" / "keep" / "report.html")
+    assert main(["calibrate", str(campaign), "-o", str(out), "--overwrite"]) == 0
+    text = capsys.readouterr().out
+    assert [line for line in text.splitlines() if line.startswith("wrote ")] == [f"wrote {out / 'report.html'}"]
+
+
+def test_table_of_fixed_bounded_and_unsound(campaign, tmp_path, capsys):
+    text = CAMPAIGN.replace('"neo_hooke", ', '"mooney_rivlin", ').replace(
+        "[noise]", "fixed = { C20 = 700.0 }\nbounds = { C01 = [2000.0, 5000.0] }\n[noise]")
+    campaign.write_text(text, encoding="utf-8")
+    main(["calibrate", str(campaign), "-o", str(tmp_path / "out")])
+    shown = capsys.readouterr().out
+    assert "C20 700 (fixed)" in shown and "C01 2000 (on its bound)" in shown
 
 
 def test_no_usable_law_is_exit_code_1(tmp_path, capsys):

@@ -130,7 +130,16 @@ def test_kernel_ran():
         assert check.status == "warn"
     else:
         assert check.status == "ok", check
-        assert check.values["backend"]
+        assert check.values["offered"].split(", ")[0] == check.values["backend"]
+        assert "back-ends here: " in check.finding and "uses the CPU" in check.finding
+
+
+def test_a_probe_that_crashes_keeps_what_it_found(monkeypatch):
+    probe = "import os, sys; print(sys.argv[1], flush=True); print('noise', flush=True); os.abort()"
+    monkeypatch.setattr(taichi_backend, "_PROBE", probe)
+    assert taichi_backend.other_backends() == ["cuda"]
+    monkeypatch.setattr(taichi_backend.sys, "executable", "/no/such/python")
+    assert taichi_backend.other_backends() == []
 
 
 def test_taken_port_is_noticed(monkeypatch):

@@ -133,6 +133,12 @@ def test_bad_parameters_write_nothing(words, expected, tmp_path, capsys):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_the_name_says_that_it_is_a_material(tmp_path, capsys):
+    assert main([*NEW, "-o", str(tmp_path / "m.json")]) == 2
+    assert "ends in .material.json" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize("settings", [["C10"], ["=3"], ["C10=x"], ["C10=1", "C10=2"], ["C10="]])
 def test_bad_settings(settings):
     with pytest.raises(InputError, match=r"^--set: "):

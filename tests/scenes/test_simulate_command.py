@@ -1,6 +1,7 @@
 """`tissue-sim simulate`: JSON, files, figures, and a solver that gives up."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -71,6 +72,7 @@ def test_writes_a_recording_and_a_figure(material, tmp_path, capsys):
 @pytest.mark.parametrize(("words", "expected"), [
     (["--depth-mm", "70"], "deeper than the specimen is high"),
     (["-o", "curve.csv", "--points", "4"], "give at least 5"),
+    (["--points", "100001"], "give at most 100000"),
     (["-o", "curve.txt"], "ends in .csv"),
     (["--figure", "f.bmp"], "ends in .png"),
     (["-o", "."], "is a directory"),
@@ -81,6 +83,20 @@ def test_bad_input_writes_nothing(material, words, expected, tmp_path, monkeypat
     out, err = capsys.readouterr()
     assert out == "" and expected in err and err.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_json_file_of_the_same_name_is_kept(material, tmp_path, capsys):
+    """The sidecar of m.csv would be m.json, which may be the material itself."""
+    mine = tmp_path / "m.json"
+    mine.write_bytes(Path(material).read_bytes())
+    words = ["simulate", "lubricated_compression", "--material", str(mine), "--points", "5",
+             "-o", str(tmp_path / "m.csv")]
+    assert main(words) == 2
+    assert "m.json: -o: exists already" in capsys.readouterr().err
+    assert main([*words, "--overwrite"]) == 2
+    assert "is not the sidecar of a recording" in capsys.readouterr().err
+    assert mine.read_bytes() == Path(material).read_bytes()
+    assert [path.name for path in tmp_path.iterdir()] == ["m.json"]
 
 
 @pytest.fixture

@@ -95,6 +95,34 @@ def test_labels_by_name(tmp_path):
     assert recording.labels["cycle"].tolist() == list(range(5))
 
 
+@pytest.mark.parametrize(("text", "delimiter", "columns"), [
+    (table("|"), "|", COLUMNS), (table("|", ","), "|", COLUMNS), (table(";"), ";", COLUMNS),
+    (table(" ", header=("t", "way", "load")).replace(" ", "   "), " ", {
+        "displacement": {"name": "way", "unit": "mm"}, "force": {"name": "load", "unit": "N"}}),
+    ("  " + table(" ", header=("t", '"Compression (mm)"', '"Load (N)"')).replace("\n", "  \n "), " ", COLUMNS)])
+def test_a_stated_delimiter(tmp_path, text, delimiter, columns):
+    recording = read_recording(write(tmp_path, text), columns=columns, delimiter=delimiter)
+    np.testing.assert_allclose(recording.force, 0.25 * np.arange(6), atol=1e-17)
+
+
+@pytest.mark.parametrize("delimiter", ["", "ab", "3", ".", '"', "\n", 5])
+def test_what_is_no_delimiter(tmp_path, delimiter):
+    assert refusal(write(tmp_path, table()), columns=COLUMNS, delimiter=delimiter).field == "delimiter"
+
+
+def test_a_delimiter_is_for_named_columns_and_binds(tmp_path):
+    path = write(tmp_path, table())
+    assert refusal(path, delimiter=";").field == "delimiter"
+    assert "cells separated by ';'" in refusal(path, columns=COLUMNS, delimiter=";").problem
+
+
+def test_a_table_without_names_says_so(tmp_path):
+    path = write(tmp_path, "0,0\n" * 6)
+    problem = refusal(path, columns={"displacement": {"name": "1", "unit": "mm"}, "force": {"name": "2", "unit": "N"}},
+                      ).problem
+    assert "known:" not in problem and "header" in problem
+
+
 @pytest.mark.parametrize(("text", "line", "message"), [
     (table(header=("Time (s)", "Compresion (mm)", "Load (N)")), 1, "did you mean 'Compresion (mm)'"),
     (table(before="x\n", header=("Time (s)", "Compression (mm)", "Force (N)")), 2, "no column 'Load (N)'"),
@@ -105,7 +133,7 @@ def test_labels_by_name(tmp_path):
     (table(after="\n\n0,1\n"), 10, "2 cells, expected 3"),
     (table(";", ",", after="1;1.5;2\n"), 8, "mixes decimal points and decimal commas"),
     (table(after='1,"1,234",2\n'), 8, "holds '1,234'"),
-    (table(";", after="1;1,234.5;2\n"), 8, "mixes decimal points and decimal commas"),
+    (table(";", after="1;1,234.5;2\n"), 8, "'1,234.5' has a decimal point and a comma"),
     (table(header=("t", "Compression (mm)", "Load (N)")).replace("2.50", "inf"), 7, "holds 'inf'"),
 ])
 def test_bad_tables_are_refused(tmp_path, text, line, message):
@@ -120,7 +148,7 @@ def test_bad_tables_are_refused(tmp_path, text, line, message):
     ({"force": 3}, "columns.force", "not a column name"),
     ({"force": ""}, "columns.force.name", "missing"),
     ({"force": {"unit": "N"}}, "columns.force.name", "missing"),
-    ({"force": {"name": "Load", "untis": "N"}}, "columns.force", "did you mean 'unit'"),
+    ({"force": {"name": "Load", "untis": "N"}}, "columns.force.untis", "did you mean 'unit'"),
     ({"force": {"name": "Load", "sign": 2}}, "columns.force.sign", "1 or -1"),
     ({"force": {"name": "Load", "sign": True}}, "columns.force.sign", "1 or -1"),
     ({"force": {"name": "Load", "unit": 3}}, "columns.force.unit", "not text"),
@@ -195,6 +223,59 @@ def test_instron_with_fewer_lines_above_and_a_bad_cell(tmp_path):
     assert error.line == 12 and "holds 'bad'" in error.problem
     error = refusal(write(tmp_path, INSTRON.replace("Load (N)", "Lod (N)")), format="instron")
     assert "no column 'Load'; did you mean 'Lod (N)'" in error.problem
+
+
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(position=st.integers(0, len(INSTRON) - 1), text=st.text(max_size=5), cut=st.integers(0, 30))
+def test_a_damaged_instron_file_is_read_or_refused(tmp_path, position, text, cut):
+    damaged = INSTRON[:position] + text + INSTRON[position + cut:]
+    path = tmp_path / "any.csv"
+    path.write_bytes(damaged.encode("utf-8", "surrogatepass"))
+    try:
+        recording = read_recording(path, format="instron")
+        assert len(recording) >= 5 and {"time", "displacement", "force"} == set(recording.channels)
+    except InputError as error:
+        assert str(path) in str(error)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(values=st.lists(st.tuples(numbers, numbers), min_size=5, max_size=9),
+       diameter=st.integers(1, 500), height=st.integers(1, 500), above=st.text("abc :;,", max_size=20))
+def test_any_instron_table_is_read_back(tmp_path, values, diameter, height, above):
+    rows = "".join(f"{i},{way!r},{load!r}\n" for i, (way, load) in enumerate(values))
+    head = f"{above}\nCylinder Diameter: {diameter}mm;\nCylinder Height: {height}mm;\n"
+    recording = read_recording(write(tmp_path, head + "Time (s),Compression (mm),Load (N)\n" + rows), format="instron")
+    assert recording.force.tolist() == [load for _, load in values]
+    np.testing.assert_allclose(recording.displacement, [1e-3 * way for way, _ in values], rtol=1e-15)
+    assert recording.metadata["specimen"] == {"shape": "cylinder", "radius_mm": diameter / 2, "height_mm": height}
+
+
+SOFT_ROBOTICS = ("PARAMETER;INFO;URL;;\nMaterial;Gel;;;\n;;;;\n"
+                 "Time (s);True Strain;True Stress (MPa);Engineering Strain;Engineering Stress (MPa)\n"
+                 + "".join(f"{i};0;0;{0.1 * i:.1f};{0.2 * i:.1f}\n" for i in range(7)))
+
+
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(position=st.integers(0, len(SOFT_ROBOTICS) - 1), text=st.text(max_size=5), cut=st.integers(0, 30))
+def test_a_damaged_soft_robotics_file_is_read_or_refused(tmp_path, position, text, cut):
+    path = tmp_path / "any.csv"
+    damaged = SOFT_ROBOTICS[:position] + text + SOFT_ROBOTICS[position + cut:]
+    path.write_bytes(damaged.encode("utf-8", "surrogatepass"))
+    try:
+        recording = read_recording(path, format="soft_robotics")
+        assert len(recording) >= 5 and {"stretch", "nominal stress"} <= set(recording.channels)
+    except InputError as error:
+        assert str(path) in str(error)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(values=st.lists(st.tuples(numbers, numbers), min_size=5, max_size=9))
+def test_any_soft_robotics_table_is_read_back(tmp_path, values):
+    head = SOFT_ROBOTICS.split("0;0;0;")[0]
+    rows = "".join(f"{i};0;0;{strain!r};{stress!r}\n" for i, (strain, stress) in enumerate(values))
+    recording = read_recording(write(tmp_path, head + rows), format="soft_robotics")
+    np.testing.assert_allclose(recording.channel("stretch"), [1.0 + strain for strain, _ in values], rtol=1e-15)
+    np.testing.assert_allclose(recording.channel("nominal stress"), [1e6 * stress for _, stress in values], rtol=1e-15)
 
 
 @pytest.mark.parametrize(("times", "kept"), [

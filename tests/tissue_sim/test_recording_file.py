@@ -270,6 +270,15 @@ def test_a_changed_csv_is_noticed(tmp_path):
     assert read_recording(path).metadata["tool"] == "flat"
 
 
+@pytest.mark.parametrize("content", ['{"schema": "tissue_sim/material/1"}', "[1]", "no JSON", '{"tool": "flat"}'])
+def test_a_json_file_that_is_no_sidecar_is_not_replaced(tmp_path, content):
+    (tmp_path / "m.json").write_text(content, encoding="utf-8")
+    with pytest.raises(InputError, match=r"m\.json: is not the sidecar of a recording"):
+        write_recording(Recording({"displacement": np.arange(5.0), "force": np.arange(5.0)}), tmp_path / "m.csv")
+    assert [path.name for path in tmp_path.iterdir()] == ["m.json"]
+    assert (tmp_path / "m.json").read_text(encoding="utf-8") == content
+
+
 @pytest.mark.parametrize(("text", "line", "message"), [
     ('{"tool": \n', 2, "damaged JSON"),
     ("[1]", None, "expected an object"),

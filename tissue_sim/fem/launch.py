@@ -11,6 +11,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from tissue_sim.fem.runtime import initialise
+
 
 class BoundKernel:
     """A Taichi kernel with numpy arrays as its arguments, bound once.
@@ -42,8 +44,6 @@ def _bind(kernel, arrays: tuple[np.ndarray, ...]) -> Callable[[], None] | None:
     """What `Kernel.launch_kernel` of Taichi 1.7.4 does, split into what is done once and what each start needs; None
     where its private names are gone."""
     try:
-        from taichi.lang import impl
-
         primal = kernel._primal
         compiled = primal.compiled_kernels[primal.ensure_compiled(*arrays)]
         context = compiled.make_launch_context()
@@ -51,9 +51,9 @@ def _bind(kernel, arrays: tuple[np.ndarray, ...]) -> Callable[[], None] | None:
             element_dimensions = getattr(argument.annotation.dtype, "ndim", 0)
             shape = array.shape[: array.ndim - element_dimensions]
             context.set_arg_external_array_with_shape((place,), array.ctypes.data, array.nbytes, shape, 0)
-        program = impl.get_runtime().prog
+        program = initialise().lang.impl.get_runtime().prog
         binary = program.compile_kernel(program.config(), program.get_device_caps(), compiled)
         launch = program.launch_kernel
-    except (ImportError, AttributeError, TypeError):
+    except (AttributeError, TypeError):
         return None
     return lambda: launch(binary, context)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from tissue_sim.errors import InputError, nearest
-from tissue_sim.formats.columns import check_columns, read_columns
+from tissue_sim.formats.columns import check_columns, check_delimiter, read_columns
 from tissue_sim.formats.instron import read_instron
 from tissue_sim.formats.native import read_native
 from tissue_sim.formats.soft_robotics import read_soft_robotics
@@ -36,4 +36,4 @@ def find_format(name: str) -> Callable[[str | Path], Recording]:
     return FORMATS[name]
 
 
-__all__ = ["FORMATS", "PLANNED", "check_columns", "find_format", "read_columns"]
+__all__ = ["FORMATS", "PLANNED", "check_columns", "check_delimiter", "find_format", "read_columns"]

@@ -24,8 +24,8 @@ def read_columns(path: str | Path, columns: Mapping[str, Any], *, skip_lines: in
     """A recording from named columns of any delimited text file.
 
     The header is the first row that contains every named column. Delimiter: comma, semicolon or tab, whichever has
-    such a row, unless it is stated; with any but the comma, decimal commas are read too. A column matches by its whole header
-    (``"Load (N)"``) or by the part before the unit (``"Load"``), whatever the case.
+    such a row, unless it is stated; with any but the comma, decimal commas are read too. A column matches by its whole
+    header (``"Load (N)"``) or by the part before the unit (``"Load"``), whatever the case.
 
     Args:
         path: the file.
@@ -67,7 +67,7 @@ def read_columns(path: str | Path, columns: Mapping[str, Any], *, skip_lines: in
     return read_recording_table(header, data, found, file=path, delimiter=delimiter, metadata=metadata)
 
 
-def check_delimiter(delimiter: Any) -> str:
+def check_delimiter(delimiter: Any, field: str = "delimiter") -> str:
     """The delimiter, if it is one.
 
     Raises:
@@ -75,7 +75,7 @@ def check_delimiter(delimiter: Any) -> str:
     """
     if not isinstance(delimiter, str) or len(delimiter) != 1 or delimiter.isalnum() or delimiter in "\"'.+-\r\n":
         raise InputError(f'{delimiter!r} is not a delimiter; give one character such as " ", "|" or ";"',
-                         field="delimiter")
+                         field=field)
     return delimiter
 
 

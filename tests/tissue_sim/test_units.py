@@ -1,0 +1,48 @@
+"""Units as they stand in headers and keys."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tissue_sim import InputError
+from tissue_sim.units import UNITS, split_header, to_si
+
+
+@pytest.mark.parametrize(("unit", "quantity", "value", "si"), [
+    ("mm", "length", 8.0, 8e-3), ("um", "length", 3.0, 3e-6), ("µm", "length", 3.0, 3e-6), ("μm", None, 3.0, 3e-6),
+    ("mN", "force", 20.0, 0.02), ("ms", "time", 1.0, 1e-3), ("min", "time", 2.0, 120.0),
+    (" kPa ", "stress", 1.5, 1500.0),
+    ("N/mm²", "stress", 0.1, 1e5), ("N.mm", "torque", 5.0, 5e-3), ("%", "ratio", 14.0, 0.14), ("-", "ratio", 2.0, 2.0),
+    ("degC", "temperature", 37.0, 310.15), ("°C", "temperature", 0.0, 273.15), ("K", "temperature", 300.0, 300.0)])
+def test_si(unit, quantity, value, si):
+    factor, offset = to_si(unit, quantity)
+    assert value * factor + offset == pytest.approx(si, rel=1e-15)
+
+
+@pytest.mark.parametrize(("unit", "quantity", "message"), [
+    ("mmm", None, "did you mean 'mm'"), ("lbf", "force", "unknown unit 'lbf'"), ("", None, "unknown unit ''"),
+    ("mm", "force", "unit 'mm' is a length, expected a force (N, kN, mN, uN, nN)"),
+    ("n", "force", "unknown unit 'n'"), ("MM", "length", "unknown unit 'MM'")])
+def test_what_is_no_unit_here(unit, quantity, message):
+    with pytest.raises(InputError) as caught:
+        to_si(unit, quantity)
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(("header", "parts"), [
+    ("Load (N)", ("Load", "N")), ("time [s]", ("time", "s")), (" Way[mm] ", ("Way", "mm")),
+    ("Stretch", ("Stretch", None)),
+    ("Strain (true) [%]", ("Strain (true)", "%")), ("Load ( N )", ("Load", "N")), ("[mm]", ("", "mm")),
+    ("Load (N) corrected", ("Load (N) corrected", None)), ("", ("", None)), ("Load ()", ("Load", ""))])
+def test_headers(header, parts):
+    assert split_header(header) == parts
+
+
+plain = st.text(st.characters(exclude_characters="[]()", categories=["L", "N", "P"]), min_size=1)
+
+
+@given(name=plain, unit=st.sampled_from(sorted(UNITS)), brackets=st.sampled_from(["[]", "()"]),
+       gap=st.sampled_from(["", " "]))
+def test_any_header_is_taken_apart(name, unit, brackets, gap):
+    assert split_header(f"{name}{gap}{brackets[0]}{unit}{brackets[1]}") == (name, unit)
+    assert split_header(name) == (name, None)
