@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import sys
 from pathlib import Path
 
 from scenes.console import print_json, progress_console, results_console
@@ -41,7 +43,7 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument("--speed-mm-s", type=positive, metavar="N", default=0.248, help="of the tool (default: 0.248)")
     parser.add_argument("-o", dest="output", type=Path, metavar="CURVE.csv", help="write the curve as a recording")
     parser.add_argument("--figure", type=Path, metavar="F.png", help="draw the deformed mesh, coloured by --field")
-    parser.add_argument("--field", choices=FIELDS, default="von_mises", help="colour of --figure (default: von_mises)")
+    parser.add_argument("--field", choices=FIELDS, help="colour of --figure (default: von_mises)")
     add_later_options(parser, "--tool", "--tool-radius-mm", "--edge-radius-mm", "--half-angle-deg", "--friction",
                       "--friction-base", "--friction-wall", "--protocol", "--rig", "--gravity")
     add_overwrite(parser)
@@ -55,6 +57,8 @@ def run(arguments) -> int:
     if arguments.output is not None:
         new_file(arguments.output.with_suffix(".json"), "-o", overwrite=arguments.overwrite)
     new_file(arguments.figure, "--figure", overwrite=arguments.overwrite, suffixes=FIGURE_SUFFIXES)
+    if arguments.field is not None and arguments.figure is None:
+        raise InputError("a field colours a figure; add --figure F.png", field="--field")
 
     import tissue_sim as ts
     from tissue_sim.recording import MIN_POINTS
@@ -65,9 +69,11 @@ def run(arguments) -> int:
     if arguments.output is not None and arguments.points < MIN_POINTS:
         raise InputError(f"{arguments.points} points are too few for a recording; give at least {MIN_POINTS}, or leave "
                          "out -o", field="--points")
-    material = ts.load_material(arguments.material)
+    material_file = ts.read_material_file(arguments.material)
+    material = material_file.material
 
     from scenes.compression import SCENES
+    from scenes.material_summary import doubts
 
     protocol = ts.Protocol.ramp(arguments.depth_mm * 1e-3, arguments.points, arguments.speed_mm_s * 1e-3)
     experiment = SCENES[arguments.scene].experiment(radius=arguments.radius_mm * 1e-3,
@@ -87,11 +93,16 @@ def run(arguments) -> int:
     if arguments.figure is not None and recording.fields is not None:
         from scenes.figures import draw_simulation
 
-        draw_simulation(recording, ts.Model(experiment, material), arguments.figure, field=arguments.field)
+        draw_simulation(recording, ts.Model(experiment, material), arguments.figure,
+                        field=arguments.field or "von_mises")
+    reached = 1 - float(recording.displacement.max()) / experiment.specimen.height
+    warnings = [*doubts(material_file, reached), *recording.metadata.get("solver", {}).get("warnings", [])]
     if arguments.json:
-        print_json(as_json(recording, arguments.resolution, failure))
+        print_json(as_json(recording, arguments.resolution, failure, warnings))
     else:
         print_curve(recording, arguments)
+        for warning in warnings:
+            print(f"tissue-sim: warning: {warning}", file=sys.stderr)
     if failure is not None:
         kept = f"; the curve up to there is in {arguments.output}" if arguments.output is not None else ""
         raise ConvergenceError(f"{failure}{kept}")
@@ -112,7 +123,7 @@ def check_scene(name: str) -> None:
         raise InputError(f"unknown scene {name!r}{nearest(name, SCENE_NAMES)}")
 
 
-def as_json(recording, resolution: str, failure: Exception | None) -> dict:
+def as_json(recording, resolution: str, failure: Exception | None, warnings: list[str]) -> dict:
     """The object of ``simulate --json``; units are in the names of the keys."""
     solver = recording.metadata.get("solver", {})
     return {
@@ -121,6 +132,7 @@ def as_json(recording, resolution: str, failure: Exception | None) -> dict:
         "force_N": recording.force.tolist(),
         "status": solver.get("status", "failed" if failure else "converged"),
         "message": str(failure) if failure else solver.get("message", ""),
+        "warnings": warnings,
         "newton_iterations": solver.get("newton_iterations"),
         "wall_s": solver.get("wall_s"),
         "mesh": solver.get("mesh"),
@@ -134,10 +146,15 @@ def print_curve(recording, arguments) -> None:
 
     console = results_console()
     table = Table(title=arguments.scene.replace("_", " "))
-    for heading in ("displacement [mm]", "force [N]"):
-        table.add_column(Text(heading), justify="right")  # as text: rich reads brackets as markup
-    for displacement, force in zip(recording.displacement, recording.force, strict=True):
-        table.add_row(f"{displacement * 1e3:.3f}", f"{force:.4f}")
+    columns = []
+    curves = (("displacement", recording.displacement * 1e3, "mm"), ("force", recording.force, "N"))
+    for quantity, values, unit in curves:
+        factor, prefix = (1e3, "m") if 0 < abs(values).max() < 0.1 and unit == "N" else (1.0, "")
+        # As text: rich reads brackets as markup.
+        table.add_column(Text(f"{quantity} [{prefix}{unit}]"), justify="right")
+        columns.append(aligned(values * factor))
+    for row in zip(*columns, strict=True):
+        table.add_row(*row)
     console.print(table)
     solver = recording.metadata.get("solver")
     if solver:
@@ -147,3 +164,10 @@ def print_curve(recording, arguments) -> None:
     for path in (arguments.output, arguments.figure):
         if path is not None and path.exists():
             console.print(f"wrote {path}", markup=False, soft_wrap=True)
+
+
+def aligned(values, digits: int = 5) -> list[str]:
+    """Numbers of one column with the same decimals, so many that the largest shows `digits` digits."""
+    largest = float(abs(values).max())
+    decimals = max(0, digits - 1 - math.floor(math.log10(largest))) if largest > 0 else digits - 1
+    return [f"{value + 0.0:.{decimals}f}" if round(float(value), decimals) else f"{0:.{decimals}f}" for value in values]

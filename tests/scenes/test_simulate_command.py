@@ -11,7 +11,7 @@ from scenes.cli import main
 from scenes.commands.simulate import FIELDS, SCENE_NAMES
 from tissue_sim.errors import ConvergenceError
 
-KEYS = {"displacement_mm", "time_s", "force_N", "status", "message", "newton_iterations", "wall_s", "mesh",
+KEYS = {"displacement_mm", "time_s", "force_N", "status", "message", "warnings", "newton_iterations", "wall_s", "mesh",
         "resolution"}
 
 
@@ -127,3 +127,37 @@ def test_partial_curve_in_json(material, gives_up, capsys):
     assert set(answer) == KEYS and answer["status"] != "converged"
     assert answer["message"] == "no convergence beyond 5 mm" and answer["force_N"] == [0, 1, 2, 3, 4, 5]
     assert err.count("\n") == 1
+
+
+def test_force_that_cannot_be_believed_is_warned_of(material, capsys):
+    words = ["simulate", "bonded_compression", "--material", material, "--depth-mm", "25", "--points", "6"]
+    assert main(words) == 0
+    out, err = capsys.readouterr()
+    assert "45.4" in out and "warning: from 20 mm on the bulging side passes a plate" in err
+    assert main([*words, "--json"]) == 0
+    (warning,) = json.loads(capsys.readouterr().out)["warnings"]
+    assert "passes a plate" in warning
+
+
+def test_material_beyond_its_range_and_stability_is_warned_of(tmp_path, capsys):
+    material = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": -100.0}, ts.Bulk("bulk_ratio", 1e4))
+    ts.write_material_file(ts.MaterialFile.of(material, valid_range={"stretch": (0.9, 1.0)}),
+                           tmp_path / "m.material.json")
+    main(["simulate", "lubricated_compression", "--material", str(tmp_path / "m.material.json"), "--depth-mm", "28"])
+    err = capsys.readouterr().err
+    assert "fitted for stretches 0.9 to 1 only" in err and "not stable over the mean stretches" in err
+
+
+def test_small_forces_keep_their_digits(material, capsys):
+    assert main(["simulate", "lubricated_compression", "--material", material, "--radius-mm", "0.5", "--height-mm", "1",
+                 "--depth-mm", "0.1", "--points", "3"]) == 0
+    out = capsys.readouterr().out
+    assert "force [mN]" in out and "-0.0000" not in out
+    # Closed form: 0.7854 mm2 x nominal stress at stretch 0.9.
+    stress = ts.find_law("reduced_polynomial_2").nominal_stress(0.9, [1404.9, 699.4])
+    assert f"{-stress * 0.7854e-6 * 1e3:.2f}"[:4] in out
+
+
+def test_field_without_figure_is_refused(material, capsys):
+    assert main(["simulate", "lubricated_compression", "--material", material, "--field", "J"]) == 2
+    assert "add --figure" in capsys.readouterr().err
