@@ -3,7 +3,7 @@
 Public names are listed here once and imported on first use, so that ``import calibration`` is instant.
 """
 
-from importlib import import_module as _import_module
+from tissue_sim.public_names import import_on_use as _import_on_use
 
 _HOMES = {
     "Campaign": "campaign", "FitSettings": "campaign", "Noise": "campaign", "Test": "campaign",
@@ -15,15 +15,4 @@ _HOMES = {
 }
 
 __all__ = sorted(_HOMES)
-
-
-def __getattr__(name: str):
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(_import_module(f"{__name__}.{_HOMES[name]}"), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__():
-    return sorted([*globals(), *_HOMES])
+__getattr__, __dir__ = _import_on_use(__name__, _HOMES)

@@ -15,8 +15,6 @@ import tissue_sim as ts
 from tissue_sim.fem.elements import Q4P0, Q9P1
 from tissue_sim.mesh import cylinder_mesh
 
-pytest.importorskip("felupe", reason="FElupe is not installed; it comes with the test extra")
-
 RADIUS, HEIGHT = 0.04, 0.07
 DEPTHS = np.array([2e-3, 5e-3, 10e-3])
 LAWS = {
