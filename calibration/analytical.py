@@ -18,7 +18,7 @@ from calibration.campaign import Campaign, load_campaign
 from calibration.fit import Fit, Prediction
 from calibration.output_folder import FIT_FILE, SUMMARY_FILE, TABLES, claim
 from calibration.replicates import Replicate, read_replicates
-from calibration.statistics import MODEL_ERROR_RATIO, pooled_noise
+from calibration.statistics import CURVATURE_RATIO, MODEL_ERROR_RATIO, pooled_noise
 from calibration.uniaxial import fit_law
 from tissue_sim.errors import InputError
 
@@ -29,7 +29,7 @@ class CalibrationResult:
 
     Attributes:
         campaign: what was asked.
-        fits: best first, by BIC; fits that give no stable material come after those that do.
+        fits: best first, by BIC; laws that are not usable over the data come after those that are.
         predictions: of the held-out tests, for each law.
         noise_Pa: pooled standard deviation of the nominal stress.
         noise_source: ``"stated"``, ``"estimated"``, ``"resolution"`` (of the sensor) or ``"mixed"``.
@@ -167,22 +167,31 @@ def _fit_all(campaign: Campaign, measured: Sequence[Replicate], folder: Path, wo
     noise = pooled_noise([r.noise for r in fitted], np.repeat(np.arange(len(fitted)), [r.stress.size for r in fitted]))
     sources = {r.noise_source for r in fitted}
     source = sources.pop() if len(sources) == 1 else "mixed"
-    return CalibrationResult(campaign, tuple(fits), tuple(predictions), noise, source, _ranking_message(fits),
+    return CalibrationResult(campaign, tuple(fits), tuple(predictions), noise, source, _ranking_message(fits, fitted),
                              folder, work)
 
 
-def _ranking_message(fits: Sequence[Fit]) -> str:
+def _ranking_message(fits: Sequence[Fit], fitted: Sequence[Replicate]) -> str:
     best = fits[0]
     if best.status != "converged":
-        return f"No law gives a stable, converged fit; the first is {best.law}: {best.message}."
-    sentence = f"Best of the stable, converged laws by BIC: {best.law}"
-    unsound = [fit.law for fit in fits if fit.status != "converged" and fit.BIC < best.BIC]
-    if unsound:
-        sentence += f" ({', '.join(unsound)} would be lower, but see the remarks)"
+        return f"No law is usable over the data; the first is {best.law}: {best.message}."
+    unusable = [f"{fit.law} ({fit.unusable})" for fit in fits if fit.status != "converged" and fit.BIC < best.BIC]
+    lower = f" Lower BIC, but not usable: {', '.join(unusable)}." if unusable else ""
+    return f"Best of the laws that are usable over the data: {best.law}{_worth(fits, fitted)}.{lower}"
+
+
+def _worth(fits: Sequence[Fit], fitted: Sequence[Replicate]) -> str:
+    """What the first place is worth, as the end of a sentence."""
+    best = fits[0]
     if best.noise_ratio > MODEL_ERROR_RATIO:
-        return (f"{sentence}; its residuals are {best.noise_ratio:.3g} times the noise, so model error dominates and "
-                "the ranking says which law is least wrong over this range, not which one is right.")
+        return (f"; its residuals are {best.noise_ratio:.3g} times the noise, so model error dominates and the ranking "
+                "says which law is least wrong over this range, not which one is right")
+    guessed = [r for r in fitted if r.noise_source == "estimated"]
+    if best.noise_ratio < CURVATURE_RATIO and guessed:
+        key = "force_N" if guessed[0].mechanical else "nominal_stress_Pa"
+        return (f"; its residuals are {best.noise_ratio:.2g} times the noise, which could not be estimated from "
+                f"samples so coarse or smooth: state {key} in [noise]")
     rivals = [fit.law for fit in fits[1:] if fit.status == "converged" and fit.BIC - best.BIC < 10]
     if rivals:
-        return f"{sentence}; {', '.join(rivals)} within 10 of it, so these data do not decide between them."
-    return f"{sentence}; its residuals are {best.noise_ratio:.2g} times the noise."
+        return f"; {', '.join(rivals)} within 10 of its BIC, so these data do not decide between them"
+    return f"; its residuals are {best.noise_ratio:.2g} times the noise"

@@ -10,6 +10,7 @@ from calibration.campaign import Campaign
 from calibration.fit import Covariance, Fit, Minimum, Nuisance, Prediction
 from calibration.replicates import Replicate
 from calibration.statistics import (
+    CURVATURE_RATIO,
     MODEL_ERROR_RATIO,
     Uncertainty,
     chi_square,
@@ -57,11 +58,15 @@ def assess(solution: Solution, replicates: Sequence[Replicate], campaign: Campai
     stability = check_stability(law, solution.values, (min(STRETCH_RANGE[0], stretches[0]),
                                                        max(STRETCH_RANGE[1], stretches[1])))
     mu0 = law.mu0(solution.values)
-    status, message = _verdict(solution, spread, stability, stretches, mu0, loose, len(replicates), ratio)
     aic, bic = information_criteria(squares + solution.prior_squares, samples, solution.unknowns.size)
     on_bound = [law.parameters[i] for i, hit in zip(free, solution.on_bound[: free.size], strict=True) if hit]
     nuisances = _nuisances(solution, unknown_errors, replicates)
     on_bound += [f"{n.replicate}: {name}" for n in nuisances for name in n.on_bound]
+    status, unusable = _verdict(solution, stability, replicates, mu0)
+    warnings = [f"{name} ended on its bound {value:.6g}" for name, value in _held(solution, on_bound, nuisances)]
+    if mu0 > 0:
+        warnings += _other_losses(stability, replicates)
+    message = _message(solution, spread, (status, unusable), warnings, loose, replicates, ratio)
     total = float(np.sum((data - data.mean())**2))
     return Fit(
         law=law.name, formula=law.formula(), parameters=law.as_mapping(solution.values),
@@ -77,7 +82,8 @@ def assess(solution: Solution, replicates: Sequence[Replicate], campaign: Campai
         stability=stability.describe(), stretch_range=stretches, nuisances=nuisances,
         minima=[Minimum(parameters=law.as_mapping(values), R2=1.0 - squares / total, starts=starts)
                 for values, squares, starts in solution.minima],
-        starts=solution.starts, status=status, message=message, iterations=solution.evaluations, cpu_s=solution.cpu_s,
+        starts=solution.starts, status=status, unusable=unusable, warnings=warnings, message=message,
+        iterations=solution.evaluations, cpu_s=solution.cpu_s,
         material_file=f"{law.name}.material.json" if mu0 > 0 else None)
 
 
@@ -122,8 +128,16 @@ def _force_rmse(residual: np.ndarray, replicates: Sequence[Replicate]) -> float 
 
 def _stretch_range(replicates: Sequence[Replicate]) -> tuple[float, float]:
     """Extreme principal stretches along the loading axis that the data reach, rest included."""
-    low, high = 1.0, 1.0
+    ranges = _measured_ranges(replicates).values()
+    return min(low for low, _ in ranges), max(high for _, high in ranges)
+
+
+def _measured_ranges(replicates: Sequence[Replicate]) -> dict[str, tuple[float, float]]:
+    """Mode of `Stability.limits` that was measured -> extreme stretches of its data, rest included."""
+    ranges: dict[str, tuple[float, float]] = {}
     for replicate in replicates:
+        # Simple shear is a planar deformation and a rotation.
+        mode = "planar" if replicate.mode == "simple_shear" else "uniaxial"
         ends = np.array([replicate.abscissa.min(), replicate.abscissa.max()])
         if replicate.mode == "simple_shear":
             # Principal stretches of simple shear: l - 1/l = gamma.
@@ -131,8 +145,9 @@ def _stretch_range(replicates: Sequence[Replicate]) -> tuple[float, float]:
             ends = np.array([1 / largest, largest])
         elif replicate.test.kind == "lubricated_compression":
             ends = np.minimum(ends, 1.0)
-        low, high = min(low, float(ends.min())), max(high, float(ends.max()))
-    return low, high
+        low, high = ranges.get(mode, (1.0, 1.0))
+        ranges[mode] = min(low, float(ends.min())), max(high, float(ends.max()))
+    return ranges
 
 
 def _intervals(solution: Solution, errors: np.ndarray, quantile: float) -> dict[str, tuple[float, float] | None]:
@@ -157,33 +172,68 @@ def _nuisances(solution: Solution, errors: np.ndarray, replicates: Sequence[Repl
             for i, (r, values) in enumerate(fitted)]
 
 
-def _verdict(solution: Solution, spread: Uncertainty, stability: Stability, stretches: tuple[float, float], mu0: float,
-             loose: list[str], replicates: int, ratio: float) -> tuple[str, str]:
-    """Status and message."""
-    parts = []
+def _held(solution: Solution, on_bound: Sequence[str], nuisances: Sequence[Nuisance]) -> list[tuple[str, float]]:
+    """Everything that ended on a bound, and its value there in the unit of the file."""
+    values = dict(solution.law.as_mapping(solution.values))
+    values.update((f"{n.replicate}: {name}", getattr(n, name)) for n in nuisances for name in n.on_bound)
+    return [(name, values[name]) for name in on_bound]
+
+
+def _losses(stability: Stability, mode: str, stretches: tuple[float, float]) -> str:
+    """Where one mode loses Drucker stability inside these stretches, in words; empty where it does not."""
+    (low, high), (lower, upper) = stretches, stability.limits[mode]
+    if lower == upper == 1.0:
+        return f"in {mode} loading at every stretch"
+    ends = [f"{side} stretch {limit:.3g}" for side, limit, lost in (("below", lower, lower > low),
+                                                                  ("above", upper, upper < high)) if lost]
+    return f"in {mode} loading {' and '.join(ends)}" if ends else ""
+
+
+def _other_losses(stability: Stability, replicates: Sequence[Replicate]) -> list[str]:
+    """A warning where loading that was not measured is unstable inside the stretches of the data."""
+    measured, reached = _measured_ranges(replicates), _stretch_range(replicates)
+    found = [loss for mode in stability.limits if mode not in measured
+             if (loss := _losses(stability, mode, reached))]
+    return [f"not stable {' and '.join(found)}, which was not measured"] if found else []
+
+
+def _verdict(solution: Solution, stability: Stability, replicates: Sequence[Replicate],
+             mu0: float) -> tuple[str, str | None]:
+    """Status, and why the law is not usable over the data."""
     if not mu0 > 0:
-        status = "not_physical"
-        parts.append(f"the shear modulus at rest is {mu0:.4g} Pa, which no material has: no material file is written; "
-                     "set bounds or use another law")
-    elif not solution.converged:
-        status = "not_converged"
-        parts.append("the optimiser ran out of evaluations in a flat valley: other parameters fit as well; fix one, or "
-                     "use a law with fewer")
-    elif stability.stable_from > stretches[0] or stability.stable_to < stretches[1]:
-        status = "unstable"
-        parts.append(f"not stable for the stretches of the data, {stretches[0]:.3g} to {stretches[1]:.3g}: "
-                     f"{stability.describe()}")
-    else:
-        status = "converged"
-        parts.append(f"converged from {solution.starts} start{'s' if solution.starts != 1 else ''}")
+        return "not_physical", f"its shear modulus at rest is {mu0:.4g} Pa"
+    if not solution.converged:
+        return "not_converged", "it did not converge"
+    lost = [loss for mode, reached in _measured_ranges(replicates).items()
+            if (loss := _losses(stability, mode, reached))]
+    if lost:
+        return "unstable", f"not stable {' and '.join(lost)}, where there are data"
+    return "converged", None
+
+
+#: Status -> what to do about a fit that is not usable.
+_REMEDIES = {
+    "not_physical": "no material has that, so no material file is written: set bounds or use another law",
+    "not_converged": "the optimiser ran out of evaluations in a flat valley where other parameters fit as well: fix "
+                     "one, or use a law with fewer",
+}
+
+
+def _message(solution: Solution, spread: Uncertainty, verdict: tuple[str, str | None], warnings: Sequence[str],
+             loose: Sequence[str], replicates: Sequence[Replicate], ratio: float) -> str:
+    status, unusable = verdict
+    starts = f"{solution.starts} start{'s' if solution.starts != 1 else ''}"
+    parts = [f"converged from {starts}" if unusable is None else unusable]
+    if status in _REMEDIES:
+        parts.append(_REMEDIES[status])
     if ratio > MODEL_ERROR_RATIO:
         parts.append(f"residuals are {ratio:.3g} times the noise: model error dominates")
+    elif ratio < CURVATURE_RATIO and any(r.noise_source == "estimated" for r in replicates):
+        parts.append(f"residuals are {ratio:.2g} times the estimated noise, so that is too large")
     if spread.basis == "replicates":
-        parts.append(f"standard errors follow the scatter of the {replicates} replicates")
+        parts.append(f"standard errors follow the scatter of the {len(replicates)} replicates")
     elif spread.basis == "residuals":
         parts.append("standard errors follow the residuals, as if these were independent")
     if loose:
         parts.append(f"the data do not determine {', '.join(loose)}")
-    if solution.on_bound.any():
-        parts.append("some unknowns ended on their bounds")
-    return status, "; ".join(parts)
+    return "; ".join([*parts, *warnings])

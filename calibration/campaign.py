@@ -14,6 +14,7 @@ import numpy as np
 from calibration.campaign_checks import (
     HOMOGENEOUS,
     check_available,
+    check_bulk_ratio,
     check_parameters,
     find_recordings,
     later,
@@ -258,6 +259,7 @@ def _fit_settings(table: FitTable, noise: NoiseTable) -> FitSettings:
             raise InputError(f"{name} is listed twice", field=f"fit.laws[{i}]")
     for key in ("bulk_ratio", "offset_bounds_mm", "offset_prior_mm", "zero_bounds_N", "zero_prior_N"):
         require_positive(getattr(table, key), f"fit.{key}")
+    check_bulk_ratio(table.bulk_ratio)
     if table.strain_points is not None and table.strain_points < 5:
         raise InputError(f"{table.strain_points} points are too few; give at least 5", field="fit.strain_points")
     check_parameters(table)

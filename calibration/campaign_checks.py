@@ -13,6 +13,7 @@ from calibration.campaign_schema import FitTable, TestTable
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.formats import check_columns
 from tissue_sim.laws import LAWS
+from tissue_sim.material import BULK_RATIOS
 from tissue_sim.recording_file import KINDS
 
 #: Test kinds with a homogeneous deformation -> mode of `Law.nominal_stress`.
@@ -32,6 +33,14 @@ def require_positive(value: float | None, field: str, unit: str = "") -> None:
     """Refuse zero, negative and non-finite numbers; None passes."""
     if value is not None and not (np.isfinite(value) and value > 0):
         raise InputError(f"{value:g}{unit} is not positive; give a number above zero", field=field)
+
+
+def check_bulk_ratio(ratio: float | None) -> None:
+    """Refuse a K / mu0 that the finite elements would refuse later; None passes."""
+    if ratio is not None and not BULK_RATIOS[0] <= ratio <= BULK_RATIOS[1]:
+        raise InputError(f"K / mu0 = {ratio:g} is outside {BULK_RATIOS[0]:g} to {BULK_RATIOS[1]:g}, which the finite "
+                         "elements are checked for; leave it out for an incompressible material",
+                         field="fit.bulk_ratio")
 
 
 def check_available(entry: TestTable, field: str) -> None:

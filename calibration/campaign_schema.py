@@ -17,6 +17,9 @@ from tissue_sim.recording_file import KINDS
 Pair = tuple[float, float]
 #: JSON's words in TOML.
 _WORDS = {"object": "a table, written [name] or { ... }", "array": "a list, written [...]"}
+#: What the tables of ``[fit]`` hold for each parameter.
+_BY_PARAMETER = {"start": "a number", "fixed": "a number", "prior": "[mean, standard deviation]",
+                 "bounds": "[low, high]"}
 
 
 class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -117,6 +120,21 @@ def decode_campaign(path: Path) -> tuple[CampaignTable, bytes]:
         if not isinstance(content.get(key, []), list):
             raise InputError(f"expected a list of tables, written [[{key}]]", file=path, field=key)
     try:
+        _check_by_parameter(content.get("fit"))
         return decode(content, CampaignTable, words=_WORDS), path.read_bytes()
     except InputError as error:
-        raise error.located(file=path) from None
+        # TOML has no null: what may be left out is not written.
+        problem = error.problem.replace(" or null", "")
+        raise InputError(problem, file=path, field=error.field) from None
+
+
+def _check_by_parameter(fit: Any) -> None:
+    """Types in the tables whose keys are parameters, which the decoder does not name."""
+    for key, expected in _BY_PARAMETER.items():
+        table = fit.get(key) if isinstance(fit, dict) else None
+        for name, value in table.items() if isinstance(table, dict) else ():
+            numbers = value if expected.startswith("[") else [value]
+            length = 2 if expected.startswith("[") else 1
+            if not (isinstance(numbers, list) and len(numbers) == length
+                    and all(isinstance(n, int | float) and not isinstance(n, bool) for n in numbers)):
+                raise InputError(f"expected {expected}, got {value!r}", field=f"fit.{key}.{name}")

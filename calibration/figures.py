@@ -19,6 +19,8 @@ DASHES = ("-", (0, (6, 2)), (0, (2, 1.2)), (0, (6, 2, 1.5, 2)), (0, (9, 3)), (0,
 _STYLE = {"font.size": 10, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "grid.alpha": 0.25,
           "legend.frameon": False, "figure.constrained_layout.use": True, "font.family": "DejaVu Sans"}
 _DATA_POINTS, _CURVE_POINTS, _BINS = 250, 200, 60
+#: Twice the 96 of a CSS inch, for sharp screens.
+_FORMULA_DPI = 192
 
 
 def draw_test(fits: Sequence[Fit], replicates: Sequence[Replicate]) -> bytes:
@@ -86,9 +88,15 @@ def draw_formula(law_name: str) -> bytes | None:
         figure = _figure(0.01, 0.01)
         figure.text(0, 0, f"${law.latex()}$", fontsize=13)
         try:
-            return _png(figure, 160, bbox_inches="tight", pad_inches=0.03, transparent=True)
+            return _png(figure, _FORMULA_DPI, bbox_inches="tight", pad_inches=0.03, transparent=True)
         except ValueError:
             return None
+
+
+def natural_width(png: bytes) -> int:
+    """Width in CSS pixels at which the text of `draw_formula` has the size that it was set in."""
+    # Width of the image header: https://www.w3.org/TR/png/#11IHDR
+    return round(int.from_bytes(png[16:20], "big") * 96 / _FORMULA_DPI)
 
 
 def as_data_uri(png: bytes) -> str:

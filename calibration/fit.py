@@ -79,11 +79,15 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
         noise_ratio: root mean square of the residuals, each in units of its noise.
         AIC, BIC: with the noise taken as known and priors as penalties, up to a constant that all laws share.
         E0, mu0: initial Young's and shear modulus of the incompressible law, Pa.
-        stable_from, stable_to: Drucker-stable stretches; stability: the same in words; stretch_range: of the data.
+        stable_from, stable_to: stretches that are Drucker-stable in all three modes of loading; stability: the same
+            in words; stretch_range: of the data.
         nuisances: of the replicates when offsets are fitted.
         minima: best first. starts: how many were tried.
-        status: ``"converged"``, ``"unstable"`` (not stable over the data), ``"not_physical"`` or ``"not_converged"``.
-        message: for people.
+        status: ``"converged"``, ``"unstable"`` (in the measured loading over the data), ``"not_physical"`` or
+            ``"not_converged"``. Only the first is usable.
+        unusable: why it is not usable over the data; None where it is.
+        warnings: what to mind, usable or not: bounds that hold unknowns, loss of stability in other loading.
+        message: for people; holds both.
         iterations: evaluations of the model. fem_solves: 0 for a closed form. cpu_s: processor seconds.
         material_file: name of the file, None where the fit gives no material.
     """
@@ -114,6 +118,8 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
     minima: list[Minimum] = []
     starts: int
     status: str
+    unusable: str | None = None
+    warnings: list[str] = []
     message: str
     iterations: int
     fem_solves: int = 0

@@ -116,7 +116,7 @@ def _read(path: Path, test: Test, campaign: Campaign) -> Replicate:
     _check_size(recording, test, campaign, path)
     recording = _loading(recording)
     mechanical, abscissa, stress = _curve(recording, test, path)
-    _check_range(abscissa, test, path)
+    _check_range(abscissa, recording, test, path)
     if mechanical or "time" in recording:
         loaded = slice(0, int(np.argmax(strain_of(abscissa, test.kind))) + 1)
     else:
@@ -127,11 +127,15 @@ def _read(path: Path, test: Test, campaign: Campaign) -> Replicate:
     if test.max_strain is not None:
         strain = strain_of(abscissa, test.kind)
         inside = (np.abs(strain) if test.mode == "simple_shear" else strain) <= test.max_strain * (1 + 1e-9)
+    if (mechanical or "time" in recording) and loaded.stop < MIN_POINTS:
+        raise InputError(f"{path.name} has its largest strain in sample {loaded.stop}, and what follows counts as "
+                         f"unloading; sort the file by time, so that at least {MIN_POINTS} samples load the specimen",
+                         field="recordings")
     if inside.sum() < MIN_POINTS:
         raise InputError(f"{path.name} has {inside.sum()} points of loading in the window; at least {MIN_POINTS} are "
-                         "needed, so widen max_strain or check the order of the samples", field="recordings")
+                         "needed, so widen max_strain", field="recordings")
     _check_sign(abscissa, stress, test, path)
-    noise, source = _noise(stress, mechanical, test, campaign)
+    noise, source = _noise(abscissa, stress, mechanical, test, campaign)
     interpolation = None
     if campaign.fit.strain_points is not None:
         abscissa, interpolation = _evenly_spaced(abscissa, test, campaign, path)
@@ -204,7 +208,11 @@ def _curve(recording: Recording, test: Test, path: Path) -> tuple[bool, np.ndarr
                      f"or {' and '.join(direct)}", field="recordings")
 
 
-def _check_range(abscissa: np.ndarray, test: Test, path: Path) -> None:
+def _check_range(abscissa: np.ndarray, recording: Recording, test: Test, path: Path) -> None:
+    if np.ptp(abscissa) == 0:
+        names = [name for pair in KINDS[test.kind] for name in pair[:1] if name in recording]
+        raise InputError(f"{path.name} does not move: its {names[0]} has the same value in all {abscissa.size} samples "
+                         "of loading; check which column it is read from", field="recordings")
     largest = strain_of(abscissa, test.kind).max()
     if test.mode == "uniaxial" and abscissa.min() <= 0:
         raise InputError(f"{path.name} reaches stretch {abscissa.min():g}; a stretch is above zero", field="recordings")
@@ -222,7 +230,8 @@ def _check_sign(abscissa: np.ndarray, stress: np.ndarray, test: Test, path: Path
                          "column with sign = -1", field="recordings")
 
 
-def _noise(stress: np.ndarray, mechanical: bool, test: Test, campaign: Campaign) -> tuple[float, str]:
+def _noise(abscissa: np.ndarray, stress: np.ndarray, mechanical: bool, test: Test,
+           campaign: Campaign) -> tuple[float, str]:
     """Standard deviation of the nominal stress, Pa, and whether it was stated."""
     if mechanical and campaign.noise.force is not None:
         return campaign.noise.force / test.specimen.area, "stated"
@@ -230,7 +239,7 @@ def _noise(stress: np.ndarray, mechanical: bool, test: Test, campaign: Campaign)
         return campaign.noise.nominal_stress, "stated"
     if not mechanical and campaign.noise.force is not None and test.specimen is not None:
         return campaign.noise.force / test.specimen.area, "stated"
-    spread, rounding = estimate_noise(stress), resolution(stress) / np.sqrt(12.0)
+    spread, rounding = estimate_noise(stress, abscissa), resolution(stress) / np.sqrt(12.0)
     return (spread, "estimated") if spread >= rounding else (rounding, "resolution")
 
 

@@ -7,8 +7,9 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calibration.figures import as_data_uri, draw_formula, draw_test
+from calibration.figures import as_data_uri, draw_formula, draw_test, natural_width
 from calibration.fit import Fit
+from calibration.pressure import format_pressure, pressure_unit
 from calibration.replicates import Replicate
 from tissue_sim.atomic_write import write_text
 from tissue_sim.laws import find_law
@@ -29,7 +30,7 @@ th, td { text-align: right; padding: .35rem .6rem; border-bottom: 1px solid #dfe
          vertical-align: top; white-space: nowrap; }
 th:first-child, td:first-child, td.text, th.text { text-align: left; } td.text { white-space: normal; }
 thead th { border-bottom: 2px solid #59636e; font-weight: 600; } tr.best td { background: #f3f8f1; }
-img { max-width: 100%; height: auto; } img.formula { height: 2.4em; vertical-align: middle; }
+img { max-width: 100%; height: auto; } img.formula { max-width: none; vertical-align: middle; }
 small, .quiet { color: #59636e; } .bad { color: #a33c00; }
 """
 
@@ -92,8 +93,8 @@ def assumptions(result: CalibrationResult) -> list[str]:
     source = {"stated": "stated in the campaign", "estimated": "estimated from second differences of the samples",
               "resolution": "the resolution of the sensor, step/√12, because neighbouring samples are mostly equal",
               "mixed": "of different sources for different recordings"}[result.noise_source]
-    lines.append(f"The noise of the nominal stress is {result.noise_Pa:.3g} Pa (standard deviation), {source}; AIC and "
-                 "BIC take it as known.")
+    lines.append(f"The noise of the nominal stress is {format_pressure(result.noise_Pa, 3)} (standard deviation), "
+                 f"{source}; AIC and BIC take it as known.")
     if fit.prior or fit.offset == "fit":
         lines.append("AIC and BIC are those of the penalised likelihood: the distance from the priors counts.")
     if fit.strain_points is not None:
@@ -102,18 +103,27 @@ def assumptions(result: CalibrationResult) -> list[str]:
 
 
 def _ranking_table(fits: Sequence[Fit]) -> str:
-    best = fits[0].BIC
+    best = fits[0]
+    (e_unit, e_size), (mu_unit, mu_size) = pressure_unit(best.E0), pressure_unit(best.mu0)
+    r_unit, r_size = pressure_unit(best.RMSE_Pa)
     rows = []
     for i, fit in enumerate(fits):
         force = "-" if fit.RMSE_N is None else f"{fit.RMSE_N:.4g}"
+        # A difference to a law that cannot be used would invite to use it.
+        difference = f"{fit.BIC - best.BIC:.4g}" if fit.unusable is None else "-"
         rows.append(
-            f'<tr{" class=best" if i == 0 else ""}><td>{escape(find_law(fit.law).title)}</td><td>{fit.E0:.1f}</td>'
-            f"<td>{fit.mu0:.1f}</td><td>{fit.R2:.6f}</td><td>{force}</td><td>{fit.RMSE_Pa:.4g}</td>"
-            f"<td>{fit.AIC:.6g}</td><td>{fit.BIC:.6g}</td><td>{fit.BIC - best:.4g}</td>"
-            f"<td>{fit.stable_from:.3g} to {fit.stable_to:.3g}</td></tr>")
-    head = ("<th>Law</th><th>E<sub>0</sub> [Pa]</th><th>μ<sub>0</sub> [Pa]</th><th>R²</th><th>RMSE [N]</th>"
-            "<th>RMSE [Pa]</th><th>AIC</th><th>BIC</th><th>ΔBIC</th><th>Stable stretches</th>")
+            f'<tr{" class=best" if i == 0 else ""}><td>{escape(find_law(fit.law).title)}</td>'
+            f"<td>{fit.E0 / e_size:.4g}</td><td>{fit.mu0 / mu_size:.4g}</td><td>{fit.R2:.5f}</td><td>{force}</td>"
+            f"<td>{fit.RMSE_Pa / r_size:.4g}</td><td>{difference}</td><td>{stable_stretches(fit)}</td></tr>")
+    head = (f"<th>Law</th><th>E<sub>0</sub> [{e_unit}]</th><th>μ<sub>0</sub> [{mu_unit}]</th><th>R²</th>"
+            f"<th>RMSE [N]</th><th>RMSE [{r_unit}]</th><th>ΔBIC</th><th>Stable stretches</th>")
     return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
+
+
+def stable_stretches(fit: Fit) -> str:
+    """Drucker-stable stretches in all three modes, such as ``0.3 to 3``."""
+    nowhere = fit.mu0 <= 0 or fit.stable_from >= fit.stable_to
+    return "nowhere" if nowhere else f"{fit.stable_from:.3g} to {fit.stable_to:.3g}"
 
 
 def _remarks(fits: Sequence[Fit]) -> str:
@@ -132,7 +142,7 @@ def _parameter_table(fits: Sequence[Fit], figures: bool) -> str:
         law = find_law(fit.law)
         png = draw_formula(fit.law) if figures else None
         formula = escape(fit.formula) if png is None else \
-            f'<img class="formula" src="{as_data_uri(png)}" alt="{escape(fit.formula)}">'
+            f'<img class="formula" width="{natural_width(png)}" src="{as_data_uri(png)}" alt="{escape(fit.formula)}">'
         for i, (name, value) in enumerate(fit.parameters.items()):
             error, interval = fit.standard_errors[name], fit.intervals95[name]
             unit = "" if law.units[name] == "1" else f" {law.units[name]}"

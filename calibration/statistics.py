@@ -11,6 +11,8 @@ from scipy.sparse import csr_array
 
 #: Residuals this many times the stated noise mean that the model, not the sensor, makes the error.
 MODEL_ERROR_RATIO = 3.0
+#: Residuals this many times an estimated noise mean that it was the curvature of the data, not noise.
+CURVATURE_RATIO = 0.3
 #: Residuals this many times the noise are not the noise any more, and the standard errors follow them.
 RESIDUAL_RATIO = 1.1
 #: Fewer replicates than this say nothing about their own scatter.
@@ -21,21 +23,31 @@ SINGULAR_CONDITION = 1e14
 Interpolations = Sequence[csr_array | None]
 
 
-def estimate_noise(samples: np.ndarray) -> float:
-    """Standard deviation of white noise on a smooth curve, from its second differences.
+def estimate_noise(samples: np.ndarray, abscissa: np.ndarray | None = None) -> float:
+    """Standard deviation of white noise on a smooth curve, from each sample's distance to the line of its neighbours.
 
-    The second difference of white noise has six times its variance; the median keeps jumps out. The floor is the
+    The median keeps jumps out. The line is drawn over the number of the sample and over the abscissa, and the smaller
+    estimate counts: uneven steps make the first too large, an abscissa of coarse steps the second. The floor is the
     resolution of floating point, so that exact synthetic data do not give zero. On a coarse curve the curvature counts
     as noise.
 
     Args:
-        samples: evenly sampled values, shape (n,), n >= 3.
+        samples: values in order, shape (n,), n >= 3.
+        abscissa: where they were taken, shape (n,); None: at even steps.
 
-    Source: von Neumann's successive differences; Gasser, Sroka, Jennen-Steinmetz, Biometrika 73 (1986) 625.
+    Source: Gasser, Sroka, Jennen-Steinmetz, Biometrika 73 (1986) 625, pseudo-residuals.
     """
-    second = np.diff(samples, 2)
-    deviation = np.median(np.abs(second)) / stats.norm.ppf(0.75) / np.sqrt(6.0)
-    return float(max(deviation, 1e-9 * np.abs(samples).max(), np.finfo(float).tiny))
+    shares = [np.full(samples.size - 2, 0.5)]
+    if abscissa is not None:
+        span, step = abscissa[2:] - abscissa[:-2], abscissa[1:-1] - abscissa[:-2]
+        share = np.divide(step, span, out=np.full(span.size, 0.5), where=span != 0)
+        shares.append(np.where((share >= 0) & (share <= 1), share, 0.5))
+    deviations = []
+    for share in shares:
+        distance = samples[1:-1] - (1 - share) * samples[:-2] - share * samples[2:]
+        distance /= np.sqrt(1 + (1 - share)**2 + share**2)
+        deviations.append(np.median(np.abs(distance)) / stats.norm.ppf(0.75))
+    return float(max(min(deviations), 1e-9 * np.abs(samples).max(), np.finfo(float).tiny))
 
 
 def resolution(samples: np.ndarray) -> float:

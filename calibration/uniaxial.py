@@ -22,7 +22,7 @@ EXPONENT_BOUND = 50.0
 #: Smallest exponent: formulas divide by it, and their limit is reached long before.
 TINY_EXPONENT = 1e-5
 #: Starts are refined on a thinned curve, its best distinct minima on all samples.
-THINNED_POINTS, MAX_STARTS, MAX_MINIMA = 400, 12, 2
+THINNED_POINTS, MAX_STARTS, MAX_MINIMA = 200, 12, 2
 THINNED_EVALUATIONS, EVALUATIONS, TOLERANCE = 300, 80, 1e-10
 
 
@@ -233,7 +233,7 @@ def fit_law(law: Law | str, replicates: Sequence[Replicate], settings: FitSettin
     deviation = pooled_noise([r.noise for r in replicates], index)
     force_noise = max((r.noise * r.area for r in replicates if r.area is not None), default=0.0)
     full = _Problem(law, replicates, settings, deviation, force_noise)
-    stride = max(1, full.data.size // THINNED_POINTS)
+    stride = -(-full.data.size // THINNED_POINTS)
     thin = full if stride == 1 else _Problem(law, replicates, settings, deviation, force_noise, stride)
     starts = thin.starts()
     tried = [thin.solve(start, THINNED_EVALUATIONS) for start in starts] if full.low.size else []

@@ -26,10 +26,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     _speak_utf8()
     words = list(sys.argv[1:] if argv is None else argv)
-    resume_hint = "nothing was written"
+    arguments = None
     try:
         arguments = _parse(words)
-        resume_hint = getattr(arguments, "resume_hint", resume_hint)
         code = DONE if arguments is None else arguments.run(arguments)
         sys.stdout.flush()  # here, where a reader that has left is noticed, and not at exit
         return code
@@ -44,7 +43,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except OSError as error:
         return _fail(f"{error.filename}: {error.strerror}" if error.filename else str(error), BAD_INPUT)
     except KeyboardInterrupt:
-        return _fail(f"stopped by Ctrl-C; {resume_hint}", INTERRUPTED)
+        return _fail(f"stopped by Ctrl-C; {getattr(arguments, 'resume_hint', 'nothing was written')}", INTERRUPTED)
 
 
 def _parse(words: list[str]):

@@ -29,7 +29,14 @@ def results_console(*, quiet: bool = False) -> Console:
     """Console of the results: stdout, or nowhere when `quiet` (``--json``)."""
     from rich.console import Console
 
-    return Console(quiet=quiet, width=None if sys.stdout.isatty() else PIPE_WIDTH, highlight=False, soft_wrap=False)
+    class ResultsConsole(Console):
+        """rich ends the process with code 1 when the reader of a pipe has left; `scenes.cli` knows better."""
+
+        def on_broken_pipe(self) -> None:
+            raise BrokenPipeError
+
+    width = None if sys.stdout.isatty() else PIPE_WIDTH
+    return ResultsConsole(quiet=quiet, width=width, highlight=False, soft_wrap=False)
 
 
 def progress_console(*, quiet: bool = False) -> Console:

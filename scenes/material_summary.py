@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
+from calibration.pressure import format_pressure
 from tissue_sim.laws import check_stability
 
 if TYPE_CHECKING:
@@ -95,8 +96,8 @@ def print_summary(summary: dict[str, Any], console: Console) -> None:
         error = parameter.get("standard_error")
         table.add_row(name, f"{parameter['value']:.6g}", "-" if error is None else f"{error:.3g}", parameter["unit"])
     console.print(table)
-    K = "incompressible" if summary["incompressible"] else f"K {summary['K_Pa']:.6g} Pa"
-    line(f"E0 {summary['E0_Pa']:.1f} Pa, mu0 {summary['mu0_Pa']:.1f} Pa, {K}")
+    K = "incompressible" if summary["incompressible"] else f"K {format_pressure(summary['K_Pa'])}"
+    line(f"E0 {format_pressure(summary['E0_Pa'])}, mu0 {format_pressure(summary['mu0_Pa'])}, {K}")
     if summary["density_kg_m3"] is not None:
         line(f"density {summary['density_kg_m3']:g} kg/m3")
     low, high = summary["stability"]["stretch_range"]

@@ -36,8 +36,8 @@ def add_arguments(parser: Parser) -> None:
     new.add_argument("--set", dest="settings", action="append", default=[], metavar="NAME=VALUE",
                      help="a parameter of the law, Pa (exponents: 1); once for each")
     bulk = new.add_mutually_exclusive_group()
-    bulk.add_argument("--bulk-ratio", type=positive, metavar="N", help="K / mu0")
-    bulk.add_argument("--bulk-modulus-pa", type=positive, metavar="N", help="K in Pa")
+    bulk.add_argument("--bulk-ratio", type=positive, metavar="N", help="K / mu0, 10 to 1e6")
+    bulk.add_argument("--bulk-modulus-pa", type=positive, metavar="N", help="K in Pa, 10 to 1e6 times mu0")
     bulk.add_argument("--incompressible", action="store_true", help="no change of volume (default)")
     new.add_argument("--name", default="", help="name for people")
     new.add_argument("--density-kg-m3", type=positive, metavar="N", help="density")
@@ -59,13 +59,32 @@ def run_new(arguments) -> int:
         bulk = ts.Bulk()
     material = ts.Material(arguments.law, read_settings(arguments.settings), bulk, density=arguments.density_kg_m3,
                            name=arguments.name)
+    check_bulk(material, "--bulk-ratio" if arguments.bulk_ratio is not None else "--bulk-modulus-pa")
     ts.write_material_file(ts.MaterialFile.of(material), arguments.output)
     if arguments.json:
         print_json({"material_file": str(arguments.output)})
     else:
-        results_console().print(f"wrote {arguments.output}: E0 {material.E0:.1f} Pa, mu0 {material.mu0:.1f} Pa",
-                                markup=False, soft_wrap=True)
+        from calibration.pressure import format_pressure
+
+        results_console().print(f"wrote {arguments.output}: E0 {format_pressure(material.E0)}, "
+                                f"mu0 {format_pressure(material.mu0)}", markup=False, soft_wrap=True)
     return 0
+
+
+def check_bulk(material, option: str) -> None:
+    """Refuse a bulk response that `simulate` would refuse.
+
+    Raises:
+        InputError: K / mu0 outside `BULK_RATIOS`, with the option that states it.
+    """
+    from tissue_sim.material import BULK_RATIOS
+
+    ratio = material.bulk_modulus / material.mu0
+    low, high = BULK_RATIOS
+    if material.bulk.kind != "incompressible" and not low <= ratio <= high:
+        stated = "" if option == "--bulk-ratio" else f"; give {low * material.mu0:.4g} to {high * material.mu0:.4g} Pa"
+        raise InputError(f"K / mu0 is {ratio:.4g}, outside {low:g} to {high:g}, which the finite elements are checked "
+                         f"for{stated}, or --incompressible", field=option)
 
 
 def read_settings(settings: list[str]) -> dict[str, float]:

@@ -96,6 +96,8 @@ def test_files_ranking_and_prediction(campaign, tmp_path):
 
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert page.count("data:image/png;base64,") == 2 + 3
+    assert len(re.findall(r'<img class="formula" width="\d+"', page)) == 3
+    assert "<th>BIC</th>" not in page and "E<sub>0</sub> [kPa]" in page
     assert not re.search(r"(src|href)=[\"']?https?:", page)
     for text in ("frictionless", "Self-weight is not included", "held out", "Standard error",
                  "Correlation of the parameters", f"<td>{result.best.correlation[0][1]:.3f}</td>"):
@@ -219,7 +221,40 @@ def test_an_unsound_law_may_have_the_lower_bic(tmp_path):
     (tmp_path / "soft.toml").write_text(text.replace('"mooney_rivlin", ', ""), encoding="utf-8")
     result, = calibration.calibrate([tmp_path / "soft.toml"], tmp_path / "out", figures=False)
     assert result.best.law == "neo_hooke" and result.fits[1].BIC < result.best.BIC
-    assert result.message.startswith("Best of the stable, converged laws by BIC: neo_hooke (reduced_polynomial_2 would")
+    assert result.message.startswith("Best of the laws that are usable over the data: neo_hooke; ")
+    assert "Lower BIC, but not usable: reduced_polynomial_2 (not stable in uniaxial loading below" in result.message
+    assert result.fits[1].status == "unstable"
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "<td>0</td>" in page and "<td>-</td>" in page
+
+
+def test_loss_of_stability_in_other_loading_is_a_warning(tmp_path):
+    """Yeoh's law with a negative last coefficient in tension: equibiaxial loading is lost first."""
+    law, values = ts.find_law("reduced_polynomial_3"), {"C10": 7300.0, "C20": 53.0, "C30": -0.0527}
+    lost = ts.check_stability(law, law.as_array(values), (0.3, 20.0)).limits
+    end = 0.5 * (lost["equibiaxial"][1] + lost["uniaxial"][1])
+    assert lost["equibiaxial"][1] < end < lost["uniaxial"][1]
+    stretch = np.linspace(1.0, end, 200)
+    ts.write_recording(ts.Recording({"stretch": stretch, "nominal stress": law.nominal_stress(stretch, values)}),
+                       tmp_path / "pull.csv")
+    (tmp_path / "pull.toml").write_text('[[test]]\nkind = "uniaxial_tension"\nrecordings = ["pull.csv"]\n[fit]\n'
+                                        'laws = ["reduced_polynomial_3", "neo_hooke"]\n', encoding="utf-8")
+    result, = calibration.calibrate([tmp_path / "pull.toml"], tmp_path / "out", figures=False)
+    assert (result.best.law, result.best.status, result.best.unusable) == ("reduced_polynomial_3", "converged", None)
+    warning, = result.best.warnings
+    assert "equibiaxial loading above stretch" in warning and "not measured" in warning
+    assert "uniaxial loading" not in warning.replace("equibiaxial", "") and warning in result.best.message
+
+
+def test_noise_that_cannot_be_estimated_is_said(campaign, tmp_path):
+    displacement = np.linspace(0.0, 0.4, 41) * 70e-3
+    force = -ts.find_law("reduced_polynomial_2").nominal_stress(1 - displacement / 70e-3, VALUES) * np.pi * 0.04**2
+    ts.write_recording(ts.Recording({"displacement": displacement, "force": force}), tmp_path / "exact.csv")
+    text = TEXT.replace("fit_*.csv", "exact.csv").replace("force_N = 0.02", "").replace('"mooney_rivlin", ', "")
+    campaign.write_text(text, encoding="utf-8")
+    result, = calibration.calibrate([campaign], tmp_path / "out", figures=False)
+    assert result.best.noise_ratio < 0.3
+    assert "could not be estimated" in result.message and "state force_N in [noise]" in result.message
 
 
 def test_density_of_the_specimen_goes_into_the_material(campaign, tmp_path):

@@ -39,8 +39,8 @@ contact_jitter_mm = 0.03
 """
 
 
-def write_run(folder, name, depth=10e-3, points=21, force=5.0):
-    displacement = np.linspace(0.0, depth, points)
+def write_run(folder, name, depth=10e-3, points=21, force=5.0, order=1):
+    displacement = np.linspace(0.0, depth, points)[::order] if order else np.full(points, depth)
     recording = ts.Recording({"displacement": displacement, "force": force * displacement / depth})
     ts.write_recording(recording, folder / name)
 
@@ -88,6 +88,12 @@ BAD = [
     ("bulk_ratio = 1000", "bulk_ratoi = 1000", "fit.bulk_ratoi", "bulk_ratio"),
     ("bulk_ratio = 1000", "bulk_ratio = \"stiff\"", "fit.bulk_ratio", "expected"),
     ("bulk_ratio = 1000", "bulk_ratio = -1", "fit.bulk_ratio", "positive"),
+    ("bulk_ratio = 1000", "bulk_ratio = 5", "fit.bulk_ratio", "outside 10 to 1e+06"),
+    ("bulk_ratio = 1000", "bulk_ratio = 1e9", "fit.bulk_ratio", "outside 10 to 1e+06"),
+    ("radius_mm = 40.0", "radius_mm = \"40\"", "specimen[0].radius_mm", "expected a number, got text"),
+    ("C10 = [1.0, 20000.0]", "C10 = 3.0", "fit.bounds.C10", "expected [low, high], got 3.0"),
+    ("C10 = [1.0, 20000.0]", "C10 = [1.0, 2.0, 3.0]", "fit.bounds.C10", "expected [low, high]"),
+    ("C10 = 1400.0", "C10 = \"soft\"", "fit.start.C10", "expected a number, got 'soft'"),
     ("radius_mm = 40.0", "radius_mm = -40.0", "specimen[0].radius_mm", "positive"),
     ("height_mm = 70.0", "height_mm = 0", "specimen[0].height_mm", "positive"),
     ("height_mm = 70.0", "", "specimen[0].height_mm", "missing"),
@@ -235,6 +241,8 @@ BAD_RECORDINGS = [
     ({"force": -5.0}, "", "against the load"),
     ({}, "max_strain = 0.001", "at least 5"),
     ({"depth": -10e-3}, "", "largest strain"),
+    ({"order": -1}, "", "largest strain in sample 1, .*sort the file by time"),
+    ({"order": 0}, "", "does not move"),
 ]
 
 

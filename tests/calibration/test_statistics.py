@@ -166,6 +166,19 @@ def test_noise_from_second_differences():
     assert estimate_noise(50 * x) < 1e-6
 
 
+def test_noise_of_uneven_samples_is_not_their_slope():
+    rng = np.random.default_rng(11)
+    x = np.sort(rng.uniform(0.0, 1.0, 3000))
+    noisy = 3000 * x + 30 * x**3 + rng.normal(0.0, 0.1, x.size)
+    assert estimate_noise(noisy) > 0.3, "even steps would be assumed"
+    assert estimate_noise(noisy, x) == pytest.approx(0.1, rel=0.06)
+    # A coarse encoder below a smooth force: the order of the samples knows better than the abscissa.
+    even = np.linspace(0.0, 1.0, 3000)
+    staircase = np.round(even * 200) / 200
+    noisy = 3000 * even + rng.normal(0.0, 0.1, even.size)
+    assert estimate_noise(noisy, staircase) == pytest.approx(0.1, rel=0.06)
+
+
 def test_resolution_of_a_quantised_signal():
     rng = np.random.default_rng(10)
     ramp = np.linspace(0.0, 8.0, 5000)**1.2

@@ -1,10 +1,14 @@
 """`tissue-sim calibrate`: campaigns in, table and JSON out."""
 
 import json
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
+import calibration.analytical
 import tissue_sim as ts
 from scenes.cli import main
 
@@ -63,7 +67,7 @@ def test_table(campaign, tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["calibrate", str(campaign), "-o", str(out)]) == 0
     text = capsys.readouterr().out
-    for expected in ("reduced_polynomial_2 *", "neo_hooke", "±", "E0 [Pa]", "BIC - best"):
+    for expected in ("reduced_polynomial_2 *", "neo_hooke", "±", "E0 kPa", "dBIC"):
         assert expected in text
     assert f"wrote {out / 'report.html'}" in text
 
@@ -96,7 +100,64 @@ def test_two_campaigns_in_one_call(campaign, tmp_path, capsys):
     answer = json.loads(capsys.readouterr().out)
     assert [len(one["fits"]) for one in answer["campaigns"]] == [2, 1]
     assert main(["calibrate", str(campaign), str(second), "-o", str(out)]) == 0, "the same work again is resumed"
-    assert capsys.readouterr().out.count("* best of the stable, converged laws by BIC") == 2
+    text = capsys.readouterr().out
+    assert text.count("* best usable law") == 2
+    for name in ("campaign", "second"):
+        assert f"read back from {out / name}, nothing was fitted" in text
+
+
+def test_tables_fit_on_80_columns(tmp_path, capsys, monkeypatch):
+    """Stresses of MPa and the longest rows: Ogden N = 3 and Yeoh."""
+    stretch = np.linspace(1.0, 3.0, 60)
+    values = {"C10": 1.5e6, "C20": -2e3, "C30": 90.0}
+    stress = ts.find_law("reduced_polynomial_3").nominal_stress(stretch, values)
+    stress += np.random.default_rng(3).normal(0.0, 2e3, stress.size)
+    ts.write_recording(ts.Recording({"stretch": stretch, "nominal stress": stress}), tmp_path / "pull.csv")
+    (tmp_path / "pull.toml").write_text(
+        '[[test]]\nkind = "uniaxial_tension"\nrecordings = ["pull.csv"]\n[fit]\n'
+        'laws = ["neo_hooke", "reduced_polynomial_3", "ogden_3"]\n[noise]\nnominal_stress_Pa = 2000.0\n',
+        encoding="utf-8")
+    monkeypatch.setattr("scenes.console.PIPE_WIDTH", 80)
+    main(["calibrate", str(tmp_path / "pull.toml"), "-o", str(tmp_path / "out")])
+    lines = capsys.readouterr().out.splitlines()
+    end = next(i for i, line in enumerate(lines) if line.startswith("Best of"))
+    assert all(len(line) <= 80 and "…" not in line for line in lines[:end])
+    text = "\n".join(lines[:end])
+    fits = {fit["law"]: fit for fit in json.loads((tmp_path / "out" / "fit.json").read_text(encoding="utf-8"))["fits"]}
+    assert "E0 MPa" in text and "RMSE kPa" in text
+    assert all(law in text and f"{fit['E0_Pa'] / 1e6:.4g}" in text for law, fit in fits.items())
+    assert all(name in text for fit in fits.values() for name in fit["parameters"])
+
+
+def test_a_reader_that_leaves_is_no_error(campaign, tmp_path):
+    """``calibrate ... | head -1``: rich would end with 1."""
+    words = [sys.executable, "-m", "scenes.cli", "calibrate", str(campaign), "-o", str(tmp_path / "out")]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    read, write = os.pipe()
+    os.close(read)
+    done = subprocess.run(words, stdout=write, stderr=subprocess.PIPE, env=environment, text=True, check=False)
+    os.close(write)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "out" / "report.html").is_file()
+
+
+@pytest.mark.parametrize(("fits", "expected"), [(1, "no campaign was finished"),
+                                                (3, "campaigns that were finished are kept")])
+def test_ctrl_c_says_what_was_finished(fits, expected, campaign, tmp_path, capsys, monkeypatch):
+    second = tmp_path / "second.toml"
+    second.write_text(CAMPAIGN, encoding="utf-8")
+    words = ["calibrate", str(campaign), str(second), "-o", str(tmp_path / "out")]
+    original, calls = calibration.analytical.fit_law, []
+
+    def interrupted(*arguments):
+        calls.append(arguments)
+        if len(calls) > fits:
+            raise KeyboardInterrupt
+        return original(*arguments)
+
+    monkeypatch.setattr("calibration.analytical.fit_law", interrupted)
+    assert main(words) == 130
+    assert f"stopped by Ctrl-C; {expected}: run the same command" in capsys.readouterr().err
 
 
 def test_only_what_this_call_wrote_is_announced(campaign, tmp_path, capsys):
@@ -121,7 +182,8 @@ def test_table_of_fixed_bounded_and_unsound(campaign, tmp_path, capsys):
     campaign.write_text(text, encoding="utf-8")
     main(["calibrate", str(campaign), "-o", str(tmp_path / "out")])
     shown = capsys.readouterr().out
-    assert "C20 700 (fixed)" in shown and "C01 2000 (on its bound)" in shown
+    assert "700 Pa (fixed)" in shown and "2 kPa (on its bound)" in shown
+    assert "mooney_rivlin: C01 ended on its bound 2000" in shown
 
 
 def test_no_usable_law_is_exit_code_1(tmp_path, capsys):

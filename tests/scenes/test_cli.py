@@ -106,7 +106,7 @@ def test_version(capsys):
 
 
 @pytest.mark.parametrize(("error", "code", "expected"), [
-    (KeyboardInterrupt(), 130, "stopped by Ctrl-C; campaigns that were finished are kept"),
+    (KeyboardInterrupt(), 130, "stopped by Ctrl-C; no campaign was finished"),
     (MissingBackendError("the finite elements need taichi"), 1, "need taichi"),
     (PermissionError(13, "Permission denied", "out/fit.json"), 2, "out/fit.json: Permission denied"),
 ])

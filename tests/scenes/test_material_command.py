@@ -52,7 +52,8 @@ def test_show_for_people(material, capsys):
     capsys.readouterr()
     assert main(["material", "show", str(material)]) == 0
     text = capsys.readouterr().out
-    for expected in ("phantom", "W = C10*(I1 - 3) + C20*(I1 - 3)^2", "1404.9", "mu0 2809.8 Pa",
+    for expected in ("phantom", "W = C10*(I1 - 3) + C20*(I1 - 3)^2", "1404.9",
+                     "E0 8.4266 kPa, mu0 2.8098 kPa, K 2.8098 MPa",
                      "stable in equibiaxial loading: stretch 0.3 to 3 (no loss found)", "valid range: not stated",
                      "software: tissue-sim"):
         assert expected in text
@@ -110,6 +111,14 @@ def test_damaged_file(action, content, tmp_path, capsys):
     assert out == "" and err.count("\n") == 1 and "broken.material.json" in err
 
 
+@pytest.mark.parametrize(("C10", "expected"), [
+    ("0.05", "E0 0.3 Pa, mu0 0.1 Pa"), ("1404.9", "E0 8.4294 kPa, mu0 2.8098 kPa"), ("5e9", "E0 30 GPa, mu0 10 GPa")])
+def test_moduli_of_any_size(C10, expected, tmp_path, capsys):
+    words = ["material", "new", "--law", "neo_hooke", "--set", f"C10={C10}", "-o", str(tmp_path / "m.material.json")]
+    assert main(words) == 0
+    assert capsys.readouterr().out.rstrip().endswith(expected)
+
+
 def test_existing_file_is_kept(material, capsys):
     before = material.read_bytes()
     assert main(["material", "new", "--law", "neo_hooke", "--set", "C10=1", "-o", str(material)]) == 2
@@ -126,6 +135,8 @@ def test_existing_file_is_kept(material, capsys):
     (["--law", "neo_hooke", "--set", "C10=-1"], "must be positive"),
     (["--law", "neo_hooke", "--set", "C10=nan"], "expected a finite number"),
     (["--law", "neo_hooke", "--set", "C10=1", "--bulk-ratio", "2", "--incompressible"], "not allowed with"),
+    (["--law", "neo_hooke", "--set", "C10=1", "--bulk-ratio", "5"], "--bulk-ratio: K / mu0 is 5, outside 10 to 1e+06"),
+    (["--law", "neo_hooke", "--set", "C10=1", "--bulk-modulus-pa", "1e9"], "--bulk-modulus-pa: K / mu0 is 5e+08"),
 ])
 def test_bad_parameters_write_nothing(words, expected, tmp_path, capsys):
     assert main(["material", "new", *words, "-o", str(tmp_path / "m.material.json")]) == 2
