@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
@@ -113,7 +113,3 @@ class Material:
     def bulk_modulus(self) -> float:
         """Bulk modulus K, Pa; infinite for an incompressible material."""
         return self.bulk.modulus(self.mu0)
-
-    def with_parameters(self, parameters) -> Material:
-        """The same material with other parameters (mapping or array)."""
-        return replace(self, parameters=self.energy_law.as_mapping(parameters))

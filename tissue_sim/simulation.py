@@ -124,7 +124,7 @@ def _limits(experiment: Experiment, solver: AxisymmetricSolver, force: float):
     """What the model cannot do and this state would need, as (kind, sentence)."""
     mesh = solver.mesh
     side = mesh.sets["side"]
-    z = mesh.nodes[side, 1] + solver.state[2 * side + 1]
+    z = mesh.nodes[side, 1] + solver.x[2 * side + 1]
     base, top = mesh.nodes[:, 1].min(), -solver.depth
     slack = -1e-4 * base
     if z.max() > top + slack or z.min() < base - slack:

@@ -78,10 +78,6 @@ class Law:
         """Coefficients of `kernel_energy` at these parameters; shape (number of coefficients,)."""
         return self.as_array(values)
 
-    def kernel_coefficient_derivatives(self, values) -> np.ndarray:
-        """d coefficients / d parameters at these parameters; shape (coefficients, parameters)."""
-        return np.eye(len(self.parameters))
-
     def as_array(self, values) -> np.ndarray:
         """Values in the order of `parameters`, SI, shape (m,).
 
@@ -110,26 +106,9 @@ class Law:
     def as_mapping(self, values) -> dict[str, float]:
         return {name: float(value) for name, value in zip(self.parameters, self.as_array(values), strict=True)}
 
-    @lru_cache  # noqa: B019 - laws are module-level singletons
-    def _along(self, mode: str):
-        """Compiled nominal stress and its parameter derivatives along a homogeneous deformation."""
-        if mode == "simple_shear":
-            # Principal stretches of simple shear gamma: l and 1/l with l - 1/l = gamma.
-            s = sp.Symbol("gamma", real=True)
-            l1 = s / 2 + sp.sqrt(1 + s**2 / 4)
-            stretches, share = (l1, 1 / l1, sp.Integer(1)), 1
-        else:
-            s = sp.Symbol("lambda", positive=True)
-            path, share = _MODES[mode]
-            stretches = path(s)
-        stress = sp.diff(self.energy_of_stretches(*stretches, self.symbols), s) / share
-        slopes = [sp.diff(stress, p) for p in self.symbols]
-        stretch_slope = sp.diff(stress, s)
-        return sp.lambdify((s, *self.symbols), [stress, stretch_slope, *slopes], modules="numpy", cse=True)
-
     def _evaluate(self, mode, stretch, values) -> list[np.ndarray]:
         stretch = np.asarray(stretch, dtype=float)
-        results = self._along(mode)(stretch, *self.as_array(values))
+        results = _along(self, mode)(stretch, *self.as_array(values))
         return [np.broadcast_to(np.asarray(item, dtype=float), stretch.shape) for item in results]
 
     def nominal_stress(self, stretch, values, mode: str = "uniaxial") -> np.ndarray:
@@ -152,13 +131,6 @@ class Law:
         """d(nominal stress)/d(parameter); shape (*stretch.shape, m)."""
         return np.stack(self._evaluate(mode, stretch, values)[2:], axis=-1)
 
-    @lru_cache  # noqa: B019 - laws are module-level singletons
-    def _principal(self):
-        stretches = sp.symbols("l1:4", positive=True)
-        energy = self.energy_of_stretches(*stretches, self.symbols)
-        slopes = [s * sp.diff(energy, s) for s in stretches]
-        return sp.lambdify((*stretches, *self.symbols), [energy, *slopes], modules="numpy", cse=True)
-
     def principal_response(self, stretches, values) -> tuple[np.ndarray, np.ndarray]:
         """Energy and Kirchhoff stresses of the isochoric part at three principal stretches.
 
@@ -173,7 +145,7 @@ class Law:
         """
         stretches = np.asarray(stretches, dtype=float)
         bar = stretches * np.prod(stretches, axis=-1, keepdims=True) ** (-1.0 / 3.0)
-        energy, *slopes = self._principal()(*np.moveaxis(bar, -1, 0), *self.as_array(values))
+        energy, *slopes = _principal(self)(*np.moveaxis(bar, -1, 0), *self.as_array(values))
         tau = np.stack([np.broadcast_to(slope, bar.shape[:-1]) for slope in slopes], axis=-1)
         return np.broadcast_to(energy, bar.shape[:-1]).copy(), tau - tau.mean(axis=-1, keepdims=True)
 
@@ -203,6 +175,32 @@ class Law:
 
     def formula_expression(self) -> sp.Expr:
         raise TypeError(f"{type(self).__name__} must derive from InvariantLaw or StretchLaw")
+
+
+@lru_cache
+def _along(law: Law, mode: str):
+    """Compiled nominal stress, its slope and its parameter derivatives along a homogeneous deformation."""
+    if mode == "simple_shear":
+        # Principal stretches of simple shear gamma: l and 1/l with l - 1/l = gamma.
+        s = sp.Symbol("gamma", real=True)
+        l1 = s / 2 + sp.sqrt(1 + s**2 / 4)
+        stretches, share = (l1, 1 / l1, sp.Integer(1)), 1
+    else:
+        s = sp.Symbol("lambda", positive=True)
+        path, share = _MODES[mode]
+        stretches = path(s)
+    stress = sp.diff(law.energy_of_stretches(*stretches, law.symbols), s) / share
+    derivatives = [sp.diff(stress, variable) for variable in (s, *law.symbols)]
+    return sp.lambdify((s, *law.symbols), [stress, *derivatives], modules="numpy", cse=True)
+
+
+@lru_cache
+def _principal(law: Law):
+    """Compiled energy and its derivatives with respect to the logarithms of three stretches."""
+    stretches = sp.symbols("l1:4", positive=True)
+    energy = law.energy_of_stretches(*stretches, law.symbols)
+    slopes = [s * sp.diff(energy, s) for s in stretches]
+    return sp.lambdify((*stretches, *law.symbols), [energy, *slopes], modules="numpy", cse=True)
 
 
 class InvariantLaw(Law):
@@ -245,17 +243,11 @@ class InvariantLaw(Law):
     def kernel_coefficients(self, values) -> np.ndarray:
         if self._polynomial is None:
             return self.as_array(values)
-        return self._polynomial_functions[0](*self.as_array(values)).astype(float).ravel()
-
-    def kernel_coefficient_derivatives(self, values) -> np.ndarray:
-        if self._polynomial is None:
-            return np.eye(len(self.parameters))
-        return self._polynomial_functions[1](*self.as_array(values)).astype(float)
+        return self._polynomial_function(*self.as_array(values)).astype(float).ravel()
 
     @cached_property
-    def _polynomial_functions(self):
-        jacobian = self._polynomial.jacobian(self.symbols)
-        return tuple(sp.lambdify(self.symbols, matrix, modules="numpy") for matrix in (self._polynomial, jacobian))
+    def _polynomial_function(self):
+        return sp.lambdify(self.symbols, self._polynomial, modules="numpy")
 
 
 class StretchLaw(Law):

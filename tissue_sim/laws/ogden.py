@@ -44,6 +44,3 @@ class Ogden(StretchLaw):
         coefficients = np.tile([0.0, 2.0], MAX_TERMS)
         coefficients[: 2 * self.terms] = self.as_array(values)
         return coefficients
-
-    def kernel_coefficient_derivatives(self, values) -> np.ndarray:
-        return np.eye(2 * MAX_TERMS, 2 * self.terms)

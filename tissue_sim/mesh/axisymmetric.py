@@ -26,11 +26,6 @@ class Mesh:
     connectivity: np.ndarray
     sets: dict[str, np.ndarray] = field(default_factory=dict)
 
-    @property
-    def freedoms(self) -> int:
-        """Displacement freedoms that remain after condensation of interior nodes, boundary conditions not counted."""
-        return 2 * np.unique(self.connectivity[:, : self.element.boundary_nodes]).size
-
 
 def graded_line(length: float, count: int, grading: float = 1.0, ends: str = "last") -> np.ndarray:
     """Break points of a line divided geometrically.
