@@ -59,3 +59,9 @@ def nearest(word: str, known: Iterable[str]) -> str:
     if close:
         return f"; did you mean {close[0]!r}?"
     return f"; known: {', '.join(known)}"
+
+
+def require_length(value: float, field: str) -> None:
+    """Refuse a length, m, that is not finite and above zero."""
+    if not 0 < value < float("inf"):
+        raise InputError(f"{value:g} is not positive; give a length in m above zero", field=field)

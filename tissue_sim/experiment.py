@@ -9,54 +9,64 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.material import Material
 from tissue_sim.rig import Rig
+from tissue_sim.tool import Tool, require_length
 
-
-def _positive(value: float, name: str) -> None:
-    if not (np.isfinite(value) and value > 0):
-        raise InputError(f"{value:g} is not positive; give a length in m above zero", field=name)
+#: Gravity where nothing else is said, m/s2.
+STANDARD_GRAVITY = 9.81
+HEIGHTS = ("moulded", "placed")
 
 
 @dataclass(frozen=True)
 class Specimen:
-    """A cylinder of the material.
+    """A cylinder of the material, standing on its base.
 
     Attributes:
-        radius, height: undeformed, m.
+        radius, height: m; the radius is that of the undeformed cylinder, the height is what `height_is` says.
         name: for people and campaign files.
+        density: kg/m3, or None where nobody said.
+        gravity: m/s2, along the axis and towards the base; 0 leaves self-weight out.
+        height_is: ``"moulded"``, the undeformed height, or ``"placed"``, measured on its base after it has settled.
+
+    Raises:
+        InputError: a size that is not positive, gravity without a density.
     """
 
     radius: float
     height: float
     name: str = "specimen"
+    density: float | None = None
+    gravity: float = 0.0
+    height_is: str = "moulded"
 
     def __post_init__(self):
-        _positive(self.radius, "specimen.radius")
-        _positive(self.height, "specimen.height")
+        require_length(self.radius, "specimen.radius")
+        require_length(self.height, "specimen.height")
+        if self.density is not None and not (np.isfinite(self.density) and self.density > 0):
+            raise InputError(f"{self.density:g} is not a positive density; give kg/m3", field="specimen.density")
+        if not (np.isfinite(self.gravity) and self.gravity >= 0):
+            raise InputError(f"{self.gravity:g} m/s2 is not a gravity towards the base; give 0 or {STANDARD_GRAVITY}",
+                             field="specimen.gravity")
+        if self.gravity and self.density is None:
+            raise InputError("gravity needs a density; give density in kg/m3", field="specimen.density")
+        if self.height_is not in HEIGHTS:
+            raise InputError(f"{self.height_is!r} is not a way to measure a height; use 'moulded' or 'placed'",
+                             field="specimen.height_is")
 
     @property
     def area(self) -> float:
         """Undeformed cross-section, m2."""
         return np.pi * self.radius**2
 
-
-@dataclass(frozen=True)
-class Tool:
-    """A rigid body that is moved into the specimen.
-
-    Attributes:
-        shape: ``"plate"`` covers the whole top face.
-    """
-
-    shape: str = "plate"
-
-    def __post_init__(self):
-        if self.shape != "plate":
-            raise InputError(f"tool shape {self.shape!r} is not available in this version; use 'plate'", field="tool")
+    @property
+    def specific_weight(self) -> float:
+        """Density times gravity, N/m3; 0 where self-weight is left out."""
+        return self.density * self.gravity if self.gravity else 0.0
 
 
-#: How a face holds the tissue: ``"bonded"`` (no motion against the face) or ``"frictionless"`` (free to slide along
-#: it). Coulomb friction and lift-off need contact and are not available in this version.
-INTERFACES = ("bonded", "frictionless")
+#: How a face holds the tissue: ``"bonded"`` (no motion against the face), ``"stick"`` (no slip, but it can lift off) or
+#: ``"frictionless"`` (free to slide along it; it can lift off a needle). Coulomb friction is not available in this
+#: version.
+INTERFACES = ("bonded", "stick", "frictionless")
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,8 +100,8 @@ class Protocol:
     @classmethod
     def ramp(cls, depth: float, points: int = 21, speed: float = 0.248e-3) -> Protocol:
         """A ramp to `depth` (m) at `speed` (m/s), `points` samples with rest included; the study's speed by default."""
-        _positive(depth, "protocol.depth")
-        _positive(speed, "protocol.speed")
+        require_length(depth, "protocol.depth")
+        require_length(speed, "protocol.speed")
         if points < 2:
             raise InputError(f"{points} points cannot make a ramp; give at least 2", field="protocol.points")
         displacement = np.linspace(0.0, depth, points)
@@ -108,14 +118,16 @@ class Experiment:
     """What is done to the specimen.
 
     Attributes:
-        specimen: geometry.
-        protocol: tool displacement against time.
+        specimen: geometry, and whether it weighs.
+        protocol: tool displacement against time, from where the tool touches the settled specimen.
         tool: what is pushed in.
-        friction: interface of the tool's face; see `INTERFACES`.
+        friction: interface of the tool's face; see `INTERFACES`. A bonded needle holds what its flat face touches at
+            the start; a rounded edge meets the tissue as the shaft does.
         friction_base: interface of the base plate.
+        friction_wall: interface of a needle's shaft, ``"stick"`` or ``"frictionless"``.
 
     Raises:
-        InputError: unknown interface, or a protocol that goes through the specimen.
+        InputError: an interface that does not fit, a protocol that goes through the specimen, a needle as wide as it.
     """
 
     specimen: Specimen
@@ -123,21 +135,34 @@ class Experiment:
     tool: Tool = field(default_factory=Tool)
     friction: str = "bonded"
     friction_base: str = "bonded"
+    friction_wall: str = "frictionless"
 
     def __post_init__(self):
-        for name in ("friction", "friction_base"):
+        plate = self.tool.shape == "plate"
+        fitting = {"friction": ("bonded", "frictionless") if plate else INTERFACES,
+                   "friction_base": ("bonded", "frictionless"), "friction_wall": ("stick", "frictionless")}
+        for name, choices in fitting.items():
             value = getattr(self, name)
-            if value not in INTERFACES:
-                raise InputError(f"{value!r} is not available in this version; use 'bonded' or 'frictionless'",
+            if value not in choices:
+                raise InputError(f"{value!r} is not available in this version; use {' or '.join(map(repr, choices))}",
                                  field=name)
         if self.protocol.depth >= self.specimen.height:
             raise InputError(f"{self.protocol.depth * 1e3:g} mm is deeper than the specimen is high "
                              f"({self.specimen.height * 1e3:g} mm)", field="protocol")
+        if plate:
+            return
+        if self.tool.radius >= self.specimen.radius:
+            raise InputError(f"the tool's radius, {self.tool.radius * 1e3:g} mm, must be smaller than the specimen's, "
+                             f"{self.specimen.radius * 1e3:g} mm", field="tool.radius")
+        if self.friction == "frictionless" and self.tool.edge_radius == 0:
+            raise InputError("tissue that slides round a sharp edge has no direction there; give the tool an edge "
+                             "radius, or friction 'stick' or 'bonded'", field="tool.edge_radius")
 
     @property
     def homogeneous(self) -> bool:
         """Whether the deformation is a homogeneous uniaxial one, for which closed forms hold."""
-        return self.tool.shape == "plate" and self.friction == self.friction_base == "frictionless"
+        return (self.tool.shape == "plate" and self.friction == self.friction_base == "frictionless"
+                and not self.specimen.specific_weight)
 
 
 @dataclass(frozen=True)
