@@ -5,52 +5,18 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-import numpy as np
-
-from tissue_sim.errors import ConvergenceError, InputError, nearest
+from tissue_sim.discretisation import build_mesh, build_solver, sag
+from tissue_sim.errors import ConvergenceError
 from tissue_sim.experiment import Experiment, Model
 from tissue_sim.fem.axisymmetric import AxisymmetricSolver, Step
-from tissue_sim.fem.elements import Q9P1, Element
 from tissue_sim.fem.fields import Fields
 from tissue_sim.fem.newton import StepStatus
 from tissue_sim.laws import check_stability
-from tissue_sim.mesh import Mesh, cylinder_mesh
+from tissue_sim.mesh import Mesh
 from tissue_sim.recording import Recording
 
-#: Resolution -> elements and grading along r and z of a cylinder as slender as the study's (radius 40, height 70 mm).
-#: Bonded compression to 10 mm errs by 0.28 % (fast) and 0.03 % (accurate) at most.
-RESOLUTIONS = {"fast": ((6, 8), (10.0, 4.0)), "accurate": ((16, 20), (50.0, 10.0))}
-_STUDY_SLENDERNESS = 70.0 / 40.0
 #: A step is cut until it is this small a part of the way between two samples.
 _SMALLEST_CUT = 2.0**-10
-
-
-def build_mesh(experiment: Experiment, resolution: str = "fast", element: Element = Q9P1) -> Mesh:
-    """The mesh that a named resolution stands for.
-
-    Raises:
-        InputError: unknown resolution.
-    """
-    if resolution not in RESOLUTIONS:
-        raise InputError(f"unknown resolution {resolution!r}{nearest(resolution, RESOLUTIONS)}", field="resolution")
-    specimen = experiment.specimen
-    if experiment.homogeneous:
-        # Every mesh is exact.
-        return cylinder_mesh(specimen.radius, specimen.height, (2, 2), element)
-    (along_r, along_z), grading = RESOLUTIONS[resolution]
-    # As many elements in other shapes, with no fewer than half and no more than four times as many along a side.
-    stretch = np.sqrt(specimen.height / specimen.radius / _STUDY_SLENDERNESS)
-    counts = [round(float(np.clip(count * share, count / 2, 4 * count)))
-              for count, share in ((along_r, 1 / stretch), (along_z, stretch))]
-    return cylinder_mesh(specimen.radius, specimen.height, counts, element, grading=grading)
-
-
-def build_solver(model: Model, mesh: Mesh) -> AxisymmetricSolver:
-    """The boundary-value problem of an experiment on a mesh."""
-    held = {"bonded": "rz", "frictionless": "z"}
-    experiment = model.experiment
-    return AxisymmetricSolver(mesh, model.material, supports={"base": held[experiment.friction_base]},
-                              tool={"top": held[experiment.friction]})
 
 
 def simulate(model: Model, *, resolution: str = "fast", mesh: Mesh | None = None, fields: bool = False,
@@ -59,7 +25,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Mesh | None = None
 
     Args:
         model: experiment, material, rig.
-        resolution: ``"fast"`` or ``"accurate"``, see `RESOLUTIONS`.
+        resolution: ``"fast"`` or ``"accurate"``, see `tissue_sim.discretisation`.
         mesh: a mesh of your own instead.
         fields: keep the converged fields of every sample in ``recording.fields``.
         progress: called with (samples done, samples in all); the first call comes before the kernels are compiled.
@@ -67,7 +33,8 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Mesh | None = None
     Returns:
         Recording at the times of the protocol, as the model's rig reports it. ``metadata["solver"]`` holds status,
         message, warnings, newton_iterations (linear solves), cuts, residual (the largest), wall_s, element, mesh and
-        resolution.
+        resolution; of a needle also penetration_mm (the deepest) and penetration_tolerance_mm; of a specimen that
+        weighs also self_weight {density_kg_m3, gravity_m_s2, height_is, sag_mm, moulded_height_mm}.
 
     Raises:
         ConvergenceError: a step did not converge however small; its `recording` keeps the converged part.
@@ -83,6 +50,14 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Mesh | None = None
     report = {"newton_iterations": 0, "cuts": 0, "residual": 0.0, "element": mesh.element.name,
               "mesh": {"elements": len(mesh.connectivity), "freedoms": solver.free},
               "resolution": "own mesh" if own_mesh else resolution}
+    if solver.contact is not None:
+        report |= {"penetration_mm": 0.0, "penetration_tolerance_mm": solver.contact.tolerance * 1e3}
+    specimen = model.experiment.specimen
+    if specimen.specific_weight:
+        height = -float(solver.mesh.nodes[:, 1].min())
+        report["self_weight"] = {"density_kg_m3": specimen.density, "gravity_m_s2": specimen.gravity,
+                                 "height_is": specimen.height_is, "sag_mm": sag(solver) * 1e3,
+                                 "moulded_height_mm": height * 1e3}
 
     def record(status: str, message: str) -> Recording:
         done = len(forces)
@@ -109,6 +84,8 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Mesh | None = None
             told = partial.metadata["solver"]["message"] if partial else message
             raise ConvergenceError(told, recording=partial, depth=solver.depth)
         report["residual"] = max(report["residual"], step.residual)
+        if solver.contact is not None:
+            report["penetration_mm"] = max(report["penetration_mm"], step.penetration * 1e3)
         forces.append(step.force)
         for kind, words in _limits(model.experiment, solver, step.force):
             warnings.setdefault(kind, f"from {depth * 1e3:.3g} mm on {words}")
@@ -125,11 +102,12 @@ def _limits(experiment: Experiment, solver: AxisymmetricSolver, force: float):
     mesh = solver.mesh
     side = mesh.sets["side"]
     z = mesh.nodes[side, 1] + solver.x[2 * side + 1]
-    base, top = mesh.nodes[:, 1].min(), -solver.depth
+    plate = experiment.tool.shape == "plate"
+    base, top = mesh.nodes[:, 1].min(), solver.start[2 * mesh.sets["top"] + 1].max() - solver.depth
     slack = -1e-4 * base
-    if z.max() > top + slack or z.min() < base - slack:
-        yield "bulge", ("the bulging side passes a plate, which would hold it back: the force is too low there")
-    if solver.depth < 0 and force < 0 and "frictionless" in (experiment.friction, experiment.friction_base):
+    if (plate and z.max() > top + slack) or z.min() < base - slack:
+        yield "bulge", "the bulging side passes a plate, which would hold it back: the force is too low there"
+    if plate and solver.depth < 0 and force < 0 and "frictionless" in (experiment.friction, experiment.friction_base):
         yield "pull", "a frictionless plate pulls, which it cannot: it would have lifted off"
 
 

@@ -11,7 +11,8 @@ from tissue_sim.fem.axisymmetric import Step
 from tissue_sim.fem.fields import FIELD_UNITS, extrapolate
 from tissue_sim.fem.newton import StepStatus
 from tissue_sim.mesh import cylinder_mesh
-from tissue_sim.simulation import _approach, build_mesh
+from tissue_sim.discretisation import build_mesh
+from tissue_sim.simulation import _approach
 
 STUDY = {"C10": 1404.9, "C20": 699.4}
 SAMPLES = {2: 4, 5: 10, 10: 20}  # mm -> sample of the 21-point ramp to 10 mm

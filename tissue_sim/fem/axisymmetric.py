@@ -5,9 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import brentq
 
 from tissue_sim.errors import InputError
 from tissue_sim.fem import band, newton
+from tissue_sim.fem import contact as contacts
+from tissue_sim.fem.contact import Contact, ContactPoints
 from tissue_sim.fem.launch import BoundKernel
 from tissue_sim.fem.newton import StepStatus
 from tissue_sim.fem.runtime import LOCK
@@ -25,12 +28,14 @@ class Step:
         iterations: linear solves.
         residual: norm of unbalanced over balanced nodal forces at the end.
         force: on the tool, N, positive when the tissue pushes back; only meaningful when converged.
+        penetration: the deepest of a Gauss point of the surface into the tool, m.
     """
 
     status: StepStatus
     iterations: int
     residual: float
     force: float
+    penetration: float = 0.0
 
 
 class AxisymmetricSolver:
@@ -41,23 +46,33 @@ class AxisymmetricSolver:
         material: law, parameters, bulk response.
         supports: node set -> components held, ``"r"``, ``"z"`` or ``"rz"``.
         tool: node set -> components that follow the tool: ``"z"`` moves with it, ``"rz"`` also sticks to it.
+        contact: the surface that the tool may meet besides.
+        specific_weight: density times gravity, N/m3, towards -z.
+        start: state in which the tool touches, see `state`; displacements count from the undeformed mesh. None: the
+            undeformed mesh itself.
 
     Raises:
         InputError: bulk ratio outside `BULK_RATIOS`.
         MissingBackendError: Taichi is not there.
     """
 
-    def __init__(self, mesh: Mesh, material: Material, supports: dict[str, str], tool: dict[str, str]):
-        self.mesh, self.material = mesh, material
+    def __init__(self, mesh: Mesh, material: Material, supports: dict[str, str], tool: dict[str, str], *,
+                 contact: Contact | None = None, specific_weight: float = 0.0, start: np.ndarray | None = None):
+        self.mesh, self.specific_weight = mesh, specific_weight
         element = mesh.element
         self._connectivity = np.ascontiguousarray(mesh.connectivity, dtype=np.int32)
         self._number_equations(supports, tool)
         self._integrate_reference()
         elements, nb, modes = len(mesh.connectivity), element.boundary_nodes, element.pressure_modes
         self._band_scratch()
-        states = 2 * len(mesh.nodes) + modes * elements
+        self.contact, self.points = contact, ContactPoints(mesh, contact)
+        states = 2 * len(mesh.nodes) + modes * elements + 2 * self.points.springs.size
         self.x = np.zeros(states)
         self._history = np.zeros((3, states))
+        if start is not None:
+            self.x[: start.size] = self._history[0, : start.size] = start
+        freedoms = 2 * len(mesh.nodes)
+        self.start, self._target = self.x[:freedoms].copy(), np.zeros(freedoms)
         self._depths: list[float] = [0.0]
         self._slots = np.array([0, 1, 2], dtype=np.int32)
         self._weights = np.array([1.0, 0.0, 0.0])
@@ -71,10 +86,12 @@ class AxisymmetricSolver:
         self._centre_rows = np.zeros((elements, 2, 2, nb))
         self._centre_inverse = np.zeros((elements, 3))
         self._centre_force = np.zeros((elements, 2))
-        self._report = np.zeros(4)
-        self._settings = np.zeros(5)
-        self._counts = np.array([1, self.free, 0], dtype=np.int32)
+        self._report = np.zeros(5)
+        self._settings = np.zeros(10)
+        shaft, stick = (0, (False, False)) if contact is None else (contact.profile.shaft, contact.stick)
+        self._counts = np.array([1, self.free, 0, self.points.count, shaft, *stick], dtype=np.int32)
         self.set_material(material)
+        self._touch()
 
     def _number_equations(self, supports: dict[str, str], tool: dict[str, str]) -> None:
         """Free freedoms first, then the prescribed ones."""
@@ -98,6 +115,26 @@ class AxisymmetricSolver:
         numberings = [self._equations(order, free, held) for order in (by_rows, by_columns)]
         self._equation, self.half_band = min(numberings, key=lambda numbering: numbering[1])
         self._equation, self._direction = self._equation.ravel(), self._direction.ravel()
+
+    def _touch(self) -> None:
+        """Bring the tool down on the surface as it stands, and let an interface without slip hold what it meets."""
+        self._datum = 0.0
+        if self.contact is None:
+            return
+        profile, points = self.contact.profile, self.points
+        displacement = self.start.reshape(-1, 2)
+        place = (self.mesh.nodes + displacement)[self.mesh.sets["top"]]
+
+        def clearance(datum):
+            return profile.gap(place - [0.0, datum]).min()
+
+        low, high = place[:, 1].min() - self.contact.radius, place[:, 1].max()
+        self._datum = high if clearance(high) <= 0.0 else brentq(clearance, low, high, xtol=1e-15)
+        if self.contact.stick[0]:
+            touching = points.positions(displacement) - [0.0, self._datum]
+            met = profile.gap(touching.reshape(-1, 2)).reshape(touching.shape[:2]) <= 1e-9 * self.contact.radius
+            points.anchors[met & (points.first_line == 0)[:, None], 0] = 1.0
+            points.anchors[..., 1:] = touching
 
     def _equations(self, order: np.ndarray, free: np.ndarray, held: np.ndarray) -> tuple[np.ndarray, int]:
         """Equation of every freedom when nodes are taken in this order, and the half band that follows.
@@ -151,6 +188,9 @@ class AxisymmetricSolver:
         # what is seen 13-fold, evenly over gradings from 0.27 mm down to 0.15 um):
         divergence = gradient.copy()
         divergence[..., 0] += N / place[..., :1]
+        volumes = np.einsum("eq,qa->ea", self.weights, N)
+        self._node_volumes = np.ascontiguousarray(volumes[:, : element.boundary_nodes])
+        self._centre_volumes = np.ascontiguousarray(volumes[:, -1])
         constraint = np.einsum("eq,eqm,eqai->emai", self.weights, self.pressure_modes, divergence)
         spacing = np.ptp(X, axis=1).min(axis=1) / element.order
         per_element = np.einsum("emai,emai->e", constraint, constraint) * self.weights.sum(axis=1) / spacing**2
@@ -174,19 +214,24 @@ class AxisymmetricSolver:
                              field="bulk")
         self.material = material
         self._coefficients = law.kernel_coefficients(material.parameters)
+        points = self.points
         with LOCK:
             kernel = newton.step_kernel(self.mesh.element.name, energy)
         self._kernel = BoundKernel(kernel, (
-            self._counts, self._settings, self._connectivity, self._equation, self._direction, self._gradients,
-            self.node_gradients, self._quadrature, self._coefficients, self.x, self._history, self._slots,
-            self._weights, self._entries, self._entries, self._inverse, self._right, self._residual, self._force,
+            self._counts, self._settings, self._connectivity, self._equation, self._direction, self.start,
+            self._target, self._gradients, self.node_gradients, self._quadrature, self._node_volumes,
+            self._centre_volumes, points.edges, points.shapes, points.places, points.first_line, points.vertices,
+            points.springs, points.held, points.met, points.forces, self._coefficients, self.x, self._history,
+            self._slots, self._weights,
+            self._entries, self._entries, self._inverse, self._right, self._residual, self._force,
             self._rates, self._stiffness, self._centre_stiffness, self._volume, self._centre_volume, self._gap,
             self._centre_rows, self._centre_inverse, self._centre_force, self._report))
+        self.points.set_stiffness(contacts.STIFFNESS * material.mu0)
         top = self.mesh.nodes[self.mesh.sets["top"], 0].max()
         # Below this force, N, nothing is loaded: the residual is measured against it instead of the reactions.
         self._floor = 1e-6 * material.mu0 * np.pi * top**2
 
-    def step(self, depth: float, *, tolerance: float = 1e-9, max_iterations: int = 12,
+    def step(self, depth: float, *, tolerance: float = 1e-9, max_iterations: int = 20,
              predictor_order: int = 2) -> Step:
         """Move the tool to `depth` and find equilibrium; commits the state only when it converges.
 
@@ -197,13 +242,19 @@ class AxisymmetricSolver:
             predictor_order: highest order of extrapolation in depth from earlier steps (0: none).
         """
         self._predict(depth, predictor_order)
-        rounding = self._rounding * self.bulk_modulus * abs(depth)
-        self._launch(depth, tolerance, rounding, max_iterations)
-        result = Step(StepStatus(int(self._report[newton.STATUS])), int(self._report[newton.ITERATIONS]),
-                      float(self._report[newton.RESIDUAL]), float(self._report[newton.FORCE]))
+        result = self._solve(depth, tolerance, max_iterations)
         if result.status is StepStatus.CONVERGED:
             self._commit(depth)
         return result
+
+    def _solve(self, depth: float, tolerance: float, max_iterations: int) -> Step:
+        height = np.ptp(self.mesh.nodes[:, 1])
+        reach = abs(depth) + self.specific_weight * height**2 / (6.0 * self.material.mu0)
+        rounding = self._rounding * self.bulk_modulus * reach
+        self._launch(depth, tolerance, rounding, max_iterations)
+        report = self._report
+        return Step(StepStatus(int(report[newton.STATUS])), int(report[newton.ITERATIONS]),
+                    float(report[newton.RESIDUAL]), float(report[newton.FORCE]), float(report[newton.PENETRATION]))
 
     def _predict(self, depth: float, order: int) -> None:
         """Weights of Lagrange's extrapolation from the latest state through earlier ones.
@@ -235,10 +286,16 @@ class AxisymmetricSolver:
             self._slots[:] = np.roll(self._slots, 1)
             self._depths = [depth, *self._depths][:3]
         self._history[self._slots[0]] = self.x
+        self.points.anchors[:] = self.points.held
 
     def _launch(self, depth: float, tolerance: float, rounding: float, max_iterations: int) -> None:
-        self._settings[:] = depth, self.bulk_modulus, tolerance, self._floor, rounding
+        edge_radius, penetration = (0.0, 0.0) if self.contact is None else (self.contact.profile.rounding,
+                                                                            self.contact.tolerance)
+        predicted = float(self._weights[: len(self._depths)] @ self._depths)
+        self._settings[:] = (depth, predicted, self.bulk_modulus, self.specific_weight, tolerance, self._floor,
+                             rounding, self._datum, edge_radius, penetration)
         self._counts[newton.MAX_ITERATIONS] = max_iterations
+        self.points.held[:] = self.points.anchors
         with LOCK:
             self._kernel()
 

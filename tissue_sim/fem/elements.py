@@ -41,6 +41,13 @@ class Element:
             return np.array(corners, dtype=float)
         return np.array([*corners, (0, -1), (1, 0), (0, 1), (-1, 0), (0, 0)], dtype=float)
 
+    @property
+    def edges(self) -> tuple[tuple[int, ...], ...]:
+        """Nodes of each side in order, the ends outside."""
+        if self.order == 1:
+            return (0, 1), (1, 2), (2, 3), (3, 0)
+        return (0, 4, 1), (1, 5, 2), (2, 6, 3), (3, 7, 0)
+
     @cached_property
     def quadrature(self) -> tuple[np.ndarray, np.ndarray]:
         """Gauss points (q, 2) and weights (q,), order + 1 in each direction."""

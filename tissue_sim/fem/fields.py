@@ -73,7 +73,9 @@ class Fields:
         F = self.deformation_gradient(sample)
         in_plane = F[..., :4].reshape(*F.shape[:-1], 2, 2)
         J = np.linalg.det(in_plane) * F[..., 4]
-        amplitudes = self.states[sample, 2 * len(self.mesh.nodes):].reshape(len(self.mesh.connectivity), -1)
+        elements, _, modes = self.pressure_modes.shape
+        first = 2 * len(self.mesh.nodes)
+        amplitudes = self.states[sample, first : first + modes * elements].reshape(elements, modes)
         p = np.einsum("eqm,em->eq", self.pressure_modes, amplitudes)
         if name == "J":
             return J

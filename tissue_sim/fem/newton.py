@@ -13,6 +13,7 @@ from enum import IntEnum
 from functools import cache
 
 from tissue_sim.fem import band as band_matrix
+from tissue_sim.fem import contact
 from tissue_sim.fem import energy as point
 from tissue_sim.fem.elements import ELEMENTS
 from tissue_sim.fem.runtime import initialise
@@ -40,9 +41,9 @@ class StepStatus(IntEnum):
 
 
 #: Places in the kernel's counts, settings and report.
-PASSES, FREE, MAX_ITERATIONS = range(3)
-DEPTH, KAPPA, TOLERANCE, FLOOR, ROUNDING = range(5)
-STATUS, ITERATIONS, RESIDUAL, FORCE = range(4)
+PASSES, FREE, MAX_ITERATIONS, CONTACTS, SHAFT, STICK_FACE, STICK_SHAFT = range(7)
+DEPTH, PREDICTED, KAPPA, WEIGHT, TOLERANCE, FLOOR, ROUNDING, TOUCH, EDGE_RADIUS, PENETRATION_TOLERANCE = range(10)
+STATUS, ITERATIONS, RESIDUAL, FORCE, PENETRATION = range(5)
 
 
 @cache
@@ -62,6 +63,7 @@ def step_kernel(element_name: str, energy: KernelEnergy):
     block1, block3 = (ti.types.ndarray(dtype=block, ndim=n) for n in (1, 3))
     stress_and_tangent = point.function(energy)
     factorise, solve = band_matrix.functions()
+    add_contact, augment, hold = contact.functions()
     converged, inverted, indefinite, slow, diverged = (float(status) for status in StepStatus)
     # The tangent's rows that meet an r freedom (rR, rZ, hoop) and a z freedom (zR, zZ).
     row = [[point._packed(i, k) for k in range(5)] for i in range(5)]
@@ -241,14 +243,21 @@ def step_kernel(element_name: str, energy: KernelEnergy):
         force[1] = force[1] - (f0 * centre_rows[e, 0, 1] + f1 * centre_rows[e, 1, 1])
 
     @ti.func
-    def add_pending(e, depth, x: ti.template(), free, connectivity: ti.template(), equation: ti.template(),
-                    direction: ti.template(), force: ti.template(), stiffness: ti.template()):
+    def add_weight(e, weight, volumes: ti.template(), centre_volumes: ti.template(), force: ti.template()):
+        """Subtract the nodal forces of self-weight, which pulls towards -z."""
+        force[1] = force[1] + weight * volumes[e]
+        if ti.static(has_centre):
+            force[2][1] = force[2][1] + weight * centre_volumes[e]
+
+    @ti.func
+    def add_pending(e, x: ti.template(), free, connectivity: ti.template(), equation: ti.template(),
+                    target: ti.template(), force: ti.template(), stiffness: ti.template()):
         """Residual of the motion that the tool still has to make in this step, so that the tissue follows it."""
         for b in range(nb):
             for k in ti.static(range(2)):
                 dof = 2 * connectivity[e, b] + k
                 if equation[dof] >= free:
-                    step = depth * direction[dof] - x[dof]
+                    step = target[dof] - x[dof]
                     force[0] = force[0] + step * stiffness[b, 2 * k]
                     force[1] = force[1] + step * stiffness[b, 2 * k + 1]
 
@@ -270,8 +279,8 @@ def step_kernel(element_name: str, energy: KernelEnergy):
                                 entries[rows, w, c, r] = entries[rows, w, c, r] + stiffness[b, 2 * k + i][a]
 
     @ti.func
-    def update(x: ti.template(), pressures, free, depth, kappa, connectivity: ti.template(), equation: ti.template(),
-               direction: ti.template(), right: ti.template(), volume: ti.template(), centre_volume: ti.template(),
+    def update(x: ti.template(), pressures, free, kappa, connectivity: ti.template(), equation: ti.template(),
+               target: ti.template(), right: ti.template(), volume: ti.template(), centre_volume: ti.template(),
                gap: ti.template(), centre_rows: ti.template(), centre_force: ti.template()):
         """Move the state by the solution of the linear equations, eliminated unknowns included."""
         for e in range(connectivity.shape[0]):
@@ -282,11 +291,11 @@ def step_kernel(element_name: str, energy: KernelEnergy):
                 if ir < free:
                     dr[a] = -right[ir // B][ir % B]
                 else:
-                    dr[a] = depth * direction[dof] - x[dof]
+                    dr[a] = target[dof] - x[dof]
                 if iz < free:
                     dz[a] = -right[iz // B][iz % B]
                 else:
-                    dz[a] = depth * direction[dof + 1] - x[dof + 1]
+                    dz[a] = target[dof + 1] - x[dof + 1]
             cr, cz = 0.0, 0.0
             if ti.static(has_centre):
                 cr = -(centre_force[e, 0] + centre_rows[e, 0, 0].dot(dr) + centre_rows[e, 0, 1].dot(dz))
@@ -301,13 +310,16 @@ def step_kernel(element_name: str, energy: KernelEnergy):
         for dof in range(pressures):
             i = equation[dof]
             if i >= free:
-                x[dof] = depth * direction[dof]
+                x[dof] = target[dof]
             elif i >= 0:
                 x[dof] = x[dof] - right[i // B][i % B]
 
     @ti.kernel
-    def step(counts: int1, settings: real1, connectivity: int2, equation: int1, direction: real1, gradients: vector3,
-             node_gradients: real4, quadrature: real3, coefficients: real1, x: real1, history: real2, slots: int1,
+    def step(counts: int1, settings: real1, connectivity: int2, equation: int1, direction: real1, start: real1,
+             target: real1, gradients: vector3, node_gradients: real4, quadrature: real3, node_volumes: vector1,
+             centre_volumes: real1, edges: int2, edge_shapes: real2, edge_places: real3, first_line: int1,
+             vertices: real2, springs: real2, held: real3, met: real3, forces: real3,
+             coefficients: real1, x: real1, history: real2, slots: int1,
              weights: real1, entries: real4, blocks: block3, inverse: real1, right: block1, residual: real1,
              force: vector1, rates: vector1, stiffness: vector2, centre_stiffness: real1, volume: vector3,
              centre_volume: real3, gap: real2, centre_rows: vector3, centre_inverse: real2,
@@ -318,20 +330,27 @@ def step_kernel(element_name: str, energy: KernelEnergy):
         for _ in range(counts[PASSES]):
             free, max_iterations = counts[FREE], counts[MAX_ITERATIONS]
             depth, kappa, tolerance = settings[DEPTH], settings[KAPPA], settings[TOLERANCE]
-            floor, rounding = settings[FLOOR], settings[ROUNDING]
+            floor, rounding, weight = settings[FLOOR], settings[ROUNDING], settings[WEIGHT]
             elements, width, rows = connectivity.shape[0], entries.shape[1], entries.shape[0]
             pressures = equation.shape[0]
+            multipliers = pressures + modes * elements
             predict(x, history, slots, weights)
             pending = 0
             for dof in range(pressures):
-                if equation[dof] >= free and x[dof] != depth * direction[dof]:
-                    pending = 1
+                target[dof] = start[dof] + depth * direction[dof]
+                if equation[dof] >= free:
+                    if ti.abs(x[dof] - target[dof]) > 1e-10 * ti.abs(depth):
+                        pending = 1
+                    else:
+                        # The rounding of the extrapolation.
+                        x[dof] = target[dof]
             report[STATUS] = 0.0
             iterations, tangent = 0, 1
-            first_ratio, last_ratio = 0.0, 0.0
+            bending = 0.0
+            first_ratio, last_ratio, axial = 0.0, 0.0, 0.0
             # The status lives in the report: Taichi 1.7.4 loses a local variable that a branch of such a loop sets.
             # Each solve may need one more pass, for a tangent that was skipped.
-            for _attempt in range(2 * max_iterations + 2):
+            for _attempt in range(3 * max_iterations + 3):
                 if report[STATUS] != 0.0:
                     break
                 for i in range(residual.shape[0]):
@@ -350,6 +369,8 @@ def step_kernel(element_name: str, energy: KernelEnergy):
                     smallest = ti.min(smallest, J)
                     condense_pressure(e, tangent, kappa, force, stiffness, centre_stiffness, volume, centre_volume,
                                       gap)
+                    if weight != 0.0:
+                        add_weight(e, weight, node_volumes, centre_volumes, force)
                     if ti.static(has_centre):
                         interior += force[2][0] * force[2][0] + force[2][1] * force[2][1]
                         if tangent == 1:
@@ -357,8 +378,15 @@ def step_kernel(element_name: str, energy: KernelEnergy):
                                                                         centre_inverse))
                         condense_centre_force(e, force, centre_rows, centre_inverse, centre_force)
                     if pending == 1:
-                        add_pending(e, depth, x, free, connectivity, equation, direction, force, stiffness)
+                        add_pending(e, x, free, connectivity, equation, target, force, stiffness)
                     scatter(e, tangent, free, width, connectivity, equation, force, stiffness, entries, residual)
+                tool = settings[PREDICTED] if pending == 1 else depth
+                axial, violation = add_contact(
+                    counts[CONTACTS], tangent, pending, bending, depth - tool, tool - settings[TOUCH], free, width,
+                    settings[EDGE_RADIUS], counts[SHAFT], counts[STICK_FACE], counts[STICK_SHAFT], multipliers, edges,
+                    edge_shapes, edge_places, first_line, vertices, springs, held, met, forces, x, target,
+                    equation, residual, entries)
+                report[PENETRATION] = violation
                 unbalanced, balanced = interior, 0.0
                 for i in range(free):
                     unbalanced += residual[i] * residual[i]
@@ -367,7 +395,7 @@ def step_kernel(element_name: str, energy: KernelEnergy):
                 scale = ti.max(ti.sqrt(balanced), floor)
                 ratio = ti.sqrt(unbalanced) / scale
                 # Rounding is allowed for, within reason.
-                target = tolerance + ti.min(rounding / scale, 1e-5)
+                goal = tolerance + ti.min(rounding / scale, 1e-5)
                 if iterations == 1:
                     first_ratio = ratio
                 report[RESIDUAL] = ratio
@@ -375,8 +403,14 @@ def step_kernel(element_name: str, energy: KernelEnergy):
                     report[STATUS] = inverted
                 elif ti.math.isnan(ratio) or ti.math.isinf(ratio):
                     report[STATUS] = diverged
-                elif pending == 0 and ratio <= target:
-                    report[STATUS] = converged
+                elif pending == 0 and ratio <= goal:
+                    released = augment(counts[CONTACTS], multipliers, settings[EDGE_RADIUS], first_line, vertices,
+                                       held, forces, x)
+                    if released > 0:
+                        tangent = 1
+                    elif violation <= settings[PENETRATION_TOLERANCE]:
+                        hold(counts[CONTACTS], held, met)
+                        report[STATUS] = converged
                 elif iterations >= max_iterations:
                     report[STATUS] = slow
                 elif iterations > 3 and ratio > 1e3 * first_ratio:
@@ -392,19 +426,22 @@ def step_kernel(element_name: str, energy: KernelEnergy):
                     for I in range(rows):
                         for k in ti.static(range(B)):
                             right[I][k] = residual[I * B + k] if I * B + k < free else 0.0
-                    if definite == 0:
+                    if definite == 0 and bending > 0.0:
+                        bending, last_ratio = 0.0, 0.0
+                    elif definite == 0:
                         report[STATUS] = indefinite
                     else:
                         solve(blocks, inverse, right, rows, width)
-                        update(x, pressures, free, depth, kappa, connectivity, equation, direction, right, volume,
+                        update(x, pressures, free, kappa, connectivity, equation, target, right, volume,
                                centre_volume, gap, centre_rows, centre_force)
                         # The old factor serves again as long as it takes three digits off the residual, which near
                         # the solution it does; where that is likely, only the residual is computed first.
                         tangent = 1 if pending == 1 or ratio > 10.0 else 0
                         last_ratio = ratio
+                        bending = 1.0 if ratio < 0.1 else 0.0
                         pending = 0
                         iterations += 1
-            total = 0.0
+            total = axial
             for dof in range(pressures):
                 i = equation[dof]
                 if i >= free:

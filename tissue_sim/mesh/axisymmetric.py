@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,13 +18,23 @@ class Mesh:
         element: element type.
         nodes: coordinates, m, shape (n, 2), numbered row by row from base to top.
         connectivity: node numbers in the element's order, shape (elements, nodes of the element).
-        sets: named node numbers: ``axis``, ``base``, ``top``, ``side``.
+        sets: named node numbers: ``axis``, ``base``, ``top``, ``side``; where a needle comes down also ``face``, the
+            part of the top under its flat face, and ``free``, the rest, both with the node at its edge.
     """
 
     element: Element
     nodes: np.ndarray
     connectivity: np.ndarray
     sets: dict[str, np.ndarray] = field(default_factory=dict)
+
+    def edges(self, name: str) -> np.ndarray:
+        """Element edges all of whose nodes are in a set, as node numbers, ends outside, shape (m, nodes of an edge)."""
+        sides = self.connectivity[:, np.array(self.element.edges)].reshape(-1, self.element.order + 1)
+        return sides[np.isin(sides, self.sets[name]).all(axis=1)]
+
+    def stretched(self, factor: float) -> Mesh:
+        """The same mesh, this many times as high."""
+        return replace(self, nodes=self.nodes * [1.0, factor])
 
 
 def graded_line(length: float, count: int, grading: float = 1.0, ends: str = "last") -> np.ndarray:
@@ -56,6 +66,25 @@ def graded_line(length: float, count: int, grading: float = 1.0, ends: str = "la
             raise InputError(f"{ends!r} is not an end; use first, last or both", field="ends")
     steps = grading ** (power / max(1, power.max()))
     points = np.concatenate([[0.0], np.cumsum(steps)]) * (length / steps.sum())
+    points[-1] = length
+    return points
+
+
+def growing_line(length: float, smallest: float, growth: float, largest: float) -> np.ndarray:
+    """Break points of a line whose first interval is about `smallest`, each next one `growth` times as long up to
+    `largest`; all are shortened alike to fit.
+
+    Args:
+        length, smallest, largest: m.
+        growth: at least 1.
+
+    Returns:
+        Coordinates from 0 to length.
+    """
+    steps = [min(smallest, length)]
+    while sum(steps) < length * (1 - 1e-9):
+        steps.append(min(steps[-1] * growth, largest))
+    points = np.concatenate([[0.0], np.cumsum(steps)]) * (length / sum(steps))
     points[-1] = length
     return points
 
@@ -100,3 +129,23 @@ def cylinder_mesh(radius: float, height: float, elements: tuple[int, int], eleme
     r = graded_line(radius, elements[0], grading[0], "last")
     z = graded_line(height, elements[1], grading[1], "both") - height
     return structured_mesh(r, z, element)
+
+
+def needle_mesh(radius: float, height: float, face_radius: float, element: Element, *, smallest: float, growth: float,
+                largest: float) -> Mesh:
+    """A cylinder under a flat-faced needle, fine towards the edge of the face, where the tissue folds.
+
+    Args:
+        radius, height, face_radius: m.
+        element: element type.
+        smallest, growth, largest: of the intervals that lead away from the edge, see `growing_line`.
+    """
+    inward = growing_line(face_radius, smallest, growth, largest)
+    outward = growing_line(radius - face_radius, smallest, growth, largest)
+    r = np.concatenate([face_radius - inward[::-1], face_radius + outward[1:]])
+    r[0], r[-1] = 0.0, radius
+    mesh = structured_mesh(r, -growing_line(height, smallest, growth, largest)[::-1], element)
+    top = mesh.sets["top"]
+    beside = mesh.nodes[top, 0] - face_radius
+    slack = 1e-9 * radius
+    return replace(mesh, sets={**mesh.sets, "face": top[beside <= slack], "free": top[beside >= -slack]})
