@@ -18,6 +18,7 @@ from calibration.campaign import Campaign, load_campaign
 from calibration.fit import Fit, Prediction
 from calibration.output_folder import FIT_FILE, SUMMARY_FILE, TABLES, claim
 from calibration.replicates import Replicate, read_replicates
+from calibration.self_weight import statement
 from calibration.statistics import CURVATURE_RATIO, MODEL_ERROR_RATIO, pooled_noise
 from calibration.uniaxial import fit_law
 from tissue_sim.errors import InputError
@@ -117,8 +118,8 @@ def to_json(results: Sequence[CalibrationResult]) -> dict[str, Any]:
     return {
         "campaign": result.campaign.name, "fits": list(msgspec.to_builtins(result.fits)), "best": result.best.law,
         "predictions": list(msgspec.to_builtins(result.predictions)), "noise_Pa": result.noise_Pa,
-        "noise_source": result.noise_source, "message": result.message, "output": str(result.output),
-        "work": result.work,
+        "noise_source": result.noise_source, "message": result.message,
+        "self_weight": statement(result.campaign, result.best), "output": str(result.output), "work": result.work,
     }
 
 

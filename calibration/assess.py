@@ -9,6 +9,7 @@ import numpy as np
 from calibration.campaign import Campaign
 from calibration.fit import Covariance, Fit, Minimum, Nuisance, Prediction
 from calibration.replicates import Replicate
+from calibration.self_weight import sags
 from calibration.statistics import (
     CURVATURE_RATIO,
     MODEL_ERROR_RATIO,
@@ -54,7 +55,8 @@ def assess(solution: Solution, replicates: Sequence[Replicate], campaign: Campai
     covariance[np.ix_(kept, kept)] = spread.covariance[: kept.size, : kept.size]
     loose = [name for name, error, value in zip(law.parameters, errors, solution.values, strict=True)
              if error > abs(value)]
-    stretches = _stretch_range(replicates)
+    measured = _measured_ranges(law, solution.values, replicates)
+    stretches = _stretch_range(measured)
     stability = check_stability(law, solution.values, (min(STRETCH_RANGE[0], stretches[0]),
                                                        max(STRETCH_RANGE[1], stretches[1])))
     mu0 = law.mu0(solution.values)
@@ -62,10 +64,10 @@ def assess(solution: Solution, replicates: Sequence[Replicate], campaign: Campai
     on_bound = [law.parameters[i] for i, hit in zip(free, solution.on_bound[: free.size], strict=True) if hit]
     nuisances = _nuisances(solution, unknown_errors, replicates)
     on_bound += [f"{n.replicate}: {name}" for n in nuisances for name in n.on_bound]
-    status, unusable = _verdict(solution, stability, replicates, mu0)
+    status, unusable = _verdict(solution, stability, measured, mu0)
     warnings = [f"{name} ended on its bound {value:.6g}" for name, value in _held(solution, on_bound, nuisances)]
     if mu0 > 0:
-        warnings += _other_losses(stability, replicates)
+        warnings += _other_losses(stability, measured)
     message = _message(solution, spread, (status, unusable), warnings, loose, replicates, ratio)
     total = float(np.sum((data - data.mean())**2))
     return Fit(
@@ -79,7 +81,8 @@ def assess(solution: Solution, replicates: Sequence[Replicate], campaign: Campai
         RMSE_N=_force_rmse(residual, replicates), RMSE_Pa=float(np.sqrt(np.mean(residual**2))),
         noise_ratio=ratio, AIC=aic, BIC=bic,
         E0=law.E0(solution.values), mu0=mu0, stable_from=stability.stable_from, stable_to=stability.stable_to,
-        stability=stability.describe(), stretch_range=stretches, nuisances=nuisances,
+        stability=stability.describe(), stretch_range=stretches,
+        sag_mm=sags(law, solution.values, campaign), nuisances=nuisances,
         minima=[Minimum(parameters=law.as_mapping(values), R2=1.0 - squares / total, starts=starts)
                 for values, squares, starts in solution.minima],
         starts=solution.starts, status=status, unusable=unusable, warnings=warnings, message=message,
@@ -93,20 +96,15 @@ def predict(law: Law | str, parameters, replicates: Sequence[Replicate]) -> list
     predictions = []
     for name in dict.fromkeys(r.test.name for r in replicates):
         mine = [r for r in replicates if r.test.name == name]
-        residual = np.concatenate([curve(law, parameters, r.abscissa, r) - r.stress for r in mine])
+        residual = np.concatenate([r.model.stress(law, r.abscissa, parameters) - r.stress for r in mine])
+        if not np.isfinite(residual).all():
+            predictions.append(Prediction(test=name, law=law.name, RMSE_N=None, RMSE_Pa=None, percent=None))
+            continue
         rmse = float(np.sqrt(np.mean(residual**2)))
         largest = max(float(np.abs(r.stress).max()) for r in mine)
         predictions.append(Prediction(test=name, law=law.name, RMSE_N=_force_rmse(residual, mine), RMSE_Pa=rmse,
                                       percent=100.0 * rmse / largest))
     return predictions
-
-
-def curve(law: Law | str, parameters, abscissa: np.ndarray, replicate: Replicate) -> np.ndarray:
-    """Nominal stress of a law in the test of a replicate at these stretches or shear strains, Pa, same shape."""
-    law = find_law(law) if isinstance(law, str) else law
-    stress = law.nominal_stress(abscissa, parameters, replicate.mode)
-    # A plate that has not arrived feels nothing.
-    return np.where(abscissa > 1.0, 0.0, stress) if replicate.test.kind == "lubricated_compression" else stress
 
 
 def residual_of(fit: Fit, replicate: Replicate) -> np.ndarray:
@@ -116,7 +114,7 @@ def residual_of(fit: Fit, replicate: Replicate) -> np.ndarray:
     if nuisance is not None:
         abscissa = abscissa + replicate.offset_slope * nuisance.contact_offset_mm * 1e-3
         zero = replicate.zero_slope * nuisance.zero_offset_N
-    return curve(fit.law, fit.parameters, abscissa, replicate) + zero - replicate.stress
+    return replicate.model.stress(find_law(fit.law), abscissa, fit.parameters) + zero - replicate.stress
 
 
 def _force_rmse(residual: np.ndarray, replicates: Sequence[Replicate]) -> float | None:
@@ -126,27 +124,22 @@ def _force_rmse(residual: np.ndarray, replicates: Sequence[Replicate]) -> float 
     return float(np.sqrt(np.mean((residual * area)**2)))
 
 
-def _stretch_range(replicates: Sequence[Replicate]) -> tuple[float, float]:
-    """Extreme principal stretches along the loading axis that the data reach, rest included."""
-    ranges = _measured_ranges(replicates).values()
-    return min(low for low, _ in ranges), max(high for _, high in ranges)
+#: Mode of `Stability.limits` -> extreme principal stretches along the load, rest included.
+Ranges = dict[str, tuple[float, float]]
 
 
-def _measured_ranges(replicates: Sequence[Replicate]) -> dict[str, tuple[float, float]]:
-    """Mode of `Stability.limits` that was measured -> extreme stretches of its data, rest included."""
-    ranges: dict[str, tuple[float, float]] = {}
+def _stretch_range(measured: Ranges) -> tuple[float, float]:
+    """Extreme stretches over all modes."""
+    return min(low for low, _ in measured.values()), max(high for _, high in measured.values())
+
+
+def _measured_ranges(law: Law, values: np.ndarray, replicates: Sequence[Replicate]) -> Ranges:
+    """What the data reach in each mode that was measured."""
+    ranges: Ranges = {}
     for replicate in replicates:
-        # Simple shear is a planar deformation and a rotation.
-        mode = "planar" if replicate.mode == "simple_shear" else "uniaxial"
-        ends = np.array([replicate.abscissa.min(), replicate.abscissa.max()])
-        if replicate.mode == "simple_shear":
-            # Principal stretches of simple shear: l - 1/l = gamma.
-            largest = np.abs(ends).max() / 2 + np.sqrt(1 + ends**2 / 4).max()
-            ends = np.array([1 / largest, largest])
-        elif replicate.test.kind == "lubricated_compression":
-            ends = np.minimum(ends, 1.0)
+        mode, *ends = replicate.model.reached(law, replicate.abscissa, values)
         low, high = ranges.get(mode, (1.0, 1.0))
-        ranges[mode] = min(low, float(ends.min())), max(high, float(ends.max()))
+        ranges[mode] = min(low, ends[0]), max(high, ends[1])
     return ranges
 
 
@@ -189,23 +182,21 @@ def _losses(stability: Stability, mode: str, stretches: tuple[float, float]) -> 
     return f"in {mode} loading {' and '.join(ends)}" if ends else ""
 
 
-def _other_losses(stability: Stability, replicates: Sequence[Replicate]) -> list[str]:
+def _other_losses(stability: Stability, measured: Ranges) -> list[str]:
     """A warning where loading that was not measured is unstable inside the stretches of the data."""
-    measured, reached = _measured_ranges(replicates), _stretch_range(replicates)
+    reached = _stretch_range(measured)
     found = [loss for mode in stability.limits if mode not in measured
              if (loss := _losses(stability, mode, reached))]
     return [f"not stable {' and '.join(found)}, which was not measured"] if found else []
 
 
-def _verdict(solution: Solution, stability: Stability, replicates: Sequence[Replicate],
-             mu0: float) -> tuple[str, str | None]:
+def _verdict(solution: Solution, stability: Stability, measured: Ranges, mu0: float) -> tuple[str, str | None]:
     """Status, and why the law is not usable over the data."""
     if not mu0 > 0:
         return "not_physical", f"its shear modulus at rest is {mu0:.4g} Pa"
     if not solution.converged:
         return "not_converged", "it did not converge"
-    lost = [loss for mode, reached in _measured_ranges(replicates).items()
-            if (loss := _losses(stability, mode, reached))]
+    lost = [loss for mode, reached in measured.items() if (loss := _losses(stability, mode, reached))]
     if lost:
         return "unstable", f"not stable {' and '.join(lost)}, where there are data"
     return "converged", None

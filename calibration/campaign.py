@@ -17,13 +17,12 @@ from calibration.campaign_checks import (
     check_bulk_ratio,
     check_parameters,
     find_recordings,
-    later,
     read_columns_key,
     require_positive,
 )
 from calibration.campaign_schema import CampaignTable, FitTable, NoiseTable, SpecimenTable, TestTable, decode_campaign
 from tissue_sim.errors import InputError, nearest
-from tissue_sim.experiment import Specimen
+from tissue_sim.experiment import STANDARD_GRAVITY, Specimen
 from tissue_sim.formats import check_delimiter
 from tissue_sim.laws import LAWS
 from tissue_sim.material import Bulk
@@ -154,7 +153,7 @@ def load_campaign(path: str | Path) -> Campaign:
         specimens = _specimens(table)
         tests = _tests(table, specimens, path.parent)
         return Campaign(path, _read_only(specimens), tests, _fit_settings(table.fit, table.noise), _noise(table.noise),
-                        hashlib.sha256(data).hexdigest(), _density(table, tests))
+                        hashlib.sha256(data).hexdigest(), _density(tests))
     except InputError as error:
         raise error.located(file=path) from None
 
@@ -176,10 +175,9 @@ def _specimens(table: CampaignTable) -> dict[str, Specimen]:
 def _specimen(entry: SpecimenTable, name: str, field: str) -> Specimen:
     require_positive(entry.height_mm, f"{field}.height_mm", " mm")
     require_positive(entry.density_kg_m3, f"{field}.density_kg_m3", " kg/m3")
-    if entry.gravity:
-        raise later("gravity = true (self-weight)", f"{field}.gravity")
-    if entry.height_is == "placed":
-        raise later('height_is = "placed" (a height that self-weight has lowered)', f"{field}.height_is")
+    if entry.gravity and entry.density_kg_m3 is None:
+        raise InputError("gravity = true needs the density of the specimen; give density_kg_m3",
+                         field=f"{field}.density_kg_m3")
     needed, other = ("radius_mm", "area_mm2") if entry.shape == "cylinder" else ("area_mm2", "radius_mm")
     size = getattr(entry, needed)
     if size is None:
@@ -189,12 +187,12 @@ def _specimen(entry: SpecimenTable, name: str, field: str) -> Specimen:
     require_positive(size, f"{field}.{needed}", " mm" if needed == "radius_mm" else " mm2")
     # Homogeneous tests know a specimen by its cross-section and height only.
     radius = size * 1e-3 if needed == "radius_mm" else np.sqrt(size * 1e-6 / np.pi)
-    return Specimen(radius, entry.height_mm * 1e-3, name)
+    return Specimen(radius, entry.height_mm * 1e-3, name, entry.density_kg_m3,
+                    STANDARD_GRAVITY if entry.gravity else 0.0, entry.height_is)
 
 
-def _density(table: CampaignTable, tests: tuple[Test, ...]) -> float | None:
-    stated = {entry.name if entry.name is not None else "specimen": entry.density_kg_m3 for entry in table.specimen}
-    fitted = {None if test.specimen is None else stated[test.specimen.name] for test in tests if not test.hold_out}
+def _density(tests: tuple[Test, ...]) -> float | None:
+    fitted = {None if test.specimen is None else test.specimen.density for test in tests if not test.hold_out}
     return fitted.pop() if len(fitted) == 1 else None
 
 
@@ -224,7 +222,7 @@ def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path
         if entry.delimiter is not None:
             check_delimiter(entry.delimiter, f"{field}.delimiter")
         tests[name] = Test(
-            name, entry.kind, _find_specimen(entry, specimens, columns, field),
+            name, entry.kind, _find_specimen(entry, specimens, field),
             find_recordings(entry.recordings, folder, f"{field}.recordings"), entry.format, columns, entry.skip_lines,
             entry.delimiter, None if entry.speed_mm_s is None else entry.speed_mm_s * 1e-3, entry.max_strain,
             entry.hold_out, field)
@@ -234,16 +232,18 @@ def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path
     return tuple(tests.values())
 
 
-def _find_specimen(entry: TestTable, specimens: Mapping[str, Specimen], columns: Mapping | None,
-                   field: str) -> Specimen | None:
-    if entry.specimen is not None:
-        if entry.specimen not in specimens:
-            hint = nearest(entry.specimen, specimens) if specimens else "; the file has no [[specimen]]"
-            raise InputError(f"no specimen is named {entry.specimen!r}{hint}", field=f"{field}.specimen")
-        return specimens[entry.specimen]
-    if len(specimens) > 1:
+def _find_specimen(entry: TestTable, specimens: Mapping[str, Specimen], field: str) -> Specimen | None:
+    if entry.specimen is not None and entry.specimen not in specimens:
+        hint = nearest(entry.specimen, specimens) if specimens else "; the file has no [[specimen]]"
+        raise InputError(f"no specimen is named {entry.specimen!r}{hint}", field=f"{field}.specimen")
+    if entry.specimen is None and len(specimens) > 1:
         raise InputError(f"name one of the specimens: {', '.join(specimens)}", field=f"{field}.specimen")
-    return next(iter(specimens.values()), None)
+    found = next(iter(specimens.values()), None) if entry.specimen is None else specimens[entry.specimen]
+    if found is not None and found.specific_weight and entry.kind != "lubricated_compression":
+        raise InputError(f"gravity = true is for a specimen that stands under a plate, and {entry.kind} does not say "
+                         "how it hangs or lies; give this test a specimen with gravity = false",
+                         field=f"{field}.specimen")
+    return found
 
 
 def _fit_settings(table: FitTable, noise: NoiseTable) -> FitSettings:

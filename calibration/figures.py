@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calibration.assess import curve, residual_of
+from calibration.assess import residual_of
 from calibration.fit import Fit
 from calibration.replicates import Replicate, loading_path, strain_of
 from tissue_sim.laws import find_law
@@ -57,14 +57,15 @@ def draw_test(fits: Sequence[Fit], replicates: Sequence[Replicate]) -> bytes:
         scale, reach = abs(factor), []
         for i, (fit, colour, dashes) in enumerate(zip(fits, _cycle(COLOURS), _cycle(DASHES), strict=False)):
             style = {"color": colour, "ls": dashes, "lw": 1.8, "zorder": 3}
-            above.plot(to_x(abscissa), to_y(curve(fit.law, fit.parameters, abscissa, first)),
+            above.plot(to_x(abscissa), to_y(first.model.stress(find_law(fit.law), abscissa, fit.parameters)),
                        label=find_law(fit.law).title, **style)
             x, mean, low, high = _binned(fit, replicates, edges)
             below.plot(to_x(x), factor * mean, **style)
             if i == 0 and len(replicates) > 1:
                 below.fill_between(to_x(x), factor * low, factor * high, color=colour, alpha=0.18, lw=0,
                                    label="spread of the recordings, best law")
-            reach.append(scale * max(np.abs(mean).max(), np.abs([low, high]).max() if i == 0 else 0.0))
+            widest = np.abs([mean, low, high] if i == 0 else mean)
+            reach.append(scale * widest.max(initial=0.0))
         # A law that is far off would flatten all the others.
         limit = 1.2 * max(reach[0], float(np.median(reach)), 2.5 * noise * scale)
         below.set_ylim(-limit, limit)
@@ -134,8 +135,7 @@ def _axes_of(replicate: Replicate):
         return (lambda a: sign * (a - rest) * height * 1e3, lambda p: sign * area * p, "displacement [mm]", "force [N]",
                 "model − data [N]")
     stress = "nominal stress, compression positive [kPa]" if sign < 0 else "nominal stress [kPa]"
-    x_label = "shear strain [-]" if replicate.mode == "simple_shear" else "stretch [-]"
-    return lambda a: a, lambda p: sign * p * 1e-3, x_label, stress, "model − data [kPa]"
+    return lambda a: a, lambda p: sign * p * 1e-3, replicate.model.abscissa, stress, "model − data [kPa]"
 
 
 def _binned(fit: Fit, replicates: Sequence[Replicate], edges: np.ndarray):

@@ -46,13 +46,15 @@ class Prediction(msgspec.Struct, frozen=True, kw_only=True):
         RMSE_N: root mean square error of the force; None without a specimen.
         RMSE_Pa: of the nominal stress.
         percent: error relative to the largest measured stress.
+
+    All None where the law does not carry a specimen that weighs as far as the test went.
     """
 
     test: str
     law: str
     RMSE_N: float | None
-    RMSE_Pa: float
-    percent: float
+    RMSE_Pa: float | None
+    percent: float | None
 
 
 class Covariance(msgspec.Struct, frozen=True, kw_only=True):
@@ -81,6 +83,7 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
         E0, mu0: initial Young's and shear modulus of the incompressible law, Pa.
         stable_from, stable_to: stretches that are Drucker-stable in all three modes of loading; stability: the same
             in words; stretch_range: of the data.
+        sag_mm: specimen that weighs -> by how much it sags with this law.
         nuisances: of the replicates when offsets are fitted.
         minima: best first. starts: how many were tried.
         status: ``"converged"``, ``"unstable"`` (in the measured loading over the data), ``"not_physical"`` or
@@ -114,6 +117,7 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
     stable_to: float
     stability: str
     stretch_range: tuple[float, float]
+    sag_mm: dict[str, float] = {}
     nuisances: list[Nuisance] = []
     minima: list[Minimum] = []
     starts: int

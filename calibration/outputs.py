@@ -9,18 +9,18 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from calibration.analytical import CalibrationResult, to_json
-from calibration.assess import curve, residual_of
+from calibration.assess import residual_of
 from calibration.fit import Fit
 from calibration.output_folder import FIT_FILE
 from calibration.replicates import Replicate, loading_path
 from calibration.report import write_report
+from calibration.self_weight import statement
 from tissue_sim.atomic_write import write_text
 from tissue_sim.laws import find_law
 from tissue_sim.material import Material
 from tissue_sim.material_file import MaterialFile, write_material_file
 
 CURVE_POINTS = 101
-_ABSCISSA = {"uniaxial": "stretch [-]", "simple_shear": "shear strain [-]"}
 
 
 def write_campaign(result: CalibrationResult, replicates: Sequence[Replicate], *, figures: bool = True) -> None:
@@ -56,7 +56,7 @@ def material_file(fit: Fit, result: CalibrationResult, fitted: Sequence[Replicat
             "method": "analytical: least squares on nominal stress", "residual": residual,
             "settings": {"campaign": campaign.path.name, "campaign_sha256": campaign.sha256,
                          "offset": campaign.fit.offset, "noise_Pa": result.noise_Pa,
-                         "noise_source": result.noise_source,
+                         "noise_source": result.noise_source, "self_weight": statement(campaign, fit),
                          "status": fit.status, "BIC": fit.BIC, "covariance_from": fit.covariance_from}})
 
 
@@ -87,9 +87,9 @@ def _curves(result: CalibrationResult, replicates: Sequence[Replicate]) -> str:
         mine = [r for r in replicates if r.test is test]
         abscissa = loading_path(mine, CURVE_POINTS)
         for fit in result.fits:
-            stress = curve(fit.law, fit.parameters, abscissa, mine[0])
+            stress = mine[0].model.stress(find_law(fit.law), abscissa, fit.parameters)
             for a, p in zip(abscissa, stress, strict=True):
-                rows.append([fit.law, test.name, _ABSCISSA[test.mode], a, p, *_rig_units(a, p, mine[0])])
+                rows.append([fit.law, test.name, mine[0].model.abscissa, a, p, *_rig_units(a, p, mine[0])])
     return _table(["law", "test", "abscissa", "value", "nominal stress [Pa]", "displacement [mm]", "force [N]"], rows)
 
 
@@ -101,7 +101,7 @@ def _residuals(result: CalibrationResult, replicates: Sequence[Replicate]) -> st
             residual = residual_of(fit, replicate)
             area = replicate.area
             for a, p, r in zip(replicate.abscissa, replicate.stress, residual, strict=True):
-                rows.append([fit.law, replicate.name, _ABSCISSA[replicate.mode], a, p, p + r, r,
+                rows.append([fit.law, replicate.name, replicate.model.abscissa, a, p, p + r, r,
                              None if area is None else replicate.force_sign * area * r])
     return _table(["law", "replicate", "abscissa", "value", "measured [Pa]", "model [Pa]", "residual [Pa]",
                    "residual [N]"], rows)
@@ -120,6 +120,7 @@ def _table(header: Sequence[str], rows: Iterable[Sequence]) -> str:
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(header)
-    writer.writerows([f"{cell:.8g}" if isinstance(cell, float) else "" if cell is None else cell for cell in row]
-                     for row in rows)
+    # NaN is where a law carries no more.
+    writer.writerows(["" if cell is None or cell != cell else f"{cell:.8g}" if isinstance(cell, float) else cell
+                      for cell in row] for row in rows)
     return stream.getvalue()

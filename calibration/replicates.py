@@ -10,6 +10,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from calibration.campaign import Campaign, Test
+from calibration.forward import Homogeneous, Weighing, forward_model
 from calibration.statistics import estimate_noise, resolution
 from tissue_sim.errors import InputError
 from tissue_sim.recording import MIN_POINTS, Recording
@@ -28,7 +29,7 @@ class Replicate:
     Attributes:
         name: of the recording, unique among the replicates of a campaign.
         test: the test that it belongs to.
-        abscissa: stretch, or shear strain for shear, shape (n,).
+        abscissa: what `model` takes: stretch (with self-weight 1 - displacement/height) or shear strain, shape (n,).
         stress: nominal stress, Pa, negative in compression, shape (n,).
         noise: standard deviation of the stress of a sample, Pa. noise_source: ``"stated"``, ``"estimated"`` or, where
             the sensor's step makes it, ``"resolution"``.
@@ -51,6 +52,11 @@ class Replicate:
     @property
     def mode(self) -> str:
         return self.test.mode
+
+    @property
+    def model(self) -> Homogeneous | Weighing:
+        """What its abscissa and a law make of the stress."""
+        return forward_model(self.test)
 
     @property
     def strain(self) -> np.ndarray:
@@ -202,6 +208,9 @@ def _curve(recording: Recording, test: Test, path: Path) -> tuple[bool, np.ndarr
             return True, 1.0 - share, -recording.force / test.specimen.area
         rest = 1.0 if test.kind == "uniaxial_tension" else 0.0
         return True, rest + share, recording.force / test.specimen.area
+    if all(name in recording for name in direct) and isinstance(forward_model(test), Weighing):
+        raise InputError(f"{path.name} holds {' and '.join(direct)}, which differ from slice to slice under gravity = "
+                         f"true; give {' and '.join(mechanical)}, or set gravity = false", field="recordings")
     if all(name in recording for name in direct):
         return False, np.array(recording.channel(direct[0])), np.array(recording.channel(direct[1]))
     raise InputError(f"{path.name} has {', '.join(recording.channels)}; {test.kind} needs {' and '.join(mechanical)}, "

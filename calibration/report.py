@@ -11,6 +11,7 @@ from calibration.figures import as_data_uri, draw_formula, draw_test, natural_wi
 from calibration.fit import Fit
 from calibration.pressure import format_pressure, pressure_unit
 from calibration.replicates import Replicate
+from calibration.self_weight import statement
 from tissue_sim.atomic_write import write_text
 from tissue_sim.laws import find_law
 
@@ -80,8 +81,8 @@ def assumptions(result: CalibrationResult) -> list[str]:
     kinds = {test.kind for test in result.campaign.tests}
     lines = ["The material is incompressible and elastic: only the loading is fitted, and the rate does not matter."]
     if "lubricated_compression" in kinds:
-        lines.append("Lubricated means frictionless: the faces slide freely and the deformation is homogeneous.")
-    lines.append("Self-weight is not included.")
+        lines.append("Lubricated means frictionless: the faces slide freely and every slice deforms homogeneously.")
+    lines.append(statement(result.campaign, result.best))
     if fit.offset == "none":
         lines.append("Contact offsets and zeros are taken as they were recorded (offset = \"none\").")
         if noise.contact_jitter or noise.zero_jitter:
@@ -108,13 +109,13 @@ def _ranking_table(fits: Sequence[Fit]) -> str:
     r_unit, r_size = pressure_unit(best.RMSE_Pa)
     rows = []
     for i, fit in enumerate(fits):
-        force = "-" if fit.RMSE_N is None else f"{fit.RMSE_N:.4g}"
         # A difference to a law that cannot be used would invite to use it.
         difference = f"{fit.BIC - best.BIC:.4g}" if fit.unusable is None else "-"
         rows.append(
             f'<tr{" class=best" if i == 0 else ""}><td>{escape(find_law(fit.law).title)}</td>'
-            f"<td>{fit.E0 / e_size:.4g}</td><td>{fit.mu0 / mu_size:.4g}</td><td>{fit.R2:.5f}</td><td>{force}</td>"
-            f"<td>{fit.RMSE_Pa / r_size:.4g}</td><td>{difference}</td><td>{stable_stretches(fit)}</td></tr>")
+            f"<td>{fit.E0 / e_size:.4g}</td><td>{fit.mu0 / mu_size:.4g}</td><td>{fit.R2:.5f}</td>"
+            f"<td>{_number(fit.RMSE_N, 4)}</td><td>{fit.RMSE_Pa / r_size:.4g}</td><td>{difference}</td>"
+            f"<td>{stable_stretches(fit)}</td></tr>")
     head = (f"<th>Law</th><th>E<sub>0</sub> [{e_unit}]</th><th>μ<sub>0</sub> [{mu_unit}]</th><th>R²</th>"
             f"<th>RMSE [N]</th><th>RMSE [{r_unit}]</th><th>ΔBIC</th><th>Stable stretches</th>")
     return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
@@ -176,8 +177,7 @@ def _correlation_tables(fits: Sequence[Fit]) -> list[str]:
 
 def _prediction_table(result: CalibrationResult) -> str:
     rows = [f'<tr><td>{escape(p.test)}</td><td class="text">{escape(find_law(p.law).title)}</td>'
-            f"<td>{'-' if p.RMSE_N is None else f'{p.RMSE_N:.4g}'}</td><td>{p.RMSE_Pa:.4g}</td>"
-            f"<td>{p.percent:.3g}</td></tr>"
+            f"<td>{_number(p.RMSE_N, 4)}</td><td>{_number(p.RMSE_Pa, 4)}</td><td>{_number(p.percent, 3)}</td></tr>"
             for p in result.predictions]
     head = ('<th>Test</th><th class="text">Law</th><th>RMSE [N]</th><th>RMSE [Pa]</th>'
             "<th>of the largest stress [%]</th>")
@@ -190,6 +190,10 @@ def _nuisance_table(fit: Fit) -> str:
             f'<td class="text bad">{escape(", ".join(n.on_bound))}</td></tr>' for n in fit.nuisances]
     head = '<th>Recording</th><th>Contact offset [mm]</th><th>Zero [N]</th><th class="text">On its bound</th>'
     return f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
+
+
+def _number(number: float | None, digits: int) -> str:
+    return "-" if number is None else f"{number:.{digits}g}"
 
 
 def _error(error: float | None) -> str:

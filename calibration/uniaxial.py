@@ -1,4 +1,4 @@
-"""Closed-form fit: least squares on nominal stress (the study's equations 4 to 7), several starts, exact Jacobian."""
+"""The fit: least squares on nominal stress (the study's equations 4 to 7), several starts, exact Jacobian."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from calibration.campaign import FitSettings, Noise
+from calibration.forward import Weighing
 from calibration.replicates import Replicate
 from calibration.statistics import pooled_noise
 from tissue_sim.errors import ConvergenceError
@@ -69,9 +70,13 @@ class _Problem:
         self.abscissa = np.concatenate([r.abscissa[::stride] for r in replicates])
         self.data = np.concatenate([r.stress[::stride] for r in replicates])
         self.index = np.concatenate([np.full(r.abscissa[::stride].size, i) for i, r in enumerate(replicates)])
-        self.modes = {mode: np.flatnonzero([replicates[i].mode == mode for i in self.index])
-                      for mode in sorted({r.mode for r in replicates})}
-        self.plate = np.array([r.test.kind == "lubricated_compression" for r in replicates])[self.index]
+        models = [r.model for r in replicates]
+        self.models = [(model, np.flatnonzero(np.array([other == model for other in models])[self.index]))
+                       for model in dict.fromkeys(models)]
+        # Stress is linear in the moduli without weight, and bent a little with it: solved for in turn, it starts a fit.
+        self.linear_solves = [[(model.weightless, mine) for model, mine in self.models]]
+        if any(isinstance(model, Weighing) for model in models):
+            self.linear_solves += [self.models, self.models]
         self.dimensionless = np.array([unit == "1" for unit in law.units.values()])
         self.fixed = np.array([settings.fixed.get(name, np.nan) for name in law.parameters])
         self.free = np.flatnonzero(np.isnan(self.fixed))
@@ -102,8 +107,11 @@ class _Problem:
         nuisances[self.shifted] = unknowns[self.free.size:].reshape(-1, 2)
         return values, nuisances
 
-    def stress(self, unknowns: np.ndarray, derivatives: bool = False):
-        """Stress as the rig reports it, Pa, shape (n,); with `derivatives` also those of the unknowns, shape (n, k)."""
+    def stress(self, unknowns: np.ndarray, derivatives: bool = False, models=None):
+        """Stress as the rig reports it, Pa, shape (n,); with `derivatives` also those of the unknowns, shape (n, k).
+
+        `models` are pairs of a forward model and the samples that it is for, `self.models` by default.
+        """
         values, nuisances = self.split(unknowns)
         abscissa = self.abscissa.copy()
         zero = np.zeros_like(abscissa)
@@ -111,36 +119,23 @@ class _Problem:
             mine = self.index == i
             abscissa[mine] += self.replicates[i].offset_slope * nuisances[i, 0]
             zero[mine] = self.replicates[i].zero_slope * nuisances[i, 1]
-        # A plate that has not arrived feels nothing.
-        touching = ~(self.plate & (abscissa > 1.0))
-        stress = np.zeros_like(abscissa)
+        stress, slope = np.zeros_like(abscissa), np.zeros_like(abscissa)
         columns = np.zeros((abscissa.size, unknowns.size)) if derivatives else None
-        for mode, mine in self.modes.items():
-            mine = mine[touching[mine]]
+        for model, mine in self.models if models is None else models:
             # Wild trial values overflow; the optimiser turns back from what is not finite.
             with np.errstate(all="ignore"):
-                stress[mine] = self.law.nominal_stress(abscissa[mine], values, mode)
+                stress[mine] = model.stress(self.law, abscissa[mine], values)
                 if derivatives:
-                    slopes = self.law.nominal_stress_derivatives(abscissa[mine], values, mode)
-                    columns[mine, : self.free.size] = slopes[:, self.free]
+                    columns[mine, : self.free.size] = model.derivatives(self.law, abscissa[mine], values)[:, self.free]
+                if derivatives and self.shifted:
+                    slope[mine] = model.slope(self.law, abscissa[mine], values)
         if not derivatives:
             return stress + zero
-        if self.shifted:
-            slope = self.slope(abscissa, values, touching)
-            for j, i in enumerate(self.shifted):
-                mine, column = self.index == i, self.free.size + 2 * j
-                columns[mine, column] = slope[mine] * self.replicates[i].offset_slope
-                columns[mine, column + 1] = self.replicates[i].zero_slope
+        for j, i in enumerate(self.shifted):
+            mine, column = self.index == i, self.free.size + 2 * j
+            columns[mine, column] = slope[mine] * self.replicates[i].offset_slope
+            columns[mine, column + 1] = self.replicates[i].zero_slope
         return stress + zero, columns
-
-    def slope(self, abscissa: np.ndarray, values: np.ndarray, touching: np.ndarray) -> np.ndarray:
-        """d(stress)/d(abscissa), Pa, zero before contact, shape (n,)."""
-        slope = np.zeros_like(abscissa)
-        for mode, mine in self.modes.items():
-            mine = mine[touching[mine]]
-            with np.errstate(all="ignore"):
-                slope[mine] = self.law.nominal_stress_slope(abscissa[mine], values, mode)
-        return slope
 
     def residual(self, unknowns: np.ndarray) -> np.ndarray:
         """Stress residuals and priors, both in units of the noise."""
@@ -167,7 +162,7 @@ class _Problem:
                              ftol=TOLERANCE, xtol=TOLERANCE, gtol=TOLERANCE, max_nfev=evaluations)
 
     def starts(self) -> list[np.ndarray]:
-        """Deterministic starts, best first: exponents from a grid, moduli from one linear solve at them."""
+        """Deterministic starts, best first: exponents from a grid, moduli from linear solves at them."""
         law, free = self.law, self.free
         exponents = [i for i in free if self.dimensionless[i]]
         moduli = [i for i in free if not self.dimensionless[i]]
@@ -181,16 +176,19 @@ class _Problem:
             values = np.where(np.isnan(self.fixed), guess / max(len(moduli), 1), self.fixed)
             values[exponents] = grid
             unknowns[: free.size] = np.clip(values[free], self.low[: free.size], self.high[: free.size])
-            stress, columns = self.stress(unknowns, derivatives=True)
+            tried = [unknowns]
             places = [int(np.flatnonzero(free == i)[0]) for i in moduli]
-            if not (np.isfinite(stress).all() and np.isfinite(columns).all()):
-                continue
-            if moduli:
+            for models in self.linear_solves if moduli else ():
+                stress, columns = self.stress(tried[-1], derivatives=True, models=models)
+                if not (np.isfinite(stress).all() and np.isfinite(columns).all()):
+                    break
                 step = np.linalg.lstsq(columns[:, places], self.data - stress, rcond=1e-9)[0]
-                unknowns[places] = np.clip(unknowns[places] + step, self.low[places], self.high[places])
-            cost = np.sum(self.residual(unknowns)**2)
-            if np.isfinite(cost):
-                candidates.append((float(cost), unknowns))
+                solved = tried[-1].copy()
+                solved[places] = np.clip(solved[places] + step, self.low[places], self.high[places])
+                tried.append(solved)
+            costs = [float(np.sum(self.residual(trial)**2)) for trial in tried]
+            if np.isfinite(costs).any():
+                candidates.append((np.nanmin(costs), tried[int(np.nanargmin(costs))]))
         candidates.sort(key=lambda item: item[0])
         starts = [unknowns for _, unknowns in candidates[:MAX_STARTS]]
         if starts and self.shifted:
@@ -220,7 +218,7 @@ def fit_law(law: Law | str, replicates: Sequence[Replicate], settings: FitSettin
 
     Raises:
         ValueError: no replicate.
-        ConvergenceError: no start gives a finite stress.
+        ConvergenceError: no start, and no set of fixed parameters, gives a finite stress.
 
     Source: trust region reflective method of scipy.optimize.least_squares (Branch, Coleman, Li, SIAM J. Sci. Comput.
     21 (1999) 1).
@@ -246,10 +244,13 @@ def fit_law(law: Law | str, replicates: Sequence[Replicate], settings: FitSettin
         if result is not None:
             evaluations += result.nfev
             refined.append((result, count))
-    if not refined and full.low.size:
-        raise ConvergenceError(f"no start of {law.name} gives a finite stress over the data; state one in fit.start")
     refined.sort(key=lambda item: item[0].cost)
     unknowns = refined[0][0].x if refined else np.zeros(0)
+    if unknowns.size != full.low.size or not np.isfinite(full.residual(unknowns)).all():
+        weighing = any(isinstance(r.model, Weighing) for r in replicates)
+        hint = "; the specimen may be too heavy for it, so check density_kg_m3" if weighing else ""
+        raise ConvergenceError(f"no start of {law.name} gives a finite stress over the data; state one in fit.start"
+                               f"{hint}")
     values, nuisances = full.split(unknowns)
     stress, jacobian = full.stress(unknowns, derivatives=True)
     residual = stress - full.data
@@ -278,9 +279,8 @@ def jitter_columns(solution: Solution, replicates: Sequence[Replicate], noise: N
     for replicate in replicates:
         column = np.zeros((replicate.abscissa.size, 2))
         if replicate.mechanical:
-            slope = solution.law.nominal_stress_slope(replicate.abscissa, solution.values, replicate.mode)
-            before = (replicate.test.kind == "lubricated_compression") & (replicate.abscissa > 1.0)
-            column[:, 0] = np.where(before, 0.0, slope) * replicate.offset_slope * noise.contact_jitter
+            slope = replicate.model.slope(solution.law, replicate.abscissa, solution.values)
+            column[:, 0] = slope * replicate.offset_slope * noise.contact_jitter
             column[:, 1] = replicate.zero_slope * noise.zero_jitter
         columns.append(column)
     return np.concatenate(columns)

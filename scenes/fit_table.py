@@ -35,6 +35,7 @@ def print_results(answer: dict[str, Any], output: Path, console: Console, *, rea
         line("* best usable law; dBIC: BIC above it; stable: stretches, in any loading")
         console.print(parameter_table(campaign))
         line(campaign["message"])
+        line(campaign["self_weight"])
         for fit in campaign["fits"]:
             remarks = [fit["message"]] if fit["unusable"] else fit["warnings"]
             if remarks:
@@ -111,5 +112,7 @@ def _value(fit: dict[str, Any], name: str, value: float, pressure: bool) -> str:
 
 
 def _prediction(prediction: dict[str, Any]) -> str:
+    if prediction["percent"] is None:
+        return "the law does not carry the specimen so far"
     force = "" if prediction["RMSE_N"] is None else f"RMSE {prediction['RMSE_N']:.3g} N, "
     return f"{force}{prediction['percent']:.2g} % of the largest stress"

@@ -89,10 +89,11 @@ def _contact(experiment: Experiment, mesh: Mesh) -> Contact:
     face, free = mesh.edges("face"), mesh.edges("free")
     stick = (experiment.friction == "stick", experiment.friction_wall == "stick")
     if experiment.friction == "bonded":
-        return Contact(profile, free, np.full(len(free), profile.shaft), stick, tool.radius)
+        return Contact(profile, free, np.full(len(free), profile.shaft), np.zeros(len(free), bool), stick, tool.radius)
     # Tissue beside a sharp edge cannot come under the face without slip.
     first = np.concatenate([np.zeros(len(face)), np.full(len(free), 0 if tool.edge_radius else profile.shaft)])
-    return Contact(profile, np.concatenate([face, free]), first, stick, tool.radius)
+    tied = np.arange(len(first)) < (len(face) if stick[0] else 0)
+    return Contact(profile, np.concatenate([face, free]), first, tied, stick, tool.radius)
 
 
 def _settled(model: Model, mesh: Mesh) -> tuple[Mesh, np.ndarray]:

@@ -67,7 +67,7 @@ def test_table(campaign, tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["calibrate", str(campaign), "-o", str(out)]) == 0
     text = capsys.readouterr().out
-    for expected in ("reduced_polynomial_2 *", "neo_hooke", "±", "E0 kPa", "dBIC"):
+    for expected in ("reduced_polynomial_2 *", "neo_hooke", "±", "E0 kPa", "dBIC", "Self-weight is not included"):
         assert expected in text
     assert f"wrote {out / 'report.html'}" in text
 

@@ -65,7 +65,8 @@ def test_finite_elements_follow_the_closed_form(law):
 
     radius, height = 0.04, 0.07
     protocol = ts.Protocol.ramp(0.010, points=6)
-    experiment = SCENES["lubricated_compression"].experiment(radius=radius, height=height, protocol=protocol)
+    experiment = SCENES["lubricated_compression"].experiment(
+        specimen=ts.Specimen(radius, height), protocol=protocol)
     recording = ts.simulate(ts.Model(experiment, ts.Material("demiray", VALUES, ts.Bulk("bulk_ratio", 1e5))))
     closed = -np.pi * radius**2 * law.nominal_stress(1 - recording.displacement / height, VALUES)
     np.testing.assert_allclose(recording.force[1:], closed[1:], rtol=1e-4)

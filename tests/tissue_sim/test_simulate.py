@@ -7,11 +7,11 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 import tissue_sim as ts
+from tissue_sim.discretisation import build_mesh
 from tissue_sim.fem.axisymmetric import Step
 from tissue_sim.fem.fields import FIELD_UNITS, extrapolate
 from tissue_sim.fem.newton import StepStatus
 from tissue_sim.mesh import cylinder_mesh
-from tissue_sim.discretisation import build_mesh
 from tissue_sim.simulation import _approach
 
 STUDY = {"C10": 1404.9, "C20": 699.4}

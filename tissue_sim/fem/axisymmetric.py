@@ -65,8 +65,8 @@ class AxisymmetricSolver:
         self._integrate_reference()
         elements, nb, modes = len(mesh.connectivity), element.boundary_nodes, element.pressure_modes
         self._band_scratch()
-        self.contact, self.points = contact, ContactPoints(mesh, contact)
-        states = 2 * len(mesh.nodes) + modes * elements + 2 * self.points.springs.size
+        self.contact, self.surface = contact, ContactPoints(mesh, contact)
+        states = 2 * len(mesh.nodes) + modes * elements + 2 * self.surface.springs.size
         self.x = np.zeros(states)
         self._history = np.zeros((3, states))
         if start is not None:
@@ -89,7 +89,7 @@ class AxisymmetricSolver:
         self._report = np.zeros(5)
         self._settings = np.zeros(10)
         shaft, stick = (0, (False, False)) if contact is None else (contact.profile.shaft, contact.stick)
-        self._counts = np.array([1, self.free, 0, self.points.count, shaft, *stick], dtype=np.int32)
+        self._counts = np.array([1, self.free, 0, self.surface.count, shaft, *stick], dtype=np.int32)
         self.set_material(material)
         self._touch()
 
@@ -121,9 +121,10 @@ class AxisymmetricSolver:
         self._datum = 0.0
         if self.contact is None:
             return
-        profile, points = self.contact.profile, self.points
+        profile, surface = self.contact.profile, self.surface
         displacement = self.start.reshape(-1, 2)
-        place = (self.mesh.nodes + displacement)[self.mesh.sets["top"]]
+        place = np.concatenate([(self.mesh.nodes + displacement)[self.mesh.sets["top"]],
+                                surface.positions(displacement).reshape(-1, 2)])
 
         def clearance(datum):
             return profile.gap(place - [0.0, datum]).min()
@@ -131,10 +132,10 @@ class AxisymmetricSolver:
         low, high = place[:, 1].min() - self.contact.radius, place[:, 1].max()
         self._datum = high if clearance(high) <= 0.0 else brentq(clearance, low, high, xtol=1e-15)
         if self.contact.stick[0]:
-            touching = points.positions(displacement) - [0.0, self._datum]
+            touching = surface.positions(displacement) - [0.0, self._datum]
             met = profile.gap(touching.reshape(-1, 2)).reshape(touching.shape[:2]) <= 1e-9 * self.contact.radius
-            points.anchors[met & (points.first_line == 0)[:, None], 0] = 1.0
-            points.anchors[..., 1:] = touching
+            surface.anchors[met & self.contact.tied[:, None], 0] = 1.0
+            surface.anchors[..., 1:] = touching
 
     def _equations(self, order: np.ndarray, free: np.ndarray, held: np.ndarray) -> tuple[np.ndarray, int]:
         """Equation of every freedom when nodes are taken in this order, and the half band that follows.
@@ -214,19 +215,19 @@ class AxisymmetricSolver:
                              field="bulk")
         self.material = material
         self._coefficients = law.kernel_coefficients(material.parameters)
-        points = self.points
+        surface = self.surface
         with LOCK:
             kernel = newton.step_kernel(self.mesh.element.name, energy)
         self._kernel = BoundKernel(kernel, (
             self._counts, self._settings, self._connectivity, self._equation, self._direction, self.start,
             self._target, self._gradients, self.node_gradients, self._quadrature, self._node_volumes,
-            self._centre_volumes, points.edges, points.shapes, points.places, points.first_line, points.vertices,
-            points.springs, points.held, points.met, points.forces, self._coefficients, self.x, self._history,
-            self._slots, self._weights,
-            self._entries, self._entries, self._inverse, self._right, self._residual, self._force,
-            self._rates, self._stiffness, self._centre_stiffness, self._volume, self._centre_volume, self._gap,
-            self._centre_rows, self._centre_inverse, self._centre_force, self._report))
-        self.points.set_stiffness(contacts.STIFFNESS * material.mu0)
+            self._centre_volumes, surface.edges, surface.shapes, surface.places, surface.first_line,
+            surface.vertices, surface.springs, surface.held, surface.met, surface.forces, self._coefficients, self.x,
+            self._history, self._slots, self._weights, self._entries, self._entries, self._inverse, self._right,
+            self._residual, self._force, self._rates, self._stiffness, self._centre_stiffness, self._volume,
+            self._centre_volume, self._gap, self._centre_rows, self._centre_inverse, self._centre_force,
+            self._report))
+        self.surface.set_stiffness(contacts.STIFFNESS * material.mu0)
         top = self.mesh.nodes[self.mesh.sets["top"], 0].max()
         # Below this force, N, nothing is loaded: the residual is measured against it instead of the reactions.
         self._floor = 1e-6 * material.mu0 * np.pi * top**2
@@ -286,7 +287,7 @@ class AxisymmetricSolver:
             self._slots[:] = np.roll(self._slots, 1)
             self._depths = [depth, *self._depths][:3]
         self._history[self._slots[0]] = self.x
-        self.points.anchors[:] = self.points.held
+        self.surface.anchors[:] = self.surface.held
 
     def _launch(self, depth: float, tolerance: float, rounding: float, max_iterations: int) -> None:
         edge_radius, penetration = (0.0, 0.0) if self.contact is None else (self.contact.profile.rounding,
@@ -295,7 +296,7 @@ class AxisymmetricSolver:
         self._settings[:] = (depth, predicted, self.bulk_modulus, self.specific_weight, tolerance, self._floor,
                              rounding, self._datum, edge_radius, penetration)
         self._counts[newton.MAX_ITERATIONS] = max_iterations
-        self.points.held[:] = self.points.anchors
+        self.surface.held[:] = self.surface.anchors
         with LOCK:
             self._kernel()
 

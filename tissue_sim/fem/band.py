@@ -45,6 +45,22 @@ def unpack(blocks: np.ndarray, size: int, half_band: int) -> np.ndarray:
 
 
 @cache
+def add_entry_function():
+    """Taichi function ``add_entry(row, column, value, free, width, band)``: add to the lower half of the matrix of the
+    first `free` equations."""
+    ti = initialise()
+
+    @ti.func
+    def add_entry(row, column, value, free, width, band: ti.template()):
+        if row < free and column <= row:
+            I, J = row // BLOCK, column // BLOCK
+            w, c, r = J - I + width - 1, column % BLOCK, row % BLOCK
+            band[I, w, c, r] = band[I, w, c, r] + value
+
+    return add_entry
+
+
+@cache
 def functions():
     """Taichi functions ``factorise(band, inverse, rows, width) -> int`` and ``solve(band, inverse, x, rows, width)``.
 

@@ -14,13 +14,16 @@ from functools import cache
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
-from tissue_sim.fem.band import BLOCK
+from tissue_sim.fem.band import add_entry_function
 from tissue_sim.fem.runtime import initialise
 from tissue_sim.mesh import Mesh
 from tissue_sim.tool import Profile
 
 #: Spring stiffness in units of mu0 over the length of the element edge.
 STIFFNESS = 3e3
+#: How many times stiffer a point without slip is held: it never chatters, and a soft hold lets a sharp edge buckle the
+#: tissue.
+HOLD = 30.0
 #: Deepest penetration that is accepted, in radii of the tool.
 TOLERANCE = 1e-4
 
@@ -33,6 +36,7 @@ class Contact:
         profile: outline of the tool.
         edges: nodes of the element edges that are watched, shape (m, nodes of an edge).
         first_line: line of the profile's chain from which on each edge may meet it, shape (m,).
+        tied: edges that an interface without slip holds from the start, shape (m,).
         stick: whether the face and the shaft hold what they touch.
         radius: of the tool, m; the measure of penetration.
     """
@@ -40,6 +44,7 @@ class Contact:
     profile: Profile
     edges: np.ndarray
     first_line: np.ndarray
+    tied: np.ndarray
     stick: tuple[bool, bool]
     radius: float
 
@@ -54,17 +59,21 @@ class ContactPoints:
 
     def __init__(self, mesh: Mesh, contact: Contact | None):
         order = mesh.element.order
-        # As many points as an edge brings freedoms along its normal: more of them would lock on a curved tool.
-        along, weight = leggauss(order)
+        self.count = 0 if contact is None else len(contact.edges)
+        if contact is None:
+            none = Profile(np.zeros((2, 2)), 0.0, 0)
+            contact = Contact(none, np.zeros((1, order + 1)), np.zeros(1), np.zeros(1, bool), (False, False), 0.0)
+        self.edges, self.first_line = contact.edges.astype(np.int32), contact.first_line.astype(np.int32)
+        self.vertices = contact.profile.vertices.copy()
+        tied = contact.tied[:, None]
+        # As many points as an edge brings freedoms along its normal: more of them would lock on a curved tool. An edge
+        # that is tied takes one more, which holds all of its nodes. What is left over has no weight.
+        few, many = leggauss(order), leggauss(order + 1)
+        along, weight = (np.where(tied, more, np.append(less, 0.0)) for less, more in zip(few, many, strict=True))
         lines = np.linspace(-1.0, 1.0, order + 1)
         self.shapes = np.stack([np.prod([(along - other) / (own - other) for other in lines if other != own], axis=0)
                                 for own in lines], axis=-1)
-        self.count = 0 if contact is None else len(contact.edges)
-        self.edges = np.zeros((1, order + 1), np.int32) if contact is None else contact.edges.astype(np.int32)
-        self.first_line = np.zeros(1, np.int32) if contact is None else contact.first_line.astype(np.int32)
-        self.vertices = np.zeros((2, 2)) if contact is None else contact.profile.vertices.copy()
-        ends = mesh.nodes[self.edges]
-        self.places = np.einsum("qa,mai->mqi", self.shapes, ends)
+        self.places = np.einsum("mqa,mai->mqi", self.shapes, mesh.nodes[self.edges])
         # Each point's share of the area, 2 pi r times half the length times its weight, over the length.
         self._area_per_length = np.pi * weight * self.places[..., 0]
         self.springs = np.zeros(self.places.shape[:2])
@@ -79,13 +88,14 @@ class ContactPoints:
 
     def positions(self, displacement: np.ndarray) -> np.ndarray:
         """Where the points are, (r, z), m, shape (m, q, 2), from nodal displacements (n, 2)."""
-        return self.places + np.einsum("qa,mai->mqi", self.shapes, displacement[self.edges])
+        return self.places + np.einsum("mqa,mai->mqi", self.shapes, displacement[self.edges])
 
 
 @cache
 def functions():
     """Taichi functions ``nearest`` and ``add_contact``."""
     ti = initialise()
+    add_entry = add_entry_function()
     far = 1e30
 
     @ti.func
@@ -122,9 +132,9 @@ def functions():
     def place(m, q, lift, edges: ti.template(), shapes: ti.template(), places: ti.template(), x: ti.template()):
         """Where a point is, in the frame of the tool."""
         r, z = places[m, q, 0], places[m, q, 1] + lift
-        for a in range(shapes.shape[1]):
-            r += shapes[q, a] * x[2 * edges[m, a]]
-            z += shapes[q, a] * x[2 * edges[m, a] + 1]
+        for a in range(shapes.shape[2]):
+            r += shapes[m, q, a] * x[2 * edges[m, a]]
+            z += shapes[m, q, a] * x[2 * edges[m, a] + 1]
         return r, z
 
     @ti.func
@@ -139,7 +149,7 @@ def functions():
         the axial force on the tool and the largest violation of the contact conditions.
         """
         axial, violation = 0.0, 0.0
-        n = shapes.shape[1]
+        n = shapes.shape[2]
         slack = 1e-9 if pending == 1 else 0.0
         for m in range(count):
             for q in range(places.shape[1]):
@@ -154,11 +164,12 @@ def functions():
                 fr, fz, krr, krz, kzz = 0.0, 0.0, 0.0, 0.0, 0.0
                 met[m, q, 0] = 0.0
                 if held[m, q, 0] > 0.0:
+                    spring *= HOLD
                     dr, dz = r - held[m, q, 1], z - held[m, q, 2]
                     fr, fz = x[at] + spring * dr, x[at + 1] + spring * dz
                     krr, kzz = spring, spring
                     violation = ti.max(violation, ti.sqrt(dr * dr + dz * dz))
-                elif normal < 0.0 or gap < slack:
+                elif spring > 0.0 and (normal < 0.0 or gap < slack):
                     fr, fz = normal * nr, normal * nz
                     bend = bending * normal * curved
                     krr = spring * nr * nr + bend * nz * nz
@@ -176,32 +187,24 @@ def functions():
                         for a in range(n):
                             dof = 2 * edges[m, a]
                             if equation[dof] >= free:
-                                pr += shapes[q, a] * (target[dof] - x[dof])
+                                pr += shapes[m, q, a] * (target[dof] - x[dof])
                             if equation[dof + 1] >= free:
-                                pz += shapes[q, a] * (target[dof + 1] - x[dof + 1])
+                                pz += shapes[m, q, a] * (target[dof + 1] - x[dof + 1])
                         fr += krr * pr + krz * pz
                         fz += krz * pr + kzz * pz
                     for a in range(n):
                         ir, iz = equation[2 * edges[m, a]], equation[2 * edges[m, a] + 1]
-                        residual[ir] = residual[ir] + shapes[q, a] * fr
-                        residual[iz] = residual[iz] + shapes[q, a] * fz
+                        residual[ir] = residual[ir] + shapes[m, q, a] * fr
+                        residual[iz] = residual[iz] + shapes[m, q, a] * fz
                         if tangent == 1:
                             for b in range(n):
-                                share = shapes[q, a] * shapes[q, b]
+                                share = shapes[m, q, a] * shapes[m, q, b]
                                 jr, jz = equation[2 * edges[m, b]], equation[2 * edges[m, b] + 1]
                                 add_entry(ir, jr, share * krr, free, width, entries)
                                 add_entry(ir, jz, share * krz, free, width, entries)
                                 add_entry(iz, jr, share * krz, free, width, entries)
                                 add_entry(iz, jz, share * kzz, free, width, entries)
         return axial, violation
-
-    @ti.func
-    def add_entry(row, column, value, free, width, entries: ti.template()):
-        """Add to the lower half of the band matrix."""
-        if row < free and column <= row:
-            I, J = row // BLOCK, column // BLOCK
-            w, c, r = J - I + width - 1, column % BLOCK, row % BLOCK
-            entries[I, w, c, r] = entries[I, w, c, r] + value
 
     @ti.func
     def augment(count, multipliers, rounding, first_line: ti.template(), vertices: ti.template(), held: ti.template(),

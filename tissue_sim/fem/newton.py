@@ -63,6 +63,7 @@ def step_kernel(element_name: str, energy: KernelEnergy):
     block1, block3 = (ti.types.ndarray(dtype=block, ndim=n) for n in (1, 3))
     stress_and_tangent = point.function(energy)
     factorise, solve = band_matrix.functions()
+    add_entry = band_matrix.add_entry_function()
     add_contact, augment, hold = contact.functions()
     converged, inverted, indefinite, slow, diverged = (float(status) for status in StepStatus)
     # The tangent's rows that meet an r freedom (rR, rZ, hoop) and a z freedom (zR, zZ).
@@ -269,14 +270,11 @@ def step_kernel(element_name: str, energy: KernelEnergy):
             for i in ti.static(range(2)):
                 ia = equation[2 * connectivity[e, a] + i]
                 residual[ia] = residual[ia] + force[i][a]
-                if tangent == 1 and ia < free:
+                if tangent == 1:
                     for b in range(nb):
                         for k in ti.static(range(2)):
                             ib = equation[2 * connectivity[e, b] + k]
-                            if ib <= ia:
-                                rows, columns = ia // B, ib // B
-                                w, c, r = columns - rows + width - 1, ib % B, ia % B
-                                entries[rows, w, c, r] = entries[rows, w, c, r] + stiffness[b, 2 * k + i][a]
+                            add_entry(ia, ib, stiffness[b, 2 * k + i][a], free, width, entries)
 
     @ti.func
     def update(x: ti.template(), pressures, free, kappa, connectivity: ti.template(), equation: ti.template(),
@@ -317,7 +315,7 @@ def step_kernel(element_name: str, energy: KernelEnergy):
     @ti.kernel
     def step(counts: int1, settings: real1, connectivity: int2, equation: int1, direction: real1, start: real1,
              target: real1, gradients: vector3, node_gradients: real4, quadrature: real3, node_volumes: vector1,
-             centre_volumes: real1, edges: int2, edge_shapes: real2, edge_places: real3, first_line: int1,
+             centre_volumes: real1, edges: int2, edge_shapes: real3, edge_places: real3, first_line: int1,
              vertices: real2, springs: real2, held: real3, met: real3, forces: real3,
              coefficients: real1, x: real1, history: real2, slots: int1,
              weights: real1, entries: real4, blocks: block3, inverse: real1, right: block1, residual: real1,
