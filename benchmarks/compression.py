@@ -32,12 +32,12 @@ from rich.table import Table
 from scipy.linalg import lapack
 
 import tissue_sim as ts
+from tissue_sim.discretisation import build_mesh, build_solver
 from tissue_sim.fem import band, newton
 from tissue_sim.fem.axisymmetric import AxisymmetricSolver
 from tissue_sim.fem.elements import Q4P0, Q9P1
 from tissue_sim.fem.runtime import initialise
 from tissue_sim.mesh import cylinder_mesh
-from tissue_sim.discretisation import build_mesh, build_solver
 
 PARAMETERS = {"C10": 1404.9, "C20": 699.4}
 MODEL = ts.Model(ts.Experiment(ts.Specimen(0.04, 0.07), ts.Protocol.ramp(10e-3, 21)),

@@ -5,5 +5,3 @@ from scenes.scene import Scene
 LUBRICATED = Scene("lubricated_compression", "Lubricated compression", friction="frictionless",
                    friction_base="frictionless")
 BONDED = Scene("bonded_compression", "Bonded compression", friction="bonded", friction_base="bonded")
-
-SCENES: dict[str, Scene] = {scene.name: scene for scene in (LUBRICATED, BONDED)}

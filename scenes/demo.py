@@ -1,4 +1,4 @@
-"""The main job on a virtual specimen: measure two tests, calibrate on one, predict the other."""
+"""The main job on a virtual specimen: measure three tests, calibrate on one, predict the others."""
 
 from __future__ import annotations
 
@@ -11,18 +11,19 @@ import numpy as np
 
 import tissue_sim as ts
 from scenes.compression import BONDED, LUBRICATED
+from scenes.needle import NEEDLE
 from scenes.scene import Scene
 from tissue_sim.atomic_write import write_text
 
 #: The virtual specimen: the silicone brain phantom of the study, its size, its depth and its sensor.
-RADIUS, HEIGHT, DEPTH = 0.040, 0.070, 0.010
+SPECIMEN, DEPTH = ts.Specimen(0.040, 0.070, name="virtual phantom"), 0.010
 PHANTOM = {"C10": 1404.9, "C20": 699.4}
 BULK_RATIO = 1e4
 FORCE_NOISE = 0.02
 REPLICATES, SAMPLES = 3, 101
 LAWS = ("neo_hooke", "mooney_rivlin", "reduced_polynomial_2", "ogden_1")
 
-CAMPAIGN = """# Lubricated compression of the virtual specimen; the bonded test is kept from the calibration.
+CAMPAIGN = """# Lubricated compression of the virtual specimen; the other tests are kept from the calibration.
 [[specimen]]
 name = "virtual phantom"
 shape = "cylinder"
@@ -49,10 +50,12 @@ class Comparison:
     """A predicted test beside its measurement; forces in N.
 
     Attributes:
+        scene: the test.
         measured: the replicates, all on the same displacements.
         predicted: what the calibrated material gives.
     """
 
+    scene: Scene
     measured: list[ts.Recording]
     predicted: ts.Recording
 
@@ -65,6 +68,11 @@ class Comparison:
         """Predicted minus mean measured force, N."""
         return self.predicted.force - self.mean
 
+    @property
+    def rmse(self) -> float:
+        """Of the whole curve, N."""
+        return float(np.sqrt(np.mean(self.error**2)))
+
 
 def run_demo(output: Path, *, overwrite: bool = False, console=None, seed: int = 0) -> dict:
     """Measure, calibrate, predict; write everything into `output` and say where.
@@ -76,8 +84,9 @@ def run_demo(output: Path, *, overwrite: bool = False, console=None, seed: int =
         seed: seed of the sensor noise.
 
     Returns:
-        Paths ``figure``, ``report``, ``campaign``, ``material_file``; ``law``; ``prediction_rmse_N``,
-        ``prediction_error_N`` at the deepest sample, ``noise_N``, ``wall_s``.
+        Paths ``figure``, ``report``, ``campaign``, ``material_file``; ``law``, ``parameters``; of the needle
+        ``prediction_rmse_N`` and, at the deepest sample, ``prediction_error_N``; the same and the forces of every
+        predicted test in ``predictions``; ``noise_N``, ``wall_s``.
 
     Raises:
         InputError: `output` is not empty and `overwrite` is not set.
@@ -90,50 +99,49 @@ def run_demo(output: Path, *, overwrite: bool = False, console=None, seed: int =
         raise ts.InputError("the folder is not empty; name another one or add --overwrite", file=output)
     say = console.print if console else lambda *_, **__: None
     # Fresh sensor noise for every replicate of every test.
-    seeds = iter(np.random.SeedSequence(seed).generate_state(2 * REPLICATES).tolist())
+    seeds = iter(np.random.SeedSequence(seed).generate_state(3 * REPLICATES).tolist())
 
     say("1 measuring the virtual specimen (a machine's first run compiles the solver, about 10 s) ...")
-    measured = {scene: _measure(scene, output / "measured", seeds) for scene in (LUBRICATED, BONDED)}
+    measured = {scene: _measure(scene, output / "measured", seeds) for scene in (LUBRICATED, BONDED, NEEDLE)}
 
     say(f"2 calibrating {len(LAWS)} laws on the lubricated test ...")
     campaign = output / "campaign.toml"
-    write_text(campaign, CAMPAIGN.format(radius_mm=RADIUS * 1e3, height_mm=HEIGHT * 1e3, laws=json.dumps(LAWS),
-                                         bulk_ratio=BULK_RATIO, force_N=FORCE_NOISE))
+    write_text(campaign, CAMPAIGN.format(radius_mm=SPECIMEN.radius * 1e3, height_mm=SPECIMEN.height * 1e3,
+                                         laws=json.dumps(LAWS), bulk_ratio=BULK_RATIO, force_N=FORCE_NOISE))
     (result,) = calibration.calibrate([campaign], output / "calibration", overwrite=overwrite)
     material_file = output / "calibration" / result.best.material_file
 
-    say("3 predicting the bonded test, which the calibration never saw ...")
+    say("3 predicting the needle and the bonded test, which the calibration never saw ...")
     material = ts.load_material(material_file)
-    motion = measured[BONDED][0]
-    experiment = BONDED.experiment(radius=RADIUS, height=HEIGHT, protocol=ts.Protocol(motion.time, motion.displacement))
-    predicted = ts.simulate(ts.Model(experiment, material), resolution="accurate", fields=True)
-    ts.write_recording(predicted, output / "predicted_bonded_compression.csv")
-    comparison = Comparison(measured[BONDED], predicted)
+    needle, bonded = (_predict(scene, measured[scene], material, output) for scene in (NEEDLE, BONDED))
 
     from scenes.demo_figure import draw_demo
 
     figure = output / "prediction.png"
-    draw_demo(measured[LUBRICATED], material, comparison, figure, noise=FORCE_NOISE, area=experiment.specimen.area,
-              height=HEIGHT)
-    rmse = float(np.sqrt(np.mean(comparison.error**2)))
+    draw_demo(measured[LUBRICATED], material, needle, bonded, figure, noise=FORCE_NOISE, specimen=SPECIMEN)
     answer = {
         "figure": str(figure), "report": str(output / "calibration" / "report.html"), "campaign": str(campaign),
         "material_file": str(material_file), "law": material.law, "parameters": dict(material.parameters),
-        "prediction_rmse_N": rmse, "prediction_error_N": float(comparison.error[-1]), "noise_N": FORCE_NOISE,
-        "wall_s": time.perf_counter() - started,
+        "prediction_rmse_N": needle.rmse, "prediction_error_N": float(needle.error[-1]),
+        "predictions": [{"test": one.scene.name, "predicted_N": float(one.predicted.force[-1]),
+                         "measured_N": float(one.mean[-1]), "error_N": float(one.error[-1]), "RMSE_N": one.rmse}
+                        for one in (needle, bonded)],
+        "noise_N": FORCE_NOISE, "wall_s": time.perf_counter() - started,
     }
-    say(f"\nBest law: {material.energy_law.title}. Bonded compression at {DEPTH * 1e3:.0f} mm: predicted "
-        f"{predicted.force[-1]:.3f} N, measured {comparison.mean[-1]:.3f} N; RMSE over the curve {rmse:.3f} N with a "
-        f"sensor noise of {FORCE_NOISE} N.", markup=False)
+    say(f"\nBest law: {material.energy_law.title}. At {DEPTH * 1e3:.0f} mm, with a sensor noise of {FORCE_NOISE} N:",
+        markup=False)
+    for one in (needle, bonded):
+        say(f"{one.scene.title.lower():>20}: predicted {one.predicted.force[-1]:.3f} N, measured {one.mean[-1]:.3f} N; "
+            f"RMSE over the curve {one.rmse:.3f} N", markup=False, soft_wrap=True)
     for name in ("figure", "report", "material_file"):
-        say(f"{name.replace('_', ' '):>14}: {answer[name]}", markup=False, soft_wrap=True)
+        say(f"{name.replace('_', ' '):>20}: {answer[name]}", markup=False, soft_wrap=True)
     return answer
 
 
 def _measure(scene: Scene, folder: Path, seeds) -> list[ts.Recording]:
     """Three replicates of a test as the virtual rig reports them, written as recordings."""
     truth = ts.Material("reduced_polynomial_2", PHANTOM, ts.Bulk("bulk_ratio", BULK_RATIO), name="virtual phantom")
-    experiment = scene.experiment(radius=RADIUS, height=HEIGHT, protocol=ts.Protocol.ramp(DEPTH, SAMPLES))
+    experiment = scene.experiment(specimen=SPECIMEN, protocol=ts.Protocol.ramp(DEPTH, SAMPLES))
     true = ts.simulate(ts.Model(experiment, truth), resolution="accurate")
     replicates = []
     for number in range(1, REPLICATES + 1):
@@ -142,3 +150,12 @@ def _measure(scene: Scene, folder: Path, seeds) -> list[ts.Recording]:
         ts.write_recording(replicate, folder / f"{scene.name}_{number}.csv")
         replicates.append(replicate)
     return replicates
+
+
+def _predict(scene: Scene, measured: list[ts.Recording], material: ts.Material, output: Path) -> Comparison:
+    """The same motion with the calibrated material, written as a recording."""
+    protocol = ts.Protocol(measured[0].time, measured[0].displacement)
+    experiment = scene.experiment(specimen=SPECIMEN, protocol=protocol)
+    predicted = ts.simulate(ts.Model(experiment, material), resolution="accurate", fields=scene is NEEDLE)
+    ts.write_recording(predicted, output / f"predicted_{scene.name}.csv")
+    return Comparison(scene, measured, predicted)

@@ -1,4 +1,4 @@
-"""The picture of the demo: calibration, prediction, its error and the deformed section."""
+"""The picture of the demo: calibration, predictions, their errors and the section under the needle."""
 
 from __future__ import annotations
 
@@ -7,71 +7,67 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scenes.figures import draw_section, save
+from scenes.figures import draw_fold, draw_section, save
+from scenes.needle import NEEDLE
+from tissue_sim.experiment import Specimen
 from tissue_sim.material import Material
 from tissue_sim.recording import Recording
 
 if TYPE_CHECKING:
     from scenes.demo import Comparison
 
-MEASURED, MODEL, ERROR = "#7F7F7F", "#0072B2", "#D55E00"
+MEASURED, MODEL, SECOND = "#7F7F7F", "#0072B2", "#D55E00"
 
 
-def draw_demo(calibrated_on: list[Recording], material: Material, comparison: Comparison, path: Path, *, noise: float,
-              area: float, height: float) -> None:
-    """Draw the demo's four panels into an image file.
+def draw_demo(calibrated_on: list[Recording], material: Material, needle: Comparison, bonded: Comparison, path: Path, *,
+              noise: float, specimen: Specimen) -> None:
+    """Draw the demo's six panels into an image file.
 
     Args:
         calibrated_on: replicates of the lubricated test.
         material: the calibrated material.
-        comparison: the bonded test, measured and predicted; the prediction carries its fields.
+        needle, bonded: the predicted tests; the needle's prediction carries its fields.
         path: image file.
         noise: standard deviation of the force, N.
-        area: undeformed cross-section, m2.
-        height: undeformed height, m.
+        specimen: what was tested.
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11, 7.2), layout="constrained")
-    panels = figure.subplots(2, 2, height_ratios=[1.35, 1])
-    (calibration, prediction), (section, error) = panels
+    figure = Figure(figsize=(13, 7.4), layout="constrained")
+    calibration, *predictions, section, fold, error = figure.subplots(2, 3).ravel()
     law = material.energy_law
 
     depth = calibrated_on[0].displacement
-    fitted = -law.nominal_stress(1 - depth / height, material.parameters) * area
+    fitted = -law.nominal_stress(1 - depth / specimen.height, material.parameters) * specimen.area
     _points(calibration, calibrated_on)
     values = ", ".join(f"{name} {value:.4g}{' Pa' if law.units[name] == 'Pa' else ''}"
                        for name, value in material.parameters.items())
     calibration.plot(depth * 1e3, fitted, color=MODEL, linewidth=1.8, label=f"{law.title}\n{values}")
     calibration.set_title("Calibration: lubricated compression", loc="left", fontweight="bold")
 
-    predicted = comparison.predicted
-    _points(prediction, comparison.measured)
-    prediction.plot(predicted.displacement * 1e3, predicted.force, color=MODEL, linewidth=1.8,
-                    label="predicted by finite elements")
-    prediction.set_title("Prediction: bonded compression", loc="left", fontweight="bold")
-    top = 1.05 * max(predicted.force.max(), comparison.mean.max())
-    for axes in (calibration, prediction):
-        axes.set_ylabel("force [N]")
-        axes.set_ylim(-0.02 * top, top)
-        axes.legend(frameon=False, loc="upper left")
-
-    share = noise / np.sqrt(len(comparison.measured))
+    share = noise / np.sqrt(len(needle.measured))
     error.axhspan(-2 * share, 2 * share, color=MEASURED, alpha=0.25, linewidth=0,
-                  label=f"± 2 standard errors of the mean of {len(comparison.measured)}")
+                  label=f"± 2 standard errors of the mean of {len(needle.measured)}")
     error.axhline(0, color="0.3", linewidth=0.8)
-    error.plot(predicted.displacement * 1e3, comparison.error, color=ERROR, linewidth=1.2,
-               label=f"predicted − measured, RMSE {np.sqrt(np.mean(comparison.error**2)):.3f} N")
-    reach = 1.9 * max(3 * share, abs(comparison.error).max())
+    for axes, test, colour in zip(predictions, (needle, bonded), (MODEL, SECOND), strict=True):
+        _points(axes, test.measured)
+        axes.plot(test.predicted.displacement * 1e3, test.predicted.force, color=colour, linewidth=1.8,
+                  label="predicted by finite elements")
+        axes.set_title(f"Prediction: {test.scene.title.lower()}", loc="left", fontweight="bold")
+        error.plot(test.predicted.displacement * 1e3, test.error, color=colour, linewidth=1.2,
+                   label=f"{test.scene.title.lower()}, RMSE {test.rmse:.3f} N")
+    reach = 2.2 * max(3 * share, abs(needle.error).max(), abs(bonded.error).max())
     error.set_ylim(-reach, reach)
-    error.set_ylabel("error [N]")
-    error.legend(frameon=False, loc="upper left")
-    for axes in (calibration, prediction, error):
+    error.set_title("Predicted − measured", loc="left", fontweight="bold")
+    for axes in (calibration, *predictions, error):
+        axes.set_ylabel("force [N]")
         axes.set_xlabel("displacement [mm]")
         axes.set_xlim(0, depth[-1] * 1e3)
         axes.grid(alpha=0.3)
         axes.spines[["top", "right"]].set_visible(False)
-    draw_section(section, predicted.fields, "von_mises")
+        axes.legend(frameon=False, loc="upper left", fontsize=9)
+    draw_section(section, needle.predicted.fields, "von_mises", tool=NEEDLE.tool)
+    draw_fold(fold, needle.predicted.fields, "von_mises", NEEDLE.tool)
     save(figure, path)
 
 

@@ -12,7 +12,9 @@ from tissue_sim.atomic_write import write_bytes
 from tissue_sim.errors import InputError
 from tissue_sim.experiment import Model
 from tissue_sim.fem.fields import FIELD_UNITS, Fields
+from tissue_sim.mesh import Mesh
 from tissue_sim.recording import Recording
+from tissue_sim.tool import Tool
 
 #: Field -> (label with the unit people use, factor from SI).
 LABELS = {
@@ -21,17 +23,21 @@ LABELS = {
     "cauchy_rz": ("shear stress [kPa]", 1e-3), "cauchy_hoop": ("hoop stress [kPa]", 1e-3),
     "pressure": ("pressure [kPa]", 1e-3), "energy": ("energy density [J/m³]", 1.0), "J": ("volume ratio J", 1.0),
 }
+RIGID = "0.72"
 
 
-
-def draw_simulation(recording: Recording, model: Model, path: Path, field: str = "von_mises") -> None:
+def draw_simulation(recording: Recording, model: Model, path: Path, field: str = "von_mises", *,
+                    reference: Recording | None = None) -> None:
     """Draw the section at the last sample, and force against displacement, into an image file.
+
+    A needle gets a third panel: the fold of the tissue at its edge.
 
     Args:
         recording: of `simulate(..., fields=True)`.
         model: what was simulated.
         path: .png, .svg or .pdf.
         field: a name in `LABELS`.
+        reference: another force curve to draw beside it, under its name.
 
     Raises:
         InputError: unknown field, or a recording without fields.
@@ -42,16 +48,26 @@ def draw_simulation(recording: Recording, model: Model, path: Path, field: str =
         raise InputError(f"unknown field {field!r}; known: {', '.join(LABELS)}", field="field")
     if recording.fields is None:
         raise InputError("this recording carries no fields; simulate with fields=True", field="fields")
-    specimen = model.experiment.specimen
+    specimen, tool = model.experiment.specimen, model.experiment.tool
+    panels = {"section": 1.25} | ({"fold": 0.75} if tool.profile else {}) | {"curve": 1.0}
     if specimen.radius > 1.5 * specimen.height:
         figure = Figure(figsize=(10, 6.4), layout="constrained")
-        section, curve = figure.subplots(2, 1, height_ratios=[1, 1.6])
+        layout = [["section"] * (len(panels) - 1), list(panels)[1:]]
+        axes = figure.subplot_mosaic(layout, height_ratios=[1, 1.6])
     else:
-        figure = Figure(figsize=(10, 4.6), layout="constrained")
-        section, curve = figure.subplots(1, 2, width_ratios=[1.25, 1])
-    draw_section(section, recording.fields, field)
+        figure = Figure(figsize=(10 if tool.shape == "plate" else 13, 4.6), layout="constrained")
+        axes = figure.subplot_mosaic([list(panels)], width_ratios=list(panels.values()))
+    draw_section(axes["section"], recording.fields, field, tool=tool)
+    if "fold" in axes:
+        draw_fold(axes["fold"], recording.fields, field, tool)
+    curve = axes["curve"]
+    if reference is not None:
+        curve.plot(reference.displacement * 1e3, reference.force, color="0.25", linewidth=1, label=reference.name)
     depth = recording.displacement[-1] * 1e3
-    curve.plot(recording.displacement * 1e3, recording.force, color="#0072B2", marker="o", markersize=3)
+    curve.plot(recording.displacement * 1e3, recording.force, color="#0072B2", marker="o", markersize=3,
+               linestyle="none" if reference else "-", label="simulated")
+    if reference is not None:
+        curve.legend(frameon=False)
     curve.set_xlabel("displacement [mm]")
     curve.set_ylabel("force [N]")
     curve.set_xlim(left=0)
@@ -64,11 +80,48 @@ def draw_simulation(recording: Recording, model: Model, path: Path, field: str =
     save(figure, path)
 
 
-def draw_section(axes, fields: Fields, name: str, sample: int = -1) -> None:
-    """The whole deformed section, mirrored at the axis, with the undeformed outline and the element edges.
+def draw_section(axes, fields: Fields, name: str, sample: int = -1, *, tool: Tool) -> None:
+    """The whole deformed section, mirrored at the axis, with the undeformed outline, the element edges and the tool.
 
     The ends of the colour scale leave out 1 % of the volume at either side, where edges are singular.
     """
+    mesh = fields.mesh
+    place = (mesh.nodes + fields.displacement(sample)) * 1e3
+    picture, label, uniform = _paint(axes, fields, name, sample, (1, -1))
+    radius, height = mesh.nodes[:, 0].max() * 1e3, -mesh.nodes[:, 1].min() * 1e3
+    axes.plot(radius * np.array([-1, 1, 1, -1, -1]), height * np.array([-1, -1, 0, 0, -1]), color="0.4", linewidth=0.9,
+              linestyle=(0, (4, 3)))
+    width = 1.18 * max(radius, place[:, 0].max())
+    base, plate = place[:, 1][mesh.sets["base"]].min(), 0.05 * max(height, 0.5 * radius)
+    axes.fill_between([-width, width], base, base - plate, color=RIGID, linewidth=0)
+    if tool.profile is None:
+        tip = _contact_height(mesh, place, tool)
+        axes.fill_between([-width, width], tip, tip + plate, color=RIGID, linewidth=0)
+    else:
+        _draw_needle(axes, mesh, place, tool, max(place[:, 1].max(), 0.0) + plate)
+    _finish(axes)
+    axes.figure.colorbar(picture, ax=axes, label=label, extend="neither" if uniform else "both", shrink=0.85)
+
+
+def draw_fold(axes, fields: Fields, name: str, tool: Tool, sample: int = -1) -> None:
+    """The surroundings of a needle's edge, where the free surface folds onto the shaft, in the colours of
+    `draw_section`."""
+    mesh = fields.mesh
+    place = (mesh.nodes + fields.displacement(sample)) * 1e3
+    _paint(axes, fields, name, sample, (1,))
+    radius, tip = tool.radius * 1e3, _contact_height(mesh, place, tool)
+    top = max(place[mesh.sets["top"], 1].max(), tip) + 0.3 * radius
+    _draw_needle(axes, mesh, place, tool, top + radius)
+    top_nodes = mesh.sets["top"][np.argsort(mesh.nodes[mesh.sets["top"], 0])]
+    axes.plot(*place[top_nodes].T, color="0.15", linewidth=1.1)
+    axes.set_xlim(0.45 * radius, 2.2 * radius)
+    axes.set_ylim(tip - 0.7 * radius, top)
+    _finish(axes)
+    axes.set_title("at the edge of the tool", loc="left", fontsize=10)
+
+
+def _paint(axes, fields: Fields, name: str, sample: int, sides: tuple[int, ...]):
+    """Colour the section on these sides of the axis; the picture, its label and whether the field is uniform."""
     from matplotlib.collections import LineCollection
     from matplotlib.tri import Triangulation
 
@@ -86,25 +139,36 @@ def draw_section(axes, fields: Fields, name: str, sample: int = -1) -> None:
         value = 0.5 * (low + high) if max(abs(low), abs(high)) > least else 0.0
         label = f"{label}, uniform {value:.5g}"
         low, high = sorted((0.0, 2.0 * value)) if value else (-1.0, 1.0)
-    for mirror in (1, -1):
+    for mirror in sides:
         side = np.array([mirror, 1])
         picture = axes.tripcolor(Triangulation(*(place * side).T, triangles), values, shading="gouraud", cmap="viridis",
                                  vmin=low, vmax=high)
         thickness = min(0.35, 6.0 / np.sqrt(len(edges)))
         axes.add_collection(LineCollection(edges * side, colors="white", linewidths=thickness, alpha=0.5))
-    radius, height = mesh.nodes[:, 0].max() * 1e3, -mesh.nodes[:, 1].min() * 1e3
-    axes.plot(radius * np.array([-1, 1, 1, -1, -1]), height * np.array([-1, -1, 0, 0, -1]), color="0.4", linewidth=0.9,
-              linestyle=(0, (4, 3)))
-    width = 1.18 * max(radius, place[:, 0].max())
-    top, base = place[:, 1][mesh.sets["top"]].max(), place[:, 1][mesh.sets["base"]].min()
-    plate = 0.05 * max(height, 0.5 * radius)
-    for face, thickness in ((top, plate), (base, -plate)):
-        axes.fill_between([-width, width], face, face + thickness, color="0.72", linewidth=0)
+    return picture, label, uniform
+
+
+def _draw_needle(axes, mesh: Mesh, place: np.ndarray, tool: Tool, top: float) -> None:
+    """A needle's outline from where it touches up to `top`, mm."""
+    tip = _contact_height(mesh, place, tool)
+    r, z = (tool.profile.outline((top - tip) * 1e-3) * 1e3).T
+    axes.fill(np.concatenate([r, -r[::-1]]), tip + np.concatenate([z, z[::-1]]), color=RIGID, edgecolor="0.4",
+              linewidth=0.6)
+
+
+def _contact_height(mesh: Mesh, place: np.ndarray, tool: Tool) -> float:
+    """Height of the tool's flat face, mm: tissue below it reaches up to it, and none is above."""
+    surface = place[mesh.sets["top"]]
+    # Not quite to the rim: tissue that leans on the shaft may enter it by the tolerance of the contact.
+    below = surface[:, 0] <= (np.inf if tool.face_radius is None else 0.999e3 * tool.face_radius)
+    return float(surface[below, 1].max())
+
+
+def _finish(axes) -> None:
     axes.set_aspect("equal")
     axes.set_xlabel("r [mm]")
     axes.set_ylabel("z [mm]")
     axes.spines[["top", "right"]].set_visible(False)
-    axes.figure.colorbar(picture, ax=axes, label=label, extend="neither" if uniform else "both", shrink=0.85)
 
 
 def save(figure, path: Path) -> None:
@@ -121,7 +185,7 @@ def _volume_range(values: np.ndarray, weights: np.ndarray) -> tuple[float, float
     return tuple(np.interp(np.array([0.01, 0.99]) * share[-1], share, values.ravel()[order]))
 
 
-def _triangles(mesh) -> np.ndarray:
+def _triangles(mesh: Mesh) -> np.ndarray:
     """Every element as the triangles between its nodes."""
     square = [(0, 1, 2), (0, 2, 3)]
     nine = [(0, 4, 8), (0, 8, 7), (4, 1, 5), (4, 5, 8), (8, 5, 2), (8, 2, 6), (7, 8, 6), (7, 6, 3)]
@@ -129,7 +193,7 @@ def _triangles(mesh) -> np.ndarray:
                            for corners in (square if mesh.element.order == 1 else nine)])
 
 
-def _outlines(mesh, place: np.ndarray) -> np.ndarray:
+def _outlines(mesh: Mesh, place: np.ndarray) -> np.ndarray:
     """Element edges as polylines, shape (elements, points, 2)."""
     ring = [0, 1, 2, 3, 0] if mesh.element.order == 1 else [0, 4, 1, 5, 2, 6, 3, 7, 0]
     return place[mesh.connectivity[:, ring]]

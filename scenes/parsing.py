@@ -54,13 +54,27 @@ def add_overwrite(parser: Parser) -> None:
 
 def positive(text: str) -> float:
     """A finite number above zero."""
+    value = _number(text)
+    if not value > 0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
+    return value
+
+
+def not_negative(text: str) -> float:
+    """A finite number of zero or more."""
+    value = _number(text)
+    if not value >= 0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of zero or more")
+    return value
+
+
+def _number(text: str) -> float:
+    """A finite number, or NaN."""
     try:
         value = float(text)
     except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and value > 0):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
-    return value
+        return math.nan
+    return value if math.isfinite(value) else math.nan
 
 
 def at_least(lowest: int, highest: int | None = None):

@@ -2,27 +2,44 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 from tissue_sim.experiment import Experiment, Protocol, Specimen
+from tissue_sim.tool import Tool
 
 
 @dataclass(frozen=True)
 class Scene:
-    """An experiment with everything but its size and its protocol.
+    """An experiment with everything but its specimen and its protocol.
 
     Attributes:
         name: as on the command line.
         title: for figures.
         friction: interface of the tool's face.
         friction_base: interface of the base.
+        friction_wall: interface of a needle's shaft.
+        tool: what is pushed in.
     """
 
     name: str
     title: str
     friction: str
     friction_base: str
+    friction_wall: str = "frictionless"
+    tool: Tool = field(default_factory=Tool)
 
-    def experiment(self, *, radius: float, height: float, protocol: Protocol) -> Experiment:
-        """The experiment on a cylinder of this radius and height, m."""
-        return Experiment(Specimen(radius, height), protocol, friction=self.friction, friction_base=self.friction_base)
+    def experiment(self, *, specimen: Specimen, protocol: Protocol, **overrides: Any) -> Experiment:
+        """The experiment on this specimen.
+
+        Args:
+            specimen: geometry, and whether it weighs.
+            protocol: motion of the tool.
+            overrides: `tool`, `friction`, `friction_base` or `friction_wall` in place of the scene's own.
+
+        Raises:
+            InputError: what `Experiment` refuses.
+        """
+        own = {"tool": self.tool, "friction": self.friction, "friction_base": self.friction_base,
+               "friction_wall": self.friction_wall}
+        return Experiment(specimen, protocol, **(own | overrides))

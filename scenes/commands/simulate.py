@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 from scenes.console import print_json, progress_console, results_console
@@ -15,15 +16,16 @@ from scenes.parsing import (
     at_least,
     later_answer,
     new_file,
+    not_negative,
     positive,
 )
 from tissue_sim.errors import ConvergenceError, InputError, nearest
 
 SUMMARY = "simulate a test and print force against displacement"
-EXAMPLE = "tissue-sim simulate bonded_compression --material m.material.json --depth-mm 10 --points 21 -o curve.csv"
+EXAMPLE = "tissue-sim simulate needle_indentation --material m.material.json --tool-radius-mm 8 --figure needle.png"
 #: Names only: scenes and fields themselves need numpy, and help must answer at once. A test holds these against them.
-SCENE_NAMES = ("lubricated_compression", "bonded_compression")
-LATER_SCENES = ("friction_compression", "needle_indentation")
+SCENE_NAMES = ("lubricated_compression", "bonded_compression", "needle_indentation")
+LATER_SCENES = ("friction_compression",)
 FIELDS = ("displacement", "von_mises", "cauchy_rr", "cauchy_zz", "cauchy_rz", "cauchy_hoop", "pressure", "energy", "J")
 MOST_POINTS = 100_000
 FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
@@ -41,11 +43,23 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument("--radius-mm", type=positive, metavar="N", default=40.0, help="of the cylinder (default: 40)")
     parser.add_argument("--height-mm", type=positive, metavar="N", default=70.0, help="of the cylinder (default: 70)")
     parser.add_argument("--speed-mm-s", type=positive, metavar="N", default=0.248, help="of the tool (default: 0.248)")
+    tool = parser.add_argument_group("tool and interfaces (defaults: those of the scene)")
+    tool.add_argument("--tool", metavar="SHAPE", help="flat, a needle with a flat face; plate in compression")
+    tool.add_argument("--tool-radius-mm", type=positive, metavar="N", help="of the needle (default: 8)")
+    tool.add_argument("--edge-radius-mm", type=not_negative, metavar="N",
+                      help="of the rounding between face and shaft (default: 0)")
+    tool.add_argument("--friction", metavar="HOW", help="tool's face: bonded, stick (can lift off) or frictionless")
+    tool.add_argument("--friction-base", metavar="HOW", help="base: bonded or frictionless")
+    tool.add_argument("--friction-wall", metavar="HOW", help="shaft of the needle: stick or frictionless")
+    weight = parser.add_argument_group("self-weight")
+    weight.add_argument("--gravity", action="store_true", help="let the specimen weigh, and settle before the test")
+    weight.add_argument("--density-kg-m3", type=positive, metavar="N", help="default: that of the material file")
+    weight.add_argument("--height-is", choices=("moulded", "placed"),
+                        help="--height-mm is that before (moulded) or after settling (placed; default: moulded)")
     parser.add_argument("-o", dest="output", type=Path, metavar="CURVE.csv", help="write the curve as a recording")
     parser.add_argument("--figure", type=Path, metavar="F.png", help="draw the deformed mesh, coloured by --field")
     parser.add_argument("--field", choices=FIELDS, help="colour of --figure (default: von_mises)")
-    add_later_options(parser, "--tool", "--tool-radius-mm", "--edge-radius-mm", "--half-angle-deg", "--friction",
-                      "--friction-base", "--friction-wall", "--protocol", "--rig", "--gravity")
+    add_later_options(parser, "--half-angle-deg", "--protocol", "--rig")
     add_overwrite(parser)
     add_json(parser)
     parser.set_defaults(run=run)
@@ -72,12 +86,9 @@ def run(arguments) -> int:
     material_file = ts.read_material_file(arguments.material)
     material = material_file.material
 
-    from scenes.compression import SCENES
     from scenes.material_summary import doubts
 
-    protocol = ts.Protocol.ramp(arguments.depth_mm * 1e-3, arguments.points, arguments.speed_mm_s * 1e-3)
-    experiment = SCENES[arguments.scene].experiment(radius=arguments.radius_mm * 1e-3,
-                                                    height=arguments.height_mm * 1e-3, protocol=protocol)
+    experiment = build_experiment(arguments, material)
     failure = None
     with progress_console(quiet=arguments.json).status("simulating") as status:
         try:
@@ -123,6 +134,49 @@ def check_scene(name: str) -> None:
         raise InputError(f"unknown scene {name!r}{nearest(name, SCENE_NAMES)}")
 
 
+def build_experiment(arguments, material):
+    """The scene with what the flags change in it.
+
+    Raises:
+        InputError: flags that do not fit the scene or each other, or what the experiment refuses.
+    """
+    from dataclasses import replace
+
+    import tissue_sim as ts
+    from scenes.catalogue import SCENES
+    from tissue_sim.experiment import STANDARD_GRAVITY
+
+    scene = SCENES[arguments.scene]
+    radius, edge = ({} if value is None else {name: value * 1e-3} for name, value in (
+        ("radius", arguments.tool_radius_mm), ("edge_radius", arguments.edge_radius_mm)))
+    shape = arguments.tool or scene.tool.shape
+    if (shape == "plate") != (scene.tool.shape == "plate"):
+        fitting = [name for name, other in SCENES.items() if (other.tool.shape == "plate") == (shape == "plate")]
+        raise InputError(f"{scene.name} is not done with the tool {shape!r}; use scene {' or '.join(fitting)}",
+                         field="--tool")
+    tool = replace(scene.tool, shape=shape, **radius, **edge)
+    if shape == "plate" and arguments.friction_wall is not None:
+        raise InputError("a plate has no shaft; leave it out", field="--friction-wall")
+
+    weight = {}
+    if arguments.gravity:
+        density = arguments.density_kg_m3 or material.density
+        if density is None:
+            raise InputError(f"the specimen's density is not known: {arguments.material} states none; add "
+                             "--density-kg-m3", field="--gravity")
+        weight = {"density": density, "gravity": STANDARD_GRAVITY, "height_is": arguments.height_is or "moulded"}
+    for name in ("density_kg_m3", "height_is"):
+        if getattr(arguments, name) is not None and not arguments.gravity:
+            raise InputError("matters to a specimen that weighs only; add --gravity or leave it out",
+                             field=f"--{name.replace('_', '-')}")
+    interfaces = {name: value for name in ("friction", "friction_base", "friction_wall")
+                  if (value := getattr(arguments, name)) is not None}
+    return scene.experiment(
+        specimen=ts.Specimen(arguments.radius_mm * 1e-3, arguments.height_mm * 1e-3, **weight),
+        protocol=ts.Protocol.ramp(arguments.depth_mm * 1e-3, arguments.points, arguments.speed_mm_s * 1e-3),
+        tool=tool, **interfaces)
+
+
 def as_json(recording, resolution: str, failure: Exception | None, warnings: list[str]) -> dict:
     """The object of ``simulate --json``; units are in the names of the keys."""
     solver = recording.metadata.get("solver", {})
@@ -137,6 +191,7 @@ def as_json(recording, resolution: str, failure: Exception | None, warnings: lis
         "wall_s": solver.get("wall_s"),
         "mesh": solver.get("mesh"),
         "resolution": solver.get("resolution", resolution),
+        **{key: solver[key] for key in ("penetration_mm", "penetration_tolerance_mm", "self_weight") if key in solver},
     }
 
 
@@ -161,9 +216,23 @@ def print_curve(recording, arguments) -> None:
         mesh = solver["mesh"]
         console.print(f"{mesh['elements']} elements, {mesh['freedoms']} freedoms, {solver['newton_iterations']} Newton "
                       f"iterations, {solver['wall_s']:.2f} s", markup=False)
+        for sentence in remarks(solver):
+            console.print(sentence, markup=False, soft_wrap=True)
     for path in (arguments.output, arguments.figure):
         if path is not None and path.exists():
             console.print(f"wrote {path}", markup=False, soft_wrap=True)
+
+
+def remarks(solver: dict) -> Iterator[str]:
+    """What was assumed of contact and weight, a sentence each."""
+    if "penetration_mm" in solver:
+        yield (f"the surface enters the tool by {solver['penetration_mm']:.2g} mm at most "
+               f"(tolerance {solver['penetration_tolerance_mm']:.2g} mm)")
+    if "self_weight" in solver:
+        weight = solver["self_weight"]
+        yield (f"self-weight: the specimen sags {weight['sag_mm']:.3f} mm before the test, from a moulded height of "
+               f"{weight['moulded_height_mm']:.3f} mm (assumed: density {weight['density_kg_m3']:g} kg/m3, g "
+               f"{weight['gravity_m_s2']:g} m/s2)")
 
 
 def aligned(values, digits: int = 5) -> list[str]:

@@ -74,6 +74,10 @@ def fails(capsys, words, code=2) -> str:
     (["simulate", "bonded_compression", "--material", "m", "--points", "1"], "whole number of at least 2"),
     (["simulate", "bonded_compression", "--material", "m", "--points", "2.5"], "whole number of at least 2"),
     (["simulate", "bonded_compression", "--material", "m", "--resolution", "fat"], "'fat'"),
+    (["simulate", "needle_indentation", "--material", "m", "--tool-radius-mm", "0"], "'0' is not a positive number"),
+    (["simulate", "needle_indentation", "--material", "m", "--edge-radius-mm", "-1"], "'-1' is not a number of zero"),
+    (["simulate", "needle_indentation", "--material", "m", "--density-kg-m3", "inf"], "'inf' is not a positive number"),
+    (["simulate", "needle_indentation", "--material", "m", "--height-is", "guessed"], "'guessed'"),
     (["simulate", "bonded_compression", "--material", "m", "again"], "unexpected 'again'"),
     (["simulate", "bonded_compression", "--material", "missing.json"], "missing.json"),
     (["doctor", "--clock-seconds", "x"], "'x' is not a positive number"),
@@ -91,8 +95,7 @@ def test_bad_words_get_one_sentence(words, expected, capsys, tmp_path, monkeypat
     *([name] for name in LATER), ["design", "--help"], ["material", "export"], ["material", "import", "x"],
     *(["simulate", name, "--material", "m"] for name in simulate.LATER_SCENES),
     *(["simulate", "bonded_compression", "--material", "m", *option] for option in (
-        ["--tool", "flat"], ["--friction", "0.7"], ["--protocol", "ramp 10mm @0.248mm/s"], ["--rig", "rig.json"],
-        ["--gravity"])),
+        ["--half-angle-deg", "30"], ["--protocol", "ramp 10mm @0.248mm/s"], ["--rig", "rig.json"])),
 ], ids=" ".join)
 def test_what_is_planned_is_known(words, capsys):
     assert "not available in this version" in fails(capsys, words)

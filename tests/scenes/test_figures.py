@@ -4,13 +4,16 @@ import pytest
 
 import tissue_sim as ts
 from scenes import SCENES, draw_simulation
-from scenes.figures import LABELS, draw_section
+from scenes.figures import LABELS, RIGID, draw_fold, draw_section
 from tissue_sim.fem.fields import FIELD_UNITS
 
+STUDY = ts.Specimen(0.04, 0.07)
 
-def simulated(scene="bonded_compression", radius=0.04, height=0.07, **options):
+
+def simulated(scene="bonded_compression", specimen=STUDY, depth=0.02, overrides=None, **options):
     material = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
-    experiment = SCENES[scene].experiment(radius=radius, height=height, protocol=ts.Protocol.ramp(0.02 * height, 5))
+    protocol = ts.Protocol.ramp(depth * specimen.height, 5)
+    experiment = SCENES[scene].experiment(specimen=specimen, protocol=protocol, **(overrides or {}))
     model = ts.Model(experiment, material)
     return ts.simulate(model, **options), model
 
@@ -37,15 +40,51 @@ def test_colour_bar_of_a_uniform_field_says_its_value():
     recording, _ = simulated("lubricated_compression", fields=True)
     for field, words in (("cauchy_rz", "uniform 0"), ("von_mises", "uniform")):
         figure = Figure()
-        draw_section(figure.subplots(), recording.fields, field)
+        draw_section(figure.subplots(), recording.fields, field, tool=ts.Tool())
         assert words in figure.axes[1].get_ylabel()
 
 
 @pytest.mark.parametrize("suffix", [".svg", ".pdf"])
 def test_flat_specimen_in_other_formats(suffix, tmp_path):
-    recording, model = simulated(radius=0.05, height=0.01, fields=True)
+    recording, model = simulated(specimen=ts.Specimen(0.05, 0.01), fields=True)
     draw_simulation(recording, model, tmp_path / f"f{suffix}")
     assert (tmp_path / f"f{suffix}").stat().st_size > 1000
+
+
+@pytest.mark.parametrize(("weight", "overrides"), [
+    ({}, {}),
+    ({"density": 1040.0, "gravity": 9.81}, {"tool": ts.Tool("flat", 0.008, 0.002), "friction": "frictionless"}),
+], ids=["sharp and bonded", "rounded, frictionless, settled"])
+def test_needle_stands_on_the_surface(weight, overrides):
+    """Its face is the depth below the settled surface, and tissue stands beside its shaft, not in it."""
+    from matplotlib.colors import to_rgba
+    from matplotlib.figure import Figure
+
+    recording, model = simulated("needle_indentation", ts.Specimen(0.04, 0.07, **weight), 0.1, overrides, fields=True)
+    tool, fields = model.experiment.tool, recording.fields
+    figure = Figure()
+    section, fold = figure.subplots(1, 2)
+    draw_section(section, fields, "von_mises", tool=tool)
+    draw_fold(fold, fields, "von_mises", tool)
+    face = [node for node in fields.mesh.sets["top"] if fields.mesh.nodes[node, 0] <= tool.face_radius]
+    settled = fields.displacement(0)[face, 1].max() * 1e3
+    assert (settled < -1) == bool(weight)
+    for axes in (section, fold):
+        (needle,) = [patch for patch in axes.patches if patch.get_facecolor() == to_rgba(RIGID)]
+        low, high = needle.get_path().vertices.min(axis=0), needle.get_path().vertices.max(axis=0)
+        # Contact holds at Gauss points; between them nodes of the coarse mesh stand a little in the tool.
+        assert low[1] == pytest.approx(settled - 7.0, abs=0.03)
+        assert (low[0], high[0]) == pytest.approx((-8.0, 8.0))
+    surface = fold.lines[0].get_xydata()
+    beside = surface[surface[:, 1] > low[1] + 1e3 * tool.edge_radius + 0.1]
+    assert len(beside) and beside[:, 0].min() > 7.98
+
+
+@pytest.mark.parametrize("specimen", [ts.Specimen(0.04, 0.07), ts.Specimen(0.05, 0.03)], ids=["tall", "flat"])
+def test_needle_and_its_reference_are_drawn(specimen, tmp_path):
+    recording, model = simulated("needle_indentation", specimen, fields=True)
+    draw_simulation(recording, model, tmp_path / "f.svg", "J", reference=recording.with_metadata(name="a reference"))
+    assert "a reference" in (tmp_path / "f.svg").read_text(encoding="utf-8")
 
 
 def test_refusals(bonded, tmp_path):

@@ -161,3 +161,81 @@ def test_small_forces_keep_their_digits(material, capsys):
 def test_field_without_figure_is_refused(material, capsys):
     assert main(["simulate", "lubricated_compression", "--material", material, "--field", "J"]) == 2
     assert "add --figure" in capsys.readouterr().err
+
+
+def simulate_json(capsys, material, *words) -> dict:
+    capsys.readouterr()
+    assert main(["simulate", *words, "--material", material, "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_needle(material, capsys):
+    """The independent reference: 0.3601, 0.9363 and 2.078 N at 2, 5 and 10 mm; `fast` within 1 %."""
+    answer = simulate_json(capsys, material, "needle_indentation", "--points", "11")
+    assert set(answer) == KEYS | {"penetration_mm", "penetration_tolerance_mm"}
+    np.testing.assert_allclose(np.array(answer["force_N"])[[2, 5, 10]], [0.3601, 0.9363, 2.078], rtol=0.01)
+    assert 0 <= answer["penetration_mm"] <= answer["penetration_tolerance_mm"] < 0.01
+
+
+def test_needle_flags(material, capsys):
+    words = ["needle_indentation", "--depth-mm", "4", "--points", "3"]
+    forces = [simulate_json(capsys, material, *words, *more)["force_N"][-1] for more in (
+        [], ["--tool-radius-mm", "4"], ["--tool", "flat", "--edge-radius-mm", "1", "--friction", "frictionless"],
+        ["--friction-base", "frictionless"])]
+    # A punch of half the radius on a half space meets half the force; the cylinder is not quite one.
+    assert forces[1] == pytest.approx(0.5 * forces[0], rel=0.15)
+    assert forces[2] < 0.97 * forces[0] and forces[3] < forces[0]
+
+
+def test_self_weight(material, capsys):
+    """One-dimensional solution of the study's lubricated column: sag 2.780 mm, 1.3979 and 3.7793 N at 2 and 5 mm.
+
+    It neglects the shear between layers that widen differently."""
+    words = ["lubricated_compression", "--depth-mm", "5", "--points", "6", "--gravity", "--density-kg-m3", "1040"]
+    answer = simulate_json(capsys, material, *words)
+    assert answer["self_weight"]["sag_mm"] == pytest.approx(2.780, rel=5e-3)
+    np.testing.assert_allclose([answer["force_N"][2], answer["force_N"][5]], [1.3979, 3.7793], rtol=1e-3)
+    placed = simulate_json(capsys, material, *words, "--height-is", "placed")["self_weight"]
+    assert placed["height_is"] == "placed" and placed["moulded_height_mm"] == pytest.approx(70 + placed["sag_mm"])
+
+
+def test_density_is_that_of_the_material_file(material, tmp_path, capsys):
+    path = tmp_path / "dense.material.json"
+    content = json.loads(Path(material).read_text(encoding="utf-8")) | {"density_kg_m3": 1000.0}
+    path.write_text(json.dumps(content), encoding="utf-8")
+    words = ["needle_indentation", "--depth-mm", "1", "--points", "2", "--gravity"]
+    assert simulate_json(capsys, str(path), *words)["self_weight"]["density_kg_m3"] == 1000
+    own = simulate_json(capsys, str(path), *words, "--density-kg-m3", "1100")
+    assert own["self_weight"]["density_kg_m3"] == 1100
+
+
+def test_contact_and_weight_are_told(material, capsys):
+    assert main(["simulate", "needle_indentation", "--material", material, "--depth-mm", "1", "--points", "2",
+                 "--gravity", "--density-kg-m3", "1040"]) == 0
+    out = capsys.readouterr().out
+    assert "the surface enters the tool by" in out and "(tolerance 0.0008 mm)" in out
+    assert "self-weight: the specimen sags 2." in out and "density 1040 kg/m3, g 9.81 m/s2" in out
+
+
+@pytest.mark.parametrize(("words", "expected"), [
+    (["bonded_compression", "--tool", "flat"], "--tool: bonded_compression is not done with the tool 'flat'; use scene "
+                                               "needle_indentation"),
+    (["needle_indentation", "--tool", "plate"], "use scene lubricated_compression or bonded_compression"),
+    (["needle_indentation", "--tool", "round"], "'round' is not available in this version"),
+    (["bonded_compression", "--tool-radius-mm", "8"], "a plate covers the whole top face and has no radius"),
+    (["bonded_compression", "--edge-radius-mm", "1"], "a plate covers the whole top face and has no radius"),
+    (["bonded_compression", "--friction-wall", "stick"], "--friction-wall: a plate has no shaft"),
+    (["bonded_compression", "--friction", "0.7"], "'0.7' is not available in this version"),
+    (["needle_indentation", "--friction", "frictionless"], "slides round a sharp edge"),
+    (["needle_indentation", "--friction-wall", "bonded"], "use 'stick' or 'frictionless'"),
+    (["needle_indentation", "--edge-radius-mm", "8"], "does not fit a tool of radius"),
+    (["needle_indentation", "--tool-radius-mm", "40"], "must be smaller than the specimen's"),
+    (["needle_indentation", "--gravity"], "states none; add --density-kg-m3"),
+    (["needle_indentation", "--density-kg-m3", "1040"], "--density-kg-m3: matters to a specimen that weighs only"),
+    (["needle_indentation", "--height-is", "placed"], "--height-is: matters to a specimen that weighs only"),
+])
+def test_flags_that_do_not_fit(material, words, expected, capsys):
+    capsys.readouterr()
+    assert main(["simulate", *words, "--material", material]) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and expected in err and err.count("\n") == 1
