@@ -9,6 +9,7 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.discretisation import build_mesh, build_solver
+from tissue_sim.fem import newton
 from tissue_sim.fem.contact import TOLERANCE
 from tissue_sim.fem.newton import StepStatus
 from tissue_sim.mesh import structured_mesh
@@ -166,6 +167,50 @@ class TestTangent:
             assert step.status is StepStatus.CONVERGED
         step = solver.step(6.0005e-3, predictor_order=0)
         assert step.status is StepStatus.CONVERGED and step.iterations <= 5
+
+
+    def test_contact_part_against_differences(self):
+        """What contact adds to the tangent, curvature of the edge included, against central differences of the nodal
+        forces of the augmented Lagrangian, written here from the geometry of the edge."""
+        edge = 4e-3
+        m = model("frictionless", edge=edge)
+        solver = build_solver(m, build_mesh(m.experiment))
+        for depth in np.linspace(0, 4e-3, 17):
+            *_, step = _approach(solver, float(depth))
+        assert step.status is StepStatus.CONVERGED
+        with_contact = solver.tangent()
+        solver._counts[newton.CONTACTS] = 0
+        added = with_contact - solver.tangent()
+
+        surface, freedoms = solver.surface, 2 * len(solver.mesh.nodes)
+        state, centre = solver.state, np.array([RADIUS - edge, edge])
+        multipliers = state[-2 * surface.springs.size:].reshape(*surface.springs.shape, 2)
+
+        def nodal_forces(u):
+            place = surface.positions(u.reshape(-1, 2)) + np.array([0.0, solver.depth])
+            out = place - centre
+            out[out[..., 0] < 0, 0] = 0.0
+            out[out[..., 1] > 0, 1] = 0.0
+            reach = np.linalg.norm(out, axis=-1, keepdims=True)
+            normal = out / reach
+            size = np.minimum((multipliers * normal).sum(axis=-1), 0) + surface.springs * (reach[..., 0] - edge)
+            force = np.where(surface.springs > 0, np.minimum(size, 0), 0)[..., None] * normal
+            total = np.zeros((freedoms // 2, 2))
+            np.add.at(total, surface.edges, np.einsum("mqa,mqi->mai", surface.shapes, force))
+            return total.ravel()
+
+        h, u = 1e-8, state[:freedoms]
+        free = np.flatnonzero((solver._equation >= 0) & (solver._equation < solver.free))
+        touched = free[np.isin(free // 2, surface.edges)]
+        numeric = np.zeros_like(added)
+        for dof in touched:
+            kick = h * (np.arange(freedoms) == dof)
+            column = (nodal_forces(u + kick) - nodal_forces(u - kick)) / (2 * h)
+            below = touched[solver._equation[touched] >= solver._equation[dof]]
+            near = below[solver._equation[below] - solver._equation[dof] <= solver.half_band]
+            numeric[solver._equation[near] - solver._equation[dof], solver._equation[dof]] = column[near]
+        assert abs(added).max() > 0
+        assert abs(added - numeric).max() < 1e-5 * abs(added).max()
 
 
 class TestBadInput:

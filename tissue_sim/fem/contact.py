@@ -93,7 +93,7 @@ class ContactPoints:
 
 @cache
 def functions():
-    """Taichi functions ``nearest`` and ``add_contact``."""
+    """Taichi functions ``add_contact``, ``augment`` and ``hold``."""
     ti = initialise()
     add_entry = add_entry_function()
     far = 1e30

@@ -344,7 +344,7 @@ def step_kernel(element_name: str, energy: KernelEnergy):
                         x[dof] = target[dof]
             report[STATUS] = 0.0
             iterations, tangent = 0, 1
-            bending = 0.0
+            bending = 1.0
             first_ratio, last_ratio, axial = 0.0, 0.0, 0.0
             # The status lives in the report: Taichi 1.7.4 loses a local variable that a branch of such a loop sets.
             # Each solve may need one more pass, for a tangent that was skipped.
