@@ -340,11 +340,11 @@ def step_kernel(element_name: str, energy: KernelEnergy):
                     if ti.abs(x[dof] - target[dof]) > 1e-10 * ti.abs(depth):
                         pending = 1
                     else:
-                        # The rounding of the extrapolation.
-                        x[dof] = target[dof]
+                        x[dof] = target[dof]  # the rounding of the extrapolation
             report[STATUS] = 0.0
             iterations, tangent = 0, 1
-            bending = 1.0
+            # Far from equilibrium the surface's curvature would make the tangent indefinite.
+            bending = 1.0 if max_iterations == 0 else 0.0
             first_ratio, last_ratio, axial = 0.0, 0.0, 0.0
             # The status lives in the report: Taichi 1.7.4 loses a local variable that a branch of such a loop sets.
             # Each solve may need one more pass, for a tangent that was skipped.
