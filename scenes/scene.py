@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from tissue_sim.experiment import Experiment, Protocol, Specimen
+from tissue_sim.experiment import Experiment, Specimen
+from tissue_sim.protocol import Protocol
 from tissue_sim.tool import Tool
 
 

@@ -9,8 +9,8 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "Bulk": "material", "Material": "material",
-    "Experiment": "experiment", "Model": "experiment", "Protocol": "experiment", "Specimen": "experiment",
-    "Tool": "experiment",
+    "Experiment": "experiment", "Model": "experiment", "Protocol": "protocol", "Specimen": "experiment",
+    "Tool": "tool",
     "Rig": "rig",
     "Recording": "recording",
     "read_recording": "recording_file", "write_recording": "recording_file",
