@@ -40,8 +40,7 @@ class Test:
         kind: a key of `HOMOGENEOUS`.
         specimen: None where the recordings are stretch and stress already.
         recordings: files, sorted, at least one.
-        format, columns, skip_lines, delimiter: how to read them, see `tissue_sim.read_recording`.
-        speed: m/s, for recordings without time.
+        reading: how to read them, the options of `tissue_sim.read_recordings`.
         max_strain: fitted window of the nominal strain (shear strain for shear), or None for everything.
         hold_out: predicted, not fitted.
         place: where it stands in the campaign file, such as ``test[0]``.
@@ -51,11 +50,7 @@ class Test:
     kind: str
     specimen: Specimen | None
     recordings: tuple[Path, ...]
-    format: str = "native"
-    columns: Mapping[str, Any] | None = None
-    skip_lines: int | None = None
-    delimiter: str | None = None
-    speed: float | None = None
+    reading: Mapping[str, Any] = field(default_factory=lambda: _read_only())
     max_strain: float | None = None
     hold_out: bool = False
     place: str = "test"
@@ -223,13 +218,19 @@ def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path
             check_delimiter(entry.delimiter, f"{field}.delimiter")
         tests[name] = Test(
             name, entry.kind, _find_specimen(entry, specimens, field),
-            find_recordings(entry.recordings, folder, f"{field}.recordings"), entry.format, columns, entry.skip_lines,
-            entry.delimiter, None if entry.speed_mm_s is None else entry.speed_mm_s * 1e-3, entry.max_strain,
-            entry.hold_out, field)
+            find_recordings(entry.recordings, folder, f"{field}.recordings"), _reading(entry, columns),
+            entry.max_strain, entry.hold_out, field)
     if all(test.hold_out for test in tests.values()):
         raise InputError("every test is held out, so there is nothing to fit; set hold_out = false on one",
                          field="test[0].hold_out")
     return tuple(tests.values())
+
+
+def _reading(entry: TestTable, columns: Mapping[str, Any] | None) -> Mapping[str, Any]:
+    """Options of `tissue_sim.read_recordings`, those that the test states."""
+    stated = {"columns": columns, "skip_lines": entry.skip_lines, "delimiter": entry.delimiter, "sheet": entry.sheet,
+              "curve": entry.curve, "speed": None if entry.speed_mm_s is None else entry.speed_mm_s * 1e-3}
+    return _read_only({"format": entry.format, **{key: value for key, value in stated.items() if value is not None}})
 
 
 def _find_specimen(entry: TestTable, specimens: Mapping[str, Specimen], field: str) -> Specimen | None:

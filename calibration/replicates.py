@@ -14,12 +14,12 @@ from calibration.forward import Homogeneous, Weighing, forward_model
 from calibration.statistics import estimate_noise, resolution
 from tissue_sim.errors import InputError
 from tissue_sim.recording import MIN_POINTS, Recording
-from tissue_sim.recording_file import KINDS, read_recording
+from tissue_sim.recording_file import KINDS, read_recordings
 
 #: Largest difference of a specimen's size between a recording's own word and the campaign's, as a share.
 SIZE_TOLERANCE = 0.02
 #: Segments in which the tissue relaxes or unloads: an elastic law is fitted to the loading.
-NOT_LOADING = ("hold", "unload")
+NOT_LOADING = ("hold", "unload", "retract")
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,25 +100,23 @@ def read_replicates(campaign: Campaign) -> tuple[Replicate, ...]:
     for test in campaign.tests:
         for path in test.recordings:
             try:
-                replicate = _read(path, test, campaign)
+                found = [_read(recording, path, test, campaign)
+                         for recording in read_recordings(path, kind=test.kind, **test.reading)]
             except InputError as error:
                 field = test.place if error.file is None else None
                 raise error.located(file=campaign.path, field=field) from None
-            if any(other.name == replicate.name for other in replicates):
-                raise InputError(f"two recordings are called {replicate.name!r}; give their tests different names",
-                                 file=campaign.path, field=f"{test.place}.recordings")
-            replicates.append(replicate)
+            for replicate in found:
+                if any(other.name == replicate.name for other in replicates):
+                    raise InputError(f"two recordings are called {replicate.name!r}; give their tests different names",
+                                     file=campaign.path, field=f"{test.place}.recordings")
+                replicates.append(replicate)
     if campaign.fit.offset == "fit" and not any(r.mechanical for r in replicates if not r.test.hold_out):
         raise InputError('offset = "fit" needs tests recorded as displacement and force; use "none"',
                          file=campaign.path, field="fit.offset")
     return tuple(replicates)
 
 
-def _read(path: Path, test: Test, campaign: Campaign) -> Replicate:
-    options = {key: value for key, value in (("skip_lines", test.skip_lines), ("delimiter", test.delimiter))
-               if value is not None}
-    columns = None if test.columns is None else dict(test.columns)
-    recording = read_recording(path, format=test.format, columns=columns, speed=test.speed, kind=test.kind, **options)
+def _read(recording: Recording, path: Path, test: Test, campaign: Campaign) -> Replicate:
     _check_size(recording, test, campaign, path)
     recording = _loading(recording)
     mechanical, abscissa, stress = _curve(recording, test, path)
@@ -150,7 +148,7 @@ def _read(path: Path, test: Test, campaign: Campaign) -> Replicate:
         abscissa, stress = abscissa[inside], stress[inside]
     for array in (abscissa, stress):
         array.flags.writeable = False
-    return Replicate(f"{test.name}/{path.stem}", test, abscissa, stress, noise, source, mechanical, path,
+    return Replicate(f"{test.name}/{recording.name}", test, abscissa, stress, noise, source, mechanical, path,
                      str(recording.metadata.get("sha256", "")), interpolation)
 
 

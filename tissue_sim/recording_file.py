@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import inspect
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ import numpy as np
 from tissue_sim.atomic_write import write_bytes, write_text
 from tissue_sim.decode import as_json_types, read_json, require_writable
 from tissue_sim.errors import InputError, nearest
-from tissue_sim.formats import find_format, read_columns
+from tissue_sim.formats import SEVERAL, find_format, read_columns
 from tissue_sim.recording import CHANNELS, LABELS, Recording
 from tissue_sim.units import to_si
 
@@ -36,17 +37,19 @@ KINDS: dict[str, tuple[tuple[str, str], ...]] = {
 
 def read_recording(path: str | Path, *, format: str = "native", columns: Mapping[str, Any] | None = None,
                    skip_lines: int = 0, delimiter: str | None = None, speed: float | None = None,
-                   kind: str | None = None) -> Recording:
+                   kind: str | None = None, **options) -> Recording:
     """Read one replicate; SI inside.
 
     Args:
         path: the file. ``NAME.json`` beside ``NAME.csv`` is merged into the metadata.
         format: name in `tissue_sim.formats.FORMATS`.
-        columns: channel -> column name, for any other CSV; see `tissue_sim.formats.read_columns`.
+        columns: channel -> column, for any other CSV and for spreadsheets; see `tissue_sim.formats.read_columns`.
         skip_lines: lines at the top that are not looked at; with `columns` only.
         delimiter: one character between the cells; with `columns` only. None: found.
         speed: m/s; makes the time from the displacement where the file has none.
         kind: kind of test, such as ``"lubricated_compression"``: refuse a recording without the channels it needs.
+        options: what only some formats take: ``sheet`` of a spreadsheet; ``curve``, ``spring_constant`` and
+            ``sensitivity`` of an AFM file.
 
     Returns:
         The recording; its metadata always has ``name``, ``source`` and ``sha256``.
@@ -58,13 +61,43 @@ def read_recording(path: str | Path, *, format: str = "native", columns: Mapping
     reader = find_format(format)
     if kind is not None and kind not in KINDS:
         raise InputError(f"unknown kind of test {kind!r}{nearest(str(kind), KINDS)}", field="kind")
-    if columns is not None and format != "native":
+    if columns is not None and format not in ("native", "xlsx"):
         raise InputError(f"give either format = {format!r} or columns, not both", field="columns")
     for key, value in (("skip_lines", skip_lines), ("delimiter", delimiter)):
         if value and columns is None:
             raise InputError(f"{key} counts only where columns are named; give columns too", field=key)
-    recording = reader(path) if columns is None else read_columns(path, columns, skip_lines=skip_lines,
-                                                                  delimiter=delimiter)
+    if columns is not None:
+        reader, options = read_columns, {"columns": columns, "skip_lines": skip_lines, "delimiter": delimiter} | options
+    _check_options(reader, options, format)
+    return _finish(reader(path, **options), path, speed, kind)
+
+
+def read_recordings(path: str | Path, *, format: str = "native", speed: float | None = None, kind: str | None = None,
+                    **options) -> tuple[Recording, ...]:
+    """All replicates that one file holds: the curves of an AFM file, one of any other; otherwise as `read_recording`.
+
+    Of several, each is called after the file and its number: ``cells_3``.
+    """
+    reader = SEVERAL.get(format)
+    if reader is None:
+        return (read_recording(path, format=format, speed=speed, kind=kind, **options),)
+    path = Path(path)
+    _check_options(reader, options, format)
+    recordings = tuple(_finish(each, path, speed, kind) for each in reader(path, **options))
+    if len(recordings) == 1:
+        return recordings
+    return tuple(each.with_metadata(name=f"{path.stem}_{number}") for number, each in enumerate(recordings, start=1))
+
+
+def _check_options(reader: Callable, options: Mapping[str, Any], format: str) -> None:
+    """Refuse options that the reader does not take."""
+    for key in options:
+        if key not in inspect.signature(reader).parameters:
+            raise InputError(f"files of format {format!r} have no {key}; leave it out", field=key)
+
+
+def _finish(recording: Recording, path: Path, speed: float | None, kind: str | None) -> Recording:
+    """With its channels checked, time from the speed, and name, source, SHA-256 and sidecar in the metadata."""
     _require_channels(recording, kind, path)
     if "time" not in recording and speed is not None:
         recording = _with_time(recording, speed, path)

@@ -169,8 +169,6 @@ def test_a_unit_that_nobody_stated_is_asked_for(tmp_path):
 
 def test_format_names(tmp_path):
     path = write(tmp_path, table())
-    for name in ("xlsx", "afm"):
-        assert "not available in this version" in refusal(path, format=name).problem
     error = refusal(path, format="instrom")
     assert error.field == "format" and "did you mean 'instron'" in error.problem
     assert refusal(path, format="instron", columns=COLUMNS).field == "columns"

@@ -10,7 +10,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from tissue_sim.formats.columns import find_header, read_columns
+from tissue_sim.formats.columns import read_columns
+from tissue_sim.formats.header import find_header, text_tables
 from tissue_sim.formats.table import is_number
 from tissue_sim.formats.text import read_text
 from tissue_sim.recording import Recording
@@ -29,7 +30,7 @@ def read_instron(path: str | Path) -> Recording:
     """
     path = Path(path)
     text = read_text(path, "an Instron export with the columns Time, Compression and Load")
-    _, header, _ = find_header(text, list(COLUMNS.values()), file=path)
+    _, header, _ = find_header(text_tables(text, file=path), list(COLUMNS.values()), file=path)
     lines = [line.strip() for line in text.splitlines()[:header.line - 1] if line.strip(" ;,\t")]
     return read_columns(path, COLUMNS, skip_lines=header.line - 1, metadata=_metadata(lines))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from tissue_sim.errors import InputError, nearest
@@ -22,7 +23,15 @@ def read_native(path: str | Path) -> Recording:
     """
     path = Path(path)
     text = read_text(path, f"a recording with the header {EXAMPLE!r}")
-    rows = split_rows(_without_comments(text), ",", file=path)
+    return native_recording(split_rows(_without_comments(text), ",", file=path), path)
+
+
+def native_recording(rows: Sequence[Row], path: Path) -> Recording:
+    """The recording in rows of which the first is the header, whatever file they come from.
+
+    Raises:
+        InputError: as `read_native`.
+    """
     if not rows:
         raise InputError(f"holds only comments, expected the header {EXAMPLE!r}", file=path)
     header, *data = rows

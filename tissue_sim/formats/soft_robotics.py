@@ -9,7 +9,8 @@ from __future__ import annotations
 from itertools import pairwise
 from pathlib import Path
 
-from tissue_sim.formats.columns import find_header, read_columns
+from tissue_sim.formats.columns import read_columns
+from tissue_sim.formats.header import find_header, text_tables
 from tissue_sim.formats.table import Row, is_number
 from tissue_sim.formats.text import read_text
 from tissue_sim.recording import Recording
@@ -29,7 +30,7 @@ def read_soft_robotics(path: str | Path) -> Recording:
     """
     path = Path(path)
     text = read_text(path, f"a tensile test with the columns {_STRAIN} and {_STRESS}")
-    _, header, data = find_header(text, [_TIME, _STRAIN, _STRESS], file=path)
+    _, header, data = find_header(text_tables(text, file=path), [_TIME, _STRAIN, _STRESS], file=path)
     lines = [line.split(";") for line in text.splitlines()[1:header.line - 1]]
     parameters = {cells[0].strip(): cells[1].strip() for cells in lines if len(cells) > 1 and cells[0].strip()}
     columns = {"stretch": {"name": _STRAIN, "unit": "-"}, "nominal stress": _STRESS}

@@ -91,10 +91,10 @@ def read_recording_table(header: Row, rows: Sequence[Row], columns: Sequence[Col
     for row in rows:
         # Loggers end their lines with the delimiter: empty cells behind the last column carry nothing.
         if len(row.cells) < width or any(row.cells[width:]):
-            raise InputError(f"{_count(len(row.cells), 'cell')}, expected {width} as in the header on line "
-                             f"{header.line}", file=file, line=row.line)
+            raise InputError(f"{_count(len(row.cells), 'cell')}, expected {width} as on line {header.line}",
+                             file=file, line=row.line)
     if len(rows) < MIN_POINTS:
-        raise InputError(f"{_count(len(rows), 'point')} under the header on line {header.line}, expected at least "
+        raise InputError(f"{_count(len(rows), 'point')} in the table on line {header.line}, expected at least "
                          f"{MIN_POINTS}", file=file)
     numeric = [column for column in columns if column.channel not in LABELS]
     decimal_comma = delimiter != "," and _decimal_comma(rows, numeric, file)

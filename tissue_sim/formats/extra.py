@@ -1,0 +1,22 @@
+"""Packages that only some formats need: the extra ``formats``."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+from types import ModuleType
+
+from tissue_sim.errors import InputError
+
+
+def require(package: str, file: Path) -> ModuleType:
+    """The package, imported.
+
+    Raises:
+        InputError: it is not installed; names the extra to install.
+    """
+    try:
+        return importlib.import_module(package)
+    except ImportError as error:
+        raise InputError(f"reading this file needs the package {package} ({error}); install it with "
+                         "pip install 'tissue-sim[formats]'", file=file) from None
