@@ -12,31 +12,25 @@ os.environ["OMP_NUM_THREADS"] = "1"
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ["MKL_NUM_THREADS"] = "1"
 
-import argparse
 import importlib.util
 import json
-import platform
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
-from datetime import date
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 from felupe_problem import compression_curve, reduced_polynomial
+from measure import about, against_lapack, cpu_seconds, option_parser, show, summary, table, verdict
 from rich.console import Console
-from rich.table import Table
-from scipy.linalg import lapack
 
 import tissue_sim as ts
 from tissue_sim.discretisation import build_mesh, build_solver
-from tissue_sim.fem import band, newton
+from tissue_sim.fem import newton
 from tissue_sim.fem.axisymmetric import AxisymmetricSolver
 from tissue_sim.fem.elements import Q4P0, Q9P1
-from tissue_sim.fem.runtime import initialise
 from tissue_sim.mesh import cylinder_mesh
 
 PARAMETERS = {"C10": 1404.9, "C20": 699.4}
@@ -45,20 +39,6 @@ MODEL = ts.Model(ts.Experiment(ts.Specimen(0.04, 0.07), ts.Protocol.ramp(10e-3, 
 #: Laws whose first compile is timed: one of the invariants, one of the stretches.
 COMPILED = {"reduced_polynomial_2": PARAMETERS, "ogden_1": {"mu1": 3225.9, "alpha1": 14.8}}
 COLD_LIMIT, WARM_LIMIT = 15.0, 2.0
-
-
-def cpu_seconds(work, repeats: int) -> list[float]:
-    """CPU seconds of each of `repeats` calls."""
-    spent = []
-    for _ in range(repeats):
-        started = time.process_time()
-        work()
-        spent.append(time.process_time() - started)
-    return spent
-
-
-def summary(spent: list[float]) -> dict:
-    return {"median_s": statistics.median(spent), "min_s": min(spent), "max_s": max(spent), "repeats": len(spent)}
 
 
 def felupe_routes() -> list[dict]:
@@ -140,29 +120,8 @@ def start_times(repeats: int) -> list[dict]:
     return rows
 
 
-def band_cholesky(repeats: int) -> list[dict]:
-    """Parts of an iteration, in ms: element work, factorisation and solution; LAPACK on the same matrix."""
-    ti = initialise()
-    factorise, solve = band.functions()
-    block = ti.types.vector(band.BLOCK, ti.f64)
-    one, three = ti.types.ndarray(dtype=block, ndim=1), ti.types.ndarray(dtype=block, ndim=3)
-    reals = ti.types.ndarray(dtype=ti.f64, ndim=1)
-
-    @ti.kernel
-    def run(passes: ti.i32, matrix: three, inverse: reals, x: one, rows: ti.i32, width: ti.i32):
-        for _ in range(passes):
-            factorise(matrix, inverse, rows, width)
-            solve(matrix, inverse, x, rows, width)
-
-    def median_ms(prepare, work):
-        spent = []
-        for _ in range(repeats):
-            prepared = prepare()
-            started = time.process_time()
-            work(*prepared)
-            spent.append(time.process_time() - started)
-        return 1e3 * statistics.median(spent)
-
+def parts_of_an_iteration(repeats: int) -> list[dict]:
+    """Element work, factorisation and solution, in ms; LAPACK on the same matrix."""
     rows = []
     meshes = {name: build_mesh(MODEL.experiment, name) for name in ("fast", "accurate")}
     for element in (Q4P0, Q9P1):
@@ -170,37 +129,10 @@ def band_cholesky(repeats: int) -> list[dict]:
     for name, mesh in meshes.items():
         solver = build_solver(MODEL, mesh)
         solver.step(5e-3)
-        lower = solver.tangent()
-        half_band, size = lower.shape[0] - 1, lower.shape[1]
-        blocks, right = band.pack(lower), np.random.default_rng(0).normal(size=size)
-        padded = np.zeros((blocks.shape[0], band.BLOCK))
-        padded.ravel()[:size] = right
-        inverse = np.zeros(padded.size)
-        x = padded.copy()
-        run(1, blocks.copy(), inverse, x, *blocks.shape[:2])
-        factor, _ = lapack.dpbtrf(lower, lower=1)
-        expected, _ = lapack.dpbtrs(factor, right, lower=1)
-        difference = float(abs(x.ravel()[:size] - expected).max() / abs(expected).max())
-        if not difference < 1e-6:
-            raise SystemExit(f"{name}: our band Cholesky differs from LAPACK's solution by {difference:.2g} relative")
-
-        def ours(passes, blocks=blocks, inverse=inverse, padded=padded):
-            return median_ms(lambda: (blocks.copy(), padded.copy()),
-                             lambda a, b: run(passes, a, inverse, b, *blocks.shape[:2]))
-
-        def factor_and_solve(a, b):
-            factor, _ = lapack.dpbtrf(a, lower=1, overwrite_ab=1)
-            lapack.dpbtrs(factor, b, lower=1, overwrite_b=1)
-
-        lapack_ms = median_ms(lambda lower=lower, right=right: (np.array(lower, order="F"), right.copy()),
-                              factor_and_solve)
+        compared = against_lapack(name, solver.tangent(), repeats, solve=True)
         elements, launch = element_work(solver, repeats)
-        ours_ms = ours(1) - ours(0)
-        rows.append({"mesh": name, "elements": len(mesh.connectivity), "freedoms": size, "half_band": half_band,
-                     "difference": difference, "ours_ms": ours_ms, "lapack_ms": lapack_ms,
-                     "ours_gflops": size * half_band * (half_band + 4) * 1e-6 / ours_ms,
-                     "lapack_gflops": size * half_band * (half_band + 4) * 1e-6 / lapack_ms,
-                     "element_work_ms": elements, "launch_ms": launch})
+        rows.append({"mesh": name, "elements": len(mesh.connectivity), **compared, "element_work_ms": elements,
+                     "launch_ms": launch})
     return rows
 
 
@@ -216,44 +148,20 @@ def element_work(solver: AxisymmetricSolver, repeats: int) -> tuple[float, float
     return float(np.median(full - empty)), float(np.median(empty))
 
 
-def machine() -> dict:
-    model = platform.processor() or platform.machine()
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.exists():
-        lines = cpuinfo.read_text(encoding="utf-8").splitlines()
-        model = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), model)
-    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
-    return {"cpu": model, "cores": os.cpu_count(), "system": platform.system(), "load_average": load}
-
-
 def draw(result: dict, console: Console) -> None:
     """The result as tables."""
-    found = result["machine"]
-    console.print(f"{result['date']}, {found['cpu']}, {found['cores']} cores, load {found['load_average']}; "
-                  + ", ".join(f"{name} {number}" for name, number in result["versions"].items()))
-
-    def table(title, headers, rows):
-        drawn = Table(title=title, title_justify="left")
-        for i, header in enumerate(headers):
-            drawn.add_column(header, justify="left" if i == 0 else "right")
-        for row in rows:
-            drawn.add_row(*row)
-        console.print(drawn)
-
-    def verdict(good, target):
-        return f"{target} {'met' if good else 'missed'}"
-
-    table("Bonded compression, 21 points to 10 mm, 500 elements: CPU seconds (smallest to largest)",
+    table(console, "Bonded compression, 21 points to 10 mm, 500 elements: CPU seconds (smallest to largest)",
           ["FElupe's route", "FElupe", "ours", "ratio", "forces agree to", "target"],
           [[row["route"], *(f"{t['median_s']:.3f} ({t['min_s']:.3f} to {t['max_s']:.3f})"
                             for t in (row["felupe"], row["ours"])), f"{row['ratio']:.1f}x",
             f"{row['largest_difference']:.1g}",
             "" if row["target"] is None else verdict(row["ratio"] >= row["target"], f"{row['target']:g}x")]
            for row in result["curves"]])
-    table("A fresh process simulates one test on the fast mesh: seconds", ["law", "start", "wall", "CPU", "target"],
+    table(console, "A fresh process simulates one test on the fast mesh: seconds",
+          ["law", "start", "wall", "CPU", "target"],
           [[row["law"], row["start"], f"{row['wall_s']:.2f}", f"{row['cpu_s']:.2f}",
             verdict(row["wall_s"] < row["target_s"], f"{row['target_s']:g} s")] for row in result["starts"]])
-    table("Parts of one iteration: CPU ms (GFLOP/s)",
+    table(console, "Parts of one iteration: CPU ms (GFLOP/s)",
           ["mesh", "freedoms", "half band", "launch", "element work", "factor and solve", "LAPACK dpbtrf, dpbtrs"],
           [[row["mesh"], str(row["freedoms"]), str(row["half_band"]), f"{row['launch_ms']:.2f}",
             f"{row['element_work_ms']:.2f}", f"{row['ours_ms']:.3f} ({row['ours_gflops']:.1f})",
@@ -261,21 +169,12 @@ def draw(result: dict, console: Console) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
-    parser.add_argument("--repeats", type=int, default=5, help="repetitions (at least 1, default 5)")
-    arguments = parser.parse_args()
-    if arguments.repeats < 1:
-        parser.error("--repeats must be at least 1")
-    result = {"benchmark": "compression", "date": date.today().isoformat(), "machine": machine(),
-              "versions": {"Python": platform.python_version(), "tissue_sim": ts.__version__,
-                           **{name: version(name) for name in ("felupe", "taichi", "numpy", "scipy")}},
-              "curves": against_felupe(arguments.repeats, max(1, (arguments.repeats + 1) // 2)),
-              "starts": start_times(min(3, arguments.repeats)), "iteration": band_cholesky(20 * arguments.repeats)}
-    if arguments.json:
-        print(json.dumps(result))
-    else:
-        draw(result, Console(width=None if sys.stdout.isatty() else 150))
+    arguments = option_parser(__doc__).parse_args()
+    repeats = arguments.repeats
+    result = about("compression", ["felupe"]) | {
+        "curves": against_felupe(repeats, max(1, (repeats + 1) // 2)), "starts": start_times(min(3, repeats)),
+        "iteration": parts_of_an_iteration(20 * repeats)}
+    show(result, draw, as_json=arguments.json)
 
 
 if __name__ == "__main__":

@@ -12,31 +12,22 @@ os.environ["OMP_NUM_THREADS"] = "1"
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ["MKL_NUM_THREADS"] = "1"
 
-import argparse
-import json
-import platform
-import sys
 import time
 from dataclasses import replace
-from datetime import date
-from importlib.metadata import version
 
 import felupe as fem
 import numpy as np
-from compression import PARAMETERS, cpu_seconds, machine, summary
+from compression import PARAMETERS
 from felupe_problem import compression_curve, reduced_polynomial
+from measure import about, against_lapack, cpu_seconds, option_parser, show, spread, summary, table, verdict
 from rich.console import Console
-from rich.table import Table
-from scipy.linalg import lapack
 from work_precision import HEIGHT, MATERIAL, MODELS, NEEDLE_RADIUS, RADIUS, uniform_needle_mesh
 
 import tissue_sim as ts
 from tissue_sim.discretisation import build_mesh, build_solver
-from tissue_sim.fem import band
 from tissue_sim.fem.axisymmetric import AxisymmetricSolver
 from tissue_sim.fem.elements import Q4P0, Q9P1
 from tissue_sim.fem.newton import StepStatus
-from tissue_sim.fem.runtime import initialise
 from tissue_sim.mesh import Mesh, needle_mesh
 
 MODEL = MODELS["needle indentation"]
@@ -58,63 +49,19 @@ def band_meshes() -> dict[str, Mesh]:
 
 
 def factorisation(repeats: int) -> list[dict]:
-    """Band Cholesky of the tangent at 5 mm, ours and LAPACK's `dpbtrf` in turns.
+    """Band Cholesky of the tangent at 5 mm, ours and LAPACK's `dpbtrf`.
 
     Raises:
         SystemExit: the factors solve differently.
     """
-    ti = initialise()
-    factorise, solve = band.functions()
-    block = ti.types.vector(band.BLOCK, ti.f64)
-    one, three = ti.types.ndarray(dtype=block, ndim=1), ti.types.ndarray(dtype=block, ndim=3)
-    reals = ti.types.ndarray(dtype=ti.f64, ndim=1)
-
-    @ti.kernel
-    def factor(passes: ti.i32, matrix: three, inverse: reals, rows: ti.i32, width: ti.i32):
-        for _ in range(passes):
-            factorise(matrix, inverse, rows, width)
-
-    @ti.kernel
-    def substitute(passes: ti.i32, matrix: three, inverse: reals, x: one, rows: ti.i32, width: ti.i32):
-        for _ in range(passes):
-            solve(matrix, inverse, x, rows, width)
-
     rows = []
     for name, mesh in band_meshes().items():
         solver = build_solver(MODEL, mesh)
         for depth in MODEL.experiment.protocol.displacement[1:11]:
             if solver.step(depth).status is not StepStatus.CONVERGED:
                 raise SystemExit(f"{name}: no convergence at {depth * 1e3:g} mm")
-        lower = np.asfortranarray(solver.tangent())
-        half_band, size = lower.shape[0] - 1, lower.shape[1]
-        blocks, right = band.pack(lower), np.random.default_rng(0).normal(size=size)
-        shape = blocks.shape[:2]
-        inverse, x = np.zeros(shape[0] * band.BLOCK), np.zeros((shape[0], band.BLOCK))
-        x.ravel()[:size] = right
-        ours = blocks.copy()
-        factor(1, ours, inverse, *shape)
-        substitute(1, ours, inverse, x, *shape)
-        theirs, failed = lapack.dpbtrf(lower, lower=1)
-        expected, _ = lapack.dpbtrs(theirs, right, lower=1)
-        difference = float(abs(x.ravel()[:size] - expected).max() / abs(expected).max())
-        if failed or not difference < 1e-6:
-            raise SystemExit(f"{name}: our band Cholesky differs from LAPACK's solution by {difference:.2g} relative")
-        spent = []
-        for _ in range(repeats):
-            # A launch without work is taken off; fresh copies, made outside the clock.
-            for passes in (0, 1):
-                spent.append(_timed(factor, passes, blocks.copy(), inverse, *shape))
-            spent.append(_timed(lapack.dpbtrf, lower.copy(order="F"), lower=1, overwrite_ab=1))
-        empty, full, peer = (float(np.median(part)) * 1e3 for part in np.array(spent).reshape(-1, 3).T)
-        rows.append({"mesh": name, "freedoms": size, "half_band": half_band, "difference": difference,
-                     "ours_ms": full - empty, "lapack_ms": peer, "ratio": (full - empty) / peer,
-                     "ours_gflops": size * half_band**2 * 1e-6 / (full - empty)})
+        rows.append({"mesh": name, **against_lapack(name, solver.tangent(), repeats, solve=False)})
     return rows
-
-
-def _timed(work, *arguments, **options) -> float:
-    """CPU seconds of one call."""
-    return cpu_seconds(lambda: work(*arguments, **options), 1)[0]
 
 
 class _Clocked(fem.Material):
@@ -183,36 +130,17 @@ def curves(repeats: int) -> list[dict]:
 
 def draw(result: dict, console: Console) -> None:
     """The result as tables."""
-    found = result["machine"]
-    console.print(f"{result['date']}, {found['cpu']}, {found['cores']} cores, load {found['load_average']}; "
-                  + ", ".join(f"{name} {number}" for name, number in result["versions"].items()))
-
-    def table(title, headers, rows):
-        drawn = Table(title=title, title_justify="left")
-        for i, header in enumerate(headers):
-            drawn.add_column(header, justify="left" if i == 0 else "right")
-        for row in rows:
-            drawn.add_row(*row)
-        console.print(drawn)
-
-    def spread(time, digits=2):
-        low, middle, high = (1e3 * time[name] for name in ("min_s", "median_s", "max_s"))
-        return f"{middle:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
-
-    def verdict(good, target):
-        return f"{target} {'met' if good else 'missed'}"
-
-    table("Band factorisation of the tangent at 5 mm: CPU ms",
+    table(console, "Band factorisation of the tangent at 5 mm: CPU ms",
           ["mesh", "freedoms", "half band", "ours (GFLOP/s)", "LAPACK dpbtrf", "ours / LAPACK"],
           [[row["mesh"], str(row["freedoms"]), str(row["half_band"]), f"{row['ours_ms']:.3f} "
             f"({row['ours_gflops']:.1f})", f"{row['lapack_ms']:.3f}", f"{row['ratio']:.2f}"]
            for row in result["factorisation"]])
-    table("One Newton iteration of a bonded punch: CPU ms (smallest to largest)",
+    table(console, "One Newton iteration of a bonded punch: CPU ms (smallest to largest)",
           ["mesh", "FElupe", "ours", "ratio", "forces agree to", "target"],
           [[row["mesh"], spread(row["felupe"]), spread(row["ours"], 3), f"{row['ratio']:.1f}x",
             f"{row['largest_difference']:.1g}", verdict(row["ratio"] >= row["target"], f"{row['target']:g}x")]
            for row in result["iterations"]])
-    table("Needle curve, 21 points to 10 mm: CPU ms (smallest to largest)",
+    table(console, "Needle curve, 21 points to 10 mm: CPU ms (smallest to largest)",
           ["resolution", "elements", "iterations", "CPU", "target"],
           [[row["resolution"], str(row["elements"]), str(row["iterations"]), spread(row["time"], 1),
             verdict(row["time"]["median_s"] <= row["target_s"], f"{1e3 * row['target_s']:g} ms")]
@@ -220,22 +148,12 @@ def draw(result: dict, console: Console) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
-    parser.add_argument("--repeats", type=int, default=5, help="repetitions (at least 1, default 5)")
-    arguments = parser.parse_args()
-    if arguments.repeats < 1:
-        parser.error("--repeats must be at least 1")
-    result = {"benchmark": "needle", "date": date.today().isoformat(), "machine": machine(),
-              "versions": {"Python": platform.python_version(), "tissue_sim": ts.__version__,
-                           **{name: version(name) for name in ("felupe", "taichi", "numpy", "scipy")}},
-              "factorisation": factorisation(20 * arguments.repeats),
-              "iterations": iterations(20 * arguments.repeats, max(1, (arguments.repeats + 1) // 2)),
-              "curves": curves(arguments.repeats)}
-    if arguments.json:
-        print(json.dumps(result))
-    else:
-        draw(result, Console(width=None if sys.stdout.isatty() else 150))
+    arguments = option_parser(__doc__).parse_args()
+    repeats = arguments.repeats
+    result = about("needle", ["felupe"]) | {
+        "factorisation": factorisation(20 * repeats),
+        "iterations": iterations(20 * repeats, max(1, (repeats + 1) // 2)), "curves": curves(repeats)}
+    show(result, draw, as_json=arguments.json)
 
 
 if __name__ == "__main__":

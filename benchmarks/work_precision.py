@@ -12,21 +12,15 @@ os.environ["OMP_NUM_THREADS"] = "1"
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ["MKL_NUM_THREADS"] = "1"
 
-import argparse
-import json
-import platform
-import sys
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from datetime import date
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
-from compression import PARAMETERS, machine, summary
+from compression import PARAMETERS
+from measure import about, option_parser, show, spread, summary, table
 from rich.console import Console
-from rich.table import Table
 
 import tissue_sim as ts
 from tissue_sim.discretisation import build_mesh, build_solver
@@ -167,56 +161,41 @@ def plot(found: list[dict], path: Path) -> None:
     figure.savefig(path, dpi=130)
 
 
-def show(result: dict, console: Console) -> None:
-    found = result["machine"]
-    console.print(f"{result['date']}, {found['cpu']}, {found['cores']} cores, load {found['load_average']}; "
-                  + ", ".join(f"{name} {number}" for name, number in result["versions"].items()))
-
-    def table(title, rows, first, leading):
-        drawn = Table(title=title, title_justify="left")
-        for i, header in enumerate([first, "elements", "freedoms", "half band", "CPU ms a step (range)", "2 mm %",
-                                    "5 mm %", "10 mm %"]):
-            drawn.add_column(header, justify="left" if i == 0 else "right")
-        for row in rows:
-            sizes = [str(row[name]) for name in ("elements", "freedoms", "half_band")]
-            if row["status"] != "converged":
-                drawn.add_row(leading(row), *sizes, row["status"])
+def draw(result: dict, console: Console) -> None:
+    """The result as tables."""
+    def errors(title, points, first, leading):
+        rows = []
+        for point in points:
+            row = [leading(point), *(str(point[name]) for name in ("elements", "freedoms", "half_band"))]
+            if point["status"] != "converged":
+                rows.append([*row, point["status"]])
                 continue
-            low, middle, high = (1e3 * row["step"][name] for name in ("min_s", "median_s", "max_s"))
-            drawn.add_row(leading(row), *sizes, f"{middle:.2f} ({low:.2f} to {high:.2f})",
-                          *(f"({error:+.3f})" if inside else f"{error:+.3f}" for error, inside
-                            in zip(row["error_percent"], row["within_reference"], strict=True)))
-        console.print(drawn)
+            rows.append([*row, spread(point["step"]),
+                         *(f"({error:+.3f})" if inside else f"{error:+.3f}" for error, inside
+                           in zip(point["error_percent"], point["within_reference"], strict=True))])
+        table(console, title, [first, "elements", "freedoms", "half band", "CPU ms a step (range)", "2 mm %", "5 mm %",
+                               "10 mm %"], rows)
 
     for test in REFERENCES:
-        table(f"{test}: force error, in brackets where the reference's own is larger",
-              [row for row in result["points"] if row["test"] == test], "mesh",
-              lambda row: row["family"] + (f": {row['named']}" if row["named"] else ""))
-    table("needle indentation: meshes of as many elements as points known before", result["known"], "known error",
-          lambda row: f"{row['known_percent']:g} %, {row['element']}")
+        errors(f"{test}: force error, in brackets where the reference's own is larger",
+               [point for point in result["points"] if point["test"] == test], "mesh",
+               lambda point: point["family"] + (f": {point['named']}" if point["named"] else ""))
+    errors("needle indentation: meshes of as many elements as points known before", result["known"], "known error",
+           lambda point: f"{point['known_percent']:g} %, {point['element']}")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    parser = option_parser(__doc__)
     parser.add_argument("--figure", type=Path, help="draw the diagram into this file")
-    parser.add_argument("--repeats", type=int, default=5, help="timed curves of each mesh (at least 1, default 5)")
     arguments = parser.parse_args()
-    if arguments.repeats < 1:
-        parser.error("--repeats must be at least 1")
     found = list(points(arguments.repeats))
-    result = {"benchmark": "work_precision", "date": date.today().isoformat(), "machine": machine(),
-              "versions": {"Python": platform.python_version(), "tissue_sim": ts.__version__,
-                           **{name: version(name) for name in ("taichi", "numpy", "scipy")}},
-              "references": {test: {"force_N": forces, "relative_error": error}
-                             for test, (forces, error) in REFERENCES.items()},
-              "points": found, "known": known_points(found, arguments.repeats)}
+    result = about("work_precision") | {
+        "references": {test: {"force_N": forces, "relative_error": error}
+                       for test, (forces, error) in REFERENCES.items()},
+        "points": found, "known": known_points(found, arguments.repeats)}
     if arguments.figure:
         plot(found, arguments.figure)
-    if arguments.json:
-        print(json.dumps(result))
-    else:
-        show(result, Console(width=None if sys.stdout.isatty() else 150))
+    show(result, draw, as_json=arguments.json)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,174 @@
+"""What the benchmarks share: the clock, the machine, the band Cholesky against LAPACK, options and tables."""
+
+import argparse
+import functools
+import json
+import os
+import platform
+import statistics
+import sys
+import time
+from collections.abc import Callable, Sequence
+from datetime import date
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from scipy.linalg import lapack
+
+import tissue_sim as ts
+from tissue_sim.fem import band
+from tissue_sim.fem.runtime import initialise
+
+
+def cpu_seconds(work: Callable[[], object], repeats: int) -> list[float]:
+    """CPU seconds of each of `repeats` calls."""
+    spent = []
+    for _ in range(repeats):
+        started = time.process_time()
+        work()
+        spent.append(time.process_time() - started)
+    return spent
+
+
+def summary(spent: list[float]) -> dict:
+    return {"median_s": statistics.median(spent), "min_s": min(spent), "max_s": max(spent), "repeats": len(spent)}
+
+
+@functools.cache
+def band_kernels() -> tuple[Callable, Callable]:
+    """Kernels that factorise a band matrix, and solve with the factor, a number of times each."""
+    ti = initialise()
+    factorise, solve = band.functions()
+    block = ti.types.vector(band.BLOCK, ti.f64)
+    one, three = ti.types.ndarray(dtype=block, ndim=1), ti.types.ndarray(dtype=block, ndim=3)
+    reals = ti.types.ndarray(dtype=ti.f64, ndim=1)
+
+    @ti.kernel
+    def factor(passes: ti.i32, matrix: three, inverse: reals, rows: ti.i32, width: ti.i32):
+        for _ in range(passes):
+            factorise(matrix, inverse, rows, width)
+
+    @ti.kernel
+    def substitute(passes: ti.i32, matrix: three, inverse: reals, x: one, rows: ti.i32, width: ti.i32):
+        for _ in range(passes):
+            solve(matrix, inverse, x, rows, width)
+
+    return factor, substitute
+
+
+def against_lapack(name: str, lower: np.ndarray, repeats: int, *, solve: bool) -> dict:
+    """Our band Cholesky and LAPACK's on the same matrix, in turns: CPU ms and GFLOP/s of a factorisation.
+
+    Args:
+        name: of the matrix, for the message.
+        lower: lower band, shape (half band + 1, size).
+        repeats: medians are of so many.
+        solve: whether one solution with the factor is part of the time.
+
+    Raises:
+        SystemExit: the solutions differ.
+    """
+    factor, substitute = band_kernels()
+    lower = np.asfortranarray(lower)
+    half_band, size = lower.shape[0] - 1, lower.shape[1]
+    blocks, right = band.pack(lower), np.random.default_rng(0).normal(size=size)
+    shape = blocks.shape[:2]
+    inverse, padded = np.zeros(shape[0] * band.BLOCK), np.zeros((shape[0], band.BLOCK))
+    padded.ravel()[:size] = right
+
+    def ours(passes, matrix, x):
+        factor(passes, matrix, inverse, *shape)
+        if solve:
+            substitute(passes, matrix, inverse, x, *shape)
+
+    def theirs(matrix, x):
+        done, _ = lapack.dpbtrf(matrix, lower=1, overwrite_ab=1)
+        if solve:
+            lapack.dpbtrs(done, x, lower=1, overwrite_b=1)
+
+    matrix, x = blocks.copy(), padded.copy()
+    factor(1, matrix, inverse, *shape)
+    substitute(1, matrix, inverse, x, *shape)
+    done, failed = lapack.dpbtrf(lower, lower=1)
+    expected, _ = lapack.dpbtrs(done, right, lower=1)
+    difference = float(abs(x.ravel()[:size] - expected).max() / abs(expected).max())
+    if failed or not difference < 1e-6:
+        raise SystemExit(f"{name}: our band Cholesky differs from LAPACK's solution by {difference:.2g} relative")
+    spent = []
+    for _ in range(repeats):
+        # A launch without work is taken off; fresh copies, made outside the clock.
+        for passes in (0, 1):
+            matrix, x = blocks.copy(), padded.copy()
+            spent += cpu_seconds(functools.partial(ours, passes, matrix, x), 1)
+        spent += cpu_seconds(functools.partial(theirs, lower.copy(order="F"), right.copy()), 1)
+    empty, full, peer = (float(np.median(part)) * 1e3 for part in np.array(spent).reshape(-1, 3).T)
+    work = size * half_band * (half_band + 4 * solve) * 1e-6
+    return {"freedoms": size, "half_band": half_band, "difference": difference, "ours_ms": full - empty,
+            "lapack_ms": peer, "ratio": (full - empty) / peer, "ours_gflops": work / (full - empty),
+            "lapack_gflops": work / peer}
+
+
+def machine() -> dict:
+    model = platform.processor() or platform.machine()
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        lines = cpuinfo.read_text(encoding="utf-8").splitlines()
+        model = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), model)
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+    return {"cpu": model, "cores": os.cpu_count(), "system": platform.system(), "load_average": load}
+
+
+def option_parser(description: str) -> argparse.ArgumentParser:
+    """The options of every benchmark: ``--json`` and ``--repeats``."""
+    parser = argparse.ArgumentParser(description=description.partition("\n")[0])
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    parser.add_argument("--repeats", type=_repeats, default=5, help="repetitions (at least 1, default 5)")
+    return parser
+
+
+def _repeats(text: str) -> int:
+    repeats = int(text)
+    if repeats < 1:
+        raise argparse.ArgumentTypeError("must be at least 1")
+    return repeats
+
+
+def about(name: str, peers: Sequence[str] = ()) -> dict:
+    """How every result begins: name, date, machine, versions."""
+    return {"benchmark": name, "date": date.today().isoformat(), "machine": machine(),
+            "versions": {"Python": platform.python_version(), "tissue_sim": ts.__version__,
+                         **{each: version(each) for each in (*peers, "taichi", "numpy", "scipy")}}}
+
+
+def show(result: dict, draw: Callable[[dict, Console], None], *, as_json: bool) -> None:
+    """Print the result: one JSON object, or where it comes from and its tables."""
+    if as_json:
+        print(json.dumps(result))
+        return
+    console, found = Console(width=None if sys.stdout.isatty() else 150), result["machine"]
+    console.print(f"{result['date']}, {found['cpu']}, {found['cores']} cores, load {found['load_average']}; "
+                  + ", ".join(f"{name} {number}" for name, number in result["versions"].items()))
+    draw(result, console)
+
+
+def table(console: Console, title: str, headers: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """A table whose first column is words and whose others are numbers."""
+    drawn = Table(title=title, title_justify="left")
+    for i, header in enumerate(headers):
+        drawn.add_column(header, justify="left" if i == 0 else "right")
+    for row in rows:
+        drawn.add_row(*row)
+    console.print(drawn)
+
+
+def verdict(good: bool, target: str) -> str:
+    return f"{target} {'met' if good else 'missed'}"
+
+
+def spread(time: dict, digits: int = 2) -> str:
+    """A `summary` in ms: median (smallest to largest)."""
+    low, middle, high = (1e3 * time[name] for name in ("min_s", "median_s", "max_s"))
+    return f"{middle:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
