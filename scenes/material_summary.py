@@ -10,6 +10,7 @@ import numpy as np
 
 from calibration.pressure import format_pressure
 from tissue_sim.laws import check_stability
+from tissue_sim.material_file import EFFECTS
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -30,9 +31,12 @@ def summarise(material_file: MaterialFile) -> dict[str, Any]:
         "parameters": {name: msgspec.to_builtins(parameter) for name, parameter in material_file.parameters.items()},
         "E0_Pa": material.E0,
         "mu0_Pa": material.mu0,
+        "E_long_term_Pa": material.E_long_term,
+        "mu_long_term_Pa": material.mu_long_term,
         "K_Pa": bulk_modulus if math.isfinite(bulk_modulus) else None,
         "incompressible": not math.isfinite(bulk_modulus),
         "density_kg_m3": material.density,
+        **{key: msgspec.to_builtins(getattr(material_file, key)) for key in EFFECTS},
         "stability": {"stable": stability.stable, "stable_from": stability.stable_from,
                       "stable_to": stability.stable_to, "stretch_range": list(stability.stretch_range),
                       "modes": {mode: list(limits) for mode, limits in stability.limits.items()},
@@ -80,6 +84,43 @@ def valid_stretches(material_file: MaterialFile) -> tuple[float, float]:
     return float(low), float(high)
 
 
+def moduli(summary: dict[str, Any]) -> list[str]:
+    """Lines with the moduli: one of a material that does not relax, otherwise instantaneous, long-term, convention."""
+    K = "incompressible" if summary["incompressible"] else f"K {format_pressure(summary['K_Pa'])}"
+    E0, mu0 = format_pressure(summary["E0_Pa"]), format_pressure(summary["mu0_Pa"])
+    if summary["mu_long_term_Pa"] == summary["mu0_Pa"]:
+        return [f"E0 {E0}, mu0 {mu0}, {K}"]
+    stated = (summary["viscoelastic"] or {}).get("moduli", "instantaneous").replace("_", "-")
+    return [f"instantaneous E0 {E0}, mu0 {mu0}, {K}",
+            f"long-term E {format_pressure(summary['E_long_term_Pa'])}, mu "
+            f"{format_pressure(summary['mu_long_term_Pa'])}; the parameters above are {stated}"]
+
+
+def effects(summary: dict[str, Any]) -> list[str]:
+    """One line for each thing that the material has beside its law and its bulk response."""
+    lines = []
+    if series := summary["viscoelastic"]:
+        terms = "; ".join(f"g {_with_error(term, 'g')}, tau {_with_error(term, 'tau_s')} s" for term in series["terms"])
+        lines.append(f"viscoelastic (Prony series of the {series['form'].replace('_', ' ')} stress): {terms}")
+    if soft := summary["softening"]:
+        lines.append(f"softening on first load: loss {_with_error(soft, 'loss')}, modulus "
+                     f"{_with_error(soft, 'modulus_Pa', 0.0)} Pa, share {_with_error(soft, 'share', 1.0)}")
+    lines += [f"layer of {_with_error(layer, 'thickness_mm')} mm, moduli times {_with_error(layer, 'modulus_ratio')}"
+              for layer in summary["layers"] or ()]
+    if pores := summary["poroelasticity"]:
+        lines.append(f"drainage: phi {_with_error(pores, 'phi')}, diffusivity "
+                     f"{_with_error(pores, 'diffusivity_mm2_per_s')} mm2/s")
+    if hole := summary["puncture"]:
+        lines.append(f"puncture at {_with_error(hole, 'depth_mm')} mm: the force drops by {_with_error(hole, 'drop')} "
+                     "of itself")
+    return lines
+
+
+def _with_error(entry: dict[str, Any], key: str, absent: float | None = None) -> str:
+    error = entry.get("standard_errors", {}).get(key)
+    return f"{entry.get(key, absent):.6g}" + ("" if error is None else f" +- {error:.2g}")
+
+
 def print_summary(summary: dict[str, Any], console: Console) -> None:
     """Print `summarise` for people."""
     from rich.table import Table
@@ -96,8 +137,10 @@ def print_summary(summary: dict[str, Any], console: Console) -> None:
         error = parameter.get("standard_error")
         table.add_row(name, f"{parameter['value']:.6g}", "-" if error is None else f"{error:.3g}", parameter["unit"])
     console.print(table)
-    K = "incompressible" if summary["incompressible"] else f"K {format_pressure(summary['K_Pa'])}"
-    line(f"E0 {format_pressure(summary['E0_Pa'])}, mu0 {format_pressure(summary['mu0_Pa'])}, {K}")
+    for sentence in moduli(summary):
+        line(sentence)
+    for sentence in effects(summary):
+        line(sentence)
     if summary["density_kg_m3"] is not None:
         line(f"density {summary['density_kg_m3']:g} kg/m3")
     low, high = summary["stability"]["stretch_range"]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -18,83 +18,37 @@ from tissue_sim.decode import as_json_types, decode, read_json, require_writable
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.laws import check_stability, find_law
 from tissue_sim.material import Bulk, Material
+from tissue_sim.material_schema import (
+    BulkEntry,
+    CovarianceEntry,
+    LayerEntry,
+    ParameterEntry,
+    Part,
+    PoroelasticityEntry,
+    Provenance,
+    PunctureEntry,
+    SofteningEntry,
+    StabilityEntry,
+    ValidRange,
+    ViscoelasticEntry,
+    build_effects,
+    effect_parameters,
+    entries_of,
+)
 from tissue_sim.units import UNITS, to_si
 
-VERSION = 1
+#: Version 1 had a law and a bulk response only; such files are read as they are.
+VERSION = 2
 SCHEMA = f"tissue_sim/material/{VERSION}"
-#: Keys that later versions will fill.
-PLANNED = ("viscoelastic", "softening", "layers")
-Range = tuple[float, float]
+#: Keys of what a material has beside these.
+EFFECTS = ("viscoelastic", "softening", "layers", "poroelasticity", "puncture")
 
 
-class _Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """How every part of the file is read: unknown keys are errors, absent ones are not written."""
-
-
-class ParameterEntry(_Part, kw_only=True):
-    """A parameter; value and standard error share the unit."""
-
-    value: float
-    unit: str
-    standard_error: float | None = None
-
-
-class CovarianceEntry(_Part, kw_only=True):
-    """Covariance of the parameters in `order`, in the product of their units."""
-
-    order: tuple[str, ...]
-    matrix: tuple[tuple[float, ...], ...]
-
-
-class BulkEntry(_Part, kw_only=True):
-    """Exactly one of the four; see `tissue_sim.Bulk`."""
-
-    K_Pa: float | None = None
-    D1_per_Pa: float | None = None
-    bulk_ratio: float | None = None
-    incompressible: bool | None = None
-
-
-class ValidRange(_Part, kw_only=True):
-    """(lowest, highest) of what the parameters were fitted to."""
-
-    stretch: Range | None = None
-    strain_rate_per_s: Range | None = None
-    temperature_degC: Range | None = None
-
-
-class StabilityEntry(_Part, kw_only=True):
-    """Drucker stability; see `tissue_sim.check_stability`."""
-
-    stable_from: float
-    stable_to: float
-    stretch_range: Range
-    text: str = ""
-
-
-class SourceRecording(_Part, kw_only=True):
-    """A recording that the parameters come from."""
-
-    file: str
-    sha256: Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
-
-
-class Provenance(_Part, kw_only=True):
-    """Where the parameters come from; `residual` such as ``{"RMSE_Pa": 12.0}``, `date` in ISO 8601."""
-
-    recordings: tuple[SourceRecording, ...] = ()
-    method: str | None = None
-    software: str | None = None
-    version: str | None = None
-    date: str | None = None
-    residual: dict[str, float] = {}
-    settings: dict[str, Any] = {}
-
-
-class MaterialFile(_Part, kw_only=True):
+class MaterialFile(Part, kw_only=True):
     """A material with its uncertainty and its history.
 
-    Files may state stresses in Pa, kPa or MPa; a `MaterialFile` that was read, or made by `of`, is in SI throughout.
+    Files may state stresses in Pa, kPa or MPa; the parameters of the law in a `MaterialFile` that was read, or made by
+    `of`, are in SI. The other parts keep the units that their keys name.
     """
 
     schema: str
@@ -103,9 +57,11 @@ class MaterialFile(_Part, kw_only=True):
     parameters: dict[str, ParameterEntry]
     covariance: CovarianceEntry | None = None
     bulk: BulkEntry
-    viscoelastic: Any = None
-    softening: Any = None
-    layers: Any = None
+    viscoelastic: ViscoelasticEntry | None = None
+    softening: SofteningEntry | None = None
+    layers: tuple[LayerEntry, ...] | None = None
+    poroelasticity: PoroelasticityEntry | None = None
+    puncture: PunctureEntry | None = None
     density_kg_m3: float | None = None
     valid_range: ValidRange | None = None
     stability: StabilityEntry | None = None
@@ -113,14 +69,17 @@ class MaterialFile(_Part, kw_only=True):
 
     @classmethod
     def of(cls, material: Material, *, standard_errors: Mapping[str, float] | None = None, covariance=None,
-           valid_range: ValidRange | Mapping[str, Any] | None = None,
+           others: Sequence[str] = (), valid_range: ValidRange | Mapping[str, Any] | None = None,
            provenance: Provenance | Mapping[str, Any] | None = None) -> MaterialFile:
         """The file of a material, with its stability looked at.
 
         Args:
             material: the material.
-            standard_errors: parameter -> standard error, SI; from the covariance where that is given and this is not.
-            covariance: of the parameters in the order of the law, SI, shape (m, m).
+            standard_errors: parameter of the law -> standard error, SI, or path of another parameter, such as
+                ``"viscoelastic.terms[0].tau_s"``, -> in the unit of its key; from the covariance where that is given
+                and this is not.
+            covariance: shape (m, m), of the law's parameters in its order, SI.
+            others: paths of the parameters that the covariance holds after those of the law; it is then larger.
             valid_range: for example ``{"stretch": [0.8, 1.0]}``.
             provenance: software, version and date are filled in where they are missing.
 
@@ -128,16 +87,18 @@ class MaterialFile(_Part, kw_only=True):
             InputError: a value that the schema refuses, by its dotted field path.
         """
         law = material.energy_law
+        known = (*law.parameters, *effect_parameters(entries_of(material, {})))
         errors = dict(standard_errors or {})
         for name in errors:
-            if name not in law.units:
-                raise InputError(f"law {law.name} has no parameter {name!r}{nearest(name, law.parameters)}",
+            if name not in known:
+                raise InputError(f"this material has no parameter {name!r}{nearest(name, known)}",
                                  field=f"standard_errors.{name}")
         if covariance is not None:
             matrix = np.asarray(covariance, dtype=float)
-            covariance = decode({"order": law.parameters, "matrix": matrix.tolist()}, CovarianceEntry, "covariance")
-            _check_covariance(covariance, law)
-            errors = errors or dict(zip(law.parameters, np.sqrt(np.diag(matrix)).tolist(), strict=True))
+            order = (*law.parameters, *others)
+            covariance = decode({"order": order, "matrix": matrix.tolist()}, CovarianceEntry, "covariance")
+            _check_covariance(covariance, law, known)
+            errors = errors or dict(zip(order, np.sqrt(np.diag(matrix)).tolist(), strict=True))
         stability = check_stability(law, material.values)
         given = as_json_types(provenance or {})
         history = {"software": "tissue-sim", "version": tissue_sim.__version__,
@@ -148,7 +109,8 @@ class MaterialFile(_Part, kw_only=True):
             parameters={name: ParameterEntry(value=value, unit=law.units[name],
                                              standard_error=float(errors[name]) if name in errors else None)
                         for name, value in material.parameters.items()},
-            covariance=covariance, bulk=BulkEntry(**bulk), density_kg_m3=material.density,
+            covariance=covariance, bulk=BulkEntry(**bulk), **entries_of(material, errors),
+            density_kg_m3=material.density,
             valid_range=decode(as_json_types(valid_range), ValidRange | None, "valid_range"),
             stability=StabilityEntry(stable_from=stability.stable_from, stable_to=stability.stable_to,
                                      stretch_range=stability.stretch_range, text=stability.describe()),
@@ -160,7 +122,17 @@ class MaterialFile(_Part, kw_only=True):
         kind, value = next((kind, value) for kind, value in msgspec.structs.asdict(self.bulk).items()
                            if value is not None)
         return Material(self.law, {name: entry.value for name, entry in self.parameters.items()},
-                        Bulk(kind, None if kind == "incompressible" else value), self.density_kg_m3, self.name)
+                        Bulk(kind, None if kind == "incompressible" else value), self.density_kg_m3, self.name,
+                        **build_effects(self._effects))
+
+    @property
+    def effect_parameters(self) -> dict[str, tuple[float, float | None]]:
+        """Path of every parameter beside those of the law, such as ``softening.loss`` -> (value, standard error)."""
+        return effect_parameters(self._effects)
+
+    @property
+    def _effects(self) -> dict[str, Any]:
+        return {key: getattr(self, key) for key in EFFECTS}
 
 
 def load_material(path: str | Path) -> Material:
@@ -204,9 +176,6 @@ def decode_material_file(data: Any) -> MaterialFile:
     if not isinstance(data, dict):
         raise InputError('expected an object { "schema": ... }, found something else')
     _check_schema(data.get("schema"))
-    for key in PLANNED:
-        if data.get(key) is not None:
-            raise InputError("not available in this version; update tissue-sim or remove the key", field=key)
     parameters = data.get("parameters")
     if isinstance(parameters, dict):
         # One by one: msgspec names no keys of maps in its messages.
@@ -256,26 +225,32 @@ def checked(file: MaterialFile) -> MaterialFile:
         except ValueError:
             raise InputError(f"{file.provenance.date!r} is not an ISO 8601 date such as 2026-01-31T12:00:00+00:00",
                              field="provenance.date") from None
-    file = msgspec.structs.replace(file, parameters={
+    file = msgspec.structs.replace(file, schema=SCHEMA, parameters={
         name: ParameterEntry(value=factors[name] * entry.value, unit=law.units[name], standard_error=(
             None if entry.standard_error is None else factors[name] * entry.standard_error))
         for name, entry in file.parameters.items()})
     _ = file.material  # refuses missing parameters, a shear modulus <= 0, a bulk or density <= 0
     if file.covariance is not None:
-        _check_covariance(file.covariance, law)
-        scale = np.array([factors[name] for name in law.parameters])
+        order = file.covariance.order
+        _check_covariance(file.covariance, law, (*law.parameters, *file.effect_parameters))
+        scale = np.array([factors.get(name, 1.0) for name in order])
         matrix = np.outer(scale, scale) * np.array(file.covariance.matrix)
         rows = tuple(map(tuple, matrix.tolist()))
-        file = msgspec.structs.replace(file, covariance=CovarianceEntry(order=law.parameters, matrix=rows))
+        file = msgspec.structs.replace(file, covariance=CovarianceEntry(order=order, matrix=rows))
     require_writable(msgspec.to_builtins(file))  # a number near 1e308 MPa does not fit in Pa
     return file
 
 
-def _check_covariance(covariance: CovarianceEntry, law) -> None:
-    if covariance.order != law.parameters:
-        raise InputError(f"is {', '.join(covariance.order)}; expected the parameters of {law.name} in its order: "
-                         f"{', '.join(law.parameters)}", field="covariance.order")
+def _check_covariance(covariance: CovarianceEntry, law, known: Sequence[str]) -> None:
+    order = covariance.order
     m = len(law.parameters)
+    if order[:m] != law.parameters or len(set(order)) != len(order):
+        raise InputError(f"is {', '.join(order)}; expected the parameters of {law.name} in its order, "
+                         f"{', '.join(law.parameters)}, then others, each once", field="covariance.order")
+    for name in order[m:]:
+        if name not in known:
+            raise InputError(f"this material has no parameter {name!r}{nearest(name, known)}", field="covariance.order")
+    m = len(order)
     if [len(row) for row in covariance.matrix] != [m] * m:
         raise InputError(f"has rows of length {[len(row) for row in covariance.matrix]}, expected {m} rows of {m}",
                          field="covariance.matrix")

@@ -36,9 +36,14 @@ def add_arguments(parser: Parser) -> None:
     new.add_argument("--set", dest="settings", action="append", default=[], metavar="NAME=VALUE",
                      help="a parameter of the law, Pa (exponents: 1); once for each")
     bulk = new.add_mutually_exclusive_group()
-    bulk.add_argument("--bulk-ratio", type=positive, metavar="N", help="K / mu0, 10 to 1e6")
-    bulk.add_argument("--bulk-modulus-pa", type=positive, metavar="N", help="K in Pa, 10 to 1e6 times mu0")
+    bulk.add_argument("--bulk-ratio", type=positive, metavar="N", help="K / mu0, 2 to 1e6")
+    bulk.add_argument("--bulk-modulus-pa", type=positive, metavar="N", help="K in Pa, 2 to 1e6 times mu0")
     bulk.add_argument("--incompressible", action="store_true", help="no change of volume (default)")
+    new.add_argument("--prony", action="append", default=[], metavar="G,TAU_S",
+                     help="a term of the Prony series: share of the instantaneous modulus that relaxes, relaxation "
+                          "time in s; 1 to 4 times")
+    new.add_argument("--moduli", choices=("instantaneous", "long_term"), default="instantaneous",
+                     help="what the parameters of a law with --prony stand for (default: %(default)s)")
     new.add_argument("--name", default="", help="name for people")
     new.add_argument("--density-kg-m3", type=positive, metavar="N", help="density")
     new.add_argument("-o", dest="output", type=Path, required=True, metavar="FILE", help="NAME.material.json")
@@ -58,7 +63,7 @@ def run_new(arguments) -> int:
     else:
         bulk = ts.Bulk()
     material = ts.Material(arguments.law, read_settings(arguments.settings), bulk, density=arguments.density_kg_m3,
-                           name=arguments.name)
+                           name=arguments.name, viscoelastic=read_prony(arguments.prony, arguments.moduli))
     check_bulk(material, "--bulk-ratio" if arguments.bulk_ratio is not None else "--bulk-modulus-pa")
     ts.write_material_file(ts.MaterialFile.of(material), arguments.output)
     if arguments.json:
@@ -66,8 +71,9 @@ def run_new(arguments) -> int:
     else:
         from calibration.pressure import format_pressure
 
+        relaxed = "" if material.viscoelastic is None else f", long-term mu {format_pressure(material.mu_long_term)}"
         results_console().print(f"wrote {arguments.output}: E0 {format_pressure(material.E0)}, "
-                                f"mu0 {format_pressure(material.mu0)}", markup=False, soft_wrap=True)
+                                f"mu0 {format_pressure(material.mu0)}{relaxed}", markup=False, soft_wrap=True)
     return 0
 
 
@@ -108,6 +114,31 @@ def read_settings(settings: list[str]) -> dict[str, float]:
     return parameters
 
 
+def read_prony(terms: list[str], moduli: str):
+    """``["0.3,2"]`` -> a `Prony` series with g 0.3 and tau 2 s; None of no terms.
+
+    Raises:
+        InputError: a term that is not two numbers, or one that `Prony` refuses.
+    """
+    from tissue_sim.viscoelasticity import Prony, PronyTerm
+
+    if not terms:
+        if moduli != "instantaneous":
+            raise InputError("needs a Prony series to relax by; give --prony G,TAU_S as well", field="--moduli")
+        return None
+    try:
+        pairs = [tuple(map(float, term.split(","))) for term in terms]
+    except ValueError:
+        pairs = [()]
+    if any(len(pair) != 2 for pair in pairs):
+        raise InputError(f"{', '.join(map(repr, terms))}: expected a share and a time in s, such as 0.3,2",
+                         field="--prony")
+    try:
+        return Prony(tuple(PronyTerm(*pair) for pair in pairs), moduli)
+    except InputError as error:
+        raise error.located(field="--prony") from None
+
+
 def run_show(arguments) -> int:
     from scenes.material_summary import print_summary, summarise
     from tissue_sim import read_material_file
@@ -121,13 +152,19 @@ def run_show(arguments) -> int:
 
 
 def run_check(arguments) -> int:
-    from scenes.material_summary import loss_of_stability
+    from scenes.material_summary import effects, loss_of_stability, moduli, summarise
     from tissue_sim import read_material_file
 
     material_file = read_material_file(arguments.file)
     lost = loss_of_stability(material_file)
+    summary = summarise(material_file)
+    notes = effects(summary)
+    # The moduli are worth telling where there is more than one of each.
+    notes = [*moduli(summary), *notes] if notes else []
     if arguments.json:
-        print_json({"material_file": str(arguments.file), "stable": lost is None, "message": lost or "good"})
+        print_json({"material_file": str(arguments.file), "stable": lost is None, "message": lost or "good",
+                    "notes": notes})
     else:
-        results_console().print(f"{arguments.file}: {lost or 'good'}", markup=False, soft_wrap=True)
+        for sentence in (*notes, f"{arguments.file}: {lost or 'good'}"):
+            results_console().print(sentence, markup=False, soft_wrap=True)
     return 0 if lost is None else 1

@@ -8,6 +8,10 @@ import tissue_sim as ts
 from scenes.cli import main
 from scenes.commands.material import read_settings
 from tissue_sim.errors import InputError
+from tissue_sim.layer import Layer
+from tissue_sim.puncture import Puncture
+from tissue_sim.softening import Softening
+from tissue_sim.viscoelasticity import Poroelasticity, Prony, PronyTerm
 
 #: The study's reduced polynomial: E0 8429.6 Pa, mu0 2809.8 Pa.
 NEW = ["material", "new", "--law", "reduced_polynomial_2", "--set", "C10=1404.9", "--set", "C20=699.4"]
@@ -78,6 +82,50 @@ def test_show_standard_errors(tmp_path, capsys):
     assert "12.5" in text and "0.86 to 1" in text
 
 
+@pytest.fixture
+def relaxing(tmp_path):
+    """Everything that a material can have; the instantaneous mu0 is 2809.8 Pa / (1 - 0.3 - 0.1)."""
+    path = tmp_path / "v.material.json"
+    material = ts.Material(
+        "reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, name="relaxing",
+        viscoelastic=Prony((PronyTerm(0.3, 2.0), PronyTerm(0.1, 40.0)), "long_term"), softening=Softening(0.4, 50.0),
+        layers=(Layer(2e-3, 3.0),), poroelasticity=Poroelasticity(0.2, 1e-8), puncture=Puncture(6e-3, 0.25))
+    errors = {"viscoelastic.terms[0].g": 0.01, "viscoelastic.terms[1].tau_s": 4.0, "layers[0].thickness_mm": 0.1}
+    ts.write_material_file(ts.MaterialFile.of(material, standard_errors=errors), path)
+    return path
+
+
+def test_show_tells_both_moduli_and_every_effect(relaxing, capsys):
+    assert main(["material", "show", str(relaxing)]) == 0
+    text = capsys.readouterr().out
+    for expected in ("instantaneous E0 14.049 kPa, mu0 4.683 kPa, incompressible",
+                     "long-term E 5.6196 kPa, mu 1.8732 kPa; the parameters above are long-term",
+                     "viscoelastic (Prony series of the isochoric second piola stress): "
+                     "g 0.3 +- 0.01, tau 2 s; g 0.1, tau 40 +- 4 s",
+                     "softening on first load: loss 0.4, modulus 50 Pa, share 1",
+                     "layer of 2 +- 0.1 mm, moduli times 3", "drainage: phi 0.2, diffusivity 0.01 mm2/s",
+                     "puncture at 6 mm: the force drops by 0.25 of itself"):
+        assert expected in text
+    assert main(["material", "show", str(relaxing), "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["mu0_Pa"] == pytest.approx(4683.0) and summary["mu_long_term_Pa"] == pytest.approx(1873.2)
+    assert summary["viscoelastic"]["moduli"] == "long_term"
+    assert summary["viscoelastic"]["terms"][0]["standard_errors"] == {"g": 0.01}
+
+
+def test_check_tells_them_too_and_ends_with_the_verdict(relaxing, capsys):
+    assert main(["material", "check", str(relaxing)]) == 0
+    text = capsys.readouterr().out
+    assert "long-term E 5.6196 kPa" in text and "tau 40 +- 4 s" in text and text.endswith("v.material.json: good\n")
+
+
+def test_new_with_a_prony_series(tmp_path, capsys):
+    path = tmp_path / "m.material.json"
+    assert main([*NEW, "--prony", "0.3,2", "--prony", "0.1,40", "--moduli", "long_term", "-o", str(path)]) == 0
+    assert "mu0 4.683 kPa, long-term mu 2.8098 kPa" in capsys.readouterr().out
+    assert ts.load_material(path).viscoelastic == Prony((PronyTerm(0.3, 2.0), PronyTerm(0.1, 40.0)), "long_term")
+
+
 def unstable(path, lowest):
     """Loses Drucker stability in compression: a negative second coefficient."""
     material = ts.Material("reduced_polynomial_2", {"C10": 1000.0, "C20": -400.0})
@@ -135,7 +183,12 @@ def test_existing_file_is_kept(material, capsys):
     (["--law", "neo_hooke", "--set", "C10=-1"], "must be positive"),
     (["--law", "neo_hooke", "--set", "C10=nan"], "expected a finite number"),
     (["--law", "neo_hooke", "--set", "C10=1", "--bulk-ratio", "2", "--incompressible"], "not allowed with"),
-    (["--law", "neo_hooke", "--set", "C10=1", "--bulk-ratio", "5"], "--bulk-ratio: K / mu0 is 5, outside 10 to 1e+06"),
+    (["--law", "neo_hooke", "--set", "C10=1", "--bulk-ratio", "1"], "--bulk-ratio: K / mu0 is 1, outside 2 to 1e+06"),
+    (["--law", "neo_hooke", "--set", "C10=1", "--prony", "0.3"], "--prony: '0.3': expected a share and a time in s"),
+    (["--law", "neo_hooke", "--set", "C10=1", "--prony", "0.3,x"], "--prony: '0.3,x': expected a share"),
+    (["--law", "neo_hooke", "--set", "C10=1", "--prony", "0.6,1", "--prony", "0.4,9"], "--prony.terms: the g of all"),
+    (["--law", "neo_hooke", "--set", "C10=1", "--prony", "0.3,0"], "--prony.tau: 0 s is not a positive time"),
+    (["--law", "neo_hooke", "--set", "C10=1", "--moduli", "long_term"], "--moduli: needs a Prony series"),
     (["--law", "neo_hooke", "--set", "C10=1", "--bulk-modulus-pa", "1e9"], "--bulk-modulus-pa: K / mu0 is 5e+08"),
 ])
 def test_bad_parameters_write_nothing(words, expected, tmp_path, capsys):

@@ -13,7 +13,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from tissue_sim.material_file import Provenance, SourceRecording, ValidRange, decode_material_file
+from tissue_sim.material_file import decode_material_file
+from tissue_sim.material_schema import Provenance, SourceRecording, ValidRange
 
 YEOH = ts.Material("reduced_polynomial_3", {"C10": 7702.0, "C20": -63.0, "C30": 248.0}, ts.Bulk("bulk_ratio", 1e3),
                    density=1040.0, name="EF10_0T")
@@ -76,7 +77,7 @@ def test_the_file_is_for_people(data, tmp_path):
     assert '      "unit": "Pa",\n' in text and '      [4.0, -1.0, 0.5],\n' in text and '"stretch": [0.34, 1.0]' in text
     assert list(data) == ["schema", "name", "law", "parameters", "covariance", "bulk", "density_kg_m3", "valid_range",
                           "stability", "provenance"]
-    assert data["schema"] == "tissue_sim/material/1"
+    assert data["schema"] == "tissue_sim/material/2"
 
 
 def test_text_that_looks_like_a_list_is_kept(tmp_path):
@@ -186,7 +187,7 @@ def drop(*keys):
 
 
 REFUSED = {
-    "newer": (put("schema", "tissue_sim/material/2"), "schema", "newer version.*update tissue-sim"),
+    "newer": (put("schema", "tissue_sim/material/3"), "schema", "newer version.*update tissue-sim"),
     "no schema": (drop("schema"), "schema", "missing"),
     "other schema": (put("schema", "tissue_sim/rig/1"), "schema", "not a material schema"),
     "schema of another type": (put("schema", 1), "schema", "not a material schema"),
@@ -225,9 +226,6 @@ REFUSED = {
     "not incompressible": (put("bulk", {"incompressible": False}), "bulk", "exactly one"),
     "negative bulk": (put("bulk", "bulk_ratio", -1.0), "bulk.bulk_ratio", "not a positive number"),
     "negative density": (put("density_kg_m3", -1.0), "density_kg_m3", "not a positive density"),
-    "viscoelastic": (put("viscoelastic", {"terms": []}), "viscoelastic", "not available in this version"),
-    "softening": (put("softening", {}), "softening", "not available in this version"),
-    "layers": (put("layers", []), "layers", "not available in this version"),
     "range backwards": (put("valid_range", "stretch", [1.0, 0.5]), "valid_range.stretch", "runs backwards"),
     "range of one": (put("valid_range", "stretch", [1.0]), "valid_range.stretch", "length 2, got 1"),
     "negative stretch": (put("valid_range", "stretch", [-0.1, 1.0]), "valid_range.stretch", "above 0"),
@@ -267,7 +265,7 @@ def test_a_fixed_parameter_has_a_row_of_zeros():
 
 def test_damaged_files(tmp_path):
     path = tmp_path / "m.json"
-    path.write_text('{"schema": "tissue_sim/material/1",\n "law": neo}', encoding="utf-8")
+    path.write_text('{"schema": "tissue_sim/material/2",\n "law": neo}', encoding="utf-8")
     error = refusal(path)
     assert error.line == 2 and "damaged JSON at column 9" in error.problem
     path.write_text('{"law": "a", "law": "b"}', encoding="utf-8")

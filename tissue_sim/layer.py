@@ -1,0 +1,28 @@
+"""A layer of another stiffness, such as skin."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissue_sim.errors import InputError
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A layer of the specimen, counted from its top face down; what is below the last one is the material itself.
+
+    Attributes:
+        thickness: undeformed, m.
+        ratio: every modulus of the material, bulk included, times this; 1 is absent.
+    """
+
+    thickness: float
+    ratio: float
+
+    def __post_init__(self):
+        if not 0 < self.thickness < np.inf:
+            raise InputError(f"{self.thickness:g} m is not a positive thickness", field="thickness")
+        if not 0 < self.ratio < np.inf:
+            raise InputError(f"{self.ratio:g} is not a positive ratio of moduli", field="ratio")

@@ -1,0 +1,31 @@
+"""Puncture under a needle as a stated drop of its force."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissue_sim.errors import InputError
+
+
+@dataclass(frozen=True)
+class Puncture:
+    """From the first time that the needle passes `depth` on, its force is (1 - drop) of what it would be.
+
+    A reduced form: the tissue is not cut. Plates do not puncture.
+
+    Attributes:
+        depth: of the needle at which the surface gives way, m.
+        drop: share of the force that is lost for good, 0 (absent) to below 1.
+    """
+
+    depth: float
+    drop: float
+
+    def __post_init__(self):
+        if not 0 < self.depth < np.inf:
+            raise InputError(f"{self.depth:g} m is not a positive depth", field="depth")
+        if not 0 <= self.drop < 1:
+            raise InputError(f"{self.drop:g} is outside 0 to 1 (1 excluded); give the share of the force that is lost",
+                             field="drop")
