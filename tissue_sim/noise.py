@@ -1,0 +1,31 @@
+"""Noise of a sensor, white or coloured."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def sensor_noise(samples: int, standard_deviation: float, seed: int, *, time: np.ndarray | None = None,
+                 correlation_time: float = 0.0) -> np.ndarray:
+    """Gaussian noise with autocorrelation exp(-lag / correlation_time), white where that time is 0.
+
+    The coloured one is the Ornstein-Uhlenbeck process, exact for any spacing of the samples (Gillespie, Phys. Rev. E
+    54 (1996) 2084); on an even grid it is the autoregressive process AR(1).
+
+    Args:
+        samples: how many, n.
+        standard_deviation: of every sample, in the unit of the result.
+        seed: the same seed gives the same noise.
+        time: s, shape (n,); needed with a correlation time only.
+        correlation_time: s.
+
+    Returns:
+        Shape (n,).
+    """
+    noise = np.random.default_rng(seed).normal(0.0, standard_deviation, samples)
+    if correlation_time:
+        kept = np.exp(-np.diff(time) / correlation_time)
+        fresh = np.sqrt(1.0 - kept**2) * noise[1:]
+        for sample, (share, part) in enumerate(zip(kept.tolist(), fresh.tolist(), strict=True), start=1):
+            noise[sample] = share * noise[sample - 1] + part
+    return noise
