@@ -1,4 +1,4 @@
-"""What the commands share in reading their arguments: one-sentence errors, numbers, options of later versions."""
+"""What the commands share in reading their arguments: one-sentence errors, numbers, files to write."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from tissue_sim.errors import InputError
+
+#: Words for an interface; a test holds them against those of `tissue_sim.experiment`, which needs numpy.
+INTERFACES = ("bonded", "stick", "frictionless")
 
 
 class Parser(argparse.ArgumentParser):
@@ -26,22 +29,9 @@ class Parser(argparse.ArgumentParser):
         return (option for action in self._actions for option in action.option_strings)
 
 
-class LaterOption(argparse.Action):
-    """An option whose name is settled and whose work is not in this version."""
-
-    def __call__(self, parser, namespace, values, option_string=None):
-        raise InputError(later_answer(f"option {option_string} of {parser.prog.removeprefix('tissue-sim ')!r}"))
-
-
 def later_answer(what: str) -> str:
     """The one sentence for everything that is planned."""
     return f"{what} is not available in this version; 'tissue-sim --help' lists what is"
-
-
-def add_later_options(parser: Parser, *names: str) -> None:
-    """Options that are known and answered as not available; they do not show in the help."""
-    for name in names:
-        parser.add_argument(name, action=LaterOption, nargs="?", help=argparse.SUPPRESS)
 
 
 def add_json(parser: Parser) -> None:
@@ -65,6 +55,27 @@ def not_negative(text: str) -> float:
     value = _number(text)
     if not value >= 0:
         raise argparse.ArgumentTypeError(f"{text!r} is not a number of zero or more")
+    return value
+
+
+def between(lowest: float, highest: float):
+    """A number above `lowest` and below `highest`."""
+    def inside(text: str) -> float:
+        value = _number(text)
+        if not lowest < value < highest:
+            raise argparse.ArgumentTypeError(f"{text!r} is not a number between {lowest:g} and {highest:g}")
+        return value
+    return inside
+
+
+def interface(text: str) -> str | float:
+    """How a face holds the tissue: a word of `INTERFACES`, or Coulomb's coefficient of friction."""
+    if text in INTERFACES:
+        return text
+    value = _number(text)
+    if not value >= 0:
+        raise argparse.ArgumentTypeError(f"{text!r} is none of {', '.join(INTERFACES)} and not a friction coefficient "
+                                         "such as 0.7")
     return value
 
 

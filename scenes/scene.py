@@ -17,7 +17,7 @@ class Scene:
     Attributes:
         name: as on the command line.
         title: for figures.
-        friction: interface of the tool's face.
+        friction: interface of the tool's face: bonded, stick, frictionless or Coulomb's coefficient of friction.
         friction_base: interface of the base.
         friction_wall: interface of a needle's shaft.
         tool: what is pushed in.
@@ -25,9 +25,9 @@ class Scene:
 
     name: str
     title: str
-    friction: str
-    friction_base: str
-    friction_wall: str = "frictionless"
+    friction: str | float
+    friction_base: str | float
+    friction_wall: str | float = "frictionless"
     tool: Tool = field(default_factory=Tool)
 
     def experiment(self, *, specimen: Specimen, protocol: Protocol, **overrides: Any) -> Experiment:
@@ -36,7 +36,8 @@ class Scene:
         Args:
             specimen: geometry, and whether it weighs.
             protocol: motion of the tool.
-            overrides: `tool`, `friction`, `friction_base` or `friction_wall` in place of the scene's own.
+            overrides: other fields of `Experiment`; `tool`, `friction`, `friction_base` and `friction_wall` in place
+                of the scene's own.
 
         Raises:
             InputError: what `Experiment` refuses.

@@ -8,7 +8,9 @@ import pytest
 
 import tissue_sim as ts
 from scenes.cli import main
-from scenes.commands.simulate import FIELDS, SCENE_NAMES
+from scenes.commands.simulate import FIELDS
+from scenes.experiment_flags import SCENE_NAMES, SHAPES
+from scenes.parsing import INTERFACES
 from tissue_sim.errors import ConvergenceError
 
 KEYS = {"displacement_mm", "time_s", "force_N", "status", "message", "warnings", "newton_iterations", "wall_s", "mesh",
@@ -27,6 +29,13 @@ def test_scene_names_are_those_of_the_scenes():
     from scenes import SCENES
 
     assert set(SCENE_NAMES) == set(SCENES)
+
+
+def test_tools_and_interfaces_are_those_of_the_experiment():
+    from tissue_sim import experiment, tool
+
+    assert set(SHAPES) <= set(tool.SHAPES)
+    assert INTERFACES == experiment.INTERFACES
 
 
 def test_field_names_are_those_of_the_fields():
@@ -187,6 +196,48 @@ def test_needle_flags(material, capsys):
     assert forces[2] < 0.97 * forces[0] and forces[3] < forces[0]
 
 
+def test_measures_reach_the_experiment_in_si(material, monkeypatch):
+    """Every flag of tool, contact and tilt, as a solver that only looks at its model sees them."""
+    seen = []
+
+    def look(model, **options):
+        seen.append(model.experiment)
+        raise ConvergenceError("seen")
+
+    monkeypatch.setattr(ts, "simulate", look, raising=False)
+    words = ["simulate", "needle_indentation", "--material", material, "--tool", "cone", "--tool-radius-mm", "6",
+             "--half-angle-deg", "30", "--tip-radius-mm", "0.5", "--friction", "0.7", "--friction-base", "stick",
+             "--friction-wall", "0.2", "--adhesion-N", "0.05", "--adhesion-length-mm", "0.4", "--tilt-mm", "0.3"]
+    assert main(words) == 1
+    (experiment,) = seen
+    tool = experiment.tool
+    assert (tool.shape, tool.radius, tool.tip_radius) == ("cone", pytest.approx(0.006), pytest.approx(0.0005))
+    assert tool.half_angle == pytest.approx(np.pi / 6)
+    assert (experiment.friction, experiment.friction_base, experiment.friction_wall) == (0.7, "stick", 0.2)
+    assert (experiment.adhesion.force, experiment.adhesion.length) == (0.05, pytest.approx(0.0004))
+    assert experiment.tilt == pytest.approx(0.0003)
+
+
+def test_profile_of_a_file(material, tmp_path, capsys):
+    """The outline of a flat needle of 8 mm with an edge radius of 1 mm, drawn with 40 lines, is that needle."""
+    angle = np.linspace(0, np.pi / 2, 40)
+    outline = [(0.0, 0.0), *zip(7 + np.sin(angle), 1 - np.cos(angle), strict=True), (8.0, 60.0)]
+    path = tmp_path / "tool.csv"
+    path.write_text("r [mm],z [mm]\n" + "".join(f"{r:.6f},{z:.6f}\n" for r, z in outline), encoding="utf-8")
+    words = ["needle_indentation", "--depth-mm", "4", "--points", "5", "--friction", "0.7"]
+    drawn = simulate_json(capsys, material, *words, "--tool", str(path))["force_N"]
+    assert drawn == pytest.approx(simulate_json(capsys, material, *words, "--edge-radius-mm", "1")["force_N"], rel=5e-3)
+
+
+def test_pointed_needles_press_less(material, capsys):
+    """Sneddon: at the same depth a cone and a sphere touch less, and press less, than a flat face of their radius."""
+    words = ["needle_indentation", "--depth-mm", "2", "--points", "3", "--friction", "0.7"]
+    flat, sphere, cone = (simulate_json(capsys, material, *words, *tool)["force_N"][-1] for tool in (
+        ["--edge-radius-mm", "0.25"], ["--tool", "sphere"],
+        ["--tool", "cone", "--half-angle-deg", "60", "--tip-radius-mm", "0.5"]))
+    assert 0 < cone < sphere < flat
+
+
 def test_self_weight(material, capsys):
     """One-dimensional solution of the study's lubricated column: sag 2.780 mm, 1.3979 and 3.7793 N at 2 and 5 mm.
 
@@ -221,15 +272,16 @@ def test_contact_and_weight_are_told(material, capsys):
     (["bonded_compression", "--tool", "flat"], "--tool: bonded_compression is not done with the tool 'flat'; use scene "
                                                "needle_indentation"),
     (["needle_indentation", "--tool", "plate"], "use scene lubricated_compression or bonded_compression"),
-    (["needle_indentation", "--tool", "round"], "'round' is not available in this version"),
+    (["needle_indentation", "--tool", "wedge"], "'wedge'"),
     (["bonded_compression", "--tool-radius-mm", "8"], "a plate covers the whole top face and has no radius"),
     (["bonded_compression", "--edge-radius-mm", "1"], "a plate covers the whole top face and has no radius"),
     (["bonded_compression", "--friction-wall", "stick"], "--friction-wall: a plate has no shaft"),
-    (["bonded_compression", "--friction", "0.7"], "'0.7' is not available in this version"),
     (["needle_indentation", "--friction", "frictionless"], "slides round a sharp edge"),
     (["needle_indentation", "--friction-wall", "bonded"], "use 'stick' or 'frictionless'"),
     (["needle_indentation", "--edge-radius-mm", "8"], "does not fit a tool of radius"),
     (["needle_indentation", "--tool-radius-mm", "40"], "must be smaller than the specimen's"),
+    (["needle_indentation", "--adhesion-N", "0.1"], "--adhesion-N: adhesion needs a force and a length"),
+    (["needle_indentation", "--adhesion-length-mm", "1"], "--adhesion-length-mm: adhesion needs a force and a length"),
     (["needle_indentation", "--gravity"], "states none; add --density-kg-m3"),
     (["needle_indentation", "--density-kg-m3", "1040"], "--density-kg-m3: matters to a specimen that weighs only"),
     (["needle_indentation", "--height-is", "placed"], "--height-is: matters to a specimen that weighs only"),

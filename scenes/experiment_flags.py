@@ -1,0 +1,143 @@
+"""The flags that state an experiment, and the experiment that they make."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from scenes.parsing import Parser, at_least, between, interface, not_negative, positive
+from tissue_sim.errors import InputError, nearest
+
+if TYPE_CHECKING:
+    from tissue_sim import Experiment, Material, Protocol, Tool
+
+#: Names only: scenes and tools themselves need numpy, and help must answer at once. A test holds these against them.
+SCENE_NAMES = ("lubricated_compression", "bonded_compression", "friction_compression", "needle_indentation")
+SHAPES = ("plate", "flat", "round", "cone", "sphere")
+MOST_POINTS = 100_000
+DEPTH_MM = 10.0
+
+
+def add_experiment_flags(parser: Parser) -> None:
+    """Motion, specimen, tool and interfaces, each in a group of its own."""
+    motion = parser.add_argument_group("motion")
+    motion.add_argument("--depth-mm", type=positive, metavar="N",
+                        help=f"largest tool displacement of a plain ramp (default: {DEPTH_MM:g})")
+    motion.add_argument("--protocol", metavar="TEXT",
+                        help="segments in place of --depth-mm: 'approach 2mm; ramp 10mm @0.248mm/s; hold 60s; unload; "
+                             "reload; retract 2mm', 'repeat 3 (ramp 5mm; unload)'")
+    motion.add_argument("--points", type=at_least(2, MOST_POINTS), metavar="N", default=21,
+                        help="points of the ramp, or of each segment that moves, its start included (default: 21)")
+    motion.add_argument("--speed-mm-s", type=positive, metavar="N", default=0.248,
+                        help="of the tool, until the protocol names one (default: 0.248)")
+    specimen = parser.add_argument_group("specimen")
+    specimen.add_argument("--radius-mm", type=positive, metavar="N", default=40.0, help="of the cylinder (default: 40)")
+    specimen.add_argument("--height-mm", type=positive, metavar="N", default=70.0, help="of the cylinder (default: 70)")
+    specimen.add_argument("--gravity", action="store_true", help="let the specimen weigh, and settle before the test")
+    specimen.add_argument("--density-kg-m3", type=positive, metavar="N", help="default: that of the material file")
+    specimen.add_argument("--height-is", choices=("moulded", "placed"),
+                          help="--height-mm is that before (moulded) or after settling (placed; default: moulded)")
+    tool = parser.add_argument_group("tool and interfaces (defaults: those of the scene)")
+    tool.add_argument("--tool", metavar="SHAPE",
+                      help=f"{', '.join(SHAPES)}, or a file with two columns, r and z of its profile")
+    tool.add_argument("--tool-radius-mm", type=positive, metavar="N", help="of the needle (default: 8)")
+    tool.add_argument("--edge-radius-mm", type=not_negative, metavar="N",
+                      help="of the rounding between a flat face and the shaft (default: 0)")
+    tool.add_argument("--half-angle-deg", type=between(0, 90), metavar="N", help="of a cone, from its axis")
+    tool.add_argument("--tip-radius-mm", type=not_negative, metavar="N", help="of the rounded tip of a cone")
+    for flag, face in (("--friction", "tool's face"), ("--friction-base", "base"), ("--friction-wall", "shaft")):
+        tool.add_argument(flag, type=interface, metavar="HOW",
+                          help=f"{face}: bonded, stick (no slip, can lift off), frictionless or a friction coefficient")
+    tool.add_argument("--adhesion-N", type=positive, metavar="N", help="pull-off force of the tool's face")
+    tool.add_argument("--adhesion-length-mm", type=positive, metavar="N", help="gap over which the adhesion acts")
+    tool.add_argument("--tilt-mm", type=positive, metavar="N", help="height difference across the specimen's top face")
+
+
+def check_scene(name: str) -> None:
+    """Raises InputError: no such scene."""
+    if name not in SCENE_NAMES:
+        raise InputError(f"unknown scene {name!r}{nearest(name, SCENE_NAMES)}")
+
+
+def build_protocol(arguments) -> Protocol:
+    """The motion: a plain ramp, or the segments of ``--protocol``.
+
+    Raises:
+        InputError: both are stated, or a fault in the protocol.
+    """
+    from tissue_sim import Protocol
+
+    speed = arguments.speed_mm_s * 1e-3
+    if arguments.protocol is None:
+        return Protocol.ramp((arguments.depth_mm or DEPTH_MM) * 1e-3, arguments.points, speed)
+    if arguments.depth_mm is not None:
+        raise InputError("--protocol states its own depths; leave one of the two out", field="--depth-mm")
+    return Protocol.parse(arguments.protocol, arguments.points, speed)
+
+
+def build_experiment(arguments, protocol: Protocol, material: Material) -> Experiment:
+    """The scene with what the flags change in it.
+
+    Raises:
+        InputError: flags that do not fit the scene or each other, or what the experiment refuses.
+    """
+    import tissue_sim as ts
+    from scenes.catalogue import SCENES
+    from tissue_sim.experiment import STANDARD_GRAVITY
+
+    scene = SCENES[arguments.scene]
+    shape, profile = _shape(arguments.tool or scene.tool.shape)
+    if (shape == "plate") != (scene.tool.shape == "plate"):
+        fitting = [name for name, other in SCENES.items() if (other.tool.shape == "plate") == (shape == "plate")]
+        raise InputError(f"{scene.name} is not done with the tool {shape!r}; use scene {' or '.join(fitting)}",
+                         field="--tool")
+    if shape == "plate" and arguments.friction_wall is not None:
+        raise InputError("a plate has no shaft; leave it out", field="--friction-wall")
+    weight = {}
+    if arguments.gravity:
+        density = arguments.density_kg_m3 or material.density
+        if density is None:
+            raise InputError(f"the specimen's density is not known: {arguments.material} states none; add "
+                             "--density-kg-m3", field="--gravity")
+        weight = {"density": density, "gravity": STANDARD_GRAVITY, "height_is": arguments.height_is or "moulded"}
+    for name in ("density_kg_m3", "height_is"):
+        if getattr(arguments, name) is not None and not arguments.gravity:
+            raise InputError("matters to a specimen that weighs only; add --gravity or leave it out",
+                             field=f"--{name.replace('_', '-')}")
+    changes = {name: value for name in ("friction", "friction_base", "friction_wall")
+               if (value := getattr(arguments, name)) is not None}
+    if (arguments.adhesion_N is None) != (arguments.adhesion_length_mm is None):
+        raise InputError("adhesion needs a force and a length; give both or neither",
+                         field="--adhesion-N" if arguments.adhesion_N is not None else "--adhesion-length-mm")
+    if arguments.adhesion_N is not None:
+        from tissue_sim.experiment import Adhesion
+
+        changes["adhesion"] = Adhesion(arguments.adhesion_N, arguments.adhesion_length_mm * 1e-3)
+    if arguments.tilt_mm is not None:
+        changes["tilt"] = arguments.tilt_mm * 1e-3
+    return scene.experiment(
+        specimen=ts.Specimen(arguments.radius_mm * 1e-3, arguments.height_mm * 1e-3, **weight), protocol=protocol,
+        tool=_tool(arguments, shape, profile, scene.tool), **changes)
+
+
+def _shape(word: str) -> tuple[str, Path | None]:
+    """Shape of the tool and the file of its profile: what is no shape and has an ending or a folder is a file."""
+    path = Path(word)
+    if word in SHAPES or not (path.suffix or len(path.parts) > 1):
+        return word, None
+    return "profile", path
+
+
+def _tool(arguments, shape: str, profile: Path | None, own: Tool) -> Tool:
+    """The scene's `own` tool with what the flags change in it; the measures of a profile are those of its file."""
+    from tissue_sim import Tool
+
+    changes = {name: value * factor for name, value, factor in (
+        ("radius", arguments.tool_radius_mm, 1e-3), ("edge_radius", arguments.edge_radius_mm, 1e-3),
+        ("tip_radius", arguments.tip_radius_mm, 1e-3), ("half_angle", arguments.half_angle_deg, math.pi / 180),
+    ) if value is not None}
+    if profile is not None:
+        return Tool(shape, profile_file=profile, **changes)
+    return replace(own, shape=shape, **changes)
