@@ -49,7 +49,7 @@ def draw_simulation(recording: Recording, model: Model, path: Path, field: str =
     if recording.fields is None:
         raise InputError("this recording carries no fields; simulate with fields=True", field="fields")
     specimen, tool = model.experiment.specimen, model.experiment.tool
-    panels = {"section": 1.25} | ({"fold": 0.75} if tool.profile else {}) | {"curve": 1.0}
+    panels = {"section": 1.25} | ({"fold": 0.75} if tool.shape != "plate" else {}) | {"curve": 1.0}
     if specimen.radius > 1.5 * specimen.height:
         figure = Figure(figsize=(10, 6.4), layout="constrained")
         layout = [["section"] * (len(panels) - 1), list(panels)[1:]]
@@ -94,7 +94,7 @@ def draw_section(axes, fields: Fields, name: str, sample: int = -1, *, tool: Too
     width = 1.18 * max(radius, place[:, 0].max())
     base, plate = place[:, 1][mesh.sets["base"]].min(), 0.05 * max(height, 0.5 * radius)
     axes.fill_between([-width, width], base, base - plate, color=RIGID, linewidth=0)
-    if tool.profile is None:
+    if tool.shape == "plate":
         tip = _contact_height(mesh, place, tool)
         axes.fill_between([-width, width], tip, tip + plate, color=RIGID, linewidth=0)
     else:

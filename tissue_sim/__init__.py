@@ -9,7 +9,8 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "Bulk": "material", "Material": "material",
-    "Experiment": "experiment", "Model": "experiment", "Protocol": "protocol", "Specimen": "experiment",
+    "Adhesion": "experiment", "Experiment": "experiment",
+    "Model": "experiment", "Protocol": "protocol", "Specimen": "experiment",
     "Tool": "tool",
     "Rig": "rig", "load_rig": "rig_file", "write_rig": "rig_file",
     "Poroelasticity": "viscoelasticity", "Prony": "viscoelasticity", "PronyTerm": "viscoelasticity",

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.integrate import simpson
 
+from tissue_sim.contact_pairs import build_contact
 from tissue_sim.errors import ConvergenceError, InputError, nearest
 from tissue_sim.experiment import Experiment, Model, Specimen
 from tissue_sim.fem.axisymmetric import AxisymmetricSolver
-from tissue_sim.fem.contact import Contact
 from tissue_sim.fem.elements import Q9P1, Element
 from tissue_sim.fem.newton import StepStatus
-from tissue_sim.mesh import Mesh, cylinder_mesh, needle_mesh
-from tissue_sim.tool import Tool
+from tissue_sim.layer import Layer
+from tissue_sim.mesh import Mesh, cylinder_mesh, needle_mesh, structured_mesh, tip_mesh, with_lines
 
 #: Resolution -> elements and grading along r and z of a cylinder as slender as the study's (radius 40, height 70 mm)
 #: between plates. Bonded compression to 10 mm errs by 0.28 % (fast) and 0.03 % (accurate) at most.
@@ -21,29 +23,62 @@ _STUDY_SLENDERNESS = 70.0 / 40.0
 #: Resolution -> smallest and largest element in radii of the needle, and growth from one to the next. The study's
 #: needle at 2, 5 and 10 mm errs by 0.7 % (fast) and 0.1 % (accurate) at most.
 NEEDLE_RESOLUTIONS = {"fast": (0.1625, 1.875, 1.8), "accurate": (0.00625, 1.5, 1.5)}
+#: The same for tips without a flat face, in radii of the contact at the largest depth.
+TIP_RESOLUTIONS = {"fast": (0.25, 2.5, 1.6), "accurate": (0.08, 1.5, 1.35)}
+#: Fewest elements in a layer of the material.
+LAYER_ELEMENTS = {"fast": 2, "accurate": 4}
 #: Elements need not be smaller than this share of a rounded edge, nor larger than this share of the specimen.
 _ROUNDING_SHARE, _SPECIMEN_SHARE = 0.25, 0.17
 _HELD = {"bonded": "rz", "frictionless": "z"}
 
 
-def build_mesh(experiment: Experiment, resolution: str = "fast", element: Element = Q9P1) -> Mesh:
+def build_mesh(experiment: Experiment, resolution: str = "fast", element: Element = Q9P1,
+               layers: tuple[Layer, ...] = ()) -> Mesh:
     """The mesh that a named resolution stands for; a placed specimen is meshed with the height that it says.
 
+    Args:
+        experiment: what is done.
+        resolution: a key of `RESOLUTIONS`.
+        element: element type.
+        layers: of the material; element boundaries lie on their interfaces.
+
     Raises:
-        InputError: unknown resolution.
+        InputError: unknown resolution, or layers thicker than the specimen is high.
     """
     if resolution not in RESOLUTIONS:
         raise InputError(f"unknown resolution {resolution!r}{nearest(resolution, RESOLUTIONS)}", field="resolution")
+    mesh = _homogeneous_mesh(experiment, resolution, element)
+    if not layers:
+        return mesh
+    interfaces = -np.cumsum([layer.thickness for layer in layers])
+    if interfaces[-1] <= -experiment.specimen.height:
+        raise InputError(f"the layers are {-interfaces[-1] * 1e3:g} mm thick, the specimen only "
+                         f"{experiment.specimen.height * 1e3:g} mm high", field="layers")
+    corners = mesh.nodes[mesh.connectivity[:, :4]].reshape(-1, 2)
+    r, z = np.unique(corners[:, 0]), np.unique(corners[:, 1])
+    layered = structured_mesh(r, with_lines(z, interfaces.tolist(), LAYER_ELEMENTS[resolution]), element)
+    top, old = layered.sets["top"], mesh.sets["top"]
+    own = {name: top[np.isin(old, mesh.sets[name])] for name in ("face", "free") if name in mesh.sets}
+    return replace(layered, sets={**layered.sets, **own})
+
+
+def _homogeneous_mesh(experiment: Experiment, resolution: str, element: Element) -> Mesh:
     specimen, tool = experiment.specimen, experiment.tool
     if experiment.homogeneous:
         # Every mesh is exact.
         return cylinder_mesh(specimen.radius, specimen.height, (2, 2), element)
-    if tool.shape != "plate":
+    least = _SPECIMEN_SHARE * max(specimen.radius, specimen.height)
+    if tool.face_radius == 0:
+        smallest, largest, growth = TIP_RESOLUTIONS[resolution]
+        contact = tool.contact_radius(max(experiment.protocol.depth, 1e-3 * tool.radius))
+        return tip_mesh(specimen.radius, specimen.height, contact, element, growth=growth,
+                        smallest=smallest * contact, largest=max(largest * contact, least))
+    if tool.face_radius:
         smallest, largest, growth = NEEDLE_RESOLUTIONS[resolution]
         return needle_mesh(
             specimen.radius, specimen.height, tool.face_radius, element, growth=growth,
             smallest=max(smallest * tool.radius, _ROUNDING_SHARE * tool.edge_radius),
-            largest=max(largest * tool.radius, _SPECIMEN_SHARE * max(specimen.radius, specimen.height)))
+            largest=max(largest * tool.radius, least))
     (along_r, along_z), grading = RESOLUTIONS[resolution]
     # As many elements in other shapes, with no fewer than half and no more than four times as many along a side.
     stretch = np.sqrt(specimen.height / specimen.radius / _STUDY_SLENDERNESS)
@@ -62,17 +97,30 @@ def build_solver(model: Model, mesh: Mesh) -> AxisymmetricSolver:
         ConvergenceError: the specimen does not stand under its own weight.
     """
     experiment = model.experiment
-    start = None
-    if experiment.specimen.specific_weight:
-        mesh, start = _settled(model, mesh)
-    weight = experiment.specimen.specific_weight
-    supports = {"base": _HELD[experiment.friction_base]}
-    if experiment.tool.shape == "plate":
-        return AxisymmetricSolver(mesh, model.material, supports, {"top": _HELD[experiment.friction]},
-                                  specific_weight=weight, start=start)
-    held = {"face": "rz"} if experiment.friction == "bonded" else {}
-    return AxisymmetricSolver(mesh, model.material, supports, held, contact=_contact(experiment, mesh),
-                              specific_weight=weight, start=start)
+    start, weight = None, experiment.specimen.specific_weight
+    moduli = layer_moduli(mesh, model.material.layers)
+    if weight:
+        start = _settled(model, mesh, moduli)
+        mesh = start.mesh
+    held = {}
+    if experiment.friction == "bonded":
+        held = {"top" if experiment.tool.shape == "plate" else "face": "rz"}
+    return AxisymmetricSolver(mesh, model.material, _supports(experiment), held,
+                              contact=build_contact(experiment, mesh), specific_weight=weight, moduli=moduli,
+                              contact_radius=contact_radius(experiment), start=start)
+
+
+def contact_radius(experiment: Experiment) -> float:
+    """Contact radius at the largest depth of the test, m, which sets how fast the pores drain."""
+    depth = max(experiment.protocol.depth, 1e-3 * experiment.specimen.height)
+    return experiment.tool.contact_radius(depth, experiment.specimen.radius)
+
+
+def layer_moduli(mesh: Mesh, layers: tuple[Layer, ...]) -> np.ndarray:
+    """Moduli of the elements in units of the material's, by where their centres lie, shape (elements,)."""
+    depth = -mesh.nodes[mesh.connectivity[:, :4], 1].mean(axis=1)
+    bounds = np.cumsum([layer.thickness for layer in layers])
+    return np.array([*(layer.ratio for layer in layers), 1.0])[np.searchsorted(bounds, depth)]
 
 
 def sag(solver: AxisymmetricSolver) -> float:
@@ -82,32 +130,24 @@ def sag(solver: AxisymmetricSolver) -> float:
     return -float(simpson(solver.start[2 * top + 1] * r, x=r) / simpson(r, x=r))
 
 
-def _contact(experiment: Experiment, mesh: Mesh) -> Contact:
-    """Where the surface may meet the needle: all of it where it can leave the face, else what is beside the face."""
-    tool: Tool = experiment.tool
-    profile = tool.profile
-    face, free = mesh.edges("face"), mesh.edges("free")
-    stick = (experiment.friction == "stick", experiment.friction_wall == "stick")
-    if experiment.friction == "bonded":
-        return Contact(profile, free, np.full(len(free), profile.shaft), np.zeros(len(free), bool), stick, tool.radius)
-    # Tissue beside a sharp edge cannot come under the face without slip.
-    first = np.concatenate([np.zeros(len(face)), np.full(len(free), 0 if tool.edge_radius else profile.shaft)])
-    tied = np.arange(len(first)) < (len(face) if stick[0] else 0)
-    return Contact(profile, np.concatenate([face, free]), first, tied, stick, tool.radius)
+def _supports(experiment: Experiment) -> dict[str, str]:
+    return {"base": _HELD[experiment.friction_base]} if experiment.friction_base in _HELD else {}
 
 
-def _settled(model: Model, mesh: Mesh) -> tuple[Mesh, np.ndarray]:
-    """The mesh as moulded, and the state in which it stands under its own weight."""
+def _settled(model: Model, mesh: Mesh, moduli: np.ndarray) -> AxisymmetricSolver:
+    """The specimen as moulded, standing under its own weight without the tool."""
     specimen: Specimen = model.experiment.specimen
     height = -float(mesh.nodes[:, 1].min())
-    factor, state = 1.0, None
+    factor = 1.0
     for _ in range(50):
         moulded = mesh.stretched(factor)
-        solver = AxisymmetricSolver(moulded, model.material, {"base": _HELD[model.experiment.friction_base]}, {})
+        solver = AxisymmetricSolver(moulded, model.material, _supports(model.experiment), {},
+                                    contact=build_contact(model.experiment, moulded, tool=False), moduli=moduli,
+                                    contact_radius=contact_radius(model.experiment))
         _let_settle(solver, specimen.specific_weight)
-        state, stands = solver.state, factor * height - sag(solver)
+        stands = factor * height - sag(solver)
         if specimen.height_is == "moulded" or abs(stands / height - 1) < 1e-10:
-            return moulded, state
+            return solver
         # The sag grows with the square of the height: one Newton step on factor - c factor^2 = 1.
         loss = (factor * height - stands) / (factor**2 * height)
         factor -= (factor - loss * factor**2 - 1) / (1 - 2 * loss * factor) if 2 * loss * factor < 1 else -0.1
@@ -120,7 +160,8 @@ def _let_settle(solver: AxisymmetricSolver, specific_weight: float) -> None:
     carried, part = 0.0, 1.0
     while carried < 1.0:
         solver.specific_weight = min(1.0, carried + part) * specific_weight
-        step = solver.step(0.0)
+        # It has stood for long.
+        step = solver.step(0.0, np.inf)
         if step.status is StepStatus.CONVERGED:
             carried = min(1.0, carried + part)
             part *= 2.0

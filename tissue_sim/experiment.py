@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tissue_sim.errors import InputError, require_length
+from tissue_sim.errors import InputError, nearest, require_length
 from tissue_sim.material import Material
 from tissue_sim.protocol import Protocol
 from tissue_sim.rig import Rig
@@ -64,10 +64,30 @@ class Specimen:
         return self.density * self.gravity if self.gravity else 0.0
 
 
-#: How a face holds the tissue: ``"bonded"`` (no motion against the face), ``"stick"`` (no slip, but it can lift off) or
-#: ``"frictionless"`` (free to slide along it; it can lift off a needle). Coulomb friction is not available in this
-#: version.
+#: How a face holds the tissue: ``"bonded"`` (no motion against the face), ``"stick"`` (no slip, but it can lift off),
+#: ``"frictionless"``, or a number: Coulomb's coefficient of friction. All but the bonded one can lift off; the base
+#: keeps the specimen on itself.
 INTERFACES = ("bonded", "stick", "frictionless")
+#: Above this a coefficient of friction is taken for a mistake.
+LARGEST_FRICTION = 10.0
+
+
+@dataclass(frozen=True)
+class Adhesion:
+    """Pull between the tool and tissue that has touched it.
+
+    Attributes:
+        force: N, of the whole face at once, spread evenly over it.
+        length: m, over which the pull falls to zero as the surfaces part.
+    """
+
+    force: float
+    length: float
+
+    def __post_init__(self):
+        if not (np.isfinite(self.force) and self.force >= 0):
+            raise InputError(f"{self.force:g} N is not a pull-off force; give 0 or more", field="adhesion.force")
+        require_length(self.length, "adhesion.length")
 
 
 @dataclass(frozen=True)
@@ -81,7 +101,9 @@ class Experiment:
         friction: interface of the tool's face; see `INTERFACES`. A bonded needle holds what its flat face touches at
             the start; a rounded edge meets the tissue as the shaft does.
         friction_base: interface of the base plate.
-        friction_wall: interface of a needle's shaft, ``"stick"`` or ``"frictionless"``.
+        friction_wall: interface of a needle's shaft; tissue meets it during the test, so it cannot be bonded.
+        adhesion: pull of a tool that lifts off; None: none.
+        tilt: height difference across the contact, m; see `tissue_sim.simulation`.
 
     Raises:
         InputError: an interface that does not fit, a protocol that goes through the specimen, a needle as wide as it.
@@ -90,28 +112,36 @@ class Experiment:
     specimen: Specimen
     protocol: Protocol
     tool: Tool = field(default_factory=Tool)
-    friction: str = "bonded"
-    friction_base: str = "bonded"
-    friction_wall: str = "frictionless"
+    friction: str | float = "bonded"
+    friction_base: str | float = "bonded"
+    friction_wall: str | float = "frictionless"
+    adhesion: Adhesion | None = None
+    tilt: float = 0.0
 
     def __post_init__(self):
-        plate = self.tool.shape == "plate"
-        fitting = {"friction": ("bonded", "frictionless") if plate else INTERFACES,
-                   "friction_base": ("bonded", "frictionless"), "friction_wall": ("stick", "frictionless")}
-        for name, choices in fitting.items():
-            value = getattr(self, name)
-            if value not in choices:
-                raise InputError(f"{value!r} is not available in this version; use {' or '.join(map(repr, choices))}",
-                                 field=name)
+        for name in ("friction", "friction_base", "friction_wall"):
+            object.__setattr__(self, name, checked_interface(getattr(self, name), name))
+        if self.friction_wall == "bonded":
+            raise InputError("tissue meets the shaft during the test and cannot be bonded to it; use 'stick', "
+                             "'frictionless' or a coefficient of friction", field="friction_wall")
+        if not (np.isfinite(self.tilt) and self.tilt >= 0):
+            raise InputError(f"{self.tilt:g} m is not a height difference; give 0 or more", field="tilt")
         if self.protocol.depth >= self.specimen.height:
             raise InputError(f"{self.protocol.depth * 1e3:g} mm is deeper than the specimen is high "
                              f"({self.specimen.height * 1e3:g} mm)", field="protocol")
-        if plate:
+        if self.adhesion is not None and self.friction == "bonded":
+            raise InputError("a bonded face never lifts off; use 'stick', 'frictionless' or a coefficient of friction "
+                             "with adhesion", field="friction")
+        if self.tool.shape == "plate":
             return
         if self.tool.radius >= self.specimen.radius:
             raise InputError(f"the tool's radius, {self.tool.radius * 1e3:g} mm, must be smaller than the specimen's, "
                              f"{self.specimen.radius * 1e3:g} mm", field="tool.radius")
-        if self.friction == "frictionless" and self.tool.edge_radius == 0:
+        if self.tool.face_radius == 0 and self.friction == "bonded":
+            raise InputError(f"a {self.tool.shape} tool has no flat face to be bonded to; use 'stick', 'frictionless' "
+                             "or a coefficient of friction", field="friction")
+        slides = self.friction not in ("bonded", "stick")
+        if slides and self.tool.shape == "flat" and self.tool.edge_radius == 0:
             raise InputError("tissue that slides round a sharp edge has no direction there; give the tool an edge "
                              "radius, or friction 'stick' or 'bonded'", field="tool.edge_radius")
 
@@ -129,3 +159,20 @@ class Model:
     experiment: Experiment
     material: Material
     rig: Rig = field(default_factory=Rig)
+
+
+def checked_interface(value: str | float, name: str) -> str | float:
+    """An interface of `INTERFACES` or a coefficient of friction above 0; 0 is frictionless.
+
+    Raises:
+        InputError: neither, with the field.
+    """
+    if isinstance(value, str):
+        if value not in INTERFACES:
+            raise InputError(f"{value!r} is not an interface{nearest(value, INTERFACES)}, or a coefficient of friction",
+                             field=name)
+        return value
+    if isinstance(value, bool) or not (np.isfinite(value) and 0 <= value <= LARGEST_FRICTION):
+        raise InputError(f"{value} is not a coefficient of friction; give 0 to {LARGEST_FRICTION:g}, or 'stick' for a "
+                         "face without slip", field=name)
+    return float(value) or "frictionless"

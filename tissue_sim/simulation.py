@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+
+import numpy as np
 
 from tissue_sim.discretisation import build_mesh, build_solver, sag
 from tissue_sim.errors import ConvergenceError
@@ -14,14 +16,20 @@ from tissue_sim.fem.newton import StepStatus
 from tissue_sim.laws import check_stability
 from tissue_sim.mesh import Mesh
 from tissue_sim.recording import Recording
+from tissue_sim.tilt import tilted
 
 #: A step is cut until it is this small a part of the way between two samples.
 _SMALLEST_CUT = 2.0**-10
+#: The tool of a compliant rig is where it should be to this part of the travel.
+_PLACED, _MOST_TRIALS = 1e-7, 20
 
 
 def simulate(model: Model, *, resolution: str = "fast", mesh: Mesh | None = None, fields: bool = False,
              progress: Callable[[int, int], None] | None = None) -> Recording:
     """Simulate a whole test quasi-statically.
+
+    The protocol is the motion that the rig's stage reports; where the load train gives way the tool's true place is
+    found together with its force. Between two samples the law's stress changes linearly in time.
 
     Args:
         model: experiment, material, rig.
@@ -31,100 +39,158 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Mesh | None = None
         progress: called with (samples done, samples in all); the first call comes before the kernels are compiled.
 
     Returns:
-        Recording at the times of the protocol, as the model's rig reports it. ``metadata["solver"]`` holds status,
-        message, warnings, newton_iterations (linear solves), cuts, residual (the largest), wall_s, element, mesh and
-        resolution; of a needle also penetration_mm (the deepest) and penetration_tolerance_mm; of a specimen that
-        weighs also self_weight {density_kg_m3, gravity_m_s2, height_is, sag_mm, moulded_height_mm}.
+        Recording at the times of the protocol, with its labels, as the model's rig reports it. ``metadata["solver"]``
+        holds status, message, warnings, newton_iterations (linear solves), cuts, residual (the largest), wall_s,
+        element, mesh and resolution; with contact also penetration_mm (the largest violation of a contact condition)
+        and penetration_tolerance_mm; with friction slipping_points (the most at once); of a specimen that weighs also
+        self_weight {density_kg_m3, gravity_m_s2, height_is, sag_mm, moulded_height_mm}.
 
     Raises:
         ConvergenceError: a step did not converge however small; its `recording` keeps the converged part.
-        InputError: unknown resolution, or a bulk response out of range.
+        InputError: unknown resolution, or a bulk response or layers that do not fit.
         MissingBackendError: Taichi is not there.
     """
     started = time.perf_counter()
-    protocol = model.experiment.protocol
+    protocol, rig = model.experiment.protocol, model.rig
     own_mesh = mesh is not None
-    mesh = mesh if own_mesh else build_mesh(model.experiment, resolution)
+    mesh = mesh if own_mesh else build_mesh(model.experiment, resolution, layers=model.material.layers)
     solver = build_solver(model, mesh)
-    forces, states, warnings = [], [], {}
+    forces, states, stresses = [], [], []
     report = {"newton_iterations": 0, "cuts": 0, "residual": 0.0, "element": mesh.element.name,
               "mesh": {"elements": len(mesh.connectivity), "freedoms": solver.free},
               "resolution": "own mesh" if own_mesh else resolution}
     if solver.contact is not None:
         report |= {"penetration_mm": 0.0, "penetration_tolerance_mm": solver.contact.tolerance * 1e3}
-    specimen = model.experiment.specimen
-    if specimen.specific_weight:
-        height = -float(solver.mesh.nodes[:, 1].min())
-        report["self_weight"] = {"density_kg_m3": specimen.density, "gravity_m_s2": specimen.gravity,
-                                 "height_is": specimen.height_is, "sag_mm": sag(solver) * 1e3,
-                                 "moulded_height_mm": height * 1e3}
+        if solver.surface.slips:
+            report["slipping_points"] = 0
+    if model.experiment.specimen.specific_weight:
+        report["self_weight"] = _weight_report(model.experiment, solver)
 
     def record(status: str, message: str) -> Recording:
         done = len(forces)
-        told = "; ".join([message, *warnings.values()])
-        solved = {"status": status, "message": told, "warnings": list(warnings.values()), **report,
+        solved = {"status": status, "message": message, "warnings": [], **report,
                   "wall_s": time.perf_counter() - started}
-        ideal = Recording({"time": protocol.time[:done], "displacement": protocol.displacement[:done], "force": forces},
-                          metadata={"name": "simulation", "solver": solved},
-                          fields=Fields.of(solver, states) if fields else None)
-        return model.rig.measure(ideal)
+        true = Recording({"time": protocol.time[:done], "displacement": protocol.displacement[:done], "force": forces},
+                         labels={name: values[:done] for name, values in protocol.labels.items()},
+                         metadata={"name": "simulation", "solver": solved},
+                         fields=Fields.of(solver, states, stresses) if fields else None)
+        return rig.read(tilted(true, model.experiment.tilt))
 
     if progress:
         progress(0, protocol.displacement.size)
-    for sample, depth in enumerate(protocol.displacement):
-        for step in _approach(solver, float(depth)):
+    dropped = _Puncture(model)
+    places, waits = rig.tool_motion(protocol.displacement), np.diff(protocol.time, prepend=protocol.time[0])
+    for sample, (place, dt) in enumerate(zip(places.tolist(), waits.tolist(), strict=True)):
+        for step in _sample(solver, place, dt, rig.compliance, dropped, model.experiment):
             report["newton_iterations"] += step.iterations
             report["cuts"] += step.status is not StepStatus.CONVERGED
         if step.status is not StepStatus.CONVERGED:
-            message = (f"stopped at {solver.depth * 1e3:.4g} mm on the way to {depth * 1e3:.4g} mm (sample "
+            message = (f"stopped at {solver.depth * 1e3:.4g} mm on the way to {place * 1e3:.4g} mm (sample "
                        f"{sample + 1}), the step cut to {_SMALLEST_CUT:.1g} of its length: {step.status.message}")
-            if step.status is StepStatus.INDEFINITE and not warnings:
+            if step.status is StepStatus.INDEFINITE:
                 message += f"; the law alone is {check_stability(model.material.energy_law, model.material.values)}"
             partial = record("not_converged", message) if forces else None
-            told = partial.metadata["solver"]["message"] if partial else message
-            raise ConvergenceError(told, recording=partial, depth=solver.depth)
+            raise ConvergenceError(message, recording=partial, depth=solver.depth)
         report["residual"] = max(report["residual"], step.residual)
-        if solver.contact is not None:
-            report["penetration_mm"] = max(report["penetration_mm"], step.penetration * 1e3)
-        forces.append(step.force)
-        for kind, words in _limits(model.experiment, solver, step.force):
-            warnings.setdefault(kind, f"from {depth * 1e3:.3g} mm on {words}")
+        if "penetration_mm" in report:
+            report["penetration_mm"] = max(report["penetration_mm"], step.violation * 1e3)
+        if "slipping_points" in report:
+            report["slipping_points"] = max(report["slipping_points"], step.slipping)
+        forces.append(dropped(solver.depth, step.force))
         if fields:
             states.append(solver.state)
+            if solver.memory.works:
+                stresses.append(solver.memory.total())
         if progress:
             progress(sample + 1, protocol.displacement.size)
     cuts = report["cuts"]
     return record("converged", f"converged at every sample{f', step cuts: {cuts}' if cuts else ''}")
 
 
-def _limits(experiment: Experiment, solver: AxisymmetricSolver, force: float):
-    """What the model cannot do and this state would need, as (kind, sentence)."""
-    mesh = solver.mesh
-    side = mesh.sets["side"]
-    z = mesh.nodes[side, 1] + solver.x[2 * side + 1]
-    plate = experiment.tool.shape == "plate"
-    base, top = mesh.nodes[:, 1].min(), solver.start[2 * mesh.sets["top"] + 1].max() - solver.depth
-    slack = -1e-4 * base
-    if (plate and z.max() > top + slack) or z.min() < base - slack:
-        yield "bulge", "the bulging side passes a plate, which would hold it back: the force is too low there"
-    if plate and solver.depth < 0 and force < 0 and "frictionless" in (experiment.friction, experiment.friction_base):
-        yield "pull", "a frictionless plate pulls, which it cannot: it would have lifted off"
+def _weight_report(experiment: Experiment, solver: AxisymmetricSolver) -> dict:
+    specimen = experiment.specimen
+    height = -float(solver.mesh.nodes[:, 1].min())
+    return {"density_kg_m3": specimen.density, "gravity_m_s2": specimen.gravity, "height_is": specimen.height_is,
+            "sag_mm": sag(solver) * 1e3, "moulded_height_mm": height * 1e3}
 
 
-def _approach(solver: AxisymmetricSolver, target: float):
-    """Steps to `target`, halved where they fail and doubled where they succeed; yields each `Step`."""
-    way = target - solver.depth
-    length = way
+class _Puncture:
+    """Force of a needle whose tip may have passed the depth of puncture; see `tissue_sim.Puncture`."""
+
+    def __init__(self, model: Model):
+        puncture = model.material.puncture
+        needle = model.experiment.tool.shape != "plate"
+        self._depth, self._drop = (puncture.depth, puncture.drop) if puncture and needle else (np.inf, 0.0)
+        self._deepest = -np.inf
+
+    def __call__(self, depth: float, force: float) -> float:
+        """The force at a depth that is final."""
+        self._deepest = max(self._deepest, depth)
+        return self.at(depth, force)
+
+    def at(self, depth: float, force: float) -> float:
+        """The force at a depth that is tried."""
+        return force * (1.0 - self._drop) if max(depth, self._deepest) > self._depth else force
+
+
+def _sample(solver: AxisymmetricSolver, place: float, dt: float, compliance: float, dropped: _Puncture,
+            experiment: Experiment) -> Iterator[Step]:
+    """Steps to one sample; yields each, the last one is that of the sample.
+
+    Args:
+        place: where the tool would be with a rigid load train, m.
+        dt: time since the sample before, s.
+        compliance: of the load train, m/N: the tool is at d with d + compliance F(d) = place.
+    """
+    if experiment.friction == "bonded" and place < 0.0 and solver.depth == 0.0 and not solver.touched:
+        # Above a face that it is not bonded to yet.
+        yield Step(StepStatus.CONVERGED, 0, 0.0, 0.0)
+        return
+    solver.touched = solver.touched or place >= 0.0
+    if not compliance:
+        yield from _approach(solver, place, dt)
+        return
+    saved = solver.save()
+    # The force falls from one trial to the next, or rises, steadily: the secant finds where the load train stands.
+    trials: list[tuple[float, float]] = []
+    depth = place
+    for _ in range(_MOST_TRIALS):
+        if trials:
+            solver.restore(saved)
+        step = None
+        for step in _approach(solver, depth, dt):
+            yield step
+        if step.status is not StepStatus.CONVERGED:
+            return
+        excess = depth + compliance * dropped.at(depth, step.force) - place
+        if abs(excess) <= _PLACED * max(abs(place), abs(depth), 1e-6):
+            return
+        trials.append((depth, excess))
+        (x0, y0), (x1, y1) = (trials[-2], trials[-1]) if len(trials) > 1 else ((depth - excess, 0.0), (depth, excess))
+        slope = (y1 - y0) / (x1 - x0) if len(trials) > 1 and x1 != x0 else 1.0
+        depth = x1 - y1 / max(slope, 1.0)
+    yield Step(StepStatus.SLOW, 0, step.residual, step.force, step.violation)
+
+
+def _approach(solver: AxisymmetricSolver, target: float, dt: float = 0.0) -> Iterator[Step]:
+    """Steps to `target`, halved where they fail and doubled where they succeed; yields each `Step`.
+
+    Time passes evenly along the way, `dt` (s) in all.
+    """
+    start, way = solver.depth, target - solver.depth
+    done, length, order = 0.0, 1.0, 2
     while True:
-        rest = target - solver.depth
-        trial = target if abs(rest) <= abs(length) * (1 + 1e-9) else solver.depth + length
-        step: Step = solver.step(trial)
+        share = min(length, 1.0 - done)
+        last = done + share >= 1.0 - 1e-9
+        # Extrapolation leads astray where contact changes; the linear solution for the tool's way does not.
+        step = solver.step(target if last else start + (done + share) * way, share * dt, predictor_order=order)
         yield step
         if step.status is StepStatus.CONVERGED:
-            if trial == target:
+            if last:
                 return
-            length *= 2.0
+            done, length, order = done + share, length * 2.0, 2
         else:
-            length /= 2.0
-            if abs(length) < _SMALLEST_CUT * abs(way) or way == 0.0:
+            # The same step without extrapolation first.
+            length, order = (length, 0) if order else (length / 2.0, 2)
+            if length < _SMALLEST_CUT:
                 return

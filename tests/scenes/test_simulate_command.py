@@ -51,7 +51,7 @@ def test_json_is_alone_and_right(material, capsys):
                  "--json"]) == 0
     out, err = capsys.readouterr()
     answer = json.loads(out)
-    assert err == "" and set(answer) == KEYS
+    assert err == "" and set(answer) == KEYS | {"penetration_mm", "penetration_tolerance_mm"}
     np.testing.assert_allclose(answer["displacement_mm"], range(6), atol=1e-12)
     np.testing.assert_allclose(answer["time_s"], np.arange(6) / 0.248)
     assert answer["force_N"][2] == pytest.approx(1.5417, rel=0.01)
@@ -138,14 +138,12 @@ def test_partial_curve_in_json(material, gives_up, capsys):
     assert err.count("\n") == 1
 
 
-def test_force_that_cannot_be_believed_is_warned_of(material, capsys):
-    words = ["simulate", "bonded_compression", "--material", material, "--depth-mm", "25", "--points", "6"]
+def test_the_bulge_meets_the_plates(material, capsys):
+    """An independent solution with contact there has 31.96 N at 21 mm; without it the force stays 6 % below."""
+    words = ["simulate", "bonded_compression", "--material", material, "--depth-mm", "21", "--points", "22", "--json"]
     assert main(words) == 0
-    out, err = capsys.readouterr()
-    assert "45.4" in out and "warning: from 20 mm on the bulging side passes a plate" in err
-    assert main([*words, "--json"]) == 0
-    (warning,) = json.loads(capsys.readouterr().out)["warnings"]
-    assert "passes a plate" in warning
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["force_N"][-1] == pytest.approx(31.96, rel=0.01) and answer["warnings"] == []
 
 
 def test_material_beyond_its_range_and_stability_is_warned_of(tmp_path, capsys):
@@ -224,7 +222,7 @@ def test_profile_of_a_file(material, tmp_path, capsys):
     outline = [(0.0, 0.0), *zip(7 + np.sin(angle), 1 - np.cos(angle), strict=True), (8.0, 60.0)]
     path = tmp_path / "tool.csv"
     path.write_text("r [mm],z [mm]\n" + "".join(f"{r:.6f},{z:.6f}\n" for r, z in outline), encoding="utf-8")
-    words = ["needle_indentation", "--depth-mm", "4", "--points", "5", "--friction", "0.7"]
+    words = ["needle_indentation", "--depth-mm", "4", "--points", "5", "--friction", "0.7", "--resolution", "accurate"]
     drawn = simulate_json(capsys, material, *words, "--tool", str(path))["force_N"]
     assert drawn == pytest.approx(simulate_json(capsys, material, *words, "--edge-radius-mm", "1")["force_N"], rel=5e-3)
 
@@ -277,7 +275,7 @@ def test_contact_and_weight_are_told(material, capsys):
     (["bonded_compression", "--edge-radius-mm", "1"], "a plate covers the whole top face and has no radius"),
     (["bonded_compression", "--friction-wall", "stick"], "--friction-wall: a plate has no shaft"),
     (["needle_indentation", "--friction", "frictionless"], "slides round a sharp edge"),
-    (["needle_indentation", "--friction-wall", "bonded"], "use 'stick' or 'frictionless'"),
+    (["needle_indentation", "--friction-wall", "bonded"], "use 'stick', 'frictionless'"),
     (["needle_indentation", "--edge-radius-mm", "8"], "does not fit a tool of radius"),
     (["needle_indentation", "--tool-radius-mm", "40"], "must be smaller than the specimen's"),
     (["needle_indentation", "--adhesion-N", "0.1"], "--adhesion-N: adhesion needs a force and a length"),

@@ -206,8 +206,8 @@ class TestStepping:
         assert solver.step(5e-3).force == pytest.approx(2 * first, rel=1e-9)
 
     def test_bulk_ratio_out_of_range(self):
-        with pytest.raises(ts.InputError, match="K/mu0 is 2"):
-            AxisymmetricSolver(cylinder_mesh(0.04, 0.07, (2, 2), Q9P1), material(ratio=2.0), {}, {"top": "z"})
+        with pytest.raises(ts.InputError, match=r"K/mu0 is 1\.5"):
+            AxisymmetricSolver(cylinder_mesh(0.04, 0.07, (2, 2), Q9P1), material(ratio=1.5), {}, {"top": "z"})
 
 
     def test_band_is_narrow_in_flat_and_in_tall_specimens(self):

@@ -30,11 +30,14 @@ def point():
 
     def compile_for(name):
         function = energy.function(ts.find_law(name).kernel_energy)
+        add_volume = energy.volume_function()
 
         @ti.kernel
         def evaluate(passes: ti.i32, F: reals, p: ti.f64, coefficients: reals, P: reals, A: reals):
             for _ in range(passes):
-                stress, tangent = function(ti.Vector([F[0], F[1], F[2], F[3], F[4]]), p, coefficients)
+                gradient = ti.Vector([F[0], F[1], F[2], F[3], F[4]])
+                _density, stress, tangent = function(gradient, coefficients)
+                add_volume(gradient, p, stress, tangent)
                 for i in ti.static(range(5)):
                     P[i] = stress[i]
                 for i in ti.static(range(15)):

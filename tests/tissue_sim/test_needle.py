@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
+from tissue_sim.contact_pairs import NEEDLE_TOLERANCE
 from tissue_sim.discretisation import build_mesh, build_solver
 from tissue_sim.fem import newton
-from tissue_sim.fem.contact import TOLERANCE
 from tissue_sim.fem.newton import StepStatus
 from tissue_sim.mesh import structured_mesh
 from tissue_sim.simulation import _approach
@@ -70,7 +70,7 @@ class TestBondedFace:
 
     def test_penetration_is_stated(self, accurate):
         solver = accurate.metadata["solver"]
-        assert solver["penetration_tolerance_mm"] == pytest.approx(TOLERANCE * 8.0)
+        assert solver["penetration_tolerance_mm"] == pytest.approx(NEEDLE_TOLERANCE * 8.0)
         assert 0 < solver["penetration_mm"] <= solver["penetration_tolerance_mm"]
 
     def test_halving_the_accurate_mesh(self, accurate):
@@ -217,16 +217,18 @@ class TestBadInput:
     @pytest.mark.parametrize(("change", "words"), [
         ({"tool": ts.Tool("flat", 0.05)}, "smaller than the specimen"),
         ({"tool": ts.Tool("flat", 8e-3), "friction": "frictionless"}, "sharp edge"),
-        ({"tool": ts.Tool("flat", 8e-3), "friction": "0.7"}, "use 'bonded' or 'stick' or 'frictionless'"),
-        ({"tool": ts.Tool("flat", 8e-3), "friction_wall": "bonded"}, "use 'stick' or 'frictionless'"),
-        ({"friction": "stick"}, "use 'bonded' or 'frictionless'"),
+        ({"tool": ts.Tool("flat", 8e-3), "friction": "0.7"}, "not an interface"),
+        ({"tool": ts.Tool("flat", 8e-3), "friction": 70.0}, "not a coefficient of friction"),
+        ({"tool": ts.Tool("flat", 8e-3), "friction_wall": "bonded"}, "use 'stick', 'frictionless' or a coefficient"),
+        ({"tool": ts.Tool("round", 8e-3)}, "no flat face to be bonded to"),
+        ({"adhesion": ts.Adhesion(0.1, 1e-3)}, "never lifts off"),
     ])
     def test_experiment(self, change, words):
         with pytest.raises(ts.InputError, match=words):
             ts.Experiment(ts.Specimen(0.04, 0.07), ts.Protocol.ramp(0.01), **change)
 
     @pytest.mark.parametrize(("arguments", "words"), [
-        (("sphere", 8e-3), "not available"), (("flat",), "needs a radius"), (("flat", -1.0), "not positive"),
+        (("ball", 8e-3), "unknown tool shape"), (("flat",), "needs a radius"), (("flat", -1.0), "not positive"),
         (("flat", 8e-3, 8e-3), "less than the radius"), (("plate", 8e-3), "covers the whole top"),
     ])
     def test_tool(self, arguments, words):

@@ -85,7 +85,7 @@ class TestSamples:
     def test_cost_of_a_long_hold_is_a_logarithm(self):
         assert ts.Protocol.parse("ramp 1um @1m/s; hold 1000h").time.size < 120
 
-    @pytest.mark.parametrize("text", ["ramp 1mm; hold 1e308s", "hold 1e-320s", "ramp 1um @1e300m/s; hold 1h"])
+    @pytest.mark.parametrize("text", ["ramp 1mm; hold 1e308s", "hold 1e-300s", "ramp 1um @1e300m/s; hold 1h"])
     def test_extreme_holds_end_where_they_should(self, text):
         end = float(text.split()[-1].rstrip("sh")) * (3600 if text.endswith("h") else 1)
         protocol = ts.Protocol.parse(text)

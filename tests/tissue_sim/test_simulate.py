@@ -111,12 +111,13 @@ class TestRecordingOfASimulation:
         ts.simulate(model(points=5), progress=lambda *call: calls.append(call))
         assert calls == [(i, 5) for i in range(6)]
 
-    @pytest.mark.parametrize(("depth", "cut"), [(20e-3, False), (25e-3, True)])
-    def test_one_big_step(self, depth, cut):
-        """20 mm of 70 in one go converges; 25 mm is cut and ends at the same force as small steps."""
+    @pytest.mark.parametrize(("depth", "cut", "precision"), [(10e-3, False, 1e-8), (40e-3, True, 0.05)])
+    def test_one_big_step(self, depth, cut, precision):
+        """10 mm of 70 in one go converge to the force of small steps. 40 mm are cut: the side that folds onto the
+        plates sticks from the end of the step on in which it arrives, so the step matters there."""
         far = ts.simulate(model(depth=depth, points=2))
-        near = ts.simulate(model(depth=depth, points=26))
-        assert far.force[-1] == pytest.approx(near.force[-1], rel=1e-8)
+        near = ts.simulate(model(depth=depth, points=41))
+        assert far.force[-1] == pytest.approx(near.force[-1], rel=precision)
         assert (far.metadata["solver"]["cuts"] > 0) == cut
         assert ("step cuts" in far.metadata["solver"]["message"]) == cut
 
@@ -132,11 +133,10 @@ class TestRecordingOfASimulation:
 
     def test_unreachable_depth_keeps_the_converged_part(self):
         with pytest.raises(ts.ConvergenceError, match=r"stopped at .* mm on the way to .* mm \(sample") as caught:
-            ts.simulate(model(depth=60e-3, points=31))
-        assert "passes a plate" in str(caught.value)
+            ts.simulate(model(depth=69e-3, points=35))
         part = caught.value.recording
-        assert 10e-3 < caught.value.depth < 60e-3
-        assert 5 < len(part) < 31 and part.displacement[-1] <= caught.value.depth
+        assert 30e-3 < caught.value.depth < 69e-3
+        assert 5 < len(part) < 35 and part.displacement[-1] <= caught.value.depth
         assert part.metadata["solver"]["status"] == "not_converged"
         reference = ts.simulate(model(depth=part.displacement[-1], points=len(part)))
         np.testing.assert_allclose(part.force, reference.force, rtol=1e-8, atol=1e-9)
@@ -157,7 +157,7 @@ class TestRecordingOfASimulation:
         class Slow:
             depth = 0.0
 
-            def step(self, trial):
+            def step(self, trial, dt, predictor_order):
                 good = abs(trial - self.depth) <= 3.0
                 self.depth = trial if good else self.depth
                 return Step(StepStatus.CONVERGED if good else StepStatus.SLOW, 1, 0.0, 0.0)
@@ -165,26 +165,20 @@ class TestRecordingOfASimulation:
         solver, trials = Slow(), []
         for _step in _approach(solver, 10.0):
             trials.append(solver.depth)
-        # 10 and 5 fail, 2.5 succeeds, 5 more fail, 2.5 succeeds, ...
-        assert trials == [0.0, 0.0, 2.5, 2.5, 5.0, 5.0, 7.5, 10.0]
+        # 10 and 5 fail with and without extrapolation, 2.5 succeeds, 5 more fail, 2.5 succeeds, ...
+        assert trials == [0.0] * 4 + [2.5] * 3 + [5.0] * 3 + [7.5, 10.0]
 
         class Stuck(Slow):
-            def step(self, trial):
+            def step(self, trial, dt, predictor_order):
                 return Step(StepStatus.SLOW, 1, 0.0, 0.0)
 
-        assert len(list(_approach(Stuck(), 10.0))) == 11  # 2^0 down to 2^-10 of the way
+        assert len(list(_approach(Stuck(), 10.0))) == 2 * 11  # 2^0 down to 2^-10 of the way, each twice
 
-    def test_bulge_beyond_the_plates_is_said(self):
-        message = ts.simulate(model(depth=20e-3)).metadata["solver"]["message"]
-        assert "bulging side passes a plate" in message
-        assert "bulging" not in ts.simulate(model(depth=5e-3)).metadata["solver"]["message"]
-
-    def test_frictionless_plate_that_pulls_is_said(self):
+    def test_a_frictionless_plate_lifts_off(self):
         experiment = ts.Experiment(ts.Specimen(0.04, 0.07), ts.Protocol([0.0, 1.0, 2.0], [-1e-3, 0.0, 1e-3]),
                                    friction="frictionless", friction_base="frictionless")
-        recording = ts.simulate(ts.Model(experiment, model().material))
-        (warning,) = recording.metadata["solver"]["warnings"]
-        assert "plate pulls" in warning and recording.force[0] < 0
+        force = ts.simulate(ts.Model(experiment, model().material)).force
+        assert force[0] == 0.0 and abs(force[1]) < 1e-9 < force[2]
 
     def test_threads_take_turns(self):
         with ThreadPoolExecutor(4) as pool:
@@ -296,8 +290,8 @@ class TestExperiment:
             ts.Protocol(time, displacement)
 
     def test_interface(self):
-        with pytest.raises(ts.InputError, match="not available in this version"):
-            ts.Experiment(ts.Specimen(0.04, 0.07), ts.Protocol.ramp(0.01), friction=0.7)
+        with pytest.raises(ts.InputError, match="is not a coefficient of friction"):
+            ts.Experiment(ts.Specimen(0.04, 0.07), ts.Protocol.ramp(0.01), friction=-0.7)
 
     def test_mesh_of_a_homogeneous_experiment_is_small(self):
         assert len(build_mesh(model("frictionless").experiment, "accurate").connectivity) == 4

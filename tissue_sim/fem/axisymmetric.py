@@ -8,10 +8,11 @@ import numpy as np
 from scipy.optimize import brentq
 
 from tissue_sim.errors import InputError
-from tissue_sim.fem import band, newton
+from tissue_sim.fem import band, contact_kernels, newton
 from tissue_sim.fem import contact as contacts
-from tissue_sim.fem.contact import Contact, ContactPoints
+from tissue_sim.fem.contact import HOLD, Contact, ContactPoints
 from tissue_sim.fem.launch import BoundKernel
+from tissue_sim.fem.memory import Memory
 from tissue_sim.fem.newton import StepStatus
 from tissue_sim.fem.runtime import LOCK
 from tissue_sim.laws import KernelEnergy
@@ -28,14 +29,16 @@ class Step:
         iterations: linear solves.
         residual: norm of unbalanced over balanced nodal forces at the end.
         force: on the tool, N, positive when the tissue pushes back; only meaningful when converged.
-        penetration: the deepest of a Gauss point of the surface into the tool, m.
+        violation: the largest of a contact condition (penetration, or slip of what must not slip), m.
+        slipping: how many Gauss points of the surface slip against friction.
     """
 
     status: StepStatus
     iterations: int
     residual: float
     force: float
-    penetration: float = 0.0
+    violation: float = 0.0
+    slipping: int = 0
 
 
 class AxisymmetricSolver:
@@ -48,8 +51,10 @@ class AxisymmetricSolver:
         tool: node set -> components that follow the tool: ``"z"`` moves with it, ``"rz"`` also sticks to it.
         contact: the surface that the tool may meet besides.
         specific_weight: density times gravity, N/m3, towards -z.
-        start: state in which the tool touches, see `state`; displacements count from the undeformed mesh. None: the
-            undeformed mesh itself.
+        moduli: of each element, in units of the material's, shape (elements,); None: 1.
+        contact_radius: m; how fast the pores drain, see `Material.relaxation`.
+        start: a solver on the same mesh whose last state is the one in which the tool touches; its contact pairs are
+            the first of this one's. None: the undeformed mesh.
 
     Raises:
         InputError: bulk ratio outside `BULK_RATIOS`.
@@ -57,23 +62,32 @@ class AxisymmetricSolver:
     """
 
     def __init__(self, mesh: Mesh, material: Material, supports: dict[str, str], tool: dict[str, str], *,
-                 contact: Contact | None = None, specific_weight: float = 0.0, start: np.ndarray | None = None):
+                 contact: Contact | None = None, specific_weight: float = 0.0, moduli: np.ndarray | None = None,
+                 contact_radius: float = 1.0, start: AxisymmetricSolver | None = None):
         self.mesh, self.specific_weight = mesh, specific_weight
         element = mesh.element
         self._connectivity = np.ascontiguousarray(mesh.connectivity, dtype=np.int32)
         self._number_equations(supports, tool)
         self._integrate_reference()
         elements, nb, modes = len(mesh.connectivity), element.boundary_nodes, element.pressure_modes
-        self._band_scratch()
         self.contact, self.surface = contact, ContactPoints(mesh, contact)
+        self._band_scratch()
+        self.memory = Memory(self.weights.shape)
+        self.moduli = np.ones(elements) if moduli is None else np.array(moduli, dtype=float)
+        self._contact_radius = contact_radius
         states = 2 * len(mesh.nodes) + modes * elements + 2 * self.surface.springs.size
         self.x = np.zeros(states)
         self._history = np.zeros((3, states))
         if start is not None:
-            self.x[: start.size] = self._history[0, : start.size] = start
+            settled, bound = start.state, start.surface
+            self.x[: settled.size] = self._history[0, : settled.size] = settled
+            self.surface.anchors[: bound.count], self.surface.slipped[: bound.count] = (
+                bound.anchors[: bound.count], bound.slipped[: bound.count])
         freedoms = 2 * len(mesh.nodes)
         self.start, self._target = self.x[:freedoms].copy(), np.zeros(freedoms)
         self._depths: list[float] = [0.0]
+        #: Whether a tool that is bonded has come down on the surface.
+        self.touched = False
         self._slots = np.array([0, 1, 2], dtype=np.int32)
         self._weights = np.array([1.0, 0.0, 0.0])
         self._force = np.zeros((3, nb))
@@ -86,11 +100,12 @@ class AxisymmetricSolver:
         self._centre_rows = np.zeros((elements, 2, 2, nb))
         self._centre_inverse = np.zeros((elements, 3))
         self._centre_force = np.zeros((elements, 2))
-        self._report = np.zeros(5)
-        self._settings = np.zeros(10)
-        shaft, stick = (0, (False, False)) if contact is None else (contact.profile.shaft, contact.stick)
-        self._counts = np.array([1, self.free, 0, self.surface.count, shaft, *stick], dtype=np.int32)
+        self._report = np.zeros(6)
+        self._settings = np.zeros(11)
+        self._counts = np.array([1, self.free, 0, self.surface.count, 0, 0, 1], dtype=np.int32)
         self.set_material(material)
+        if start is not None:
+            self.memory.restore(start.memory.copy())
         self._touch()
 
     def _number_equations(self, supports: dict[str, str], tool: dict[str, str]) -> None:
@@ -117,25 +132,49 @@ class AxisymmetricSolver:
         self._equation, self._direction = self._equation.ravel(), self._direction.ravel()
 
     def _touch(self) -> None:
-        """Bring the tool down on the surface as it stands, and let an interface without slip hold what it meets."""
+        """Bring the tool down on the surface as it stands, and bind what meets a body with friction or without slip."""
         self._datum = 0.0
         if self.contact is None:
             return
-        profile, surface = self.contact.profile, self.surface
+        surface = self.surface
         displacement = self.start.reshape(-1, 2)
-        place = np.concatenate([(self.mesh.nodes + displacement)[self.mesh.sets["top"]],
-                                surface.positions(displacement).reshape(-1, 2)])
+        place = surface.positions(displacement)
+        if surface.moves.any():
+            self._datum = self._touching_height(displacement, place[surface.moves])
+        place[surface.moves, :, 1] -= self._datum
+        if self.contact.level:
+            self._level(displacement, place)
+        tied = surface.tied[:, None]
+        touches = (surface.areas > 0) & (surface.gaps(place) <= 1e-9 * np.ptp(self.mesh.nodes[:, 1]))
+        untouched = touches & (surface.anchors[..., 0] == contact_kernels.FREE)
+        surface.anchors[untouched, 0] = np.where(tied, contact_kernels.HELD, contact_kernels.TOUCHED).repeat(
+            touches.shape[1], axis=1)[untouched]
+        surface.anchors[untouched, 1:] = (place - surface.places)[untouched]
+
+    def _level(self, displacement: np.ndarray, place: np.ndarray) -> None:
+        """Let a plate meet a top that has settled unevenly all at once, as if the top had been cut level as it stands.
+
+        Without it a plate would touch the highest ring first.
+        """
+        surface, top = self.surface, self.mesh.sets["top"]
+        beside = self.mesh.nodes[top, 0]
+        height = (self.mesh.nodes + displacement)[top, 1] - self._datum
+        lift = np.interp(surface.places[..., 0], beside, height)
+        lift[~surface.moves] = 0.0
+        surface.places[..., 1] -= lift
+        place[..., 1] -= lift
+
+    def _touching_height(self, displacement: np.ndarray, points: np.ndarray) -> float:
+        """z of the tool's deepest point where it first touches the nodes of the top or these Gauss points (m, q, 2)."""
+        profiles = [pair.profile for pair in self.contact.pairs if pair.moves]
+        place = np.concatenate([(self.mesh.nodes + displacement)[self.mesh.sets["top"]], points.reshape(-1, 2)])
 
         def clearance(datum):
-            return profile.gap(place - [0.0, datum]).min()
+            return min(profile.gap(place - [0.0, datum]).min() for profile in profiles)
 
-        low, high = place[:, 1].min() - self.contact.radius, place[:, 1].max()
-        self._datum = high if clearance(high) <= 0.0 else brentq(clearance, low, high, xtol=1e-15)
-        if self.contact.stick[0]:
-            touching = surface.positions(displacement) - [0.0, self._datum]
-            met = profile.gap(touching.reshape(-1, 2)).reshape(touching.shape[:2]) <= 1e-9 * self.contact.radius
-            surface.anchors[met & self.contact.tied[:, None], 0] = 1.0
-            surface.anchors[..., 1:] = touching
+        high = place[:, 1].max()
+        low = place[:, 1].min() - np.ptp(self.mesh.nodes[:, 0])
+        return high if clearance(high) <= 0.0 else brentq(clearance, low, high, xtol=1e-15)
 
     def _equations(self, order: np.ndarray, free: np.ndarray, held: np.ndarray) -> tuple[np.ndarray, int]:
         """Equation of every freedom when nodes are taken in this order, and the half band that follows.
@@ -156,6 +195,8 @@ class AxisymmetricSolver:
     def _band_scratch(self) -> None:
         rows, width = band.block_shape(self.free, self.half_band)
         self._entries = np.zeros((rows, width, band.BLOCK, band.BLOCK))
+        # The upper half, of a tangent of slipping contact.
+        self._upper = np.zeros_like(self._entries if self.surface.slips else self._entries[:1])
         self._inverse = np.zeros(rows * band.BLOCK)
         self._right = np.zeros((rows, band.BLOCK))
         self._residual = np.zeros(max(rows * band.BLOCK, int(self._equation.max()) + 1))
@@ -215,15 +256,20 @@ class AxisymmetricSolver:
                              field="bulk")
         self.material = material
         self._coefficients = law.kernel_coefficients(material.parameters)
-        surface = self.surface
+        surface, memory = self.surface, self.memory
+        memory.set_material(material.relaxation(self._contact_radius), material.softening,
+                            material.instantaneous_factor)
+        self._counts[newton.REMEMBERS] = memory.works
         with LOCK:
             kernel = newton.step_kernel(self.mesh.element.name, energy)
         self._kernel = BoundKernel(kernel, (
             self._counts, self._settings, self._connectivity, self._equation, self._direction, self.start,
             self._target, self._gradients, self.node_gradients, self._quadrature, self._node_volumes,
-            self._centre_volumes, surface.edges, surface.shapes, surface.places, surface.first_line,
-            surface.vertices, surface.springs, surface.held, surface.met, surface.forces, self._coefficients, self.x,
-            self._history, self._slots, self._weights, self._entries, self._entries, self._inverse, self._right,
+            self._centre_volumes, surface.edges, surface.spans, surface.shapes, surface.places, surface.areas,
+            surface.vertices, surface.rounding, surface.friction, surface.springs, surface.held, surface.ways,
+            surface.met, surface.forces, surface.rates, self._coefficients, self.moduli, memory.past,
+            memory.inherited, memory.largest, memory.stresses, memory.energies, self.x, self._history, self._slots,
+            self._weights, self._entries, self._entries, self._upper, self._upper, self._inverse, self._right,
             self._residual, self._force, self._rates, self._stiffness, self._centre_stiffness, self._volume,
             self._centre_volume, self._gap, self._centre_rows, self._centre_inverse, self._centre_force,
             self._report))
@@ -232,17 +278,19 @@ class AxisymmetricSolver:
         # Below this force, N, nothing is loaded: the residual is measured against it instead of the reactions.
         self._floor = 1e-6 * material.mu0 * np.pi * top**2
 
-    def step(self, depth: float, *, tolerance: float = 1e-9, max_iterations: int = 20,
+    def step(self, depth: float, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
              predictor_order: int = 2) -> Step:
         """Move the tool to `depth` and find equilibrium; commits the state only when it converges.
 
         Args:
             depth: tool displacement, m.
+            dt: time since the step before, s; it matters where the material relaxes.
             tolerance: unbalanced over balanced nodal forces.
             max_iterations: linear solves before giving up.
             predictor_order: highest order of extrapolation in depth from earlier steps (0: none).
         """
         self._predict(depth, predictor_order)
+        self.memory.prepare(dt)
         result = self._solve(depth, tolerance, max_iterations)
         if result.status is StepStatus.CONVERGED:
             self._commit(depth)
@@ -251,11 +299,13 @@ class AxisymmetricSolver:
     def _solve(self, depth: float, tolerance: float, max_iterations: int) -> Step:
         height = np.ptp(self.mesh.nodes[:, 1])
         reach = abs(depth) + self.specific_weight * height**2 / (6.0 * self.material.mu0)
-        rounding = self._rounding * self.bulk_modulus * reach
+        rounding = (self._rounding * self.bulk_modulus + self.surface.rounding_rate * HOLD) * reach
+        rounding += self.surface.rounding_rate * height
         self._launch(depth, tolerance, rounding, max_iterations)
         report = self._report
         return Step(StepStatus(int(report[newton.STATUS])), int(report[newton.ITERATIONS]),
-                    float(report[newton.RESIDUAL]), float(report[newton.FORCE]), float(report[newton.PENETRATION]))
+                    float(report[newton.RESIDUAL]), float(report[newton.FORCE]), float(report[newton.VIOLATION]),
+                    int(report[newton.SLIPPING]))
 
     def _predict(self, depth: float, order: int) -> None:
         """Weights of Lagrange's extrapolation from the latest state through earlier ones.
@@ -287,25 +337,40 @@ class AxisymmetricSolver:
             self._slots[:] = np.roll(self._slots, 1)
             self._depths = [depth, *self._depths][:3]
         self._history[self._slots[0]] = self.x
-        self.surface.anchors[:] = self.surface.held
+        self.memory.commit()
+        self.surface.anchors[:], self.surface.slipped[:] = self.surface.held, self.surface.ways
 
     def _launch(self, depth: float, tolerance: float, rounding: float, max_iterations: int) -> None:
-        edge_radius, penetration = (0.0, 0.0) if self.contact is None else (self.contact.profile.rounding,
-                                                                            self.contact.tolerance)
         predicted = float(self._weights[: len(self._depths)] @ self._depths)
+        contact = (0.0, 0.0, 1.0) if self.contact is None else (
+            self.contact.tolerance, self.contact.adhesion, self.contact.adhesion_length)
         self._settings[:] = (depth, predicted, self.bulk_modulus, self.specific_weight, tolerance, self._floor,
-                             rounding, self._datum, edge_radius, penetration)
+                             rounding, self._datum, *contact)
         self._counts[newton.MAX_ITERATIONS] = max_iterations
-        self.surface.held[:] = self.surface.anchors
+        self.surface.held[:], self.surface.ways[:] = self.surface.anchors, self.surface.slipped
         with LOCK:
             self._kernel()
 
     def tangent(self) -> np.ndarray:
         """Condensed tangent at the last committed state: lower band in LAPACK's storage, (half_band + 1, free), N/m."""
         self._weights[:] = [1.0, 0.0, 0.0]
+        self.memory.prepare(0.0)
         # No residual is small enough and no iteration is allowed: the matrix stays as it was assembled.
         self._launch(self.depth, -1.0, 0.0, 0)
         return band.unpack(self._entries, self.free, self.half_band)
+
+    def save(self) -> tuple:
+        """All that a committed step leaves behind, for `restore`."""
+        surface = self.surface
+        return (self._history.copy(), self._slots.copy(), list(self._depths), surface.anchors.copy(),
+                surface.slipped.copy(), self.memory.copy())
+
+    def restore(self, saved: tuple) -> None:
+        """Go back to where `save` was called."""
+        surface = self.surface
+        self._history[:], self._slots[:], self._depths = saved[0], saved[1], list(saved[2])
+        surface.anchors[:], surface.slipped[:] = saved[3], saved[4]
+        self.memory.restore(saved[5])
 
     @property
     def depth(self) -> float:

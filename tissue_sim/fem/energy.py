@@ -1,7 +1,8 @@
 """Stress and tangent of a law at one point of the axisymmetric solid, as a Taichi function.
 
 Components of a deformation gradient, and of everything conjugate to it, stand in the order rR, rZ, zR, zZ, and hoop.
-The isochoric energy is W(F / J^(1/3)); the pressure adds p (J - 1).
+The isochoric energy is W(F / J^(1/3)); the pressure adds p (J - 1). What happens to the tissue in time acts on the
+isochoric part: softening scales it, relaxation scales it and adds what is left of earlier stresses.
 """
 
 from functools import cache
@@ -13,6 +14,8 @@ from tissue_sim.laws import KernelEnergy
 
 #: Packed symmetric 5 x 5: row and column of every entry of the tangent.
 PACKED = tuple((i, j) for i in range(5) for j in range(i + 1))
+#: Second derivatives of the in-plane determinant: F_rR with F_zZ, F_rZ with F_zR.
+COFACTOR_PAIRS = ((0, 3, 1.0), (1, 2, -1.0))
 
 
 def _packed(i: int, j: int) -> int:
@@ -55,25 +58,12 @@ def _taichi_expression(arguments, expressions):
 
 
 @cache
-def function(energy: KernelEnergy):
-    """Taichi function ``stress_and_tangent(F, p, coefficients) -> (P, A)`` for one kernel energy.
-
-    Args of the Taichi function:
-        F: deformation gradient, 5 components; its determinant must be positive.
-        p: pressure-like Lagrange parameter, Pa (tension positive).
-        coefficients: array of the energy's coefficients.
-
-    Returns of the Taichi function:
-        P (5): first Piola stress; A (15): its derivative, symmetric, packed as `PACKED`.
-    """
+def volume_function():
+    """Taichi function ``add_volume(F, p, P, A)``: add p dJ/dF to P and p d2J/dF2 to A."""
     ti = initialise()
-    count = len(energy.coefficients)
-    # Second derivatives of the in-plane determinant: F_rR with F_zZ, F_rZ with F_zR.
-    cofactor_pairs = ((0, 3, 1.0), (1, 2, -1.0))
 
     @ti.func
     def add_volume(F, p, P: ti.template(), A: ti.template()):
-        """Add p dJ/dF and p d2J/dF2."""
         c = F[4]
         cof = ti.Vector([F[3], -F[2], -F[1], F[0]])
         j = F[0] * F[3] - F[1] * F[2]
@@ -81,26 +71,88 @@ def function(energy: KernelEnergy):
             P[i] += p * c * cof[i]
             A[ti.static(_packed(4, i))] += p * cof[i]
         P[4] += p * j
-        for i, k, sign in ti.static(cofactor_pairs):
+        for i, k, sign in ti.static(COFACTOR_PAIRS):
             A[ti.static(_packed(i, k))] += sign * p * c
+
+    return add_volume
+
+
+@cache
+def history_functions():
+    """Taichi functions ``soften`` and ``relax``, which change an isochoric stress and its tangent in place."""
+    ti = initialise()
+
+    @ti.func
+    def soften(W, largest, loss, modulus, share, P: ti.template(), A: ti.template()):
+        """Multiply the stress by eta = 1 - loss tanh((largest - W) / (modulus + share largest)) where the point was
+        loaded higher before (Dorfmann and Ogden, IJSS 40 (2003) 2699)."""
+        if W < largest:
+            width = modulus + share * largest
+            bend = ti.tanh((largest - W) / width)
+            eta, slope = 1.0 - loss * bend, loss * (1.0 - bend * bend) / width
+            for i in ti.static(range(5)):
+                for k in ti.static(range(i + 1)):
+                    A[ti.static(_packed(i, k))] = eta * A[ti.static(_packed(i, k))] + slope * P[i] * P[k]
+            P *= eta
+
+    @ti.func
+    def relax(F, instant, inherited, P: ti.template(), A: ti.template()):
+        """Make the stress F S of this step that of the hereditary integral, F (instant S + inherited), and return S.
+
+        S is the isochoric second Piola stress (RR, RZ, ZZ, hoop); see `tissue_sim.viscoelasticity`.
+        """
+        j = F[0] * F[3] - F[1] * F[2]
+        S = ti.Vector([(F[3] * P[0] - F[1] * P[2]) / j, (F[3] * P[1] - F[1] * P[3]) / j,
+                       (F[0] * P[3] - F[2] * P[1]) / j, P[4] / F[4]])
+        h = inherited
+        P *= instant
+        A *= instant
+        for i in ti.static(range(2)):
+            P[2 * i] += F[2 * i] * h[0] + F[2 * i + 1] * h[1]
+            P[2 * i + 1] += F[2 * i] * h[1] + F[2 * i + 1] * h[2]
+            A[ti.static(_packed(2 * i, 2 * i))] += h[0]
+            A[ti.static(_packed(2 * i + 1, 2 * i))] += h[1]
+            A[ti.static(_packed(2 * i + 1, 2 * i + 1))] += h[2]
+        P[4] += F[4] * h[3]
+        A[ti.static(_packed(4, 4))] += h[3]
+        return S
+
+    return soften, relax
+
+
+@cache
+def function(energy: KernelEnergy):
+    """Taichi function ``stress_and_tangent(F, coefficients) -> (W, P, A)`` for one kernel energy.
+
+    Args of the Taichi function:
+        F: deformation gradient, 5 components; its determinant must be positive.
+        coefficients: array of the energy's coefficients.
+
+    Returns of the Taichi function:
+        W: isochoric energy density; P (5): its first Piola stress; A (15): the derivative of that, symmetric, packed
+        as `PACKED`.
+    """
+    ti = initialise()
+    count = len(energy.coefficients)
 
     if energy.family == "invariants":
         W, (I1, I2) = energy.energy, energy.variables
         derivatives = _taichi_expression(
             (I1, I2, energy.coefficients),
-            [sp.diff(W, I1), sp.diff(W, I2), sp.diff(W, I1, 2), sp.diff(W, I1, I2), sp.diff(W, I2, 2)])
+            [sp.diff(W, I1), sp.diff(W, I2), sp.diff(W, I1, 2), sp.diff(W, I1, I2), sp.diff(W, I2, 2), W])
         chain = _isochoric_chain()
 
         @ti.func
-        def stress_and_tangent(F, p, coefficients: ti.template()):
+        def stress_and_tangent(F, coefficients: ti.template()):
             a = F[0] * F[0] + F[1] * F[1] + F[2] * F[2] + F[3] * F[3]
             j = F[0] * F[3] - F[1] * F[2]
             c = F[4]
             scale = ti.pow(j * c, -2.0 / 3.0)
             I1 = (a + c * c) * scale
             I2 = (j * j + a * c * c) * scale * scale
-            W = ti.Vector(ti.static(derivatives(I1, I2, [coefficients[i] for i in range(count)])))
-            d = ti.Vector(ti.static(chain(a, j, c, scale, W[0], W[1], W[2], W[3], W[4])))
+            w = ti.Vector(ti.static(derivatives(I1, I2, [coefficients[i] for i in range(count)])))
+            d = ti.Vector(ti.static(chain(a, j, c, scale, w[0], w[1], w[2], w[3], w[4])))
+            density = w[5]
             # dW/dF = d_a 2F + d_j cof F + d_c e, and the same vectors span the second derivative.
             twice = ti.Vector([2.0 * F[0], 2.0 * F[1], 2.0 * F[2], 2.0 * F[3]])
             cof = ti.Vector([F[3], -F[2], -F[1], F[0]])
@@ -116,18 +168,17 @@ def function(energy: KernelEnergy):
                 A[ti.static(_packed(4, i))] = d[6] * twice[i] + d[7] * cof[i]
             P[4] = d[2]
             A[ti.static(_packed(4, 4))] = d[8]
-            for i, k, sign in ti.static(cofactor_pairs):
+            for i, k, sign in ti.static(COFACTOR_PAIRS):
                 A[ti.static(_packed(i, k))] += sign * d[1]
-            add_volume(F, p, P, A)
-            return P, A
+            return density, P, A
 
         return stress_and_tangent
 
     W, (stretch,) = energy.energy, energy.variables
-    derivatives = _taichi_expression((stretch, energy.coefficients), [sp.diff(W, stretch), sp.diff(W, stretch, 2)])
+    derivatives = _taichi_expression((stretch, energy.coefficients), [sp.diff(W, stretch), sp.diff(W, stretch, 2), W])
 
     @ti.func
-    def stress_and_tangent(F, p, coefficients: ti.template()):
+    def stress_and_tangent(F, coefficients: ti.template()):
         # Singular values and vectors of the in-plane part, well defined in the limit of equal stretches.
         e, h = 0.5 * (F[0] + F[3]), 0.5 * (F[2] - F[1])
         f, g = 0.5 * (F[0] - F[3]), 0.5 * (F[2] + F[1])
@@ -138,11 +189,13 @@ def function(energy: KernelEnergy):
         s = ti.Vector([q + r, q - r, F[4]])
         scale = ti.pow(s[0] * s[1] * s[2], -1.0 / 3.0)
         # First and second derivatives with respect to the logarithm of each isochoric stretch.
+        density = 0.0
         t = ti.Vector.zero(ti.f64, 3)
         u = ti.Vector.zero(ti.f64, 3)
         for i in range(3):
             bar = s[i] * scale
             w = ti.Vector(ti.static(derivatives(bar, [coefficients[m] for m in range(count)])))
+            density += w[2]
             t[i] = w[0] * bar
             u[i] = w[1] * bar * bar + w[0] * bar
         mean_t, mean_u = t.sum() / 3.0, u.sum() / 3.0
@@ -175,7 +228,6 @@ def function(energy: KernelEnergy):
             A[ti.static(_packed(4, i))] = w2[2, 0] * n1[i] + w2[2, 1] * n2[i]
         P[4] = w1[2]
         A[ti.static(_packed(4, 4))] = w2[2, 2]
-        add_volume(F, p, P, A)
-        return P, A
+        return density, P, A
 
     return stress_and_tangent

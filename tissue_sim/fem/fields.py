@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +29,9 @@ class Fields:
         gradients: shape gradients at the quadrature points, shape (elements, q, nodes, 3).
         pressure_modes: orthonormal pressure modes there, shape (elements, q, modes).
         weights: volumes of the quadrature points, m3, shape (elements, q).
+        moduli: of the elements in units of the material's, shape (elements,).
+        stresses: isochoric second Piola stress in units of `moduli`, Pa, shape (samples, elements, q, 4: RR, RZ, ZZ,
+            hoop), where it depends on the past; else None.
     """
 
     mesh: Mesh
@@ -37,12 +41,14 @@ class Fields:
     gradients: np.ndarray
     pressure_modes: np.ndarray
     weights: np.ndarray
+    moduli: np.ndarray
+    stresses: np.ndarray | None = None
 
     @classmethod
-    def of(cls, solver: AxisymmetricSolver, states: list[np.ndarray]) -> Fields:
-        """Fields of the states that a solver went through."""
+    def of(cls, solver: AxisymmetricSolver, states: list[np.ndarray], stresses: Sequence[np.ndarray] = ()) -> Fields:
+        """Fields of the states that a solver went through, with the stresses of its memory where it has one."""
         return cls(solver.mesh, solver.material, solver.bulk_modulus, np.array(states), solver.node_gradients,
-                   solver.pressure_modes, solver.weights)
+                   solver.pressure_modes, solver.weights, solver.moduli, np.array(stresses) if len(stresses) else None)
 
     def displacement(self, sample: int = -1) -> np.ndarray:
         """Nodal displacement (r, z), m, shape (nodes, 2)."""
@@ -59,7 +65,7 @@ class Fields:
         """A field of `FIELD_UNITS` at the quadrature points, shape (elements, q).
 
         Cauchy stress is that of the mixed element: sigma = dev(tau)/J + p I, with p the element's pressure; the energy
-        density is W + p^2 / (2 K), per undeformed volume.
+        density is that of the law, W + p^2 / (2 K), per undeformed volume.
 
         Raises:
             InputError: no such field.
@@ -81,17 +87,27 @@ class Fields:
             return J
         if name == "pressure":
             return -p
+        modulus = self.moduli[:, None]
         directions, stretches, _ = np.linalg.svd(in_plane)
         all_stretches = np.concatenate([stretches, F[..., 4:]], axis=-1)
         energy, tau = self.material.energy_law.principal_response(all_stretches, self.material.parameters)
         if name == "energy":
-            return energy + p**2 / (2.0 * self.bulk_modulus)
-        sigma = tau / J[..., None]
+            volumetric = p**2 / (2.0 * self.bulk_modulus * modulus)
+            return modulus * self.material.instantaneous_factor * energy + volumetric
+        if self.stresses is None:
+            tensor = np.einsum("eqik,eqk,eqjk->eqij", directions, tau[..., :2], directions)
+            hoop = tau[..., 2]
+        else:
+            S = self.stresses[sample]
+            tensor = np.einsum("eqik,eqkl,eqjl->eqij", in_plane, S[..., [[0, 1], [1, 2]]], in_plane)
+            hoop = F[..., 4] ** 2 * S[..., 3]
+            mean = (np.trace(tensor, axis1=-2, axis2=-1) + hoop) / 3.0
+            tensor, hoop = tensor - mean[..., None, None] * np.eye(2), hoop - mean
+        tensor, hoop = (modulus / J)[..., None, None] * tensor, modulus / J * hoop
         if name == "von_mises":
-            return np.sqrt(1.5 * (sigma**2).sum(axis=-1))
-        tensor = np.einsum("eqik,eqk,eqjk->eqij", directions, sigma[..., :2], directions)
+            return np.sqrt(1.5 * ((tensor**2).sum(axis=(-2, -1)) + hoop**2))
         return {"cauchy_rr": tensor[..., 0, 0] + p, "cauchy_zz": tensor[..., 1, 1] + p, "cauchy_rz": tensor[..., 0, 1],
-                "cauchy_hoop": sigma[..., 2] + p}[name]
+                "cauchy_hoop": hoop + p}[name]
 
     def at_nodes(self, name: str, sample: int = -1) -> np.ndarray:
         """A field carried to the nodes, shape (nodes,): each element's polynomial through its quadrature points,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -149,3 +150,51 @@ def needle_mesh(radius: float, height: float, face_radius: float, element: Eleme
     beside = mesh.nodes[top, 0] - face_radius
     slack = 1e-9 * radius
     return replace(mesh, sets={**mesh.sets, "face": top[beside <= slack], "free": top[beside >= -slack]})
+
+
+def tip_mesh(radius: float, height: float, contact_radius: float, element: Element, *, smallest: float, growth: float,
+             largest: float) -> Mesh:
+    """A cylinder under a pointed or rounded tip: even elements under the contact, which grow away from it.
+
+    Args:
+        radius, height: m.
+        contact_radius: m; elements are even up to one and a half of it.
+        element: element type.
+        smallest, growth, largest: of the intervals, m; see `growing_line`.
+    """
+    even = min(1.5 * contact_radius, 0.8 * radius)
+    inner = np.linspace(0.0, even, max(2, round(even / smallest)) + 1)
+    outer = even + growing_line(radius - even, smallest * growth, growth, largest)
+    r = np.concatenate([inner, outer[1:]])
+    r[-1] = radius
+    mesh = structured_mesh(r, -growing_line(height, smallest, growth, largest)[::-1], element)
+    top = mesh.sets["top"]
+    return replace(mesh, sets={**mesh.sets, "face": top[:1], "free": top})
+
+
+def with_lines(z: np.ndarray, interfaces: list[float], least: int) -> np.ndarray:
+    """Element boundaries that meet interfaces, each layer between them at least so many elements thick.
+
+    Args:
+        z: ascending, m.
+        interfaces: inside, m.
+        least: elements between the top and the first interface, and between interfaces.
+
+    Returns:
+        Ascending boundaries. A boundary near an interface moves onto it, others are added.
+    """
+    for interface in interfaces:
+        k = int(np.argmin(np.abs(z - interface)))
+        step = min(z[k] - z[k - 1] if k else np.inf, z[k + 1] - z[k] if k + 1 < z.size else np.inf)
+        if 0 < k < z.size - 1 and abs(z[k] - interface) < 0.4 * step:
+            z = z.copy()
+            z[k] = interface
+        else:
+            z = np.sort(np.append(z, interface))
+    bounds = [*sorted(interfaces), z[-1]]
+    for low, high in pairwise(bounds):
+        while ((z >= low) & (z <= high)).sum() - 1 < least:
+            inside = np.flatnonzero((z >= low) & (z < high))
+            widest = inside[np.argmax(np.diff(z)[inside])]
+            z = np.insert(z, widest + 1, 0.5 * (z[widest] + z[widest + 1]))
+    return z

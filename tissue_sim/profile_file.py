@@ -1,0 +1,62 @@
+"""Profiles of tools from two-column files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from tissue_sim.errors import InputError
+
+
+def read_profile(path: str | Path) -> np.ndarray:
+    """The outline of a tool.
+
+    The file has two columns of numbers, r and z in mm, separated by commas, semicolons or blanks; lines that start
+    with ``#`` and one header line are skipped. The first point lies on the axis and is the deepest; the outline runs
+    outwards and upwards and is convex.
+
+    Returns:
+        (r, z), m, the first at z = 0, shape (n, 2).
+
+    Raises:
+        InputError: no such file, a line that is not two numbers, or an outline that is not such a one; with file and
+            line.
+    """
+    path = Path(path)
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot be read as the profile of a tool ({getattr(error, 'strerror', None) or error})",
+                         file=path) from None
+    points, places, headers = [], [], 0
+    for number, line in enumerate(lines, 1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        cells = line.replace(",", " ").replace(";", " ").split()
+        try:
+            values = [float(cell) for cell in cells]
+        except ValueError:
+            values = []
+        if not values and not points and not headers:
+            headers = 1
+            continue
+        if len(values) != 2 or not np.isfinite(values).all():
+            raise InputError(f"{line.strip()!r} is not a point of a profile, expected r and z in mm", file=path,
+                             line=number)
+        points.append(values)
+        places.append(number)
+    if len(points) < 2:
+        raise InputError("a profile needs at least two points, r and z in mm", file=path)
+    outline = 1e-3 * np.array(points)
+    if outline[0, 0] != 0.0:
+        raise InputError(f"the first point has r = {points[0][0]:g} mm; a profile starts on the axis, r = 0", file=path,
+                         line=places[0])
+    way = np.diff(outline, axis=0)
+    for k, (dr, dz) in enumerate(way):
+        if dr < 0 or dz < 0 or (dr == 0 and dz == 0) or (k == 0 and dr == 0):
+            raise InputError("the profile must run outwards and upwards from its deepest point", file=path,
+                             line=places[k + 1])
+        if k and way[k - 1, 0] * dz - way[k - 1, 1] * dr < -1e-12 * np.linalg.norm(way[k - 1]) * np.hypot(dr, dz):
+            raise InputError("the profile is hollow here; only convex tools are available", file=path, line=places[k])
+    return outline - [0.0, outline[0, 1]]
