@@ -98,15 +98,15 @@ def build_solver(model: Model, mesh: Mesh) -> AxisymmetricSolver:
     """
     experiment = model.experiment
     start, weight = None, experiment.specimen.specific_weight
-    moduli = layer_moduli(mesh, model.material.layers)
+    layers = element_layers(mesh, model.material.layers)
     if weight:
-        start = _settled(model, mesh, moduli)
+        start = _settled(model, mesh, layers)
         mesh = start.mesh
     held = {}
     if experiment.friction == "bonded":
         held = {"top" if experiment.tool.shape == "plate" else "face": "rz"}
     return AxisymmetricSolver(mesh, model.material, _supports(experiment), held,
-                              contact=build_contact(experiment, mesh), specific_weight=weight, moduli=moduli,
+                              contact=build_contact(experiment, mesh), specific_weight=weight, element_layers=layers,
                               contact_radius=contact_radius(experiment), start=start)
 
 
@@ -116,11 +116,10 @@ def contact_radius(experiment: Experiment) -> float:
     return experiment.tool.contact_radius(depth, experiment.specimen.radius)
 
 
-def layer_moduli(mesh: Mesh, layers: tuple[Layer, ...]) -> np.ndarray:
-    """Moduli of the elements in units of the material's, by where their centres lie, shape (elements,)."""
+def element_layers(mesh: Mesh, layers: tuple[Layer, ...]) -> np.ndarray:
+    """Number of the layer in which the centre of each element lies, that after the last for none, shape (elements,)."""
     depth = -mesh.nodes[mesh.connectivity[:, :4], 1].mean(axis=1)
-    bounds = np.cumsum([layer.thickness for layer in layers])
-    return np.array([*(layer.ratio for layer in layers), 1.0])[np.searchsorted(bounds, depth)]
+    return np.searchsorted(np.cumsum([layer.thickness for layer in layers]), depth)
 
 
 def sag(solver: AxisymmetricSolver) -> float:
@@ -134,7 +133,7 @@ def _supports(experiment: Experiment) -> dict[str, str]:
     return {"base": _HELD[experiment.friction_base]} if experiment.friction_base in _HELD else {}
 
 
-def _settled(model: Model, mesh: Mesh, moduli: np.ndarray) -> AxisymmetricSolver:
+def _settled(model: Model, mesh: Mesh, layers: np.ndarray) -> AxisymmetricSolver:
     """The specimen as moulded, standing under its own weight without the tool."""
     specimen: Specimen = model.experiment.specimen
     height = -float(mesh.nodes[:, 1].min())
@@ -142,7 +141,7 @@ def _settled(model: Model, mesh: Mesh, moduli: np.ndarray) -> AxisymmetricSolver
     for _ in range(50):
         moulded = mesh.stretched(factor)
         solver = AxisymmetricSolver(moulded, model.material, _supports(model.experiment), {},
-                                    contact=build_contact(model.experiment, moulded, tool=False), moduli=moduli,
+                                    contact=build_contact(model.experiment, moulded, tool=False), element_layers=layers,
                                     contact_radius=contact_radius(model.experiment))
         _let_settle(solver, specimen.specific_weight)
         stands = factor * height - sag(solver)

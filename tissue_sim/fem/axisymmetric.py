@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import brentq
@@ -18,6 +19,9 @@ from tissue_sim.fem.runtime import LOCK
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.material import BULK_RATIOS, Material, incompressible_ratio
 from tissue_sim.mesh import Mesh
+
+if TYPE_CHECKING:
+    from tissue_sim.fem.sensitivity import Sensitivity
 
 
 @dataclass(frozen=True)
@@ -51,7 +55,8 @@ class AxisymmetricSolver:
         tool: node set -> components that follow the tool: ``"z"`` moves with it, ``"rz"`` also sticks to it.
         contact: the surface that the tool may meet besides.
         specific_weight: density times gravity, N/m3, towards -z.
-        moduli: of each element, in units of the material's, shape (elements,); None: 1.
+        element_layers: number of the material's layer of each element, shape (elements,); that after the last one
+            stands for none, as does None for all.
         contact_radius: m; how fast the pores drain, see `Material.relaxation`.
         start: a solver on the same mesh whose last state is the one in which the tool touches; its contact pairs are
             the first of this one's. None: the undeformed mesh.
@@ -62,7 +67,7 @@ class AxisymmetricSolver:
     """
 
     def __init__(self, mesh: Mesh, material: Material, supports: dict[str, str], tool: dict[str, str], *,
-                 contact: Contact | None = None, specific_weight: float = 0.0, moduli: np.ndarray | None = None,
+                 contact: Contact | None = None, specific_weight: float = 0.0, element_layers: np.ndarray | None = None,
                  contact_radius: float = 1.0, start: AxisymmetricSolver | None = None):
         self.mesh, self.specific_weight = mesh, specific_weight
         element = mesh.element
@@ -73,8 +78,11 @@ class AxisymmetricSolver:
         self.contact, self.surface = contact, ContactPoints(mesh, contact)
         self._band_scratch()
         self.memory = Memory(self.weights.shape)
-        self.moduli = np.ones(elements) if moduli is None else np.array(moduli, dtype=float)
+        self._element_layers, self.moduli = element_layers, np.ones(elements)
         self._contact_radius = contact_radius
+        self._along = np.einsum("eqai,ea->eqi", self.node_gradients[..., :2], self._direction[1::2][mesh.connectivity])
+        #: Rates with the parameters of the material, where somebody asked for them.
+        self.sensitivity: Sensitivity | None = None
         states = 2 * len(mesh.nodes) + modes * elements + 2 * self.surface.springs.size
         self.x = np.zeros(states)
         self._history = np.zeros((3, states))
@@ -102,7 +110,7 @@ class AxisymmetricSolver:
         self._centre_force = np.zeros((elements, 2))
         self._report = np.zeros(6)
         self._settings = np.zeros(11)
-        self._counts = np.array([1, self.free, 0, self.surface.count, 0, 0, 1], dtype=np.int32)
+        self._counts = np.array([1, self.free, 0, self.surface.count, 0, 0, 0, 0], dtype=np.int32)
         self.set_material(material)
         if start is not None:
             self.memory.restore(start.memory.copy())
@@ -244,21 +252,17 @@ class AxisymmetricSolver:
         Raises:
             InputError: bulk ratio outside `BULK_RATIOS`.
         """
-        law = material.energy_law
-        energy: KernelEnergy = law.kernel_energy
-        radius, height = np.ptp(self.mesh.nodes, axis=0)
-        K = material.bulk_modulus
-        self.bulk_modulus = incompressible_ratio(radius, height) * material.mu0 if np.isinf(K) else K
+        energy: KernelEnergy = material.energy_law.kernel_energy
+        coefficients, self.bulk_modulus, factor, self.moduli[:] = self.inputs(material)
         ratio = self.bulk_modulus / material.mu0
         low, high = BULK_RATIOS
         if not low <= ratio <= high:
             raise InputError(f"K/mu0 is {ratio:g}; the finite elements are checked from {low:g} to {high:g}",
                              field="bulk")
         self.material = material
-        self._coefficients = law.kernel_coefficients(material.parameters)
+        self._coefficients = np.array(coefficients)
         surface, memory = self.surface, self.memory
-        memory.set_material(material.relaxation(self._contact_radius), material.softening,
-                            material.instantaneous_factor)
+        memory.set_material(material.relaxation(self._contact_radius), material.softening, factor)
         self._counts[newton.REMEMBERS] = memory.works
         with LOCK:
             kernel = newton.step_kernel(self.mesh.element.name, energy)
@@ -278,6 +282,24 @@ class AxisymmetricSolver:
         # Below this force, N, nothing is loaded: the residual is measured against it instead of the reactions.
         self._floor = 1e-6 * material.mu0 * np.pi * top**2
 
+    def inputs(self, material: Material) -> tuple[np.ndarray, float, float, np.ndarray]:
+        """What a material is to the kernels: coefficients of its law, bulk modulus (Pa), instantaneous factor, and
+        moduli of the elements in units of the law's, shape (elements,)."""
+        radius, height = np.ptp(self.mesh.nodes, axis=0)
+        K = material.bulk_modulus
+        if np.isinf(K):
+            K = incompressible_ratio(radius, height) * material.mu0
+        moduli = np.ones(len(self.mesh.connectivity))
+        if self._element_layers is not None:
+            moduli = np.array([*(layer.ratio for layer in material.layers), 1.0])[self._element_layers]
+        coefficients = material.energy_law.kernel_coefficients(material.parameters)
+        return coefficients, K, material.instantaneous_factor, moduli
+
+    def relaxation_step(self, material: Material, dt: float) -> tuple[float, np.ndarray, np.ndarray]:
+        """`Prony.increment` of all that relaxes in this material here."""
+        prony = material.relaxation(self._contact_radius)
+        return (1.0, np.zeros(0), np.zeros(0)) if prony is None else prony.increment(dt)
+
     def step(self, depth: float, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
              predictor_order: int = 2) -> Step:
         """Move the tool to `depth` and find equilibrium; commits the state only when it converges.
@@ -293,6 +315,8 @@ class AxisymmetricSolver:
         self.memory.prepare(dt)
         result = self._solve(depth, tolerance, max_iterations)
         if result.status is StepStatus.CONVERGED:
+            if self.sensitivity is not None:
+                self.sensitivity.advance()
             self._commit(depth)
         return result
 
@@ -350,6 +374,32 @@ class AxisymmetricSolver:
         self.surface.held[:], self.surface.ways[:] = self.surface.anchors, self.surface.slipped
         with LOCK:
             self._kernel()
+
+    def respond(self, launch) -> None:
+        """Assemble the exact tangent at the equilibrium just found, with the contact as it was in the step, and call
+        `launch` there."""
+        surface, after = self.surface, self.surface.held.copy()
+        surface.held[:] = surface.anchors
+        released = (surface.anchors[..., 0] == contact_kernels.HELD) & (after != surface.anchors).any(axis=-1)
+        surface.held[released] = 0.0
+        self._settings[newton.PREDICTED] = self._settings[newton.DEPTH]
+        self._settings[newton.TOLERANCE] = -1.0
+        self._counts[newton.MAX_ITERATIONS], self._counts[newton.KEEPS] = 0, 1
+        with LOCK:
+            self._kernel()
+            launch()
+        self._counts[newton.KEEPS] = 0
+        surface.held[:] = after
+
+    def response_arrays(self) -> tuple[np.ndarray, ...]:
+        """The arrays of the solver that `tissue_sim.fem.sensitivity_kernel` works on, in its order."""
+        surface, memory = self.surface, self.memory
+        return (self._counts, self._settings, self._connectivity, self._equation, self.node_gradients,
+                self._quadrature, self._along, surface.edges, surface.spans, surface.shapes, surface.springs,
+                surface.held, surface.ways, surface.rates, self._coefficients, self.moduli, memory.past,
+                memory.inherited, memory.largest, self.x, self._entries, self._entries, self._upper, self._inverse,
+                self._right, self._residual, self._force, self._stiffness, self._centre_stiffness, self._volume,
+                self._centre_volume, self._gap, self._centre_rows, self._centre_inverse, self._centre_force)
 
     def tangent(self) -> np.ndarray:
         """Condensed tangent at the last committed state: lower band in LAPACK's storage, (half_band + 1, free), N/m."""

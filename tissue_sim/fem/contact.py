@@ -85,7 +85,7 @@ class ContactPoints:
             of the point in that frame.
         ways, slipped: which way along the surface a point slips, 1, -1 or 0, during a step and at the last equilibrium.
         forces: on the tissue, turned round, N, shape (m, q, 2); rates: with the motion of the points, rr, rz, zr, zz,
-            N/m, shape (m, q, 4).
+            N/m, then the normal (r, z) and the coefficient of friction there, shape (m, q, 7).
     """
 
     def __init__(self, mesh: Mesh, contact: Contact | None):
@@ -134,7 +134,7 @@ class ContactPoints:
         self.anchors = np.zeros((*self.places.shape[:2], 3))
         self.held, self.met = np.zeros_like(self.anchors), np.zeros_like(self.anchors)
         self.ways, self.slipped = np.zeros_like(self.springs), np.zeros_like(self.springs)
-        self.forces, self.rates = np.zeros((*self.places.shape[:2], 2)), np.zeros((*self.places.shape[:2], 4))
+        self.forces, self.rates = np.zeros((*self.places.shape[:2], 2)), np.zeros((*self.places.shape[:2], 7))
 
     def _merge(self, at_nodes: np.ndarray) -> None:
         """One point a node and body: the first edge that has it takes the share of the others."""

@@ -149,6 +149,7 @@ def functions():
                     kzz = nn * nz * nz + (nt + tn) * nz * tz + tt * tz * tz
                 forces[m, q, 0], forces[m, q, 1] = fr, fz
                 rates[m, q, 0], rates[m, q, 1], rates[m, q, 2], rates[m, q, 3] = krr, krz, kzr, kzz
+                rates[m, q, 4], rates[m, q, 5], rates[m, q, 6] = nr, nz, mu
                 if adhesion > 0.0 and moves > 0.0 and bound != HELD:
                     touches = krr != 0.0 or kzz != 0.0
                     near = bound == TOUCHED and gap < adhesion_length

@@ -64,8 +64,10 @@ class Fields:
     def at_points(self, name: str, sample: int = -1) -> np.ndarray:
         """A field of `FIELD_UNITS` at the quadrature points, shape (elements, q).
 
-        Cauchy stress is that of the mixed element: sigma = dev(tau)/J + p I, with p the element's pressure; the energy
-        density is that of the law, W + p^2 / (2 K), per undeformed volume.
+        Cauchy stress is that of the mixed element: sigma = tau/J + p I, with p the element's pressure and tau the
+        isochoric Kirchhoff stress. Where that is left of earlier strains it need not be a deviator; `pressure` is the
+        mean stress, turned round, either way. The energy density is that of the law, W + p^2 / (2 K), per undeformed
+        volume.
 
         Raises:
             InputError: no such field.
@@ -85,8 +87,6 @@ class Fields:
         p = np.einsum("eqm,em->eq", self.pressure_modes, amplitudes)
         if name == "J":
             return J
-        if name == "pressure":
-            return -p
         modulus = self.moduli[:, None]
         directions, stretches, _ = np.linalg.svd(in_plane)
         all_stretches = np.concatenate([stretches, F[..., 4:]], axis=-1)
@@ -101,11 +101,13 @@ class Fields:
             S = self.stresses[sample]
             tensor = np.einsum("eqik,eqkl,eqjl->eqij", in_plane, S[..., [[0, 1], [1, 2]]], in_plane)
             hoop = F[..., 4] ** 2 * S[..., 3]
-            mean = (np.trace(tensor, axis1=-2, axis2=-1) + hoop) / 3.0
-            tensor, hoop = tensor - mean[..., None, None] * np.eye(2), hoop - mean
         tensor, hoop = (modulus / J)[..., None, None] * tensor, modulus / J * hoop
+        mean = (np.trace(tensor, axis1=-2, axis2=-1) + hoop) / 3.0
+        if name == "pressure":
+            return -(mean + p)
         if name == "von_mises":
-            return np.sqrt(1.5 * ((tensor**2).sum(axis=(-2, -1)) + hoop**2))
+            deviator = tensor - mean[..., None, None] * np.eye(2)
+            return np.sqrt(1.5 * ((deviator**2).sum(axis=(-2, -1)) + (hoop - mean) ** 2))
         return {"cauchy_rr": tensor[..., 0, 0] + p, "cauchy_zz": tensor[..., 1, 1] + p, "cauchy_rz": tensor[..., 0, 1],
                 "cauchy_hoop": hoop + p}[name]
 

@@ -16,7 +16,9 @@ class Memory:
         past: how stresses act in this step; places as in `tissue_sim.fem.assembly`.
         inherited: isochoric second Piola stress that is left of earlier ones, Pa, shape (elements, q, 4).
         largest: largest isochoric energy density so far, J/m3, shape (elements, q).
-        stresses, energies: those of the law in this step, of the whole softened stress before it relaxes.
+        stresses, energies: of the law, softened but not relaxed, in this step; before: those of the step before.
+        internal: Q_i of each term, Pa, shape (terms, elements, q, 4).
+        step: decay and gain of each term in this step.
 
     The recursion is that of `tissue_sim.viscoelasticity`: within a step the stress of the law changes linearly in time.
     """
@@ -25,17 +27,17 @@ class Memory:
         self.past = np.zeros(5)
         self.inherited, self.stresses = np.zeros((*points, 4)), np.zeros((*points, 4))
         self.largest, self.energies = np.zeros(points), np.zeros(points)
-        self._before = np.zeros_like(self.stresses)
-        self._internal = np.zeros((0, *self.stresses.shape))
-        self._step = (np.zeros(0), np.zeros(0))
+        self.before = np.zeros_like(self.stresses)
+        self.internal = np.zeros((0, *self.stresses.shape))
+        self.step = (np.zeros(0), np.zeros(0))
         self.set_material(None, None, 1.0)
 
     def set_material(self, relaxation: Prony | None, softening: Softening | None, factor: float) -> None:
         """Take over what relaxes and softens; `factor` is the instantaneous stress over that of the law."""
         self._prony = relaxation
         terms = 0 if relaxation is None else len(relaxation.terms)
-        if len(self._internal) != terms:
-            self._internal = np.zeros((terms, *self.stresses.shape))
+        if len(self.internal) != terms:
+            self.internal = np.zeros((terms, *self.stresses.shape))
         soft = softening if softening is not None and softening.loss > 0 else None
         self.past[FACTOR] = factor
         self.past[LOSS], self.past[LOSS_MODULUS], self.past[LOSS_SHARE] = (
@@ -45,35 +47,36 @@ class Memory:
 
     def prepare(self, dt: float) -> None:
         """Before a step of `dt` (s): 0 is a sudden one, infinity one that has come to rest."""
+        self.dt = dt
         if self._prony is None:
             self.past[INSTANT] = 1.0
             return
         self.past[INSTANT], decay, gain = self._prony.increment(dt)
-        self._step = decay, gain
-        np.einsum("t,teqi->eqi", decay, self._internal, out=self.inherited)
-        self.inherited -= gain.sum() * self._before
+        self.step = decay, gain
+        np.einsum("t,teqi->eqi", decay, self.internal, out=self.inherited)
+        self.inherited -= gain.sum() * self.before
 
     def commit(self) -> None:
         """After a step that converged."""
         if not self.works:
             return
         if self._prony is not None:
-            decay, gain = self._step
-            self._internal *= decay[:, None, None, None]
-            self._internal += gain[:, None, None, None] * (self.stresses - self._before)
-            self._before[:] = self.stresses
+            decay, gain = self.step
+            self.internal *= decay[:, None, None, None]
+            self.internal += gain[:, None, None, None] * (self.stresses - self.before)
+            self.before[:] = self.stresses
         np.maximum(self.largest, self.energies, out=self.largest)
 
     def total(self) -> np.ndarray:
         """Isochoric second Piola stress of the last committed step, relaxation included, Pa, (elements, q, 4)."""
         if self._prony is None:
             return self.stresses.copy()
-        return (1.0 - self._prony.relaxing) * self._before + self._internal.sum(axis=0)
+        return (1.0 - self._prony.relaxing) * self.before + self.internal.sum(axis=0)
 
     def copy(self) -> tuple[np.ndarray, ...]:
         """All that a committed step leaves behind."""
-        return self._before.copy(), self._internal.copy(), self.largest.copy()
+        return self.before.copy(), self.internal.copy(), self.largest.copy()
 
     def restore(self, saved: tuple[np.ndarray, ...]) -> None:
         """Go back to where `copy` was taken, on this mesh or on the same one."""
-        self._before[:], self._internal[:], self.largest[:] = saved
+        self.before[:], self.internal[:], self.largest[:] = saved

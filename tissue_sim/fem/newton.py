@@ -37,7 +37,7 @@ REUSE = 1e-3
 #: it: then one point at a time (Murty's least-index rule).
 ALL, CIRCLING = 1_000_000, 8
 #: Places in the kernel's counts, settings and report.
-PASSES, FREE, MAX_ITERATIONS, CONTACTS, REMEMBERS, UNSYMMETRIC, CHANGEABLE = range(7)
+PASSES, FREE, MAX_ITERATIONS, CONTACTS, REMEMBERS, UNSYMMETRIC, CHANGEABLE, KEEPS = range(8)
 (DEPTH, PREDICTED, KAPPA, WEIGHT, TOLERANCE, FLOOR, ROUNDING, TOUCH, CONTACT_TOLERANCE, ADHESION,
  ADHESION_LENGTH) = range(11)
 STATUS, ITERATIONS, RESIDUAL, FORCE, VIOLATION, SLIPPING = range(6)
@@ -131,7 +131,9 @@ def step_kernel(element_name: str, energy: KernelEnergy):
             elements, width, rows = connectivity.shape[0], entries.shape[1], entries.shape[0]
             pressures = equation.shape[0]
             multipliers = pressures + modes * elements
-            predict(x, history, slots, weights)
+            if counts[KEEPS] == 0:
+                predict(x, history, slots, weights)
+                counts[CHANGEABLE] = ALL
             adhesion, adhesion_length = settings[ADHESION], settings[ADHESION_LENGTH]
             pending = 0
             if counts[CONTACTS] > 0 and ti.abs(depth - settings[PREDICTED]) > 1e-10 * ti.abs(depth):
@@ -143,7 +145,7 @@ def step_kernel(element_name: str, energy: KernelEnergy):
                         pending = 1
                     else:
                         x[dof] = target[dof]  # the rounding of the extrapolation
-            report[STATUS], counts[CHANGEABLE] = 0.0, ALL
+            report[STATUS] = 0.0
             iterations, tangent = 0, 1
             # Far from equilibrium the surface's curvature would make the tangent indefinite.
             bending = 1.0 if max_iterations == 0 else 0.0

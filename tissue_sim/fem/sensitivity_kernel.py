@@ -1,0 +1,295 @@
+"""How an equilibrium moves with the parameters of the material, as one Taichi kernel.
+
+The equilibrium R(y; theta, past) = 0 of a step is differentiated as it stands: R_y dy = -(R_theta + R_past dpast), with
+the exact tangent at the converged state. What a parameter does at a quadrature point with the deformation held comes
+from the law, differentiated as a formula; what it did to the past is carried along.
+"""
+
+from functools import cache
+
+import sympy as sp
+
+from tissue_sim.fem import band as band_matrix
+from tissue_sim.fem import band_lu
+from tissue_sim.fem import energy as point
+from tissue_sim.fem.assembly import FACTOR, INSTANT, LOSS, LOSS_MODULUS, LOSS_SHARE, element_functions
+from tissue_sim.fem.contact import HOLD, MOVES
+from tissue_sim.fem.contact_kernels import HELD, TOUCHED
+from tissue_sim.fem.elements import ELEMENTS
+from tissue_sim.fem.newton import CONTACTS, KAPPA, REMEMBERS, UNSYMMETRIC
+from tissue_sim.fem.newton import FREE as FREE_EQUATIONS
+from tissue_sim.fem.runtime import initialise
+from tissue_sim.laws import KernelEnergy
+
+#: Places in `which`: the parameter, and whether the matrix has still to be factorised (what stays 1 is singular).
+PARAMETER, FRESH = range(2)
+#: Rounds in which the rates of the contact forces settle; each takes three digits off what is left.
+ROUNDS = 4
+
+
+def directional(energy: KernelEnergy) -> KernelEnergy:
+    """The energy's derivative with respect to its coefficients along a direction; coefficients, then the direction."""
+    along = tuple(sp.Symbol(f"{symbol.name}_rate", real=True) for symbol in energy.coefficients)
+    rate = sum((way * sp.diff(energy.energy, symbol) for way, symbol in zip(along, energy.coefficients, strict=True)),
+               sp.Integer(0))
+    return KernelEnergy(f"{energy.key} rate", energy.family, energy.variables, energy.coefficients + along, rate)
+
+
+@cache
+def respond_kernel(element_name: str, energy: KernelEnergy):
+    """The compiled response of one element and one family of laws; see `tissue_sim.fem.sensitivity`."""
+    ti = initialise()
+    element = ELEMENTS[element_name]
+    nb, modes, points = element.boundary_nodes, element.pressure_modes, element.quadrature[1].size
+    has_centre, centre = element.nodes > nb, element.nodes - 1
+    work = element_functions(element_name, energy)
+    vec = work.vec
+    block = ti.types.vector(band_matrix.BLOCK, ti.f64)
+    B = band_matrix.BLOCK
+    real1, real2, real3, real4 = (ti.types.ndarray(dtype=ti.f64, ndim=n) for n in range(1, 5))
+    int1, int2 = (ti.types.ndarray(dtype=ti.i32, ndim=n) for n in (1, 2))
+    vector1, vector2, vector3 = (ti.types.ndarray(dtype=vec, ndim=n) for n in (1, 2, 3))
+    block1, block3 = (ti.types.ndarray(dtype=block, ndim=n) for n in (1, 3))
+    stress_and_tangent = point.function(energy)
+    stress_rate = point.function(directional(energy))
+    add_volume = point.volume_function()
+    soften, relax = point.history_functions()
+    factorise, solve = band_matrix.functions()
+    _, _, factorise_lu, solve_lu = band_lu.functions()
+    row = [[point._packed(i, k) for k in range(5)] for i in range(5)]
+
+    @ti.func
+    def times(A: ti.template(), H):
+        """A packed tangent times a rate of the deformation gradient."""
+        rate = ti.Vector.zero(ti.f64, 5)
+        for i in ti.static(range(5)):
+            for k in ti.static(range(5)):
+                rate[i] += A[ti.static(row[i][k])] * H[k]
+        return rate
+
+    @ti.func
+    def pulled_back(F, P):
+        """F^-1 P: RR, RZ, ZR, ZZ, hoop."""
+        j = F[0] * F[3] - F[1] * F[2]
+        return ti.Vector([(F[3] * P[0] - F[1] * P[2]) / j, (F[3] * P[1] - F[1] * P[3]) / j,
+                          (F[0] * P[2] - F[2] * P[0]) / j, (F[0] * P[3] - F[2] * P[1]) / j, P[4] / F[4]])
+
+    @ti.func
+    def pushed(F, S):
+        """F S of a symmetric S (RR, RZ, ZZ, hoop)."""
+        return ti.Vector([F[0] * S[0] + F[1] * S[1], F[0] * S[1] + F[1] * S[2],
+                          F[2] * S[0] + F[3] * S[1], F[2] * S[1] + F[3] * S[2], F[4] * S[3]])
+
+    @ti.func
+    def gradient(e, q, x: ti.template(), connectivity: ti.template(), node_gradients: ti.template()):
+        H = ti.Vector.zero(ti.f64, 5)
+        for a in range(element.nodes):
+            ur, uz = x[2 * connectivity[e, a]], x[2 * connectivity[e, a] + 1]
+            nx, ny, nr = node_gradients[e, q, a, 0], node_gradients[e, q, a, 1], node_gradients[e, q, a, 2]
+            H += ti.Vector([ur * nx, ur * ny, uz * nx, uz * ny, ur * nr])
+        return H
+
+    @ti.func
+    def at_point(k, e, q, F, p, coefficients: ti.template(), direction: ti.template(), modulus, modulus_rate,
+                 remembers, past: ti.template(), past_rates: ti.template(), inherited: ti.template(),
+                 inherited_rates: ti.template(), largest: ti.template(), largest_rates: ti.template()):
+        """Stress and tangent, their parts before relaxation, and the rates of energy and stress with F held.
+
+        Returns (P0, dW, A_soft, P_soft, dP_soft, A, dP): of the law with its factor, after softening, in full but for
+        the pressure.
+        """
+        W, P, A = stress_and_tangent(F, coefficients)
+        dW, dP, _unused = stress_rate(F, direction)
+        P0, A_soft, P_soft, dP_soft = 1.0 * P, 1.0 * A, 1.0 * P, 1.0 * dP
+        if remembers == 1:
+            f, df = past[FACTOR], past_rates[k, FACTOR]
+            dW = f * dW + df * W
+            dP = f * dP + df * P
+            W *= f
+            P *= f
+            A *= f
+            P0 = 1.0 * P
+            L = largest[e, q]
+            if W < L:
+                dL = largest_rates[k, e, q]
+                width = past[LOSS_MODULUS] + past[LOSS_SHARE] * L
+                width_rate = past_rates[k, LOSS_MODULUS] + past_rates[k, LOSS_SHARE] * L + past[LOSS_SHARE] * dL
+                bend = ti.tanh((L - W) / width)
+                argument_rate = (dL - dW) / width - (L - W) * width_rate / (width * width)
+                eta_rate = -past_rates[k, LOSS] * bend - past[LOSS] * (1.0 - bend * bend) * argument_rate
+                dP = (1.0 - past[LOSS] * bend) * dP + eta_rate * P
+            soften(W, L, past[LOSS], past[LOSS_MODULUS], past[LOSS_SHARE], P, A)
+            A_soft, P_soft, dP_soft = 1.0 * A, 1.0 * P, 1.0 * dP
+            h = ti.Vector([inherited[e, q, 0], inherited[e, q, 1], inherited[e, q, 2], inherited[e, q, 3]])
+            dh = ti.Vector([inherited_rates[k, e, q, 0], inherited_rates[k, e, q, 1], inherited_rates[k, e, q, 2],
+                            inherited_rates[k, e, q, 3]])
+            relax(F, past[INSTANT], h, P, A)
+            dP = past[INSTANT] * dP + past_rates[k, INSTANT] * P_soft + pushed(F, dh)
+        dP = modulus * dP + modulus_rate * P
+        P *= modulus
+        A *= modulus
+        add_volume(F, p, P, A)
+        return P0, dW, A_soft, P_soft, dP_soft, A, dP
+
+    @ti.func
+    def contact_rate(m, q, a, dr, dz, held: ti.template(), ways: ti.template(), springs: ti.template(),
+                     contact_rates: ti.template(), multiplier_rates: ti.template(), anchor_rates: ti.template()):
+        """Rate of the force of a point that moves by (dr, dz)."""
+        fr = contact_rates[m, q, 0] * dr + contact_rates[m, q, 1] * dz
+        fz = contact_rates[m, q, 2] * dr + contact_rates[m, q, 3] * dz
+        lr, lz = multiplier_rates[a, m, q, 0], multiplier_rates[a, m, q, 1]
+        hr, hz = anchor_rates[a, m, q, 0], anchor_rates[a, m, q, 1]
+        stiff = HOLD * springs[m, q]
+        if held[m, q, 0] == HELD:
+            fr += lr - stiff * hr
+            fz += lz - stiff * hz
+        elif contact_rates[m, q, 0] != 0.0 or contact_rates[m, q, 3] != 0.0:
+            nr, nz, mu = contact_rates[m, q, 4], contact_rates[m, q, 5], contact_rates[m, q, 6]
+            tr, tz = -nz, nr
+            pressed, along = lr * nr + lz * nz, 0.0
+            if mu > 0.0 and held[m, q, 0] == TOUCHED:
+                if ways[m, q] == 0.0:
+                    along = lr * tr + lz * tz - stiff * (hr * tr + hz * tz)
+                else:
+                    along = -ways[m, q] * mu * pressed
+            fr += pressed * nr + along * tr
+            fz += pressed * nz + along * tz
+        return fr, fz
+
+    @ti.kernel
+    def respond(which: int1, counts: int1, settings: real1, connectivity: int2, equation: int1, node_gradients: real4,
+                quadrature: real3, along: real3, edges: int2, spans: int2, shapes: real3, springs: real2, held: real3,
+                ways: real2, contact_rates: real3, coefficients: real1, moduli: real1, past: real1, inherited: real3,
+                largest: real2, x: real1, entries: real4, blocks: block3, upper_blocks: block3, inverse: real1,
+                right: block1, residual: real1, force: vector1, stiffness: vector2, centre_stiffness: real1,
+                volume: vector3, centre_volume: real3, gap: real2, centre_rows: vector3, centre_inverse: real2,
+                centre_force: real2, kappa_rates: real1, moduli_rates: real2, past_rates: real2,
+                inherited_rates: real4, largest_rates: real3, multiplier_rates: real4, anchor_rates: real4,
+                direction: real1, base: real1, dx: real1, stress_rates: real4, energy_rates: real3,
+                point_rates: real4, force_rates: real1):
+        ti.loop_config(serialize=True)
+        for _ in range(1):
+            free, width, rows = counts[FREE_EQUATIONS], entries.shape[1], entries.shape[0]
+            elements, pressures = connectivity.shape[0], equation.shape[0]
+            k = which[PARAMETER]
+            if which[FRESH] == 1:
+                for i in range(free, rows * B):
+                    entries[i // B, width - 1, i % B, i % B] = 1.0
+                good = 1
+                if counts[UNSYMMETRIC] == 1:
+                    good = factorise_lu(blocks, upper_blocks, inverse, rows, width)
+                else:
+                    good = factorise(blocks, inverse, rows, width)
+                which[FRESH] = 1 - good
+            for i in range(base.shape[0]):
+                base[i] = 0.0
+            for e in range(elements):
+                force[0], force[1], force[2] = vec(0.0), vec(0.0), vec(0.0)
+                bulk = settings[KAPPA] * moduli[e]
+                bulk_rate = kappa_rates[k] * moduli[e] + settings[KAPPA] * moduli_rates[k, e]
+                for m in range(modes):
+                    gap[e, m] = x[pressures + modes * e + m] / (bulk * bulk) * bulk_rate
+                for q in range(points):
+                    w = quadrature[e, q, 0]
+                    F = gradient(e, q, x, connectivity, node_gradients) + ti.Vector([1.0, 0.0, 0.0, 1.0, 1.0])
+                    _a, _b, _c, _d, _e, _f, dP = at_point(
+                        k, e, q, F, 0.0, coefficients, direction, moduli[e], moduli_rates[k, e],
+                        counts[REMEMBERS], past, past_rates, inherited, inherited_rates, largest, largest_rates)
+                    dP *= w
+                    for a in ti.static(range(nb)):
+                        nx, ny, nr = (node_gradients[e, q, a, 0], node_gradients[e, q, a, 1],
+                                      node_gradients[e, q, a, 2])
+                        force[0][a] = force[0][a] + dP[0] * nx + dP[1] * ny + dP[4] * nr
+                        force[1][a] = force[1][a] + dP[2] * nx + dP[3] * ny
+                    if ti.static(has_centre):
+                        cx, cy, ch = (node_gradients[e, q, centre, 0], node_gradients[e, q, centre, 1],
+                                      node_gradients[e, q, centre, 2])
+                        force[2][0] = force[2][0] + dP[0] * cx + dP[1] * cy + dP[4] * ch
+                        force[2][1] = force[2][1] + dP[2] * cx + dP[3] * cy
+                work.condense_pressure(e, 0, bulk, force, stiffness, centre_stiffness, volume, centre_volume, gap)
+                if ti.static(has_centre):
+                    work.condense_centre_force(e, force, centre_rows, centre_inverse, centre_force)
+                work.scatter(e, 0, free, width, connectivity, equation, force, stiffness, entries, base)
+            rounds = ROUNDS if counts[CONTACTS] > 0 else 1
+            for _round in range(rounds):
+                for i in range(residual.shape[0]):
+                    residual[i] = base[i]
+                for m in range(counts[CONTACTS]):
+                    for q in range(springs.shape[1]):
+                        fr, fz = contact_rate(m, q, k, 0.0, 0.0, held, ways, springs, contact_rates,
+                                              multiplier_rates, anchor_rates)
+                        for a in range(shapes.shape[2]):
+                            ir, iz = equation[2 * edges[m, a]], equation[2 * edges[m, a] + 1]
+                            residual[ir] = residual[ir] + shapes[m, q, a] * fr
+                            residual[iz] = residual[iz] + shapes[m, q, a] * fz
+                for I in range(rows):
+                    for i in ti.static(range(B)):
+                        right[I][i] = residual[I * B + i] if I * B + i < free else 0.0
+                if counts[UNSYMMETRIC] == 1:
+                    solve_lu(blocks, upper_blocks, inverse, right, rows, width)
+                else:
+                    solve(blocks, inverse, right, rows, width)
+                for dof in range(pressures):
+                    i = equation[dof]
+                    if i >= free:
+                        dx[dof] = 0.0
+                    elif i >= 0:
+                        dx[dof] = -right[i // B][i % B]
+                for m in range(counts[CONTACTS]):
+                    for q in range(springs.shape[1]):
+                        dr, dz = 0.0, 0.0
+                        for a in range(shapes.shape[2]):
+                            dr += shapes[m, q, a] * dx[2 * edges[m, a]]
+                            dz += shapes[m, q, a] * dx[2 * edges[m, a] + 1]
+                        fr, fz = contact_rate(m, q, k, dr, dz, held, ways, springs, contact_rates,
+                                              multiplier_rates, anchor_rates)
+                        multiplier_rates[k, m, q, 0], multiplier_rates[k, m, q, 1] = fr, fz
+                        point_rates[k, m, q, 0], point_rates[k, m, q, 1] = dr, dz
+            total = 0.0
+            for m in range(counts[CONTACTS]):
+                for q in range(springs.shape[1]):
+                    total += float(spans[m, MOVES]) * multiplier_rates[k, m, q, 1]
+            for e in range(elements):
+                bulk = settings[KAPPA] * moduli[e]
+                if ti.static(has_centre):
+                    cr, cz = centre_force[e, 0], centre_force[e, 1]
+                    for a in range(nb):
+                        ur, uz = dx[2 * connectivity[e, a]], dx[2 * connectivity[e, a] + 1]
+                        cr += centre_rows[e, 0, 0][a] * ur + centre_rows[e, 0, 1][a] * uz
+                        cz += centre_rows[e, 1, 0][a] * ur + centre_rows[e, 1, 1][a] * uz
+                    dx[2 * connectivity[e, centre]], dx[2 * connectivity[e, centre] + 1] = -cr, -cz
+                for m in range(modes):
+                    change = gap[e, m]
+                    for a in range(nb):
+                        change += (volume[e, m, 0][a] * dx[2 * connectivity[e, a]]
+                                   + volume[e, m, 1][a] * dx[2 * connectivity[e, a] + 1])
+                    if ti.static(has_centre):
+                        change += (centre_volume[e, m, 0] * dx[2 * connectivity[e, centre]]
+                                   + centre_volume[e, m, 1] * dx[2 * connectivity[e, centre] + 1])
+                    dx[pressures + modes * e + m] = bulk * change
+                for q in range(points):
+                    loaded = along[e, q, 0] != 0.0 or along[e, q, 1] != 0.0
+                    if counts[REMEMBERS] == 1 or loaded:
+                        F = gradient(e, q, x, connectivity, node_gradients) + ti.Vector([1.0, 0.0, 0.0, 1.0, 1.0])
+                        H = gradient(e, q, dx, connectivity, node_gradients)
+                        p, dp = 0.0, 0.0
+                        for m in range(modes):
+                            p += quadrature[e, q, 1 + m] * x[pressures + modes * e + m]
+                            dp += quadrature[e, q, 1 + m] * dx[pressures + modes * e + m]
+                        P0, dW, A_soft, P_soft, dP_soft, A, dP = at_point(
+                            k, e, q, F, p, coefficients, direction, moduli[e], moduli_rates[k, e],
+                            counts[REMEMBERS], past, past_rates, inherited, inherited_rates,
+                            largest, largest_rates)
+                        c, j = F[4], F[0] * F[3] - F[1] * F[2]
+                        cofactor = ti.Vector([c * F[3], -c * F[2], -c * F[1], c * F[0], j])
+                        rate = dP + times(A, H) + dp * cofactor
+                        total += quadrature[e, q, 0] * (rate[2] * along[e, q, 0] + rate[3] * along[e, q, 1])
+                        energy_rates[k, e, q] = dW + P0.dot(H)
+                        S = pulled_back(F, P_soft)
+                        lost = pushed(H, ti.Vector([S[0], S[1], S[3], S[4]]))
+                        S_rate = pulled_back(F, dP_soft + times(A_soft, H) - lost)
+                        stress_rates[k, e, q, 0], stress_rates[k, e, q, 1] = S_rate[0], S_rate[1]
+                        stress_rates[k, e, q, 2], stress_rates[k, e, q, 3] = S_rate[3], S_rate[4]
+            force_rates[k] = total
+
+    return respond
