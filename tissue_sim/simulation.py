@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from typing import Protocol
 
 import numpy as np
 
@@ -22,10 +23,21 @@ from tissue_sim.tilt import tilted
 _SMALLEST_CUT = 2.0**-10
 #: The tool of a compliant rig is where it should be to this part of the travel.
 _PLACED, _MOST_TRIALS = 1e-7, 20
+_NOTHING = Step(StepStatus.CONVERGED, 0, 0.0, 0.0)
+
+
+class Watch(Protocol):
+    """Who follows a solver through a test."""
+
+    def begin(self, solver: AxisymmetricSolver) -> None:
+        """Before the first step."""
+
+    def sample(self, solver: AxisymmetricSolver, factor: float) -> None:
+        """After each sample; the test's force is `factor` times the solver's."""
 
 
 def simulate(model: Model, *, resolution: str = "fast", mesh: Mesh | None = None, fields: bool = False,
-             progress: Callable[[int, int], None] | None = None) -> Recording:
+             progress: Callable[[int, int], None] | None = None, watch: Watch | None = None) -> Recording:
     """Simulate a whole test quasi-statically.
 
     The protocol is the motion that the rig's stage reports; where the load train gives way the tool's true place is
@@ -37,6 +49,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Mesh | None = None
         mesh: a mesh of your own instead.
         fields: keep the converged fields of every sample in ``recording.fields``.
         progress: called with (samples done, samples in all); the first call comes before the kernels are compiled.
+        watch: told of the solver.
 
     Returns:
         Recording at the times of the protocol, with its labels, as the model's rig reports it. ``metadata["solver"]``
@@ -55,6 +68,8 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Mesh | None = None
     own_mesh = mesh is not None
     mesh = mesh if own_mesh else build_mesh(model.experiment, resolution, layers=model.material.layers)
     solver = build_solver(model, mesh)
+    if watch:
+        watch.begin(solver)
     forces, states, stresses = [], [], []
     report = {"newton_iterations": 0, "cuts": 0, "residual": 0.0, "element": mesh.element.name,
               "mesh": {"elements": len(mesh.connectivity), "freedoms": solver.free},
@@ -79,9 +94,12 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Mesh | None = None
     if progress:
         progress(0, protocol.displacement.size)
     dropped = _Puncture(model)
-    places, waits = rig.tool_motion(protocol.displacement), np.diff(protocol.time, prepend=protocol.time[0])
+    places = rig.tool_motion(protocol.displacement)
+    waits, first = _from_the_touch(places, protocol.time)
     for sample, (place, dt) in enumerate(zip(places.tolist(), waits.tolist(), strict=True)):
-        for step in _sample(solver, place, dt, rig.compliance, dropped, model.experiment):
+        # Before that the tool is in the air, and the specimen waits for it.
+        steps = _sample(solver, place, dt, rig.compliance, dropped) if sample >= first else [_NOTHING]
+        for step in steps:
             report["newton_iterations"] += step.iterations
             report["cuts"] += step.status is not StepStatus.CONVERGED
         if step.status is not StepStatus.CONVERGED:
@@ -97,6 +115,8 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Mesh | None = None
         if "slipping_points" in report:
             report["slipping_points"] = max(report["slipping_points"], step.slipping)
         forces.append(dropped(solver.depth, step.force))
+        if watch:
+            watch.sample(solver, dropped.at(solver.depth, 1.0))
         if fields:
             states.append(solver.state)
             if solver.memory.works:
@@ -133,8 +153,20 @@ class _Puncture:
         return force * (1.0 - self._drop) if max(depth, self._deepest) > self._depth else force
 
 
-def _sample(solver: AxisymmetricSolver, place: float, dt: float, compliance: float, dropped: _Puncture,
-            experiment: Experiment) -> Iterator[Step]:
+def _from_the_touch(places: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, int]:
+    """Time on the way to each place of the tool, s, and the first sample at which it touches the specimen.
+
+    The way to that one counts from the touch on.
+    """
+    waits, touching = np.diff(time, prepend=time[0]), np.flatnonzero(places >= 0.0)
+    first = int(touching[0]) if touching.size else places.size
+    if 0 < first < places.size:
+        waits[first] *= places[first] / (places[first] - places[first - 1])
+    return waits, first
+
+
+def _sample(solver: AxisymmetricSolver, place: float, dt: float, compliance: float,
+            dropped: _Puncture) -> Iterator[Step]:
     """Steps to one sample; yields each, the last one is that of the sample.
 
     Args:
@@ -142,11 +174,6 @@ def _sample(solver: AxisymmetricSolver, place: float, dt: float, compliance: flo
         dt: time since the sample before, s.
         compliance: of the load train, m/N: the tool is at d with d + compliance F(d) = place.
     """
-    if experiment.friction == "bonded" and place < 0.0 and solver.depth == 0.0 and not solver.touched:
-        # Above a face that it is not bonded to yet.
-        yield Step(StepStatus.CONVERGED, 0, 0.0, 0.0)
-        return
-    solver.touched = solver.touched or place >= 0.0
     if not compliance:
         yield from _approach(solver, place, dt)
         return

@@ -19,6 +19,7 @@ from tissue_sim.fem.runtime import LOCK
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.material import BULK_RATIOS, Material, incompressible_ratio
 from tissue_sim.mesh import Mesh
+from tissue_sim.viscoelasticity import Prony
 
 if TYPE_CHECKING:
     from tissue_sim.fem.sensitivity import Sensitivity
@@ -262,7 +263,7 @@ class AxisymmetricSolver:
         self.material = material
         self._coefficients = np.array(coefficients)
         surface, memory = self.surface, self.memory
-        memory.set_material(material.relaxation(self._contact_radius), material.softening, factor)
+        memory.set_material(self.relaxation(material), material.softening, factor)
         self._counts[newton.REMEMBERS] = memory.works
         with LOCK:
             kernel = newton.step_kernel(self.mesh.element.name, energy)
@@ -295,10 +296,9 @@ class AxisymmetricSolver:
         coefficients = material.energy_law.kernel_coefficients(material.parameters)
         return coefficients, K, material.instantaneous_factor, moduli
 
-    def relaxation_step(self, material: Material, dt: float) -> tuple[float, np.ndarray, np.ndarray]:
-        """`Prony.increment` of all that relaxes in this material here."""
-        prony = material.relaxation(self._contact_radius)
-        return (1.0, np.zeros(0), np.zeros(0)) if prony is None else prony.increment(dt)
+    def relaxation(self, material: Material) -> Prony | None:
+        """All that relaxes in this material here."""
+        return material.relaxation(self._contact_radius)
 
     def step(self, depth: float, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
              predictor_order: int = 2) -> Step:

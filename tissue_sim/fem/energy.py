@@ -23,7 +23,7 @@ def _packed(i: int, j: int) -> int:
 
 
 @cache
-def _isochoric_chain():
+def _isochoric_chain(tangents: bool):
     """Python function of (a, j, c, s, W1, W2, W11, W12, W22) -> gradient and Hessian of the isochoric energy.
 
     In axisymmetry every invariant is a function of three scalars: a, the sum of squares of the in-plane deformation
@@ -47,7 +47,7 @@ def _isochoric_chain():
     curvature = [sum(first[m] * total(slopes[m][i], v[k]) for m in range(2))
                  + sum(hessian[m, n] * slopes[m][i] * slopes[n][k] for m in range(2) for n in range(2))
                  for i in range(3) for k in range(i + 1)]
-    return _taichi_expression((*v, s, *first, *second), [*gradient, *curvature])
+    return _taichi_expression((*v, s, *first, *second), [*gradient, *curvature] if tangents else gradient)
 
 
 def _taichi_expression(arguments, expressions):
@@ -121,8 +121,9 @@ def history_functions():
 
 
 @cache
-def function(energy: KernelEnergy):
-    """Taichi function ``stress_and_tangent(F, coefficients) -> (W, P, A)`` for one kernel energy.
+def function(energy: KernelEnergy, tangents: bool = True):
+    """Taichi function ``stress_and_tangent(F, coefficients) -> (W, P, A)`` for one kernel energy; A is zero without
+    `tangents`.
 
     Args of the Taichi function:
         F: deformation gradient, 5 components; its determinant must be positive.
@@ -139,8 +140,9 @@ def function(energy: KernelEnergy):
         W, (I1, I2) = energy.energy, energy.variables
         derivatives = _taichi_expression(
             (I1, I2, energy.coefficients),
-            [sp.diff(W, I1), sp.diff(W, I2), sp.diff(W, I1, 2), sp.diff(W, I1, I2), sp.diff(W, I2, 2), W])
-        chain = _isochoric_chain()
+            [W, sp.diff(W, I1), sp.diff(W, I2),
+             *([sp.diff(W, I1, 2), sp.diff(W, I1, I2), sp.diff(W, I2, 2)] if tangents else [sp.Integer(0)] * 3)])
+        chain = _isochoric_chain(tangents)
 
         @ti.func
         def stress_and_tangent(F, coefficients: ti.template()):
@@ -151,8 +153,8 @@ def function(energy: KernelEnergy):
             I1 = (a + c * c) * scale
             I2 = (j * j + a * c * c) * scale * scale
             w = ti.Vector(ti.static(derivatives(I1, I2, [coefficients[i] for i in range(count)])))
-            d = ti.Vector(ti.static(chain(a, j, c, scale, w[0], w[1], w[2], w[3], w[4])))
-            density = w[5]
+            d = ti.Vector(ti.static(chain(a, j, c, scale, w[1], w[2], w[3], w[4], w[5])))
+            density = w[0]
             # dW/dF = d_a 2F + d_j cof F + d_c e, and the same vectors span the second derivative.
             twice = ti.Vector([2.0 * F[0], 2.0 * F[1], 2.0 * F[2], 2.0 * F[3]])
             cof = ti.Vector([F[3], -F[2], -F[1], F[0]])
@@ -160,16 +162,18 @@ def function(energy: KernelEnergy):
             A = ti.Vector.zero(ti.f64, 15)
             for i in ti.static(range(4)):
                 P[i] = d[0] * twice[i] + d[1] * cof[i]
-                for k in ti.static(range(i + 1)):
-                    A[ti.static(_packed(i, k))] = (
-                        d[3] * twice[i] * twice[k] + d[4] * (twice[i] * cof[k] + cof[i] * twice[k])
-                        + d[5] * cof[i] * cof[k])
-                A[ti.static(_packed(i, i))] += 2.0 * d[0]
-                A[ti.static(_packed(4, i))] = d[6] * twice[i] + d[7] * cof[i]
             P[4] = d[2]
-            A[ti.static(_packed(4, 4))] = d[8]
-            for i, k, sign in ti.static(COFACTOR_PAIRS):
-                A[ti.static(_packed(i, k))] += sign * d[1]
+            if ti.static(tangents):
+                for i in ti.static(range(4)):
+                    for k in ti.static(range(i + 1)):
+                        A[ti.static(_packed(i, k))] = (
+                            d[3] * twice[i] * twice[k] + d[4] * (twice[i] * cof[k] + cof[i] * twice[k])
+                            + d[5] * cof[i] * cof[k])
+                    A[ti.static(_packed(i, i))] += 2.0 * d[0]
+                    A[ti.static(_packed(4, i))] = d[6] * twice[i] + d[7] * cof[i]
+                A[ti.static(_packed(4, 4))] = d[8]
+                for i, k, sign in ti.static(COFACTOR_PAIRS):
+                    A[ti.static(_packed(i, k))] += sign * d[1]
             return density, P, A
 
         return stress_and_tangent
@@ -202,32 +206,36 @@ def function(energy: KernelEnergy):
         t -= mean_t
         # First and second derivatives with respect to the stretches themselves.
         w1 = t / s
-        w2 = ti.Matrix.zero(ti.f64, 3, 3)
-        for i in ti.static(range(3)):
-            for k in ti.static(range(3)):
-                w2[i, k] = (-(u[i] + u[k]) / 3.0 + mean_u / 3.0) / (s[i] * s[k])
-            w2[i, i] += (u[i] - t[i]) / (s[i] * s[i])
-        twist = (w1[0] + w1[1]) / (s[0] + s[1])
-        flip = 0.5 * (w2[0, 0] + w2[1, 1]) - w2[0, 1]
-        if s[0] - s[1] > 1e-5 * s[0]:
-            flip = (w1[0] - w1[1]) / (s[0] - s[1])
-        # Directions of the in-plane stretches, of the twist and of the flip, as 4-vectors rR, rZ, zR, zZ.
+        # Directions of the in-plane stretches, as 4-vectors rR, rZ, zR, zZ.
         n1 = ti.Vector([cl * cr, cl * sr, sl * cr, sl * sr])
         n2 = ti.Vector([sl * sr, -sl * cr, -cl * sr, cl * cr])
-        m12 = ti.Vector([-cl * sr, cl * cr, -sl * sr, sl * cr])
-        m21 = ti.Vector([-sl * cr, -sl * sr, cl * cr, cl * sr])
-        turn, shear = m12 - m21, m12 + m21
         P = ti.Vector.zero(ti.f64, 5)
         A = ti.Vector.zero(ti.f64, 15)
         for i in ti.static(range(4)):
             P[i] = w1[0] * n1[i] + w1[1] * n2[i]
-            for k in ti.static(range(i + 1)):
-                A[ti.static(_packed(i, k))] = (
-                    w2[0, 0] * n1[i] * n1[k] + w2[1, 1] * n2[i] * n2[k] + w2[0, 1] * (n1[i] * n2[k] + n2[i] * n1[k])
-                    + 0.5 * twist * turn[i] * turn[k] + 0.5 * flip * shear[i] * shear[k])
-            A[ti.static(_packed(4, i))] = w2[2, 0] * n1[i] + w2[2, 1] * n2[i]
         P[4] = w1[2]
-        A[ti.static(_packed(4, 4))] = w2[2, 2]
+        if ti.static(tangents):
+            w2 = ti.Matrix.zero(ti.f64, 3, 3)
+            for i in ti.static(range(3)):
+                for k in ti.static(range(3)):
+                    w2[i, k] = (-(u[i] + u[k]) / 3.0 + mean_u / 3.0) / (s[i] * s[k])
+                w2[i, i] += (u[i] - t[i]) / (s[i] * s[i])
+            twist = (w1[0] + w1[1]) / (s[0] + s[1])
+            flip = 0.5 * (w2[0, 0] + w2[1, 1]) - w2[0, 1]
+            if s[0] - s[1] > 1e-5 * s[0]:
+                flip = (w1[0] - w1[1]) / (s[0] - s[1])
+            # Directions of the twist and of the flip.
+            m12 = ti.Vector([-cl * sr, cl * cr, -sl * sr, sl * cr])
+            m21 = ti.Vector([-sl * cr, -sl * sr, cl * cr, cl * sr])
+            turn, shear = m12 - m21, m12 + m21
+            for i in ti.static(range(4)):
+                for k in ti.static(range(i + 1)):
+                    A[ti.static(_packed(i, k))] = (
+                        w2[0, 0] * n1[i] * n1[k] + w2[1, 1] * n2[i] * n2[k]
+                        + w2[0, 1] * (n1[i] * n2[k] + n2[i] * n1[k])
+                        + 0.5 * twist * turn[i] * turn[k] + 0.5 * flip * shear[i] * shear[k])
+                A[ti.static(_packed(4, i))] = w2[2, 0] * n1[i] + w2[2, 1] * n2[i]
+            A[ti.static(_packed(4, 4))] = w2[2, 2]
         return density, P, A
 
     return stress_and_tangent

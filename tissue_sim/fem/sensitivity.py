@@ -9,7 +9,7 @@ import numpy as np
 from tissue_sim.fem.assembly import INSTANT
 from tissue_sim.fem.contact_kernels import HELD
 from tissue_sim.fem.launch import BoundKernel
-from tissue_sim.fem.sensitivity_kernel import FRESH, PARAMETER, respond_kernel
+from tissue_sim.fem.sensitivity_kernel import ALL_POINTS, FRESH, NOTED, PARAMETER, respond_kernel
 from tissue_sim.material import Material
 
 if TYPE_CHECKING:
@@ -27,22 +27,21 @@ class Sensitivity:
 
     Attributes:
         force: dF/dtheta at the last committed step, N per unit, shape (parameters,).
-        changed: whether in that step points came into contact, left it, or changed between sticking and slipping: the
-            force has a kink in the parameters near there.
     """
 
     def __init__(self, solver: AxisymmetricSolver, pairs: list[tuple[Material, Material, float]]):
         self._solver, self._pairs = solver, pairs
         m, (elements, q) = len(pairs), solver.weights.shape
         surface = solver.surface
-        inputs = [tuple((more - less) / width
-                        for more, less in zip(solver.inputs(up), solver.inputs(down), strict=True))
-                  for up, down, width in pairs]
-        coefficient_rates, kappa_rates, factor_rates, moduli_rates = (
-            np.array([one[i] for one in inputs]).reshape(m, *np.shape(inputs[0][i])) for i in range(4))
-        coefficients = solver.inputs(solver.material)[0]
+        own = solver.inputs(solver.material)
+        rates = [np.zeros((m, *np.shape(array))) for array in own]
+        for k, (up, down, width) in enumerate(pairs):
+            for rate, more, less in zip(rates, solver.inputs(up), solver.inputs(down), strict=True):
+                rate[k] = (more - less) / width
+        coefficient_rates, kappa_rates, factor_rates, moduli_rates = rates
+        coefficients = own[0]
         self._directions = np.concatenate([np.tile(coefficients, (m, 1)), coefficient_rates], axis=1)
-        self._kappa_rates, self._moduli_rates = kappa_rates, np.ascontiguousarray(moduli_rates)
+        self._kappa_rates, self._moduli_rates = kappa_rates, moduli_rates
         self._past_rates = np.zeros((m, 5))
         self._past_rates[:, 0] = factor_rates
         for k, (up, down, width) in enumerate(pairs):
@@ -52,42 +51,55 @@ class Sensitivity:
         self._inherited_rates = np.zeros((m, elements, q, 4))
         self._before_rates, self._stress_rates = np.zeros((m, elements, q, 4)), np.zeros((m, elements, q, 4))
         self._internal_rates = np.zeros((m, len(solver.memory.internal), elements, q, 4))
+        self._relaxations = [(solver.relaxation(up), solver.relaxation(down), width) for up, down, width in pairs]
+        self._decay_rates, self._gain_rates = np.zeros((2, m, len(solver.memory.internal)))
         self._largest_rates, self._energy_rates = np.zeros((m, elements, q)), np.zeros((m, elements, q))
         shape = (m, *surface.springs.shape, 2)
         self._multiplier_rates, self._anchor_rates = np.zeros(shape), np.zeros(shape)
         self._point_rates = np.zeros(shape)
-        self.force, self.changed = np.zeros(m), False
+        self.force, self._changed = np.zeros(m), False
         self._contact = np.zeros((3, *surface.springs.shape))
         # One parameter a launch: Taichi keeps what it has read of an array that the same kernel writes.
-        self._which, self._direction = np.zeros(2, np.int32), np.zeros(self._directions.shape[1])
-        scratch = [np.zeros_like(array) for array in (solver._residual, solver.x)]
+        self._which, self._direction = np.zeros(3, np.int32), np.zeros(self._directions.shape[1])
+        self._which[ALL_POINTS] = solver.memory.works or self._moduli_rates.any()
+        scratch = np.zeros((elements, q, NOTED)), np.zeros_like(solver._residual), np.zeros_like(solver.x)
         self._kernel = BoundKernel(respond_kernel(solver.mesh.element.name, solver.material.energy_law.kernel_energy), (
             self._which, *solver.response_arrays(), self._kappa_rates, self._moduli_rates, self._past_rates,
             self._inherited_rates, self._largest_rates, self._multiplier_rates, self._anchor_rates, self._direction,
             *scratch, self._stress_rates, self._energy_rates, self._point_rates, self.force))
 
+    def pop_changed(self) -> bool:
+        """Whether since the last call points came into contact, left it, or changed between sticking and slipping: the
+        force has a kink in the parameters near there."""
+        changed, self._changed = self._changed, False
+        return changed
+
     def advance(self) -> None:
         """After a step that converged, before it is committed."""
         solver, memory = self._solver, self._solver.memory
         decay, gain = memory.step
-        steps = [tuple((more - less) / width for more, less in zip(
-            solver.relaxation_step(up, memory.dt), solver.relaxation_step(down, memory.dt), strict=True))
-            for up, down, width in self._pairs]
-        for k, (instant_rate, decay_rate, gain_rate) in enumerate(steps):
-            self._past_rates[k, INSTANT] = instant_rate
-            self._inherited_rates[k] = (
-                np.tensordot(decay_rate, memory.internal, 1) + np.tensordot(decay, self._internal_rates[k], 1)
-                - gain_rate.sum() * memory.before - gain.sum() * self._before_rates[k])
-        before = memory.stresses - memory.before
+        for k, (up, down, width) in enumerate(self._relaxations):
+            if up == down:
+                rates = 0.0, np.zeros_like(decay), np.zeros_like(gain)
+            else:
+                rates = tuple((more - less) / width for more, less in zip(
+                    up.increment(memory.dt), down.increment(memory.dt), strict=True))
+            self._past_rates[k, INSTANT], self._decay_rates[k], self._gain_rates[k] = rates
+        if memory.works:
+            # The sums over terms of decay times internal stress and gain times stress, differentiated.
+            self._inherited_rates[:] = (
+                np.einsum("kt,teqi->keqi", self._decay_rates, memory.internal)
+                + np.einsum("t,kteqi->keqi", decay, self._internal_rates)
+                - self._gain_rates.sum(axis=1)[:, None, None, None] * memory.before - gain.sum() * self._before_rates)
+        change = memory.stresses - memory.before
         solver.respond(self._launch)
-        for k, (_instant_rate, decay_rate, gain_rate) in enumerate(steps):
-            change_rate = self._stress_rates[k] - self._before_rates[k]
-            self._internal_rates[k] = (
-                _each(decay_rate) * memory.internal + _each(decay) * self._internal_rates[k]
-                + _each(gain_rate) * before + _each(gain) * change_rate)
-        self._before_rates[:] = self._stress_rates
-        higher = memory.energies > memory.largest
-        self._largest_rates[:, higher] = self._energy_rates[:, higher]
+        if memory.works:
+            self._internal_rates *= _each(decay)
+            self._internal_rates += _each(self._decay_rates) * memory.internal + _each(self._gain_rates) * change
+            self._internal_rates += _each(gain) * (self._stress_rates - self._before_rates)[:, None]
+            self._before_rates[:] = self._stress_rates
+            higher = memory.energies > memory.largest
+            self._largest_rates[:, higher] = self._energy_rates[:, higher]
         self._follow_contact()
 
     def _launch(self) -> None:
@@ -109,10 +121,10 @@ class Sensitivity:
         touching = (surface.forces != 0).any(axis=-1)
         self._multiplier_rates[:, ~touching] = 0.0
         contact = np.stack([touching, surface.held[..., 0] == HELD, surface.ways])
-        self.changed = bool((contact != self._contact).any())
+        self._changed |= bool((contact != self._contact).any())
         self._contact = contact
 
 
 def _each(factors: np.ndarray) -> np.ndarray:
     """Factors of the terms, shaped for their stresses."""
-    return factors[:, None, None, None]
+    return factors[..., None, None, None]

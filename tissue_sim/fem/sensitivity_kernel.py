@@ -21,8 +21,11 @@ from tissue_sim.fem.newton import FREE as FREE_EQUATIONS
 from tissue_sim.fem.runtime import initialise
 from tissue_sim.laws import KernelEnergy
 
-#: Places in `which`: the parameter, and whether the matrix has still to be factorised (what stays 1 is singular).
-PARAMETER, FRESH = range(2)
+#: Places in `which`: the parameter; whether the matrix has still to be factorised (what stays 1 is singular); whether
+#: the law is needed at all points, not only where the tool pulls at what it holds.
+PARAMETER, FRESH, ALL_POINTS = range(3)
+#: Places of what is noted of a quadrature point.
+ENERGY, STRESS, SOFT_STRESS, RELAXED_STRESS, SOFT_TANGENT, TANGENT, NOTED = 0, 1, 6, 11, 16, 31, 46
 #: Rounds in which the rates of the contact forces settle; each takes three digits off what is left.
 ROUNDS = 4
 
@@ -51,21 +54,12 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
     vector1, vector2, vector3 = (ti.types.ndarray(dtype=vec, ndim=n) for n in (1, 2, 3))
     block1, block3 = (ti.types.ndarray(dtype=block, ndim=n) for n in (1, 3))
     stress_and_tangent = point.function(energy)
-    stress_rate = point.function(directional(energy))
+    stress_rate = point.function(directional(energy), tangents=False)
     add_volume = point.volume_function()
     soften, relax = point.history_functions()
     factorise, solve = band_matrix.functions()
     _, _, factorise_lu, solve_lu = band_lu.functions()
     row = [[point._packed(i, k) for k in range(5)] for i in range(5)]
-
-    @ti.func
-    def times(A: ti.template(), H):
-        """A packed tangent times a rate of the deformation gradient."""
-        rate = ti.Vector.zero(ti.f64, 5)
-        for i in ti.static(range(5)):
-            for k in ti.static(range(5)):
-                rate[i] += A[ti.static(row[i][k])] * H[k]
-        return rate
 
     @ti.func
     def pulled_back(F, P):
@@ -90,26 +84,59 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
         return H
 
     @ti.func
-    def at_point(k, e, q, F, p, coefficients: ti.template(), direction: ti.template(), modulus, modulus_rate,
-                 remembers, past: ti.template(), past_rates: ti.template(), inherited: ti.template(),
-                 inherited_rates: ti.template(), largest: ti.template(), largest_rates: ti.template()):
-        """Stress and tangent, their parts before relaxation, and the rates of energy and stress with F held.
-
-        Returns (P0, dW, A_soft, P_soft, dP_soft, A, dP): of the law with its factor, after softening, in full but for
-        the pressure.
-        """
+    def look(e, q, F, p, modulus, remembers, coefficients: ti.template(), past: ti.template(),
+             inherited: ti.template(), largest: ti.template(), law: ti.template()):
+        """Note what does not depend on the parameter, in the places that start at `ENERGY` and so on."""
         W, P, A = stress_and_tangent(F, coefficients)
-        dW, dP, _unused = stress_rate(F, direction)
-        P0, A_soft, P_soft, dP_soft = 1.0 * P, 1.0 * A, 1.0 * P, 1.0 * dP
         if remembers == 1:
-            f, df = past[FACTOR], past_rates[k, FACTOR]
+            W *= past[FACTOR]
+            P *= past[FACTOR]
+            A *= past[FACTOR]
+        law[e, q, ENERGY] = W
+        for i in ti.static(range(5)):
+            law[e, q, STRESS + i] = P[i]
+        if remembers == 1:
+            soften(W, largest[e, q], past[LOSS], past[LOSS_MODULUS], past[LOSS_SHARE], P, A)
+            for i in ti.static(range(5)):
+                law[e, q, SOFT_STRESS + i] = P[i]
+            for i in ti.static(range(15)):
+                law[e, q, SOFT_TANGENT + i] = A[i]
+            h = ti.Vector([inherited[e, q, 0], inherited[e, q, 1], inherited[e, q, 2], inherited[e, q, 3]])
+            relax(F, past[INSTANT], h, P, A)
+        for i in ti.static(range(5)):
+            law[e, q, RELAXED_STRESS + i] = P[i]
+        P *= modulus
+        A *= modulus
+        add_volume(F, p, P, A)
+        for i in ti.static(range(15)):
+            law[e, q, TANGENT + i] = A[i]
+
+    @ti.func
+    def noted(e, q, first, law: ti.template()):
+        return ti.Vector([law[e, q, first], law[e, q, first + 1], law[e, q, first + 2], law[e, q, first + 3],
+                          law[e, q, first + 4]])
+
+    @ti.func
+    def times(e, q, first, H, law: ti.template()):
+        """A noted tangent times a rate of the deformation gradient."""
+        rate = ti.Vector.zero(ti.f64, 5)
+        for i in ti.static(range(5)):
+            for k in ti.static(range(5)):
+                rate[i] += law[e, q, first + ti.static(row[i][k])] * H[k]
+        return rate
+
+    @ti.func
+    def at_point(k, e, q, F, direction: ti.template(), modulus, modulus_rate, remembers, past: ti.template(),
+                 past_rates: ti.template(), inherited_rates: ti.template(), largest: ti.template(),
+                 largest_rates: ti.template(), law: ti.template()):
+        """Rates with F held: of the energy, of the softened stress, of the whole stress but for the pressure."""
+        dW, dP, _unused = stress_rate(F, direction)
+        soft = ti.Vector.zero(ti.f64, 5)
+        if remembers == 1:
+            f, df = past[FACTOR], past_rates[k, FACTOR] / past[FACTOR]
+            W, L = law[e, q, ENERGY], largest[e, q]
             dW = f * dW + df * W
-            dP = f * dP + df * P
-            W *= f
-            P *= f
-            A *= f
-            P0 = 1.0 * P
-            L = largest[e, q]
+            dP = f * dP + df * noted(e, q, STRESS, law)
             if W < L:
                 dL = largest_rates[k, e, q]
                 width = past[LOSS_MODULUS] + past[LOSS_SHARE] * L
@@ -117,19 +144,13 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
                 bend = ti.tanh((L - W) / width)
                 argument_rate = (dL - dW) / width - (L - W) * width_rate / (width * width)
                 eta_rate = -past_rates[k, LOSS] * bend - past[LOSS] * (1.0 - bend * bend) * argument_rate
-                dP = (1.0 - past[LOSS] * bend) * dP + eta_rate * P
-            soften(W, L, past[LOSS], past[LOSS_MODULUS], past[LOSS_SHARE], P, A)
-            A_soft, P_soft, dP_soft = 1.0 * A, 1.0 * P, 1.0 * dP
-            h = ti.Vector([inherited[e, q, 0], inherited[e, q, 1], inherited[e, q, 2], inherited[e, q, 3]])
+                dP = (1.0 - past[LOSS] * bend) * dP + eta_rate * noted(e, q, STRESS, law)
+            soft = 1.0 * dP
             dh = ti.Vector([inherited_rates[k, e, q, 0], inherited_rates[k, e, q, 1], inherited_rates[k, e, q, 2],
                             inherited_rates[k, e, q, 3]])
-            relax(F, past[INSTANT], h, P, A)
-            dP = past[INSTANT] * dP + past_rates[k, INSTANT] * P_soft + pushed(F, dh)
-        dP = modulus * dP + modulus_rate * P
-        P *= modulus
-        A *= modulus
-        add_volume(F, p, P, A)
-        return P0, dW, A_soft, P_soft, dP_soft, A, dP
+            dP = past[INSTANT] * dP + past_rates[k, INSTANT] * noted(e, q, SOFT_STRESS, law) + pushed(F, dh)
+        dP = modulus * dP + modulus_rate * noted(e, q, RELAXED_STRESS, law)
+        return dW, soft, dP
 
     @ti.func
     def contact_rate(m, q, a, dr, dz, held: ti.template(), ways: ti.template(), springs: ti.template(),
@@ -165,7 +186,7 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
                 volume: vector3, centre_volume: real3, gap: real2, centre_rows: vector3, centre_inverse: real2,
                 centre_force: real2, kappa_rates: real1, moduli_rates: real2, past_rates: real2,
                 inherited_rates: real4, largest_rates: real3, multiplier_rates: real4, anchor_rates: real4,
-                direction: real1, base: real1, dx: real1, stress_rates: real4, energy_rates: real3,
+                direction: real1, law: real3, base: real1, dx: real1, stress_rates: real4, energy_rates: real3,
                 point_rates: real4, force_rates: real1):
         ti.loop_config(serialize=True)
         for _ in range(1):
@@ -181,6 +202,14 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
                 else:
                     good = factorise(blocks, inverse, rows, width)
                 which[FRESH] = 1 - good
+                for e in range(elements):
+                    for q in range(points):
+                        if which[ALL_POINTS] == 1 or along[e, q, 0] != 0.0 or along[e, q, 1] != 0.0:
+                            F = gradient(e, q, x, connectivity, node_gradients) + ti.Vector([1.0, 0.0, 0.0, 1.0, 1.0])
+                            p = 0.0
+                            for m in range(modes):
+                                p += quadrature[e, q, 1 + m] * x[pressures + modes * e + m]
+                            look(e, q, F, p, moduli[e], counts[REMEMBERS], coefficients, past, inherited, largest, law)
             for i in range(base.shape[0]):
                 base[i] = 0.0
             for e in range(elements):
@@ -192,9 +221,8 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
                 for q in range(points):
                     w = quadrature[e, q, 0]
                     F = gradient(e, q, x, connectivity, node_gradients) + ti.Vector([1.0, 0.0, 0.0, 1.0, 1.0])
-                    _a, _b, _c, _d, _e, _f, dP = at_point(
-                        k, e, q, F, 0.0, coefficients, direction, moduli[e], moduli_rates[k, e],
-                        counts[REMEMBERS], past, past_rates, inherited, inherited_rates, largest, largest_rates)
+                    _dW, _soft, dP = at_point(k, e, q, F, direction, moduli[e], moduli_rates[k, e], counts[REMEMBERS],
+                                              past, past_rates, inherited_rates, largest, largest_rates, law)
                     dP *= w
                     for a in ti.static(range(nb)):
                         nx, ny, nr = (node_gradients[e, q, a, 0], node_gradients[e, q, a, 1],
@@ -272,24 +300,23 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
                     if counts[REMEMBERS] == 1 or loaded:
                         F = gradient(e, q, x, connectivity, node_gradients) + ti.Vector([1.0, 0.0, 0.0, 1.0, 1.0])
                         H = gradient(e, q, dx, connectivity, node_gradients)
-                        p, dp = 0.0, 0.0
+                        dp = 0.0
                         for m in range(modes):
-                            p += quadrature[e, q, 1 + m] * x[pressures + modes * e + m]
                             dp += quadrature[e, q, 1 + m] * dx[pressures + modes * e + m]
-                        P0, dW, A_soft, P_soft, dP_soft, A, dP = at_point(
-                            k, e, q, F, p, coefficients, direction, moduli[e], moduli_rates[k, e],
-                            counts[REMEMBERS], past, past_rates, inherited, inherited_rates,
-                            largest, largest_rates)
+                        dW, soft, dP = at_point(k, e, q, F, direction, moduli[e], moduli_rates[k, e],
+                                                counts[REMEMBERS], past, past_rates, inherited_rates, largest,
+                                                largest_rates, law)
                         c, j = F[4], F[0] * F[3] - F[1] * F[2]
                         cofactor = ti.Vector([c * F[3], -c * F[2], -c * F[1], c * F[0], j])
-                        rate = dP + times(A, H) + dp * cofactor
+                        rate = dP + times(e, q, TANGENT, H, law) + dp * cofactor
                         total += quadrature[e, q, 0] * (rate[2] * along[e, q, 0] + rate[3] * along[e, q, 1])
-                        energy_rates[k, e, q] = dW + P0.dot(H)
-                        S = pulled_back(F, P_soft)
-                        lost = pushed(H, ti.Vector([S[0], S[1], S[3], S[4]]))
-                        S_rate = pulled_back(F, dP_soft + times(A_soft, H) - lost)
-                        stress_rates[k, e, q, 0], stress_rates[k, e, q, 1] = S_rate[0], S_rate[1]
-                        stress_rates[k, e, q, 2], stress_rates[k, e, q, 3] = S_rate[3], S_rate[4]
+                        if counts[REMEMBERS] == 1:
+                            energy_rates[k, e, q] = dW + noted(e, q, STRESS, law).dot(H)
+                            S = pulled_back(F, noted(e, q, SOFT_STRESS, law))
+                            lost = pushed(H, ti.Vector([S[0], S[1], S[3], S[4]]))
+                            S_rate = pulled_back(F, soft + times(e, q, SOFT_TANGENT, H, law) - lost)
+                            stress_rates[k, e, q, 0], stress_rates[k, e, q, 1] = S_rate[0], S_rate[1]
+                            stress_rates[k, e, q, 2], stress_rates[k, e, q, 3] = S_rate[3], S_rate[4]
             force_rates[k] = total
 
     return respond
