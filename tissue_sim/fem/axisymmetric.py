@@ -394,12 +394,13 @@ class AxisymmetricSolver:
     def response_arrays(self) -> tuple[np.ndarray, ...]:
         """The arrays of the solver that `tissue_sim.fem.sensitivity_kernel` works on, in its order."""
         surface, memory = self.surface, self.memory
-        return (self._counts, self._settings, self._connectivity, self._equation, self.node_gradients,
-                self._quadrature, self._along, surface.edges, surface.spans, surface.shapes, surface.springs,
-                surface.held, surface.ways, surface.rates, self._coefficients, self.moduli, memory.past,
-                memory.inherited, memory.largest, self.x, self._entries, self._entries, self._upper, self._inverse,
-                self._right, self._residual, self._force, self._stiffness, self._centre_stiffness, self._volume,
-                self._centre_volume, self._gap, self._centre_rows, self._centre_inverse, self._centre_force)
+        return (self._counts, self._settings, self._connectivity, self._equation, self._gradients,
+                self.node_gradients, self._quadrature, self._along, surface.edges, surface.spans, surface.shapes,
+                surface.springs, surface.held, surface.ways, surface.rates, self._coefficients, self.moduli,
+                memory.past, memory.inherited, memory.largest, self.x, self._entries, self._entries, self._upper,
+                self._inverse, self._right, self._residual, self._force, self._stiffness, self._centre_stiffness,
+                self._volume, self._centre_volume, self._gap, self._centre_rows, self._centre_inverse,
+                self._centre_force)
 
     def tangent(self) -> np.ndarray:
         """Condensed tangent at the last committed state: lower band in LAPACK's storage, (half_band + 1, free), N/m."""

@@ -38,11 +38,10 @@ class Memory:
         terms = 0 if relaxation is None else len(relaxation.terms)
         if len(self.internal) != terms:
             self.internal = np.zeros((terms, *self.stresses.shape))
-        soft = softening if softening is not None and softening.loss > 0 else None
         self.past[FACTOR] = factor
         self.past[LOSS], self.past[LOSS_MODULUS], self.past[LOSS_SHARE] = (
-            (0.0, 1.0, 0.0) if soft is None else (soft.loss, soft.modulus, soft.share))
-        self.works = relaxation is not None or soft is not None
+            (0.0, 1.0, 0.0) if softening is None else (softening.loss, softening.modulus, softening.share))
+        self.works = relaxation is not None or softening is not None
         self.prepare(0.0)
 
     def prepare(self, dt: float) -> None:

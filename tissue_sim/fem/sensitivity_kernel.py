@@ -25,9 +25,10 @@ from tissue_sim.laws import KernelEnergy
 #: the law is needed at all points, not only where the tool pulls at what it holds.
 PARAMETER, FRESH, ALL_POINTS = range(3)
 #: Places of what is noted of a quadrature point.
-ENERGY, STRESS, SOFT_STRESS, RELAXED_STRESS, SOFT_TANGENT, TANGENT, NOTED = 0, 1, 6, 11, 16, 31, 46
-#: Rounds in which the rates of the contact forces settle; each takes three digits off what is left.
-ROUNDS = 4
+ENERGY, STRESS, SOFT_STRESS, RELAXED_STRESS, SOFT_TANGENT, TANGENT, GRADIENT, NOTED = 0, 1, 6, 11, 16, 31, 46, 51
+#: Most rounds in which the rates of the contact forces settle, each of which takes about three digits off what is
+#: left, and the share of them that may still change.
+ROUNDS, SETTLED = 8, 1e-10
 
 
 def directional(energy: KernelEnergy) -> KernelEnergy:
@@ -178,16 +179,16 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
         return fr, fz
 
     @ti.kernel
-    def respond(which: int1, counts: int1, settings: real1, connectivity: int2, equation: int1, node_gradients: real4,
-                quadrature: real3, along: real3, edges: int2, spans: int2, shapes: real3, springs: real2, held: real3,
-                ways: real2, contact_rates: real3, coefficients: real1, moduli: real1, past: real1, inherited: real3,
-                largest: real2, x: real1, entries: real4, blocks: block3, upper_blocks: block3, inverse: real1,
-                right: block1, residual: real1, force: vector1, stiffness: vector2, centre_stiffness: real1,
-                volume: vector3, centre_volume: real3, gap: real2, centre_rows: vector3, centre_inverse: real2,
-                centre_force: real2, kappa_rates: real1, moduli_rates: real2, past_rates: real2,
-                inherited_rates: real4, largest_rates: real3, multiplier_rates: real4, anchor_rates: real4,
-                direction: real1, law: real3, base: real1, dx: real1, stress_rates: real4, energy_rates: real3,
-                point_rates: real4, force_rates: real1):
+    def respond(which: int1, counts: int1, settings: real1, connectivity: int2, equation: int1, gradients: vector3,
+                node_gradients: real4, quadrature: real3, along: real3, edges: int2, spans: int2, shapes: real3,
+                springs: real2, held: real3, ways: real2, contact_rates: real3, coefficients: real1, moduli: real1,
+                past: real1, inherited: real3, largest: real2, x: real1, entries: real4, blocks: block3,
+                upper_blocks: block3, inverse: real1, right: block1, residual: real1, force: vector1,
+                stiffness: vector2, centre_stiffness: real1, volume: vector3, centre_volume: real3, gap: real2,
+                centre_rows: vector3, centre_inverse: real2, centre_force: real2, kappa_rates: real1,
+                moduli_rates: real2, past_rates: real2, inherited_rates: real4, largest_rates: real3,
+                multiplier_rates: real4, anchor_rates: real4, direction: real1, law: real3, base: real1, dx: real1,
+                stress_rates: real4, energy_rates: real3, point_rates: real4, force_rates: real1):
         ti.loop_config(serialize=True)
         for _ in range(1):
             free, width, rows = counts[FREE_EQUATIONS], entries.shape[1], entries.shape[0]
@@ -204,8 +205,10 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
                 which[FRESH] = 1 - good
                 for e in range(elements):
                     for q in range(points):
+                        F = gradient(e, q, x, connectivity, node_gradients) + ti.Vector([1.0, 0.0, 0.0, 1.0, 1.0])
+                        for i in ti.static(range(5)):
+                            law[e, q, GRADIENT + i] = F[i]
                         if which[ALL_POINTS] == 1 or along[e, q, 0] != 0.0 or along[e, q, 1] != 0.0:
-                            F = gradient(e, q, x, connectivity, node_gradients) + ti.Vector([1.0, 0.0, 0.0, 1.0, 1.0])
                             p = 0.0
                             for m in range(modes):
                                 p += quadrature[e, q, 1 + m] * x[pressures + modes * e + m]
@@ -213,33 +216,33 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
             for i in range(base.shape[0]):
                 base[i] = 0.0
             for e in range(elements):
-                force[0], force[1], force[2] = vec(0.0), vec(0.0), vec(0.0)
+                fr, fz, fcr, fcz = vec(0.0), vec(0.0), 0.0, 0.0
                 bulk = settings[KAPPA] * moduli[e]
                 bulk_rate = kappa_rates[k] * moduli[e] + settings[KAPPA] * moduli_rates[k, e]
                 for m in range(modes):
                     gap[e, m] = x[pressures + modes * e + m] / (bulk * bulk) * bulk_rate
                 for q in range(points):
                     w = quadrature[e, q, 0]
-                    F = gradient(e, q, x, connectivity, node_gradients) + ti.Vector([1.0, 0.0, 0.0, 1.0, 1.0])
+                    F = noted(e, q, GRADIENT, law)
                     _dW, _soft, dP = at_point(k, e, q, F, direction, moduli[e], moduli_rates[k, e], counts[REMEMBERS],
                                               past, past_rates, inherited_rates, largest, largest_rates, law)
                     dP *= w
-                    for a in ti.static(range(nb)):
-                        nx, ny, nr = (node_gradients[e, q, a, 0], node_gradients[e, q, a, 1],
-                                      node_gradients[e, q, a, 2])
-                        force[0][a] = force[0][a] + dP[0] * nx + dP[1] * ny + dP[4] * nr
-                        force[1][a] = force[1][a] + dP[2] * nx + dP[3] * ny
+                    nx, ny, nr = gradients[e, q, 0], gradients[e, q, 1], gradients[e, q, 2]
+                    fr += dP[0] * nx + dP[1] * ny + dP[4] * nr
+                    fz += dP[2] * nx + dP[3] * ny
                     if ti.static(has_centre):
                         cx, cy, ch = (node_gradients[e, q, centre, 0], node_gradients[e, q, centre, 1],
                                       node_gradients[e, q, centre, 2])
-                        force[2][0] = force[2][0] + dP[0] * cx + dP[1] * cy + dP[4] * ch
-                        force[2][1] = force[2][1] + dP[2] * cx + dP[3] * cy
+                        fcr += dP[0] * cx + dP[1] * cy + dP[4] * ch
+                        fcz += dP[2] * cx + dP[3] * cy
+                force[0], force[1] = fr, fz
+                force[2][0], force[2][1] = fcr, fcz
                 work.condense_pressure(e, 0, bulk, force, stiffness, centre_stiffness, volume, centre_volume, gap)
                 if ti.static(has_centre):
                     work.condense_centre_force(e, force, centre_rows, centre_inverse, centre_force)
                 work.scatter(e, 0, free, width, connectivity, equation, force, stiffness, entries, base)
-            rounds = ROUNDS if counts[CONTACTS] > 0 else 1
-            for _round in range(rounds):
+            for _round in range(ROUNDS):
+                changed, largest_rate = 0.0, 0.0
                 for i in range(residual.shape[0]):
                     residual[i] = base[i]
                 for m in range(counts[CONTACTS]):
@@ -271,8 +274,13 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
                             dz += shapes[m, q, a] * dx[2 * edges[m, a] + 1]
                         fr, fz = contact_rate(m, q, k, dr, dz, held, ways, springs, contact_rates,
                                               multiplier_rates, anchor_rates)
+                        changed += (ti.abs(fr - multiplier_rates[k, m, q, 0])
+                                    + ti.abs(fz - multiplier_rates[k, m, q, 1]))
+                        largest_rate += ti.abs(fr) + ti.abs(fz)
                         multiplier_rates[k, m, q, 0], multiplier_rates[k, m, q, 1] = fr, fz
                         point_rates[k, m, q, 0], point_rates[k, m, q, 1] = dr, dz
+                if changed <= SETTLED * largest_rate:
+                    break
             total = 0.0
             for m in range(counts[CONTACTS]):
                 for q in range(springs.shape[1]):
@@ -298,7 +306,7 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
                 for q in range(points):
                     loaded = along[e, q, 0] != 0.0 or along[e, q, 1] != 0.0
                     if counts[REMEMBERS] == 1 or loaded:
-                        F = gradient(e, q, x, connectivity, node_gradients) + ti.Vector([1.0, 0.0, 0.0, 1.0, 1.0])
+                        F = noted(e, q, GRADIENT, law)
                         H = gradient(e, q, dx, connectivity, node_gradients)
                         dp = 0.0
                         for m in range(modes):

@@ -1,0 +1,169 @@
+"""Exact derivatives of the force against central differences of whole simulations.
+
+Contact conditions are solved much closer here than a user's simulation needs: what is left of their violation would
+show in the differences. Differences and exact values are compared while all three runs have had the same points in
+contact and slipping.
+"""
+
+import numpy as np
+import pytest
+
+import tissue_sim as ts
+from tissue_sim import contact_pairs
+from tissue_sim.material_parameters import parameter_values, with_parameter
+
+STUDY = {"C10": 1404.9, "C20": 699.4}
+PRONY = ts.Prony((ts.PronyTerm(0.3, 2.0), ts.PronyTerm(0.1, 10.0)), "long_term")
+CYCLE = "ramp 6mm @0.5mm/s; hold 5s; unload 2mm; reload"
+
+
+@pytest.fixture(autouse=True)
+def close_contact(monkeypatch):
+    monkeypatch.setattr(contact_pairs, "PLATE_TOLERANCE", 1e-12)
+    monkeypatch.setattr(contact_pairs, "NEEDLE_TOLERANCE", 1e-10)
+
+
+def elastic(**options):
+    return ts.Material("reduced_polynomial_2", STUDY, ts.Bulk("bulk_ratio", 1e4), **options)
+
+
+def experiment(text="ramp 5mm", points=6, **options):
+    return ts.Experiment(ts.Specimen(0.040, 0.070), ts.Protocol.parse(text, points), **options)
+
+
+class Status:
+    """Notes which points press and which way they slip at every sample."""
+
+    def begin(self, solver):
+        self.seen = []
+
+    def sample(self, solver, factor):
+        surface = solver.surface
+        self.seen.append(((surface.forces != 0).any(axis=-1).tobytes(), surface.ways.tobytes()))
+
+
+def difference(model, name, width=1e-4):
+    """Central difference of the force, and for how many samples three runs shared their contact."""
+    value = parameter_values(model.material)[name]
+    runs = []
+    for way in (1, -1, 0):
+        changed = with_parameter(model.material, name, value * (1 + way * width))
+        status = Status()
+        force = ts.simulate(ts.Model(model.experiment, changed), watch=status).force
+        runs.append((force, status.seen))
+    (more, seen1), (less, seen2), (_, seen3) = runs
+    shared = np.cumprod([a == b == c for a, b, c in zip(seen1, seen2, seen3, strict=True)]).sum()
+    return (more - less) / (2 * width * value), int(shared)
+
+
+def assert_exact(model, names=None, rel=1e-5):
+    answer = ts.sensitivities(model, names)
+    assert answer.exact.all()
+    np.testing.assert_allclose(answer.recording.force, ts.simulate(model).force, rtol=1e-12, atol=1e-15)
+    compared = 0
+    for k, name in enumerate(answer.names):
+        slope, shared = difference(model, name)
+        size = abs(slope).max()
+        assert size > 0, name
+        # What rounding leaves of a difference: 1e-9 of the force over the width.
+        noise = 1e-9 * abs(answer.recording.force).max() / (1e-4 * abs(parameter_values(model.material)[name]))
+        assert abs(answer.values[:shared, k] - slope[:shared]).max() < rel * size + noise, name
+        compared += shared
+    return answer, compared / (len(answer.names) * len(answer.recording))
+
+
+@pytest.mark.parametrize("options", [
+    {}, {"friction": "frictionless", "friction_base": "frictionless"}, {"tool": ts.Tool("flat", 8e-3)},
+    {"friction": 0.1, "friction_base": 0.1}, {"friction": 0.4, "friction_base": 0.2},
+    {"friction": "stick", "friction_base": "stick"}],
+    ids=["bonded", "lubricated", "needle", "slip", "slip and stick", "stick"])
+def test_elastic(options):
+    _, compared = assert_exact(ts.Model(experiment(**options), elastic()))
+    assert compared > 0.9
+
+
+def test_everything_in_time():
+    material = ts.Material("ogden_1", {"mu1": 3225.9, "alpha1": 14.8}, ts.Bulk("K_Pa", 3e6), viscoelastic=PRONY,
+                           softening=ts.Softening(0.3, 50.0, 0.5), layers=(ts.Layer(5e-3, 2.0),),
+                           poroelasticity=ts.Poroelasticity(0.2, 1e-4))
+    names = [name for name in parameter_values(material) if "thickness" not in name]
+    assert len(names) == 13
+    answer, compared = assert_exact(ts.Model(experiment(CYCLE), material), names)
+    assert compared == 1.0 and not answer.kinks.any()
+
+
+@pytest.mark.parametrize(("options", "text"), [
+    ({"friction": 0.2, "friction_base": 0.2}, CYCLE),
+    ({"tool": ts.Tool("round", 8e-3), "friction": 0.3}, "ramp 6mm @0.5mm/s; hold 5s"),
+    ({"tool": ts.Tool("flat", 8e-3), "friction": "stick"}, CYCLE)], ids=["plates", "round needle", "sticking needle"])
+def test_slip_with_a_past(options, text):
+    """Anchors, multipliers and the history of the tissue all depend on the parameters."""
+    names = ["C10", "viscoelastic.terms[0].g", "viscoelastic.terms[1].tau_s"]
+    answer, compared = assert_exact(ts.Model(experiment(text, **options), elastic(viscoelastic=PRONY)), names)
+    assert compared > 0.5 and answer.kinks.any()
+
+
+def test_a_law_that_is_linear_in_its_parameters():
+    """With the bulk ratio held the force is homogeneous of degree one in C10 and C20 (Euler)."""
+    answer = ts.sensitivities(ts.Model(experiment(friction=0.3, friction_base=0.3), elastic()), ["C10", "C20"])
+    np.testing.assert_allclose(answer.values @ list(STUDY.values()), answer.recording.force, rtol=1e-6, atol=1e-9)
+
+
+def test_bulk_modulus_held_or_its_ratio():
+    """`bulk.K_Pa` held instead of the ratio: the derivatives with C10 differ by that with K."""
+    ratio = elastic()
+    modulus = ts.Material("reduced_polynomial_2", STUDY, ts.Bulk("K_Pa", ratio.bulk_modulus))
+    by_ratio, by_modulus = (ts.sensitivities(ts.Model(experiment(), m)) for m in (ratio, modulus))
+    np.testing.assert_allclose(by_ratio.values[:, 0] - by_modulus.values[:, 0], by_modulus.values[:, 2] * 1e4 * 2,
+                               rtol=1e-3, atol=1e-12)
+
+
+def test_by_difference_where_it_must_be():
+    model = ts.Model(experiment(friction=0.1, friction_base=0.1), elastic(), ts.Rig(force_noise=0.1, seed=1))
+    answer = ts.sensitivities(model, ["friction", "C10", "specimen.radius"])
+    assert answer.exact.tolist() == [False, True, False]
+    # Between mu = 0.05 and 0.15 the force is nearly linear in mu.
+    up, down = (ts.simulate(ts.Model(experiment(friction=mu, friction_base=0.1), elastic())).force[-1]
+                for mu in (0.15, 0.05))
+    assert answer.values[-1, 0] == pytest.approx((up - down) / 0.1, rel=0.02)
+    assert answer.values[-1, 2] == pytest.approx(2 * 3.467 / 0.040, rel=0.1)
+
+
+def test_self_weight_and_compliance_go_by_difference():
+    """They agree with the exact ones where both can be had: in the limit of no weight and a stiff rig."""
+    light = ts.Experiment(ts.Specimen(0.040, 0.070, density=1e-3, gravity=9.81), ts.Protocol.ramp(5e-3, 6))
+    reference = ts.sensitivities(ts.Model(experiment(), elastic()), ["C10"])
+    for model in (ts.Model(light, elastic()), ts.Model(experiment(), elastic(), ts.Rig(compliance=1e-12))):
+        answer = ts.sensitivities(model, ["C10"])
+        assert not answer.exact.any()
+        np.testing.assert_allclose(answer.values, reference.values, rtol=1e-4, atol=1e-9)
+
+
+def test_the_absent_value_of_a_softening():
+    """At loss 0 nothing softens yet, and the derivative to one side is that of a small loss."""
+    text = "ramp 5mm; unload 1mm"
+    answer = ts.sensitivities(ts.Model(experiment(text), elastic(softening=ts.Softening(0.0, 50.0))),
+                              ["softening.loss"])
+    some, none = (ts.simulate(ts.Model(experiment(text), elastic(softening=ts.Softening(loss, 50.0)))).force
+                  for loss in (1e-3, 0.0))
+    np.testing.assert_allclose(answer.values[:, 0], (some - none) / 1e-3, rtol=1e-2, atol=1e-6)
+    assert (answer.values[-3:, 0] < 0).all()
+
+
+@pytest.mark.parametrize(("name", "words"), [("C11", "did you mean 'C10'"), ("tool.colour", "unknown parameter"),
+                                             ("softening.loss", "unknown parameter"), ("friction", "not a number")])
+def test_unknown_names(name, words):
+    with pytest.raises(ts.InputError, match=words):
+        ts.sensitivities(ts.Model(experiment(), elastic()), [name])
+
+
+def test_every_parameter_has_a_name_and_can_be_changed():
+    material = elastic(viscoelastic=PRONY, softening=ts.Softening(0.3, 50.0, 0.5), layers=(ts.Layer(5e-3, 2.0),),
+                       poroelasticity=ts.Poroelasticity(0.2, 1e-4), puncture=ts.Puncture(4e-3, 0.1))
+    values = parameter_values(material)
+    assert {"C10", "bulk.bulk_ratio", "viscoelastic.terms[1].tau_s", "layers[0].thickness_mm", "softening.share",
+            "poroelasticity.diffusivity_mm2_per_s", "puncture.drop"} < set(values)
+    for name, value in values.items():
+        changed = parameter_values(with_parameter(material, name, 1.01 * value))
+        assert changed[name] == pytest.approx(1.01 * value)
+        assert {k: v for k, v in changed.items() if k != name} == {k: v for k, v in values.items() if k != name}
