@@ -103,7 +103,7 @@ class Experiment:
         friction_base: interface of the base plate.
         friction_wall: interface of a needle's shaft; tissue meets it during the test, so it cannot be bonded.
         adhesion: pull of a tool that lifts off; None: none.
-        tilt: height difference across the contact, m; see `tissue_sim.simulation`.
+        tilt: height difference across the contact, m; see `tissue_sim.tilt`.
 
     Raises:
         InputError: an interface that does not fit, a protocol that goes through the specimen, a needle as wide as it.

@@ -15,6 +15,8 @@ from tissue_sim.recording import Recording
 
 _NOT_NEGATIVE = ("compliance", "backlash", "latency", "guide_friction", "rate_damping", "force_resolution",
                  "displacement_resolution", "force_noise", "noise_correlation_time")
+#: What moves the tool; the other fields act on what is read.
+_MOTION = ("contact_offset", "displacement_gain", "backlash", "step_loss", "step_loss_depth", "compliance")
 _RELATIVE = ("displacement_gain", "sensor_gain")
 _MOST_SAMPLES = 10_000_000
 
@@ -92,6 +94,18 @@ class Rig:
     def ideal(self) -> bool:
         """Whether the rig reports exactly what happens."""
         return replace(self, seed=0, step_loss_depth=0.0, noise_correlation_time=0.0) == Rig()
+
+    @property
+    def motion_only(self) -> Rig:
+        """The rig as far as it moves the tool: it reads every force as it is."""
+        return Rig(**{name: getattr(self, name) for name in _MOTION})
+
+    def readings(self, time: np.ndarray) -> int:
+        """How many samples it reports of a recording at these times, s, shape (n,)."""
+        if self.sampling_rate is None or not len(time):
+            return len(time)
+        # Rounding must not lose the last sample.
+        return int((time[-1] - time[0]) * self.sampling_rate + 1e-6) + 1
 
     def tool_motion(self, displacement) -> np.ndarray:
         """Where the tool would be with a rigid load train.
@@ -179,9 +193,9 @@ class Rig:
         if samples > _MOST_SAMPLES:
             raise InputError(f"{self.sampling_rate:g} Hz over {time[-1] - time[0]:g} s are more than {_MOST_SAMPLES} "
                              "samples; give a lower rate", field="rig.sampling_rate")
-        # Rounding must neither lose the last sample nor put one just beside a sample that it falls on.
+        # Rounding must not put a sample just beside one that it falls on.
         slack = 1e-6 / self.sampling_rate
-        grid = time[0] + np.arange(int(samples + 1e-6) + 1) / self.sampling_rate
+        grid = time[0] + np.arange(self.readings(time)) / self.sampling_rate
         before = np.searchsorted(time, grid + slack, side="right") - 1
         grid = np.where(grid - time[before] < slack, time[before], grid)
         channels = {name: np.interp(grid, time, values) for name, values in recording.channels.items()}

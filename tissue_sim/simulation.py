@@ -93,12 +93,12 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Mesh | None = None
 
     if progress:
         progress(0, protocol.displacement.size)
-    dropped = _Puncture(model)
+    dropped, train = _Puncture(model), _LoadTrain(rig.compliance)
     places = rig.tool_motion(protocol.displacement)
     waits, first = _from_the_touch(places, protocol.time)
     for sample, (place, dt) in enumerate(zip(places.tolist(), waits.tolist(), strict=True)):
         # Before that the tool is in the air, and the specimen waits for it.
-        steps = _sample(solver, place, dt, rig.compliance, dropped) if sample >= first else [_NOTHING]
+        steps = _sample(solver, place, dt, train, dropped) if sample >= first else [_NOTHING]
         for step in steps:
             report["newton_iterations"] += step.iterations
             report["cuts"] += step.status is not StepStatus.CONVERGED
@@ -115,6 +115,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Mesh | None = None
         if "slipping_points" in report:
             report["slipping_points"] = max(report["slipping_points"], step.slipping)
         forces.append(dropped(solver.depth, step.force))
+        train.note(solver.depth, forces[-1])
         if watch:
             watch.sample(solver, dropped.at(solver.depth, 1.0))
         if fields:
@@ -165,37 +166,53 @@ def _from_the_touch(places: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, i
     return waits, first
 
 
-def _sample(solver: AxisymmetricSolver, place: float, dt: float, compliance: float,
+class _LoadTrain:
+    """A load train that gives way, compliance in m/N: the tool is at d with d + compliance F(d) = place."""
+
+    def __init__(self, compliance: float):
+        self.compliance = compliance
+        self._known: list[tuple[float, float]] = []
+
+    def note(self, depth: float, force: float) -> None:
+        """Where the tool stood at a sample, and its force."""
+        self._known = [*self._known[-1:], (depth, force)]
+
+    def expect(self, place: float) -> tuple[float, float]:
+        """Where it will stand, and how fast d + compliance F grows there, from the last two samples."""
+        (d0, f0), (d1, f1) = self._known if len(self._known) == 2 else ((0.0, 0.0), (0.0, 0.0))
+        growth = 1.0 + self.compliance * max(0.0, (f1 - f0) / (d1 - d0)) if d1 != d0 else 1.0
+        return d1 + (place - d1 - self.compliance * f1) / growth, growth
+
+
+def _sample(solver: AxisymmetricSolver, place: float, dt: float, train: _LoadTrain,
             dropped: _Puncture) -> Iterator[Step]:
     """Steps to one sample; yields each, the last one is that of the sample.
 
     Args:
         place: where the tool would be with a rigid load train, m.
         dt: time since the sample before, s.
-        compliance: of the load train, m/N: the tool is at d with d + compliance F(d) = place.
+        train: what gives way.
     """
-    if not compliance:
+    if not train.compliance:
         yield from _approach(solver, place, dt)
         return
     saved = solver.save()
-    # The force falls from one trial to the next, or rises, steadily: the secant finds where the load train stands.
-    trials: list[tuple[float, float]] = []
-    depth = place
-    for _ in range(_MOST_TRIALS):
-        if trials:
+    depth, growth = train.expect(place)
+    before = None
+    for trial in range(_MOST_TRIALS):
+        if trial:
             solver.restore(saved)
-        step = None
         for step in _approach(solver, depth, dt):
             yield step
         if step.status is not StepStatus.CONVERGED:
             return
-        excess = depth + compliance * dropped.at(depth, step.force) - place
+        excess = depth + train.compliance * dropped.at(depth, step.force) - place
         if abs(excess) <= _PLACED * max(abs(place), abs(depth), 1e-6):
             return
-        trials.append((depth, excess))
-        (x0, y0), (x1, y1) = (trials[-2], trials[-1]) if len(trials) > 1 else ((depth - excess, 0.0), (depth, excess))
-        slope = (y1 - y0) / (x1 - x0) if len(trials) > 1 and x1 != x0 else 1.0
-        depth = x1 - y1 / max(slope, 1.0)
+        # The secant; where tissue softens as it goes the load train still gives way by at least its own travel.
+        if before is not None and depth != before[0]:
+            growth = max((excess - before[1]) / (depth - before[0]), 1.0)
+        before, depth = (depth, excess), depth - excess / growth
     yield Step(StepStatus.SLOW, 0, step.residual, step.force, step.violation)
 
 

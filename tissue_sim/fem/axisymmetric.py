@@ -25,6 +25,11 @@ if TYPE_CHECKING:
     from tissue_sim.fem.sensitivity import Sensitivity
 
 
+#: Unbalanced forces are measured against the reactions, but at least this share of the largest load so far: what is
+#: left of it when the tool has lifted off need not be resolved any closer.
+FLOOR_SHARE = 0.1
+
+
 @dataclass(frozen=True)
 class Step:
     """One step of the solver.
@@ -95,8 +100,7 @@ class AxisymmetricSolver:
         freedoms = 2 * len(mesh.nodes)
         self.start, self._target = self.x[:freedoms].copy(), np.zeros(freedoms)
         self._depths: list[float] = [0.0]
-        #: Whether a tool that is bonded has come down on the surface.
-        self.touched = False
+        self._largest_force = 0.0
         self._slots = np.array([0, 1, 2], dtype=np.int32)
         self._weights = np.array([1.0, 0.0, 0.0])
         self._force = np.zeros((3, nb))
@@ -245,7 +249,7 @@ class AxisymmetricSolver:
         constraint = np.einsum("eq,eqm,eqai->emai", self.weights, self.pressure_modes, divergence)
         spacing = np.ptp(X, axis=1).min(axis=1) / element.order
         per_element = np.einsum("emai,emai->e", constraint, constraint) * self.weights.sum(axis=1) / spacing**2
-        self._rounding = 0.25 * np.finfo(float).eps * np.sqrt(per_element.sum())
+        self._rounding = 0.25 * np.finfo(float).eps * np.sqrt(per_element)
 
     def set_material(self, material: Material) -> None:
         """Change parameters, bulk response or law; the state is kept.
@@ -315,6 +319,7 @@ class AxisymmetricSolver:
         self.memory.prepare(dt)
         result = self._solve(depth, tolerance, max_iterations)
         if result.status is StepStatus.CONVERGED:
+            self._largest_force = max(self._largest_force, abs(result.force))
             if self.sensitivity is not None:
                 self.sensitivity.advance()
             self._commit(depth)
@@ -323,7 +328,8 @@ class AxisymmetricSolver:
     def _solve(self, depth: float, tolerance: float, max_iterations: int) -> Step:
         height = np.ptp(self.mesh.nodes[:, 1])
         reach = abs(depth) + self.specific_weight * height**2 / (6.0 * self.material.mu0)
-        rounding = (self._rounding * self.bulk_modulus + self.surface.rounding_rate * HOLD) * reach
+        stiff = self.bulk_modulus * float(np.linalg.norm(self._rounding * self.moduli))
+        rounding = (stiff + self.surface.rounding_rate * HOLD) * reach
         rounding += self.surface.rounding_rate * height
         self._launch(depth, tolerance, rounding, max_iterations)
         report = self._report
@@ -368,7 +374,8 @@ class AxisymmetricSolver:
         predicted = float(self._weights[: len(self._depths)] @ self._depths)
         contact = (0.0, 0.0, 1.0) if self.contact is None else (
             self.contact.tolerance, self.contact.adhesion, self.contact.adhesion_length)
-        self._settings[:] = (depth, predicted, self.bulk_modulus, self.specific_weight, tolerance, self._floor,
+        self._settings[:] = (depth, predicted, self.bulk_modulus, self.specific_weight, tolerance,
+                             max(self._floor, FLOOR_SHARE * self._largest_force),
                              rounding, self._datum, *contact)
         self._counts[newton.MAX_ITERATIONS] = max_iterations
         self.surface.held[:], self.surface.ways[:] = self.surface.anchors, self.surface.slipped
