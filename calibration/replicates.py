@@ -18,8 +18,8 @@ from tissue_sim.recording_file import KINDS, read_recordings
 
 #: Largest difference of a specimen's size between a recording's own word and the campaign's, as a share.
 SIZE_TOLERANCE = 0.02
-#: Segments in which the tissue relaxes or unloads: an elastic law is fitted to the loading.
-NOT_LOADING = ("hold", "unload", "retract")
+#: Segments other than a first loading, to which an elastic law is fitted.
+NOT_LOADING = ("approach", "hold", "unload", "reload", "retract")
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,12 +2,15 @@
 
 import shutil
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 import tissue_sim as ts
 from scenes import SCENES, draw_simulation, run_demo
+from scenes.figures import save
 
 PICTURES = Path(__file__).parent / "pictures"
 CURVES = Path(__file__).parents[1] / "tests" / "reference"
@@ -20,8 +23,12 @@ def reference(name: str) -> ts.Recording:
                         metadata={"name": "independent Q2/Q1 solver"})
 
 
-REFERENCES = {"bonded_compression": reference("bonded_RP.csv"),
-              "needle_indentation": reference("punch_bonded_face_side_wall_RP.csv")}
+#: Picture -> scene, depth in mm, field, curve of the independent solver.
+SIMULATIONS = {
+    "bonded_pressure": ("bonded_compression", 10.0, "pressure", "bonded_RP.csv"),
+    "friction_bulge": ("friction_compression", 30.0, "von_mises", "friction0.7_30mm_RP.csv"),
+    "needle_von_mises": ("needle_indentation", 10.0, "von_mises", "punch_bonded_face_side_wall_RP.csv"),
+    "needle_J": ("needle_indentation", 10.0, "J", "punch_bonded_face_side_wall_RP.csv")}
 
 
 def main() -> None:
@@ -29,15 +36,41 @@ def main() -> None:
         answer = run_demo(Path(folder) / "demo")
         shutil.copyfile(answer["figure"], PICTURES / "demo.png")
     material = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
-    for scene, field, name in (("bonded_compression", "pressure", "bonded_pressure"),
-                               ("needle_indentation", "von_mises", "needle_von_mises"),
-                               ("needle_indentation", "J", "needle_J")):
-        experiment = SCENES[scene].experiment(specimen=ts.Specimen(0.040, 0.070), protocol=ts.Protocol.ramp(0.010))
-        model = ts.Model(experiment, material)
+    for name, (scene, depth, field, curve) in SIMULATIONS.items():
+        protocol = ts.Protocol.ramp(depth * 1e-3, points=round(2 * depth) + 1)
+        model = ts.Model(SCENES[scene].experiment(specimen=ts.Specimen(0.040, 0.070), protocol=protocol), material)
         recording = ts.simulate(model, resolution="accurate", fields=True)
-        draw_simulation(recording, model, PICTURES / f"{name}.png", field=field, reference=REFERENCES[scene])
+        draw_simulation(recording, model, PICTURES / f"{name}.png", field=field, reference=reference(curve))
+    draw_cycles(material)
     for path in sorted(PICTURES.glob("*.png")):
         print(path)
+
+
+def draw_cycles(material: ts.Material) -> None:
+    """Ramp, hold and return, twice, of needle and plate: an elastic, a relaxing and a softening specimen."""
+    protocol = ts.Protocol.parse("repeat 2 (ramp 8mm @0.5mm/s; hold 10s; unload)", points=33)
+    materials = {"elastic": material,
+                 "g = 0.3, tau = 2 s": replace(material, viscoelastic=ts.Prony((ts.PronyTerm(0.3, 2.0),))),
+                 "softening by 40 %": replace(material, softening=ts.Softening(0.4, modulus=20.0, share=0.5))}
+    figure = Figure(figsize=(10, 6.4), layout="constrained")
+    axes = figure.subplots(2, 2, sharey="row", width_ratios=[1, 1.3])
+    tests = (("plates, friction 0.7", "friction_compression", 0.7),
+             ("needle that sticks", "needle_indentation", "stick"))
+    for row, (title, scene, friction) in zip(axes, tests, strict=True):
+        experiment = SCENES[scene].experiment(specimen=ts.Specimen(0.040, 0.070), protocol=protocol, friction=friction)
+        for (name, stuff), colour in zip(materials.items(), ("0.8", "#0072B2", "#D55E00"), strict=True):
+            recording = ts.simulate(ts.Model(experiment, stuff))
+            # The elastic curve is wider: the others lie on it in part.
+            line = {"color": colour, "linewidth": 3.5 if name == "elastic" else 1.3}
+            row[0].plot(recording.displacement * 1e3, recording.force, label=name, **line)
+            row[1].plot(recording.time, recording.force, **line)
+        row[0].set(xlabel="displacement [mm]", ylabel="force [N]", title=title)
+        row[1].set(xlabel="time [s]")
+        for panel in row:
+            panel.grid(alpha=0.3)
+            panel.spines[["top", "right"]].set_visible(False)
+    axes[0, 0].legend(frameon=False)
+    save(figure, PICTURES / "cycles.png")
 
 
 if __name__ == "__main__":

@@ -27,20 +27,21 @@ RIGID = "0.72"
 
 
 def draw_simulation(recording: Recording, model: Model, path: Path, field: str = "von_mises", *,
-                    reference: Recording | None = None) -> None:
-    """Draw the section at the last sample, and force against displacement, into an image file.
+                    segment: str | None = None, reference: Recording | None = None) -> None:
+    """Draw the section at the deepest sample, and force against displacement, into an image file.
 
-    A needle gets a third panel: the fold of the tissue at its edge.
+    A needle gets a third panel: the fold of the tissue at its edge. A ring on the curve tells the sample that is drawn.
 
     Args:
         recording: of `simulate(..., fields=True)`.
         model: what was simulated.
         path: .png, .svg or .pdf.
         field: a name in `LABELS`.
+        segment: draw the last sample of this segment instead.
         reference: another force curve to draw beside it, under its name.
 
     Raises:
-        InputError: unknown field, or a recording without fields.
+        InputError: unknown field, a recording without fields or without this segment.
     """
     from matplotlib.figure import Figure
 
@@ -48,6 +49,7 @@ def draw_simulation(recording: Recording, model: Model, path: Path, field: str =
         raise InputError(f"unknown field {field!r}; known: {', '.join(LABELS)}", field="field")
     if recording.fields is None:
         raise InputError("this recording carries no fields; simulate with fields=True", field="fields")
+    sample = _drawn_sample(recording, segment)
     specimen, tool = model.experiment.specimen, model.experiment.tool
     panels = {"section": 1.25} | ({"fold": 0.75} if tool.shape != "plate" else {}) | {"curve": 1.0}
     if specimen.radius > 1.5 * specimen.height:
@@ -57,27 +59,38 @@ def draw_simulation(recording: Recording, model: Model, path: Path, field: str =
     else:
         figure = Figure(figsize=(10 if tool.shape == "plate" else 13, 4.6), layout="constrained")
         axes = figure.subplot_mosaic([list(panels)], width_ratios=list(panels.values()))
-    draw_section(axes["section"], recording.fields, field, tool=tool)
+    draw_section(axes["section"], recording.fields, field, sample, tool=tool)
     if "fold" in axes:
-        draw_fold(axes["fold"], recording.fields, field, tool)
+        draw_fold(axes["fold"], recording.fields, field, tool, sample)
     curve = axes["curve"]
     if reference is not None:
         curve.plot(reference.displacement * 1e3, reference.force, color="0.25", linewidth=1, label=reference.name)
-    depth = recording.displacement[-1] * 1e3
+    depth = recording.displacement[sample] * 1e3
     curve.plot(recording.displacement * 1e3, recording.force, color="#0072B2", marker="o", markersize=3,
                linestyle="none" if reference else "-", label="simulated")
     if reference is not None:
         curve.legend(frameon=False)
+    curve.plot(depth, recording.force[sample], color="#D55E00", marker="o", markersize=8, fillstyle="none")
     curve.set_xlabel("displacement [mm]")
     curve.set_ylabel("force [N]")
-    curve.set_xlim(left=0)
+    curve.set_xlim(left=min(0.0, recording.displacement.min() * 1e3))
     curve.grid(alpha=0.3)
     curve.spines[["top", "right"]].set_visible(False)
-    figure.suptitle(f"{model.material.energy_law.title}: {recording.force[-1]:.4g} N at {depth:.3g} mm")
+    figure.suptitle(f"{model.material.energy_law.title}: {recording.force[sample]:.4g} N at {depth:.3g} mm")
     warnings = recording.metadata.get("solver", {}).get("warnings", [])
     if warnings:
         curve.set_title("\n".join(textwrap.wrap("; ".join(warnings), 60)), fontsize=8, color="#a33c00")
     save(figure, path)
+
+
+def _drawn_sample(recording: Recording, segment: str | None) -> int:
+    if segment is None:
+        return int(np.argmax(recording.displacement))
+    of_it = np.flatnonzero(recording.labels.get("segment", np.empty(0, str)) == segment)
+    if not of_it.size:
+        known = ", ".join(np.unique(recording.labels["segment"])) if "segment" in recording.labels else "none"
+        raise InputError(f"this recording has no segment {segment!r}; it has: {known}", field="segment")
+    return int(of_it[-1])
 
 
 def draw_section(axes, fields: Fields, name: str, sample: int = -1, *, tool: Tool) -> None:

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from tissue_sim import Recording, Rig
 
 MOST_REPLICATES = 1000
-#: Fields of a rig that move the tool; the others act on what is read.
-MOTION = ("contact_offset", "displacement_gain", "backlash", "step_loss", "step_loss_depth", "compliance")
 
 
 def add_rig_flags(parser: Parser) -> None:
@@ -49,11 +47,6 @@ def build_rig(arguments) -> Rig:
                 raise InputError("matters where there is noise only; add --noise-N 0.02 or a rig with force_noise_N",
                                  field=flag)
     return rig if arguments.seed is None else replace(rig, seed=arguments.seed)
-
-
-def moving_part(rig: Rig) -> Rig:
-    """The rig as far as it moves the tool: it reports every force as it is."""
-    return type(rig)(**{name: getattr(rig, name) for name in MOTION})
 
 
 def output_files(curve: Path | None, replicates: int | None) -> list[Path]:

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 #: Rows of a printed curve; of a longer one, some samples are left out.
 MOST_ROWS = 60
+#: Entries of the solver's report that are there where they apply.
+OF_CONTACT_AND_WEIGHT = ("penetration_mm", "penetration_tolerance_mm", "slipping_points", "self_weight")
 
 
 def as_json(recordings: Sequence[Recording], resolution: str, failure: Exception | None, warnings: list[str], *,
@@ -40,7 +42,7 @@ def as_json(recordings: Sequence[Recording], resolution: str, failure: Exception
         "wall_s": solver.get("wall_s"),
         "mesh": solver.get("mesh"),
         "resolution": solver.get("resolution", resolution),
-        **{key: solver[key] for key in ("penetration_mm", "penetration_tolerance_mm", "self_weight") if key in solver},
+        **{key: solver[key] for key in OF_CONTACT_AND_WEIGHT if key in solver},
     }
     if replicates:
         answer["replicates"] = [{"displacement_mm": (one.displacement * 1e3).tolist(), "force_N": one.force.tolist(),
@@ -107,6 +109,8 @@ def remarks(solver: dict) -> Iterator[str]:
     if "penetration_mm" in solver:
         yield (f"the surface enters the tool by {solver['penetration_mm']:.2g} mm at most "
                f"(tolerance {solver['penetration_tolerance_mm']:.2g} mm)")
+    if "slipping_points" in solver:
+        yield f"friction: {solver['slipping_points']} points of the surface slip at once at most"
     if "self_weight" in solver:
         weight = solver["self_weight"]
         yield (f"self-weight: the specimen sags {weight['sag_mm']:.3f} mm before the test, from a moulded height of "

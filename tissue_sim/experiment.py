@@ -99,7 +99,7 @@ class Experiment:
         protocol: tool displacement against time, from where the tool touches the settled specimen.
         tool: what is pushed in.
         friction: interface of the tool's face; see `INTERFACES`. A bonded needle holds what its flat face touches at
-            the start; a rounded edge meets the tissue as the shaft does.
+            the start, and its rounded edge holds what it meets.
         friction_base: interface of the base plate.
         friction_wall: interface of a needle's shaft; tissue meets it during the test, so it cannot be bonded.
         adhesion: pull of a tool that lifts off; None: none.

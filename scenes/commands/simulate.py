@@ -8,7 +8,7 @@ from pathlib import Path
 from scenes.console import print_json, progress_console, results_console
 from scenes.experiment_flags import SCENE_NAMES, add_experiment_flags, build_experiment, build_protocol, check_scene
 from scenes.parsing import Parser, add_json, add_overwrite, new_file
-from scenes.replicates import add_rig_flags, build_rig, moving_part, output_files, read_replicates
+from scenes.replicates import add_rig_flags, build_rig, output_files, read_replicates
 from scenes.simulation_report import as_json, print_curve, print_solver
 from tissue_sim.errors import ConvergenceError, InputError
 
@@ -52,9 +52,7 @@ def run(arguments) -> int:
     for path in outputs:
         require_sidecar_place(path)
     protocol, rig = build_protocol(arguments), build_rig(arguments)
-    points = protocol.time.size
-    if rig.sampling_rate is not None:
-        points = 1 + int((protocol.time[-1] - protocol.time[0]) * rig.sampling_rate)
+    points = rig.readings(protocol.time)
     if outputs and points < MIN_POINTS:
         raise InputError(f"{points} points are too few for a recording; give at least {MIN_POINTS}, or leave out -o",
                          field="--points" if rig.sampling_rate is None else "--rig")
@@ -63,8 +61,8 @@ def run(arguments) -> int:
     from scenes.material_summary import doubts
 
     experiment = build_experiment(arguments, protocol, material_file.material)
-    # What the rig does to the readings is done below, once for each replicate, and keeps the fields for the figure.
-    model = ts.Model(experiment, material_file.material, moving_part(rig))
+    # Readings are made below, once for each replicate; what the rig does to the motion is solved here.
+    model = ts.Model(experiment, material_file.material, rig.motion_only)
     failure = None
     with progress_console(quiet=arguments.json).status("simulating") as status:
         try:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
+from scenes import draw_simulation
 from scenes.cli import main
-from scenes.replicates import MOTION, moving_part
 from scenes.simulation_report import MOST_ROWS, shown_rows
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.rig import Rig
@@ -70,6 +70,13 @@ class TestProtocol:
     def test_one_segment_needs_no_column(self, simulate):
         _, out, _ = simulate(LUBRICATED, "--protocol", "ramp 1mm", "--points", "2")
         assert "displacement [mm]" in out and "segment" not in out and "time [s]" not in out
+
+    def test_figure_of_the_deepest_sample(self, simulate, tmp_path):
+        """Not of the last one, where the tool has left: 3.31757 N at 5 mm in closed form."""
+        code, _, err = simulate(LUBRICATED, "--protocol", "approach 1mm; ramp 5mm; unload; retract 1mm", "--points",
+                                "6", "--figure", str(tmp_path / "f.svg"))
+        assert code == 0, err
+        assert "3.317 N at 5 mm" in (tmp_path / "f.svg").read_text(encoding="utf-8")
 
     @pytest.mark.parametrize(("words", "expected"), [
         (["--protocol", "ramp 10mm; hld 60s"], "protocol: column 12, at 'hld 60s': unknown segment 'hld'; did you mean "
@@ -137,21 +144,6 @@ class TestRig:
         assert code == 2 and "--rig: 3 points are too few for a recording" in err
         assert [path.name for path in tmp_path.iterdir()] == ["r.rig.json"]
 
-    def test_moving_part_only_moves(self):
-        """What moves the tool stays, and nothing is left that changes a reading."""
-        stated = {"contact_offset": 1e-3, "displacement_gain": 0.1, "backlash": 1e-4, "step_loss": 1e-4,
-                  "step_loss_depth": 1e-3, "compliance": 1e-4, "guide_friction": 0.1, "rate_damping": 10.0,
-                  "latency": 0.1, "sensor_gain": 0.1, "zero_offset": 0.1, "sensor_drift": 0.1, "sampling_rate": 10.0,
-                  "force_noise": 0.1, "force_resolution": 0.1, "displacement_resolution": 1e-4}
-        rig, recording = Rig(**stated), curve(20)
-        moving = moving_part(rig)
-        np.testing.assert_array_equal(moving.tool_motion(recording.displacement),
-                                      rig.tool_motion(recording.displacement))
-        assert moving.compliance == rig.compliance and set(MOTION) < set(stated)
-        read = moving.read(recording)
-        np.testing.assert_array_equal(read.force, recording.force)
-        np.testing.assert_array_equal(read.displacement, recording.displacement)
-
 
 class TestReplicates:
     WORDS = (LUBRICATED, "--depth-mm", "2", "--points", "50", "--noise-N", "0.02")
@@ -215,7 +207,36 @@ class TestReplicates:
         assert len(ts.read_recording(one)) == len(ts.read_recording(two)) == 6
 
 
-def test_friction_scene_is_close_to_bonded(simulate_json):
+def test_friction_scene_is_close_to_bonded(simulate, simulate_json):
     """Independent curves at 5 mm: 4.103 N with friction 0.7, 4.1035 N bonded; `fast` within 1 %."""
-    answer = simulate_json("friction_compression", "--depth-mm", "5", "--points", "6")
+    words = ["friction_compression", "--depth-mm", "5", "--points", "6"]
+    answer = simulate_json(*words)
     assert answer["force_N"][-1] == pytest.approx(4.103, rel=0.01)
+    assert answer["slipping_points"] >= 0 and "points of the surface slip at once" in simulate(*words)[1]
+
+
+class TestFigures:
+    """The sample that `draw_simulation` draws."""
+
+    @pytest.fixture(scope="class")
+    @staticmethod
+    def relaxing():
+        experiment = ts.Experiment(ts.Specimen(0.04, 0.07), ts.Protocol.parse("ramp 5mm @1mm/s; hold 9s; unload 2mm",
+                                                                              points=6))
+        series = ts.Prony((ts.PronyTerm(0.3, 2.0),))
+        model = ts.Model(experiment, ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4},
+                                                 ts.Bulk("bulk_ratio", 1e4), viscoelastic=series))
+        return ts.simulate(model, fields=True), model
+
+    @pytest.mark.parametrize(("segment", "depth"), [(None, 5), ("ramp", 5), ("hold", 5), ("unload", 2)])
+    def test_segment(self, relaxing, segment, depth, tmp_path):
+        recording, model = relaxing
+        draw_simulation(recording, model, tmp_path / "f.svg", segment=segment)
+        labels = recording.labels["segment"]
+        force = recording.force[np.flatnonzero(labels == (segment or "ramp"))[-1]]
+        assert f"{force:.4g} N at {depth} mm" in (tmp_path / "f.svg").read_text(encoding="utf-8")
+
+    def test_no_such_segment(self, relaxing, tmp_path):
+        with pytest.raises(ts.InputError, match="no segment 'reload'; it has: hold, ramp, unload"):
+            draw_simulation(*relaxing, tmp_path / "f.png", segment="reload")
+        assert not list(tmp_path.iterdir())

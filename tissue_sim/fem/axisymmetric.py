@@ -158,7 +158,7 @@ class AxisymmetricSolver:
         if self.contact.level:
             self._level(displacement, place)
         tied = surface.tied[:, None]
-        touches = (surface.areas > 0) & (surface.gaps(place) <= 1e-9 * np.ptp(self.mesh.nodes[:, 1]))
+        touches = (surface.springs > 0) & (surface.gaps(place) <= 1e-9 * np.ptp(self.mesh.nodes[:, 1]))
         untouched = touches & (surface.anchors[..., 0] == contact_kernels.FREE)
         surface.anchors[untouched, 0] = np.where(tied, contact_kernels.HELD, contact_kernels.TOUCHED).repeat(
             touches.shape[1], axis=1)[untouched]

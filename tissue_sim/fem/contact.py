@@ -79,7 +79,7 @@ class ContactPoints:
         rounding: of each edge's body, m, shape (m,).
         friction: of the face and of the shaft of each edge's body, shape (m, 2).
         shapes: shape functions of an edge at its points, shape (m, q, a); places: (r, z) of the points, m, (m, q, 2).
-        springs: N/m, shape (m, q); areas: m2, shape (m, q), 0 where a point is not used.
+        springs: N/m, shape (m, q), 0 where a point is not used; areas: m2, shape (m, q).
         anchors, held: how a point is bound (`contact_kernels.FREE`, `HELD`, `TOUCHED`) and where in the body's frame,
             at the last equilibrium and during a step, shape (m, q, 3); met: what it would become. Where: displacement
             of the point in that frame.
@@ -127,24 +127,25 @@ class ContactPoints:
         self.areas = np.pi * length * weight * self.places[..., 0]
         # A node on the axis has no area, but must not be left alone.
         on_axis = at_nodes & (self.places[..., 0] == 0.0)
-        self.areas[on_axis] = 0.25 * self.areas.max(axis=1, keepdims=True).repeat(order + 1, axis=1)[on_axis]
-        self._merge(at_nodes[:, 0])
-        self._per_length = np.divide(1.0, length, out=np.zeros_like(length), where=length > 0)
+        held_by = self.areas + 0.25 * on_axis * self.areas.max(axis=1, keepdims=True)
+        for shares in (self.areas, held_by):
+            self._merge(shares, at_nodes[:, 0])
+        self._lengths = np.divide(held_by, length, out=np.zeros_like(held_by), where=length > 0)
         self.springs = np.zeros(self.places.shape[:2])
         self.anchors = np.zeros((*self.places.shape[:2], 3))
         self.held, self.met = np.zeros_like(self.anchors), np.zeros_like(self.anchors)
         self.ways, self.slipped = np.zeros_like(self.springs), np.zeros_like(self.springs)
         self.forces, self.rates = np.zeros((*self.places.shape[:2], 2)), np.zeros((*self.places.shape[:2], 7))
 
-    def _merge(self, at_nodes: np.ndarray) -> None:
-        """One point a node and body: the first edge that has it takes the share of the others."""
+    def _merge(self, shares: np.ndarray, at_nodes: np.ndarray) -> None:
+        """One point a node and body: the first edge that has it takes the `shares` of the others."""
         first: dict[tuple, tuple[int, int]] = {}
         for m in np.flatnonzero(at_nodes):
             for q, node in enumerate(self.edges[m]):
                 place = first.setdefault((node, self.moves[m]), (m, q))
                 if place != (m, q):
-                    self.areas[place] += self.areas[m, q]
-                    self.areas[m, q] = 0.0
+                    shares[place] += shares[m, q]
+                    shares[m, q] = 0.0
 
     @property
     def slips(self) -> bool:
@@ -156,7 +157,7 @@ class ContactPoints:
 
         `rounding_rate` is the force, N, that rounding costs per m of displacement.
         """
-        self.springs[:] = modulus * self.areas * self._per_length
+        self.springs[:] = modulus * self._lengths
         self.rounding_rate = np.finfo(float).eps * float(np.linalg.norm(self.springs))
 
     def positions(self, displacement: np.ndarray) -> np.ndarray:

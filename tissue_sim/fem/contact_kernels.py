@@ -60,8 +60,8 @@ def functions():
         return gap, nr, nz, curved, line
 
     @ti.func
-    def add_contact(count, changeable, pending, bending, move, lift, free, tolerance, adhesion, adhesion_length,
-                    multipliers, edges: ti.template(), spans: ti.template(), shapes: ti.template(),
+    def add_contact(count, changeable, slack, pending, bending, move, lift, free, tolerance, negligible, adhesion,
+                    adhesion_length, multipliers, edges: ti.template(), spans: ti.template(), shapes: ti.template(),
                     places: ti.template(), areas: ti.template(), vertices: ti.template(), rounding: ti.template(),
                     friction: ti.template(), springs: ti.template(), held: ti.template(), ways: ti.template(),
                     met: ti.template(), forces: ti.template(), rates: ti.template(), x: ti.template(),
@@ -69,13 +69,13 @@ def functions():
         """Add the contact forces to the residual, and note their rates with the motion of the points.
 
         Of the points at most `changeable` change between sticking and slipping: none but at the first look at a state,
-        and one at a time where all at once would go round in circles. `lift` takes z into the frame of the tool, `move`
-        is what the tool still has to go down in this step. Returns the axial force on the tool, the sum of the squares
-        of all forces, the largest violation of the contact conditions and how many points slip.
+        and one at a time where all at once would go round in circles. What is nearer than `slack` counts as touching.
+        `lift` takes z into the frame of the tool, `move` is what the tool still has to go down in this step; friction
+        below `negligible` (N) is none. Returns the axial force on the tool, the sum of the squares of all forces, the
+        largest violation of the contact conditions and how many points slip.
         """
         axial, squares, violation, slipping, changes = 0.0, 0.0, 0.0, 0, changeable
         n = shapes.shape[2]
-        slack = 1e-9 if pending == 1 else 0.0
         for m in range(count):
             moves = float(spans[m, MOVES])
             for q in range(places.shape[1]):
@@ -98,9 +98,11 @@ def functions():
                 fr, fz, krr, krz, kzr, kzz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
                 bound = held[m, q, 0]
                 met[m, q, 0] = FREE
-                if bound == TOUCHED and gap <= tolerance:
-                    # It touches without force.
-                    met[m, q, 0], met[m, q, 1], met[m, q, 2] = TOUCHED, held[m, q, 1], held[m, q, 2]
+                if mu > 0.0 and gap <= tolerance:
+                    # It touches, with or without force.
+                    met[m, q, 0], met[m, q, 1], met[m, q, 2] = TOUCHED, ur - gap * nr, uz - gap * nz
+                    if bound == TOUCHED:
+                        met[m, q, 1], met[m, q, 2] = held[m, q, 1], held[m, q, 2]
                 if bound == HELD:
                     spring *= HOLD
                     dr, dz = ur - held[m, q, 1], uz - held[m, q, 2]
@@ -116,7 +118,9 @@ def functions():
                     if mu != 0.0:
                         met[m, q, 0] = HELD if mu < 0.0 else TOUCHED
                         met[m, q, 1], met[m, q, 2] = ur - gap * nr, uz - gap * nz
-                    if mu > 0.0 and bound == TOUCHED:
+                    # Friction too small to count would only chatter.
+                    weighty = mu * ti.max(-normal, 0.0) > negligible or pending == 1
+                    if mu > 0.0 and bound == TOUCHED and weighty:
                         slip = (ur - held[m, q, 1]) * tr + (uz - held[m, q, 2]) * tz
                         drag, limit = along + HOLD * spring * slip, mu * ti.max(-normal, 0.0)
                         # What slips one way has to stick before it slips the other way, else it would jump to and fro.
@@ -130,7 +134,7 @@ def functions():
                                 ways[m, q] = way
                                 changes -= 1
                         if way == 0.0:
-                            tt += HOLD * spring
+                            tt += HOLD * spring - bending * curved * (normal - spring * gap)
                             met[m, q, 1], met[m, q, 2] = held[m, q, 1], held[m, q, 2]
                             violation = ti.max(violation, ti.abs(slip))
                         else:

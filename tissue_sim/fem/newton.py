@@ -31,6 +31,8 @@ class StepStatus(IntEnum):
         }[self]
 
 
+#: Friction of a point that is no friction, as a share of the least load that residuals are measured against.
+FRICTION_FLOOR = 1e-9
 #: A factor serves again as long as each solve with it takes the residual down to this share.
 REUSE = 1e-3
 #: All points of the surface may change between sticking and slipping at once, until so many iterations did not settle
@@ -185,11 +187,14 @@ def step_kernel(element_name: str, energy: KernelEnergy):
                         work.add_pending(e, x, free, connectivity, equation, target, force, stiffness)
                     work.scatter(e, tangent, free, width, connectivity, equation, force, stiffness, entries, residual)
                 tool = settings[PREDICTED] if pending == 1 else depth
+                # At first what just touches counts as pressed: the tool is about to move, or adhesion pulls.
+                slack = 1e-9 if pending == 1 or (adhesion > 0.0 and iterations == 0) else 0.0
                 axial, balanced, violation, slipping = add_contact(
-                    counts[CONTACTS], counts[CHANGEABLE], pending, bending, depth - tool, tool - settings[TOUCH], free,
-                    settings[CONTACT_TOLERANCE], adhesion, adhesion_length, multipliers, edges, spans, edge_shapes,
-                    edge_places, areas, vertices, edge_rounding, friction, springs, held, ways, met, forces,
-                    contact_rates, x, target, equation, residual)
+                    counts[CONTACTS], counts[CHANGEABLE], slack, pending, bending, depth - tool,
+                    tool - settings[TOUCH], free, settings[CONTACT_TOLERANCE], FRICTION_FLOOR * floor, adhesion,
+                    adhesion_length, multipliers, edges, spans, edge_shapes, edge_places, areas, vertices,
+                    edge_rounding, friction, springs, held, ways, met, forces, contact_rates, x, target, equation,
+                    residual)
                 counts[CHANGEABLE] = 0
                 report[VIOLATION], report[SLIPPING] = violation, slipping
                 if tangent == 1:
@@ -258,6 +263,8 @@ def step_kernel(element_name: str, energy: KernelEnergy):
                         bending = 1.0 if ratio < 0.1 else 0.0
                         pending = 0
                         iterations += 1
+            if report[STATUS] == 0.0:
+                report[STATUS] = slow
             total = axial
             for dof in range(pressures):
                 i = equation[dof]

@@ -1,0 +1,69 @@
+"""What derivatives with respect to the material cost: CPU of a simulated test with them over that without.
+
+The two run in turns on the same mesh. Printed are the whole extra cost per parameter, and what one parameter more costs
+(from the difference between all and one).
+"""
+
+import statistics
+
+from measure import about, cpu_seconds, option_parser, show, table, verdict
+
+import tissue_sim as ts
+from tissue_sim.discretisation import build_mesh
+
+TARGET = 0.3
+STUDY = {"C10": 1404.9, "C20": 699.4}
+SPECIMEN = ts.Specimen(0.040, 0.070)
+ELASTIC = ts.Material("reduced_polynomial_2", STUDY, ts.Bulk("bulk_ratio", 1e4))
+RELAXING = ts.Material("reduced_polynomial_2", STUDY, ts.Bulk("bulk_ratio", 1e4),
+                       viscoelastic=ts.Prony((ts.PronyTerm(0.3, 2.0), ts.PronyTerm(0.1, 10.0))))
+
+
+def cases():
+    """Test, experiment, material, parameters."""
+    ramp = ts.Protocol.ramp(10e-3, 21)
+    cycle = ts.Protocol.parse("ramp 6mm; hold 20s; unload 2mm", points=21)
+    law = ["C10", "C20"]
+    time = [*law, *(f"viscoelastic.terms[{i}].{name}" for i in range(2) for name in ("g", "tau_s"))]
+    yield "bonded ramp", ts.Experiment(SPECIMEN, ramp), ELASTIC, law
+    yield "friction 0.1, ramp", ts.Experiment(SPECIMEN, ramp, friction=0.1, friction_base=0.1), ELASTIC, law
+    yield "needle, ramp", ts.Experiment(SPECIMEN, ramp, ts.Tool("flat", 8e-3)), ELASTIC, law
+    yield "bonded, ramp, hold, unload", ts.Experiment(SPECIMEN, cycle), RELAXING, time
+    yield ("friction 0.3, ramp, hold, unload", ts.Experiment(SPECIMEN, cycle, friction=0.3, friction_base=0.3),
+           RELAXING, time)
+
+
+def cost(name: str, experiment: ts.Experiment, material: ts.Material, names: list[str], resolution: str,
+         repeats: int) -> dict:
+    """Medians of alternating runs without, with one, and with all derivatives."""
+    model, mesh = ts.Model(experiment, material), build_mesh(experiment, resolution)
+    works = [lambda: ts.simulate(model, mesh=mesh), lambda: ts.sensitivities(model, names[:1], mesh=mesh),
+             lambda: ts.sensitivities(model, names, mesh=mesh)]
+    for work in works:
+        work()
+    spent = [[cpu_seconds(work, 1)[0] for work in works] for _ in range(repeats)]
+    plain, one, every = (statistics.median(times) for times in zip(*spent, strict=True))
+    return {"test": name, "resolution": resolution, "parameters": len(names), "plain_s": plain, "with_s": every,
+            "per_parameter": (every / plain - 1.0) / len(names),
+            "one_more": (every - one) / (len(names) - 1) / plain}
+
+
+def draw(result: dict, console) -> None:
+    table(console, "A test with derivatives over one without, CPU (medians of alternating runs)",
+          ["test", "mesh", "parameters", "plain, ms", "with them, ms", "extra per parameter", f"target {TARGET:g}",
+           "one parameter more"],
+          [[row["test"], row["resolution"], str(row["parameters"]), f"{row['plain_s'] * 1e3:.1f}",
+            f"{row['with_s'] * 1e3:.1f}", f"{row['per_parameter']:.2f}",
+            verdict(row["per_parameter"] <= TARGET, "").strip(), f"{row['one_more']:.2f}"] for row in result["costs"]])
+
+
+def main() -> None:
+    arguments = option_parser(__doc__).parse_args()
+    result = about("sensitivities")
+    result["costs"] = [cost(*case, resolution, arguments.repeats) for case in cases()
+                       for resolution in ("fast", "accurate")]
+    show(result, draw, as_json=arguments.json)
+
+
+if __name__ == "__main__":
+    main()
