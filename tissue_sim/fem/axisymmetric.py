@@ -270,7 +270,7 @@ class AxisymmetricSolver:
         memory.set_material(self.relaxation(material), material.softening, factor)
         self._counts[newton.REMEMBERS] = memory.works
         with LOCK:
-            kernel = newton.step_kernel(self.mesh.element.name, energy)
+            kernel = newton.step_kernel(self.mesh.element.name, energy, surface.slips)
         self._kernel = BoundKernel(kernel, (
             self._counts, self._settings, self._connectivity, self._equation, self._direction, self.start,
             self._target, self._gradients, self.node_gradients, self._quadrature, self._node_volumes,

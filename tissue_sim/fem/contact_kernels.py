@@ -22,8 +22,8 @@ FREE, HELD, TOUCHED = 0.0, 1.0, 2.0
 
 
 @cache
-def functions():
-    """Taichi functions ``add_contact``, ``add_rates``, ``augment`` and ``hold``."""
+def functions(slips: bool):
+    """Taichi functions ``add_contact``, ``add_rates``, ``augment`` and ``hold``; without `slips` nothing ever does."""
     ti = initialise()
     add_entry = add_entry_function()
     _, add_any, _, _ = band_lu.functions()
@@ -98,7 +98,7 @@ def functions():
                 fr, fz, krr, krz, kzr, kzz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
                 bound = held[m, q, 0]
                 met[m, q, 0] = FREE
-                if mu > 0.0 and gap <= tolerance:
+                if mu > 0.0 and gap <= 1e-3 * tolerance:
                     # It touches, with or without force.
                     met[m, q, 0], met[m, q, 1], met[m, q, 2] = TOUCHED, ur - gap * nr, uz - gap * nz
                     if bound == TOUCHED:
@@ -199,12 +199,13 @@ def functions():
                         for b in range(n):
                             share = shapes[m, q, a] * shapes[m, q, b]
                             jr, jz = equation[2 * edges[m, b]], equation[2 * edges[m, b] + 1]
-                            if slipping > 0:
-                                add_any(ir, jr, share * krr, free, width, entries, upper)
-                                add_any(ir, jz, share * krz, free, width, entries, upper)
-                                add_any(iz, jr, share * kzr, free, width, entries, upper)
-                                add_any(iz, jz, share * kzz, free, width, entries, upper)
-                            else:
+                            if ti.static(slips):
+                                if slipping > 0:
+                                    add_any(ir, jr, share * krr, free, width, entries, upper)
+                                    add_any(ir, jz, share * krz, free, width, entries, upper)
+                                    add_any(iz, jr, share * kzr, free, width, entries, upper)
+                                    add_any(iz, jz, share * kzz, free, width, entries, upper)
+                            if slipping == 0:
                                 add_entry(ir, jr, share * krr, free, width, entries)
                                 add_entry(ir, jz, share * krz, free, width, entries)
                                 add_entry(iz, jr, share * kzr, free, width, entries)

@@ -46,8 +46,11 @@ STATUS, ITERATIONS, RESIDUAL, FORCE, VIOLATION, SLIPPING = range(6)
 
 
 @cache
-def step_kernel(element_name: str, energy: KernelEnergy):
-    """The compiled step of one element and one family of laws; see `AxisymmetricSolver.step` for its arguments."""
+def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
+    """The compiled step of one element and one family of laws; see `AxisymmetricSolver.step` for its arguments.
+
+    Only where something `slips` against friction it contains the solution of unsymmetric equations.
+    """
     ti = initialise()
     element = ELEMENTS[element_name]
     modes, has_centre = element.pressure_modes, element.nodes > element.boundary_nodes
@@ -60,7 +63,7 @@ def step_kernel(element_name: str, energy: KernelEnergy):
     vector1, vector2, vector3 = (ti.types.ndarray(dtype=vec, ndim=n) for n in (1, 2, 3))
     block1, block3 = (ti.types.ndarray(dtype=block, ndim=n) for n in (1, 3))
     factorise, solve = band_matrix.functions()
-    add_contact, add_rates, augment, hold = contact_kernels.functions()
+    add_contact, add_rates, augment, hold = contact_kernels.functions(slips)
     mirror, _, factorise_lu, solve_lu = band_lu.functions()
     converged, inverted, indefinite, slow, diverged = (float(status) for status in StepStatus)
     nb, centre = element.boundary_nodes, element.nodes - 1
@@ -199,8 +202,9 @@ def step_kernel(element_name: str, energy: KernelEnergy):
                 report[VIOLATION], report[SLIPPING] = violation, slipping
                 if tangent == 1:
                     counts[UNSYMMETRIC] = ti.min(slipping, 1)
-                    if slipping > 0:
-                        mirror(blocks, upper_blocks, rows, width)
+                    if ti.static(slips):
+                        if slipping > 0:
+                            mirror(blocks, upper_blocks, rows, width)
                     add_rates(counts[CONTACTS], slipping, free, width, edges, edge_shapes, contact_rates, equation,
                               entries, upper)
                 unbalanced = interior
@@ -238,9 +242,10 @@ def step_kernel(element_name: str, energy: KernelEnergy):
                         for i in range(free, rows * B):
                             entries[i // B, width - 1, i % B, i % B] = 1.0
                         if definite == 1:
-                            if slipping > 0:
-                                definite = factorise_lu(blocks, upper_blocks, inverse, rows, width)
-                            else:
+                            if ti.static(slips):
+                                if slipping > 0:
+                                    definite = factorise_lu(blocks, upper_blocks, inverse, rows, width)
+                            if slipping == 0:
                                 definite = factorise(blocks, inverse, rows, width)
                     for I in range(rows):
                         for k in ti.static(range(B)):
@@ -250,9 +255,10 @@ def step_kernel(element_name: str, energy: KernelEnergy):
                     elif definite == 0:
                         report[STATUS] = indefinite
                     else:
-                        if counts[UNSYMMETRIC] == 1:
-                            solve_lu(blocks, upper_blocks, inverse, right, rows, width)
-                        else:
+                        if ti.static(slips):
+                            if counts[UNSYMMETRIC] == 1:
+                                solve_lu(blocks, upper_blocks, inverse, right, rows, width)
+                        if counts[UNSYMMETRIC] == 0:
                             solve(blocks, inverse, right, rows, width)
                         update(x, pressures, free, kappa, connectivity, equation, target, right, moduli, volume,
                                centre_volume, gap, centre_rows, centre_force)
