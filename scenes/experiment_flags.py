@@ -52,7 +52,7 @@ def add_experiment_flags(parser: Parser) -> None:
                           help=f"{face}: bonded, stick (no slip, can lift off), frictionless or a friction coefficient")
     tool.add_argument("--adhesion-N", type=positive, metavar="N", help="pull-off force of the tool's face")
     tool.add_argument("--adhesion-length-mm", type=positive, metavar="N", help="gap over which the adhesion acts")
-    tool.add_argument("--tilt-mm", type=positive, metavar="N", help="height difference across the specimen's top face")
+    tool.add_argument("--tilt-mm", type=positive, metavar="N", help="height difference across the tool's face")
 
 
 def check_scene(name: str) -> None:
@@ -89,12 +89,12 @@ def build_experiment(arguments, protocol: Protocol, material: Material) -> Exper
 
     scene = SCENES[arguments.scene]
     shape, profile = _shape(arguments.tool or scene.tool.shape)
+    if shape not in (*SHAPES, "profile"):
+        raise InputError(f"unknown tool shape {shape!r}{nearest(shape, SHAPES)}", field="--tool")
     if (shape == "plate") != (scene.tool.shape == "plate"):
         fitting = [name for name, other in SCENES.items() if (other.tool.shape == "plate") == (shape == "plate")]
         raise InputError(f"{scene.name} is not done with the tool {shape!r}; use scene {' or '.join(fitting)}",
                          field="--tool")
-    if shape == "plate" and arguments.friction_wall is not None:
-        raise InputError("a plate has no shaft; leave it out", field="--friction-wall")
     weight = {}
     if arguments.gravity:
         density = arguments.density_kg_m3 or material.density

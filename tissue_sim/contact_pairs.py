@@ -19,33 +19,36 @@ def coefficient(interface: str | float) -> float:
     return {"bonded": STICK, "stick": STICK, "frictionless": 0.0}.get(interface, interface)
 
 
-def build_contact(experiment: Experiment, mesh: Mesh, *, tool: bool = True) -> Contact | None:
+def build_contact(experiment: Experiment, mesh: Mesh, *, tool: bool = True,
+                  homogeneous: bool | None = None) -> Contact | None:
     """Who may meet whom: the base and the lower half of the side, the tool and the rest.
 
     Args:
         experiment: what is done.
         mesh: of its specimen.
         tool: whether the tool is there; it is not while the specimen settles.
+        homogeneous: whether the specimen deforms so; None: as the experiment alone says.
 
     Returns:
         The pairs, or None where there are none.
     """
-    pairs = _base(experiment, mesh)
+    homogeneous = experiment.homogeneous if homogeneous is None else homogeneous
+    low, high = (None, None) if homogeneous else _sides(mesh)
+    pairs = _base(experiment, mesh, low)
     if tool:
-        pairs += _plate(experiment, mesh) if experiment.tool.shape == "plate" else _needle(experiment, mesh)
+        pairs += _plate(experiment, mesh, high) if experiment.tool.shape == "plate" else _needle(experiment, mesh)
     if not any(len(pair.edges) for pair in pairs):
         return None
     if experiment.tool.shape == "plate":
-        share = HOMOGENEOUS_TOLERANCE if experiment.homogeneous else PLATE_TOLERANCE
+        share = HOMOGENEOUS_TOLERANCE if homogeneous else PLATE_TOLERANCE
         tolerance = share * experiment.specimen.radius
     else:
         tolerance = NEEDLE_TOLERANCE * experiment.tool.radius
     level = tool and experiment.tool.shape == "plate"
     if experiment.adhesion is None or not tool:
         return Contact(tuple(pairs), tolerance, level=level)
-    radius = experiment.tool.contact_radius(experiment.protocol.depth, experiment.specimen.radius)
-    return Contact(tuple(pairs), tolerance, experiment.adhesion.force / (np.pi * radius**2),
-                   experiment.adhesion.length, level)
+    area = np.pi * experiment.contact_radius**2
+    return Contact(tuple(pairs), tolerance, experiment.adhesion.force / area, experiment.adhesion.length, level)
 
 
 def _sides(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
@@ -55,7 +58,7 @@ def _sides(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     return side[~high], side[high]
 
 
-def _base(experiment: Experiment, mesh: Mesh) -> list[Pair]:
+def _base(experiment: Experiment, mesh: Mesh, side: np.ndarray | None) -> list[Pair]:
     """The side may bulge onto the base; a base with friction also holds the bottom, which stays on it."""
     bottom = mesh.nodes[:, 1].min()
     plane = Profile(np.array([[PLATE_RADIUS, bottom], [0.0, bottom]]), 0.0, 1)
@@ -64,18 +67,18 @@ def _base(experiment: Experiment, mesh: Mesh) -> list[Pair]:
     if experiment.friction_base not in ("bonded", "frictionless"):
         pairs.append(Pair(plane, mesh.edges("base"), (mu, mu), moves=False, tied=mu == STICK, clings=True,
                           at_nodes=True))
-    if not experiment.homogeneous:
-        pairs.append(Pair(plane, _sides(mesh)[0], (mu, mu), moves=False))
+    if side is not None:
+        pairs.append(Pair(plane, side, (mu, mu), moves=False))
     return pairs
 
 
-def _plate(experiment: Experiment, mesh: Mesh) -> list[Pair]:
+def _plate(experiment: Experiment, mesh: Mesh, side: np.ndarray | None) -> list[Pair]:
     profile, mu = experiment.tool.profile, coefficient(experiment.friction)
     pairs = []
     if experiment.friction != "bonded":
         pairs.append(Pair(profile, mesh.edges("top"), (mu, mu), tied=mu == STICK, at_nodes=True))
-    if not experiment.homogeneous:
-        pairs.append(Pair(profile, _sides(mesh)[1], (mu, mu)))
+    if side is not None:
+        pairs.append(Pair(profile, side, (mu, mu)))
     return pairs
 
 
@@ -88,7 +91,7 @@ def _needle(experiment: Experiment, mesh: Mesh) -> list[Pair]:
         return [Pair(profile, mesh.edges("top"), friction)]
     face, free = mesh.edges("face"), mesh.edges("free")
     if experiment.friction == "bonded":
-        return [Pair(profile, free, friction, first_line=profile.shaft)]
+        return [Pair(profile, free, friction, first_line=1)]
     # Tissue beside a sharp edge cannot come under the face without slip.
     first = 0 if tool.edge_radius else profile.shaft
     return [Pair(profile, face, friction, tied=friction[0] == STICK), Pair(profile, free, friction, first_line=first)]

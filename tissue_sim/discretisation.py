@@ -47,7 +47,7 @@ def build_mesh(experiment: Experiment, resolution: str = "fast", element: Elemen
     """
     if resolution not in RESOLUTIONS:
         raise InputError(f"unknown resolution {resolution!r}{nearest(resolution, RESOLUTIONS)}", field="resolution")
-    mesh = _homogeneous_mesh(experiment, resolution, element)
+    mesh = _mesh_of_one_material(experiment, resolution, element, small=experiment.homogeneous and not layers)
     if not layers:
         return mesh
     interfaces = -np.cumsum([layer.thickness for layer in layers])
@@ -62,15 +62,15 @@ def build_mesh(experiment: Experiment, resolution: str = "fast", element: Elemen
     return replace(layered, sets={**layered.sets, **own})
 
 
-def _homogeneous_mesh(experiment: Experiment, resolution: str, element: Element) -> Mesh:
+def _mesh_of_one_material(experiment: Experiment, resolution: str, element: Element, *, small: bool) -> Mesh:
     specimen, tool = experiment.specimen, experiment.tool
-    if experiment.homogeneous:
+    if small:
         # Every mesh is exact.
         return cylinder_mesh(specimen.radius, specimen.height, (2, 2), element)
     least = _SPECIMEN_SHARE * max(specimen.radius, specimen.height)
     if tool.face_radius == 0:
         smallest, largest, growth = TIP_RESOLUTIONS[resolution]
-        contact = tool.contact_radius(max(experiment.protocol.depth, 1e-3 * tool.radius))
+        contact = experiment.contact_radius
         return tip_mesh(specimen.radius, specimen.height, contact, element, growth=growth,
                         smallest=smallest * contact, largest=max(largest * contact, least))
     if tool.face_radius:
@@ -99,6 +99,7 @@ def build_solver(model: Model, mesh: Mesh) -> AxisymmetricSolver:
     experiment = model.experiment
     start, weight = None, experiment.specimen.specific_weight
     layers = element_layers(mesh, model.material.layers)
+    uniform = experiment.homogeneous and not model.material.layers
     if weight:
         start = _settled(model, mesh, layers)
         mesh = start.mesh
@@ -106,14 +107,8 @@ def build_solver(model: Model, mesh: Mesh) -> AxisymmetricSolver:
     if experiment.friction == "bonded":
         held = {"top" if experiment.tool.shape == "plate" else "face": "rz"}
     return AxisymmetricSolver(mesh, model.material, _supports(experiment), held,
-                              contact=build_contact(experiment, mesh), specific_weight=weight, element_layers=layers,
-                              contact_radius=contact_radius(experiment), start=start)
-
-
-def contact_radius(experiment: Experiment) -> float:
-    """Contact radius at the largest depth of the test, m, which sets how fast the pores drain."""
-    depth = max(experiment.protocol.depth, 1e-3 * experiment.specimen.height)
-    return experiment.tool.contact_radius(depth, experiment.specimen.radius)
+                              contact=build_contact(experiment, mesh, homogeneous=uniform), specific_weight=weight,
+                              element_layers=layers, contact_radius=experiment.contact_radius, start=start)
 
 
 def element_layers(mesh: Mesh, layers: tuple[Layer, ...]) -> np.ndarray:
@@ -142,7 +137,7 @@ def _settled(model: Model, mesh: Mesh, layers: np.ndarray) -> AxisymmetricSolver
         moulded = mesh.stretched(factor)
         solver = AxisymmetricSolver(moulded, model.material, _supports(model.experiment), {},
                                     contact=build_contact(model.experiment, moulded, tool=False), element_layers=layers,
-                                    contact_radius=contact_radius(model.experiment))
+                                    contact_radius=model.experiment.contact_radius)
         _let_settle(solver, specimen.specific_weight)
         stands = factor * height - sag(solver)
         if specimen.height_is == "moulded" or abs(stands / height - 1) < 1e-10:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from numbers import Real
 
 import numpy as np
 
@@ -132,6 +133,8 @@ class Experiment:
         if self.adhesion is not None and self.friction == "bonded":
             raise InputError("a bonded face never lifts off; use 'stick', 'frictionless' or a coefficient of friction "
                              "with adhesion", field="friction")
+        if self.tool.shape in ("plate", "sphere") and self.friction_wall != "frictionless":
+            raise InputError(f"a {self.tool.shape} has no shaft; leave it out", field="friction_wall")
         if self.tool.shape == "plate":
             return
         if self.tool.radius >= self.specimen.radius:
@@ -146,8 +149,14 @@ class Experiment:
                              "radius, or friction 'stick' or 'bonded'", field="tool.edge_radius")
 
     @property
+    def contact_radius(self) -> float:
+        """About how wide the contact is at the largest depth, m; see `Tool.contact_radius`."""
+        depth = max(self.protocol.depth, 1e-3 * (self.tool.radius or self.specimen.height))
+        return self.tool.contact_radius(depth, self.specimen.radius)
+
+    @property
     def homogeneous(self) -> bool:
-        """Whether the deformation is a homogeneous uniaxial one, for which closed forms hold."""
+        """Whether a specimen of one material deforms homogeneously, so that closed forms hold."""
         return (self.tool.shape == "plate" and self.friction == self.friction_base == "frictionless"
                 and not self.specimen.specific_weight)
 
@@ -172,7 +181,8 @@ def checked_interface(value: str | float, name: str) -> str | float:
             raise InputError(f"{value!r} is not an interface{nearest(value, INTERFACES)}, or a coefficient of friction",
                              field=name)
         return value
-    if isinstance(value, bool) or not (np.isfinite(value) and 0 <= value <= LARGEST_FRICTION):
+    number = isinstance(value, Real) and not isinstance(value, bool)
+    if not (number and np.isfinite(value) and 0 <= value <= LARGEST_FRICTION):
         raise InputError(f"{value} is not a coefficient of friction; give 0 to {LARGEST_FRICTION:g}, or 'stick' for a "
                          "face without slip", field=name)
     return float(value) or "frictionless"

@@ -14,7 +14,7 @@ class Layer:
     """A layer of the specimen, counted from its top face down; what is below the last one is the material itself.
 
     Attributes:
-        thickness: undeformed, m.
+        thickness: m, measured as the specimen's height is: undeformed, or as placed.
         ratio: every modulus of the material, bulk included, times this; 1 is absent.
     """
 

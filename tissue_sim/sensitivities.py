@@ -29,7 +29,7 @@ class Sensitivities:
     """A simulated recording and its derivatives.
 
     Attributes:
-        recording: what `simulate` gives.
+        recording: what `simulate` gives with a perfect sensor.
         names: parameters, see `tissue_sim.material_parameters`; those of the experiment are paths such as ``friction``
             or ``tool.edge_radius``, in SI.
         values: dF/dtheta, N per unit of the parameter, shape (samples, parameters).
@@ -54,10 +54,11 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
     anchors included; bulk modulus as the material states it, so that `bulk.bulk_ratio` is held while the law changes
     where the bulk response is a ratio, and `bulk.K_Pa` where it is a modulus. Where the start or the motion depends on
     the material (self-weight, a rig that gives way), the tool adheres or leans, or the parameter is one of the
-    experiment or the thickness of a layer, it is a central difference of two simulations `SIMULATION_WIDTH` apart.
+    experiment or the thickness of a layer, it is a central difference of two simulations `SIMULATION_WIDTH` apart,
+    one-sided at the end of the parameter's range.
 
     Args:
-        model: experiment, material, rig; the sensor's side of the rig is left out of the derivatives.
+        model: experiment, material, rig; forces are those on the tool, before the sensor of the rig reads them.
         names: parameters; None: all of the material.
         resolution, mesh: as `simulate`.
 
@@ -73,6 +74,9 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
     for name in names:
         if name not in known and name not in _EXPERIMENT:
             raise InputError(f"unknown parameter{nearest(name, [*known, *_EXPERIMENT])}", field=name)
+    model = replace(model, rig=model.rig.motion_only)
+    if mesh is not None and (shaped := [name for name in names if _shapes_the_mesh(name)]):
+        raise InputError("changes the mesh, which is given; leave the mesh out", field=shaped[0])
     exact = np.array([_exact(model, name) for name in names], dtype=bool)
     if mesh is None:
         mesh = build_mesh(model.experiment, resolution, layers=model.material.layers)
@@ -107,31 +111,49 @@ class _Watch:
         self.kinks.append(solver.sensitivity.pop_changed())
 
 
+def _shapes_the_mesh(name: str) -> bool:
+    return name.endswith(".thickness_mm") or name.startswith("tool.") or name in ("specimen.radius", "specimen.height")
+
+
 def _exact(model: Model, name: str) -> bool:
-    experiment = model.experiment
-    reduced = experiment.specimen.specific_weight or experiment.adhesion or experiment.tilt or model.rig.compliance
-    return not reduced and name not in _EXPERIMENT and not name.endswith(".thickness_mm") and "puncture" not in name
+    experiment, pores = model.experiment, model.material.poroelasticity
+    if experiment.specimen.specific_weight or experiment.adhesion or experiment.tilt or model.rig.compliance:
+        return False
+    if name.startswith("poroelasticity.") and pores.phi == 0:
+        return False  # a term that appears
+    return name not in _EXPERIMENT and not name.endswith(".thickness_mm") and "puncture" not in name
 
 
 def _pair(model: Model, name: str):
     """The material with a little more and a little less of a parameter, and the difference."""
     value = parameter_values(model.material)[name]
     half = 0.5 * FORMULA_WIDTH * (abs(value) or 1.0)
-    more, less = value + half, value - half
-    try:
-        return with_parameter(model.material, name, more), with_parameter(model.material, name, less), more - less
-    except InputError:
-        # At the end of what the parameter may be, such as a loss of 0.
-        return with_parameter(model.material, name, more), model.material, more - value
+    return _neighbours(lambda new: with_parameter(model.material, name, new), value, half)
+
+
+def _neighbours(change: Callable, value: float, half: float):
+    """What a little more and a little less of a parameter make, and the difference; one-sided at the end of its range.
+
+    Raises:
+        InputError: neither side is allowed.
+    """
+    made = []
+    for new in (value + half, value - half):
+        try:
+            made.append((change(new), new))
+        except InputError:
+            made.append((change(value), value))
+    (more, high), (less, low) = made
+    return more, less, high - low
 
 
 def _difference(model: Model, name: str, own: dict) -> np.ndarray:
     """Central difference of two simulations."""
     change, value = _changer(model, name)
-    half = 0.5 * SIMULATION_WIDTH * (abs(value) or 1.0)
-    ideal = replace(model.rig, force_noise=0.0)
-    more, less = (simulate(replace(change(value + way * half), rig=ideal), **own).force for way in (1, -1))
-    return (more - less) / (2 * half)
+    length = model.experiment.tool.radius or model.experiment.specimen.radius
+    size = abs(value) or (length if name.startswith(("tool.", "specimen.")) else 1.0)
+    more, less, width = _neighbours(change, value, 0.5 * SIMULATION_WIDTH * size)
+    return (simulate(more, **own).force - simulate(less, **own).force) / width
 
 
 def _changer(model: Model, name: str) -> tuple[Callable[[float], Model], float]:
@@ -148,7 +170,7 @@ def _changer(model: Model, name: str) -> tuple[Callable[[float], Model], float]:
         raise InputError(f"is {value!r} and not a number that could change", field=name)
 
     def change(new: float) -> Model:
-        changed = replace(owner, **{field: max(new, 0.0)})
+        changed = replace(owner, **{field: new})
         return replace(model, experiment=replace(model.experiment, **{part: changed}) if part else changed)
 
     return change, float(value)

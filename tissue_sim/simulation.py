@@ -65,12 +65,13 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Mesh | None = None
     """
     started = time.perf_counter()
     protocol, rig = model.experiment.protocol, model.rig
+    rig.readings(protocol.time)  # refused now or never
     own_mesh = mesh is not None
     mesh = mesh if own_mesh else build_mesh(model.experiment, resolution, layers=model.material.layers)
     solver = build_solver(model, mesh)
     if watch:
         watch.begin(solver)
-    forces, states, stresses = [], [], []
+    forces, depths, states, stresses = [], [], [], []
     report = {"newton_iterations": 0, "cuts": 0, "residual": 0.0, "element": mesh.element.name,
               "mesh": {"elements": len(mesh.connectivity), "freedoms": solver.free},
               "resolution": "own mesh" if own_mesh else resolution}
@@ -89,7 +90,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Mesh | None = None
                          labels={name: values[:done] for name, values in protocol.labels.items()},
                          metadata={"name": "simulation", "solver": solved},
                          fields=Fields.of(solver, states, stresses) if fields else None)
-        return rig.read(tilted(true, model.experiment.tilt))
+        return rig.read(tilted(true, model.experiment.tilt, np.array(depths)))
 
     if progress:
         progress(0, protocol.displacement.size)
@@ -115,6 +116,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Mesh | None = None
         if "slipping_points" in report:
             report["slipping_points"] = max(report["slipping_points"], step.slipping)
         forces.append(dropped(solver.depth, step.force))
+        depths.append(min(place, 0.0) if sample < first else solver.depth)
         train.note(solver.depth, forces[-1])
         if watch:
             watch.sample(solver, dropped.at(solver.depth, 1.0))

@@ -10,7 +10,7 @@ from tissue_sim.recording import Recording
 _POINTS = 32
 
 
-def tilted(recording: Recording, tilt: float) -> Recording:
+def tilted(recording: Recording, tilt: float, depth: np.ndarray) -> Recording:
     """The recording of a face that leans, from that of a straight one.
 
     The tool touches on the high side first. A strip of the face at the distance x from the axis, in radii, is
@@ -22,17 +22,18 @@ def tilted(recording: Recording, tilt: float) -> Recording:
     the depth this is a toe of about the tilt and then a constant lag of half of it.
 
     Args:
-        recording: of the straight face, displacement from the touch.
+        recording: of the straight face.
         tilt: height difference across the face, m; 0 returns the recording itself.
+        depth: of the tool from the touch on, m, shape (n,); what the rig reports may count from elsewhere.
     """
     if not tilt:
         return recording
     # Gauss-Chebyshev quadrature of the second kind: the disc's width is its weight.
     angle = np.arange(1, _POINTS + 1) * np.pi / (_POINTS + 1)
     share = 2.0 / (_POINTS + 1) * np.sin(angle) ** 2
-    curve = LoadingCurve(recording)
+    curve = LoadingCurve(recording.with_channels(displacement=depth))
     samples = np.arange(recording.force.size, dtype=float)
-    force = sum(w * curve.force_behind(_behind(recording.displacement, 0.5 * tilt * (1.0 - x)), 0.0, samples)
+    force = sum(w * curve.force_behind(_behind(depth, 0.5 * tilt * (1.0 - x)), 0.0, samples)
                 for x, w in zip(np.cos(angle), share, strict=True))
     return recording.with_channels(force=force)
 

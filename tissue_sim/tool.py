@@ -19,7 +19,7 @@ SHAFT_LENGTH = 1e3
 #: Radius of a plate, m: wider than any specimen.
 PLATE_RADIUS = 10.0
 #: Rounding of the corners of a profile from a file where nothing is said, in radii of the tool.
-PROFILE_ROUNDING = 0.02
+PROFILE_ROUNDING, MOST_HALVINGS = 0.02, 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,8 +99,16 @@ def _cone(tool: Tool) -> Profile:
 
 
 def _profile(tool: Tool) -> Profile:
-    """The chain lies inside the outline of the file by the rounding, so that its lines stay where they are."""
+    """The chain lies inside the outline of the file by the rounding, so that its lines stay where they are.
+
+    Raises:
+        InputError: a rounding for which a line is too short.
+    """
     outline = tool.outline
+    top = [[outline[-1, 0], outline[-1, 1] + SHAFT_LENGTH * tool.radius]]
+    if outline[-1, 0] == outline[-2, 0]:
+        outline = outline[:-1]
+    outline = np.concatenate([outline, top])
     rounding = tool.edge_radius
     way = np.diff(outline, axis=0)
     inward = np.stack([-way[:, 1], way[:, 0]], axis=-1) / np.linalg.norm(way, axis=1)[:, None]
@@ -110,9 +118,12 @@ def _profile(tool: Tool) -> Profile:
     for k in range(1, len(way)):
         # Where the two shifted lines meet.
         chain[k] += rounding * (inward[k - 1] + inward[k]) / (1.0 + inward[k - 1] @ inward[k])
-    chain[-1, 1] = max(chain[-1, 1], chain[:-1, 1].max())
-    top = [[chain[-1, 0], chain[-1, 1] + SHAFT_LENGTH * tool.radius]]
-    return Profile(np.concatenate([chain, top]), rounding, len(way))
+    if (np.einsum("ki,ki->k", np.diff(chain, axis=0), way) <= 0).any():
+        raise InputError(f"a line of the profile is too short for corners rounded by {rounding:g} m; give a smaller "
+                         "edge radius", field="tool.edge_radius")
+    # A rounded point is blunter, and the deepest point is the origin.
+    chain[:, 1] -= chain[0, 1] - rounding
+    return Profile(chain, rounding, int(np.flatnonzero(way[:, 0] == 0.0)[0]))
 
 
 #: Shape -> what makes its profile.
@@ -133,9 +144,9 @@ class Tool:
             file.
         radius: of the shaft or of the ball, m; a plate has none, a profile's is that of its file.
         edge_radius: of the rounding between face and shaft of a flat needle, or of the corners of a profile
-            (`PROFILE_ROUNDING` of its radius where it is 0), m.
+            (where it is 0, `PROFILE_ROUNDING` of its radius or what its lines have room for), m.
         half_angle: of a cone, between its axis and its side, rad.
-        tip_radius: of the rounding of a cone's tip, m.
+        tip_radius: of the rounding of a cone's tip, and of its shoulder, m.
         profile_file: two columns r, z in mm from the axis outwards and upwards, see `tissue_sim.profile_file`.
 
     Raises:
@@ -172,8 +183,8 @@ class Tool:
                 raise InputError(f"an {name.replace('_', ' ')} of {value:g} m does not fit a tool of radius "
                                  f"{self.radius:g} m; give 0 or more and less than the radius", field=f"tool.{name}")
         if self.shape == "cone" and not (self.half_angle and 0.01 <= self.half_angle < np.pi / 2):
-            raise InputError("a cone needs a half angle, between its axis and its side, above 0 and below 90 degrees",
-                             field="tool.half_angle")
+            raise InputError("a cone needs a half angle, between its axis and its side, of 0.6 degrees or more and "
+                             "below 90 degrees", field="tool.half_angle")
 
     def _take_profile(self) -> None:
         if self.profile_file is None:
@@ -183,13 +194,22 @@ class Tool:
         if self.radius is not None and abs(self.radius - widest) > 1e-9 * widest:
             raise InputError(f"the profile's radius is {widest:g} m; leave the radius out", field="tool.radius")
         object.__setattr__(self, "radius", widest)
-        object.__setattr__(self, "edge_radius", self.edge_radius or PROFILE_ROUNDING * widest)
         object.__setattr__(self, "_outline", outline)
+        if self.edge_radius:
+            return
+        # The largest that every line has room for, within reason.
+        for halvings in range(MOST_HALVINGS):
+            object.__setattr__(self, "edge_radius", PROFILE_ROUNDING * widest / 2**halvings)
+            try:
+                _profile(self)
+                return
+            except InputError:
+                continue
 
     @property
-    def outline(self) -> np.ndarray:
-        """The profile of the file, (r, z), m, shape (n, 2)."""
-        return self._outline
+    def outline(self) -> np.ndarray | None:
+        """The profile of the file, (r, z), m, shape (n, 2); None where there is no file."""
+        return getattr(self, "_outline", None)
 
     @property
     def profile(self) -> Profile:
@@ -221,5 +241,8 @@ class Tool:
                 pointed = 2.0 / np.pi * depth * np.tan(self.half_angle)
                 blunt = np.sqrt(self.tip_radius * depth)
                 return min(self.radius, float(max(pointed, blunt)))
+            case "profile":
+                wide = float(np.interp(depth, self.outline[:, 1], self.outline[:, 0]))
+                return max(self.face_radius, 1e-3 * self.radius, wide if self.face_radius else 2.0 / np.pi * wide)
             case _:
                 return self.radius

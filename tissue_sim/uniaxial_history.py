@@ -166,7 +166,7 @@ def shear_stress_history(material: Material, time, shear, contact_radius: float 
 def _stress(history: HomogeneousHistory, material: Material, contact_radius: float | None) -> np.ndarray:
     if material.layers:
         raise InputError("a layered specimen does not deform homogeneously; use the finite elements", field="layers")
-    if material.poroelasticity is not None and contact_radius is None:
+    if material.poroelasticity is not None and material.poroelasticity.phi > 0 and contact_radius is None:
         raise InputError("a material that drains needs the test's contact radius in m", field="contact_radius")
     prony = material.relaxation(contact_radius)
     return history.nominal_stress(material.energy_law, material.values, prony, material.softening,

@@ -145,7 +145,8 @@ class Poroelasticity:
     """Drainage of pore fluid as a reduced form: one relaxing term whose time grows with the contact size.
 
     Fluid leaves the loaded region by diffusion, so the time is tau = a^2 / D with the contact radius a of each test:
-    the radius of the specimen under a plate, of the tool where it indents. Displacement and pressure fields are not
+    the radius of the specimen under a plate, of a flat tool where it indents, and about that of the contact at the
+    largest depth under a pointed one. Displacement and pressure fields are not
     solved for.
 
     Attributes:

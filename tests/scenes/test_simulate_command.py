@@ -273,7 +273,7 @@ def test_contact_and_weight_are_told(material, capsys):
     (["needle_indentation", "--tool", "wedge"], "'wedge'"),
     (["bonded_compression", "--tool-radius-mm", "8"], "a plate covers the whole top face and has no radius"),
     (["bonded_compression", "--edge-radius-mm", "1"], "a plate covers the whole top face and has no radius"),
-    (["bonded_compression", "--friction-wall", "stick"], "--friction-wall: a plate has no shaft"),
+    (["bonded_compression", "--friction-wall", "stick"], "friction_wall: a plate has no shaft"),
     (["needle_indentation", "--friction", "frictionless"], "slides round a sharp edge"),
     (["needle_indentation", "--friction-wall", "bonded"], "use 'stick', 'frictionless'"),
     (["needle_indentation", "--edge-radius-mm", "8"], "does not fit a tool of radius"),

@@ -87,7 +87,7 @@ class TestTilt:
         """Of a straight line: a toe, and beyond it a constant lag of half the tilt."""
         depth, stiffness = np.linspace(0.0, 0.01, 101), 760.0
         line = ts.Recording({"time": np.arange(101.0), "displacement": depth, "force": stiffness * depth})
-        force = tilted(line, self.TILT).force
+        force = tilted(line, self.TILT, line.displacement).force
 
         def expected(d):
             def strip(x):
@@ -101,7 +101,7 @@ class TestTilt:
         # Strips of a disc: nearly a square, steeper at the very rim.
         slopes = np.diff(np.log(force[toe])) / np.diff(np.log(depth[toe]))
         assert (slopes > 1.9).all() and (slopes < 2.7).all()
-        assert tilted(line, 0.0) is line
+        assert tilted(line, 0.0, line.displacement) is line
 
     @pytest.mark.parametrize("friction", ["frictionless", "bonded"])
     def test_lag_of_a_simulated_plate(self, friction):

@@ -85,8 +85,7 @@ def test_deepest_point_is_on_the_axis(tool):
     """The frame of a tool: nothing of it is below z = 0, and on the axis it begins there."""
     outline = tool.profile.outline(15e-3)
     assert outline[0, 0] == pytest.approx(0.0, abs=1e-9) and outline[0, 1] == pytest.approx(outline[:, 1].min())
-    if tool.shape != "profile":
-        assert outline[0, 1] == pytest.approx(0.0, abs=1e-12)
+    assert outline[0, 1] == pytest.approx(0.0, abs=1e-12)
 
 
 @pytest.mark.parametrize(("tool", "at", "radius"), [
@@ -114,8 +113,8 @@ def test_contact_radius(tool, at, radius):
     ({"shape": "cone", "radius": 8e-3, "half_angle": 1.0, "tip_radius": 8e-3}, "less than the radius"),
     ({"shape": "cone", "radius": 8e-3}, "a cone needs a half angle"),
     ({"shape": "cone", "radius": 8e-3, "half_angle": np.pi / 2}, "below 90 degrees"),
-    ({"shape": "cone", "radius": 8e-3, "half_angle": -0.5}, "above 0"),
-    ({"shape": "cone", "radius": 8e-3, "half_angle": np.nan}, "above 0 and below 90"),
+    ({"shape": "cone", "radius": 8e-3, "half_angle": -0.5}, "0.6 degrees or more"),
+    ({"shape": "cone", "radius": 8e-3, "half_angle": np.nan}, "0.6 degrees or more and below 90"),
     ({"shape": "profile"}, "needs the file of its profile")])
 def test_refused(arguments, words):
     with pytest.raises(ts.InputError, match=words):

@@ -74,8 +74,8 @@ class Memory:
 
     def copy(self) -> tuple[np.ndarray, ...]:
         """All that a committed step leaves behind."""
-        return self.before.copy(), self.internal.copy(), self.largest.copy()
+        return self.before.copy(), self.internal.copy(), self.largest.copy(), self.stresses.copy()
 
     def restore(self, saved: tuple[np.ndarray, ...]) -> None:
         """Go back to where `copy` was taken, on this mesh or on the same one."""
-        self.before[:], self.internal[:], self.largest[:] = saved
+        self.before[:], self.internal[:], self.largest[:], self.stresses[:] = saved
