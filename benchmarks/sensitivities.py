@@ -4,6 +4,13 @@ The two run in turns on the same mesh. Printed are the whole extra cost per para
 (from the difference between all and one).
 """
 
+# One thread each, before the libraries start.
+import os
+
+os.environ["OMP_NUM_THREADS"] = "1"
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+os.environ["MKL_NUM_THREADS"] = "1"
+
 import statistics
 
 from measure import about, cpu_seconds, option_parser, show, table, verdict
