@@ -46,8 +46,8 @@ class TestLayers:
     @pytest.mark.parametrize(("tool", "friction", "precision"), [
         (PLATE, "frictionless", 1e-7), (PLATE, "bonded", 2e-3), (NEEDLE, "bonded", 3e-3)])
     def test_ratio_one_is_absent(self, tool, friction, precision):
-        """What is left is the error of another mesh, and between frictionless plates the tolerance of the contact, which
-        is closer for one material; on the same mesh nothing is left."""
+        """What is left is the error of another mesh, and between frictionless plates the tolerance of the contact,
+        which is closer for one material; on the same mesh nothing is left."""
         layers = (ts.Layer(2e-3, 1.0), ts.Layer(5e-3, 1.0))
         np.testing.assert_allclose(force(layers, tool, friction), force((), tool, friction), rtol=precision)
         mesh = simulated(layers, tool, friction).metadata["solver"]["mesh"]
