@@ -117,8 +117,8 @@ def draw_section(axes, fields: Fields, name: str, sample: int = -1, *, tool: Too
 
 
 def draw_fold(axes, fields: Fields, name: str, tool: Tool, sample: int = -1) -> None:
-    """The surroundings of a needle's edge, where the free surface folds onto the shaft, in the colours of
-    `draw_section`."""
+    """The surroundings of a needle's edge, where the free surface folds onto the shaft, or of its tip where it has no
+    flat face, in the colours of `draw_section`."""
     mesh = fields.mesh
     place = (mesh.nodes + fields.displacement(sample)) * 1e3
     _paint(axes, fields, name, sample, (1,))
@@ -127,10 +127,11 @@ def draw_fold(axes, fields: Fields, name: str, tool: Tool, sample: int = -1) -> 
     _draw_needle(axes, mesh, place, tool, top + radius)
     top_nodes = mesh.sets["top"][np.argsort(mesh.nodes[mesh.sets["top"], 0])]
     axes.plot(*place[top_nodes].T, color="0.15", linewidth=1.1)
-    axes.set_xlim(0.45 * radius, 2.2 * radius)
-    axes.set_ylim(tip - 0.7 * radius, top)
+    part, nearest, below = ("edge", 0.45, 0.7) if tool.face_radius else ("tip", 0.0, 0.4)
+    axes.set_xlim(nearest * radius, (nearest + 1.75) * radius)
+    axes.set_ylim(tip - below * radius, top)
     _finish(axes)
-    axes.set_title("at the edge of the tool", loc="left", fontsize=10)
+    axes.set_title(f"at the {part} of the tool", loc="left", fontsize=10)
 
 
 def _paint(axes, fields: Fields, name: str, sample: int, sides: tuple[int, ...]):
