@@ -44,7 +44,7 @@ class _Model:
 
     def parts(self, values: np.ndarray, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """`elastic`, shape (n,), and `relaxing`, shape (n, terms)."""
-        raise NotImplementedError
+        raise TypeError(f"{type(self).__name__} must state its parts")
 
     def exponents(self) -> Iterator[np.ndarray]:
         """Values to start from, with moduli of 1."""

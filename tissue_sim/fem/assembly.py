@@ -49,7 +49,7 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
     soften, relax = point.history_functions()
     add_entry = band_matrix.add_entry_function()
     # The tangent's rows that meet an r freedom (rR, rZ, hoop) and a z freedom (zR, zZ).
-    row = [[point._packed(i, k) for k in range(5)] for i in range(5)]
+    row = [[point.packed(i, k) for k in range(5)] for i in range(5)]
 
     # Throughout, `a = a + b` on arrays: `a += b` is an atomic operation in Taichi, four times slower here.
 

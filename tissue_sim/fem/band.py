@@ -61,6 +61,36 @@ def add_entry_function():
 
 
 @cache
+def subtract_function():
+    """Taichi function ``subtract(I, J, first, width, left, right)``: left(I, J) -= sum over the block columns K from
+    `first` to before J of left(I, K) right(J, K)^T."""
+    ti = initialise()
+
+    @ti.func
+    def subtract(I, J, first, width, left: ti.template(), right: ti.template()):
+        w = J - I + width - 1
+        # Eight columns stay in registers while all earlier blocks are subtracted.
+        t0, t1, t2, t3 = left[I, w, 0], left[I, w, 1], left[I, w, 2], left[I, w, 3]
+        t4, t5, t6, t7 = left[I, w, 4], left[I, w, 5], left[I, w, 6], left[I, w, 7]
+        for K in range(ti.max(first, J - width + 1), J):
+            wi, wj = K - I + width - 1, K - J + width - 1
+            for k in range(BLOCK):
+                a, b = left[I, wi, k], right[J, wj, k]
+                t0 -= a * b[0]
+                t1 -= a * b[1]
+                t2 -= a * b[2]
+                t3 -= a * b[3]
+                t4 -= a * b[4]
+                t5 -= a * b[5]
+                t6 -= a * b[6]
+                t7 -= a * b[7]
+        left[I, w, 0], left[I, w, 1], left[I, w, 2], left[I, w, 3] = t0, t1, t2, t3
+        left[I, w, 4], left[I, w, 5], left[I, w, 6], left[I, w, 7] = t4, t5, t6, t7
+
+    return subtract
+
+
+@cache
 def functions():
     """Taichi functions ``factorise(band, inverse, rows, width) -> int`` and ``solve(band, inverse, x, rows, width)``.
 
@@ -68,6 +98,7 @@ def functions():
     `factorise` returns 1, or 0 when the matrix is not positive definite. `solve` overwrites x.
     """
     ti = initialise()
+    subtract = subtract_function()
     lanes = ti.Vector(list(range(BLOCK)))
     unit = [ti.Vector([float(i == c) for i in range(BLOCK)]) for c in range(BLOCK)]
 
@@ -78,23 +109,7 @@ def functions():
             first = ti.max(0, I - width + 1)
             for J in range(first, I + 1):
                 w = J - I + width - 1
-                # Block update: eight columns stay in registers while all earlier blocks are subtracted.
-                t0, t1, t2, t3 = band[I, w, 0], band[I, w, 1], band[I, w, 2], band[I, w, 3]
-                t4, t5, t6, t7 = band[I, w, 4], band[I, w, 5], band[I, w, 6], band[I, w, 7]
-                for K in range(ti.max(first, J - width + 1), J):
-                    wi, wj = K - I + width - 1, K - J + width - 1
-                    for k in range(BLOCK):
-                        a, b = band[I, wi, k], band[J, wj, k]
-                        t0 -= a * b[0]
-                        t1 -= a * b[1]
-                        t2 -= a * b[2]
-                        t3 -= a * b[3]
-                        t4 -= a * b[4]
-                        t5 -= a * b[5]
-                        t6 -= a * b[6]
-                        t7 -= a * b[7]
-                band[I, w, 0], band[I, w, 1], band[I, w, 2], band[I, w, 3] = t0, t1, t2, t3
-                band[I, w, 4], band[I, w, 5], band[I, w, 6], band[I, w, 7] = t4, t5, t6, t7
+                subtract(I, J, first, width, band, band)
                 if J < I:
                     for c in range(BLOCK):
                         v = band[I, w, c]

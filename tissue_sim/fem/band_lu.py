@@ -8,7 +8,7 @@ the factorisation run like that of Cholesky.
 
 from functools import cache
 
-from tissue_sim.fem.band import BLOCK
+from tissue_sim.fem.band import BLOCK, subtract_function
 from tissue_sim.fem.runtime import initialise
 
 
@@ -23,6 +23,7 @@ def functions():
     ``solve(lower, upper, inverse, x, rows, width)`` overwrites x.
     """
     ti = initialise()
+    subtract = subtract_function()
     lanes = ti.Vector(list(range(BLOCK)))
     unit = [ti.Vector([float(i == c) for i in range(BLOCK)]) for c in range(BLOCK)]
 
@@ -46,27 +47,6 @@ def functions():
                 lower[I, J - I + width - 1, c, r] = lower[I, J - I + width - 1, c, r] + value
             else:
                 upper[J, I - J + width - 1, r, c] = upper[J, I - J + width - 1, r, c] + value
-
-    @ti.func
-    def subtract(I, J, first, width, left: ti.template(), right: ti.template()):
-        """left(I, J) -= sum over earlier block columns K of left(I, K) right(J, K)^T."""
-        w = J - I + width - 1
-        t0, t1, t2, t3 = left[I, w, 0], left[I, w, 1], left[I, w, 2], left[I, w, 3]
-        t4, t5, t6, t7 = left[I, w, 4], left[I, w, 5], left[I, w, 6], left[I, w, 7]
-        for K in range(ti.max(first, J - width + 1), J):
-            wi, wj = K - I + width - 1, K - J + width - 1
-            for k in range(BLOCK):
-                a, b = left[I, wi, k], right[J, wj, k]
-                t0 -= a * b[0]
-                t1 -= a * b[1]
-                t2 -= a * b[2]
-                t3 -= a * b[3]
-                t4 -= a * b[4]
-                t5 -= a * b[5]
-                t6 -= a * b[6]
-                t7 -= a * b[7]
-        left[I, w, 0], left[I, w, 1], left[I, w, 2], left[I, w, 3] = t0, t1, t2, t3
-        left[I, w, 4], left[I, w, 5], left[I, w, 6], left[I, w, 7] = t4, t5, t6, t7
 
     @ti.func
     def factorise(lower: ti.template(), upper: ti.template(), inverse: ti.template(), rows, width):

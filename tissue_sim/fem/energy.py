@@ -18,7 +18,7 @@ PACKED = tuple((i, j) for i in range(5) for j in range(i + 1))
 COFACTOR_PAIRS = ((0, 3, 1.0), (1, 2, -1.0))
 
 
-def _packed(i: int, j: int) -> int:
+def packed(i: int, j: int) -> int:
     return max(i, j) * (max(i, j) + 1) // 2 + min(i, j)
 
 
@@ -69,10 +69,10 @@ def volume_function():
         j = F[0] * F[3] - F[1] * F[2]
         for i in ti.static(range(4)):
             P[i] += p * c * cof[i]
-            A[ti.static(_packed(4, i))] += p * cof[i]
+            A[ti.static(packed(4, i))] += p * cof[i]
         P[4] += p * j
         for i, k, sign in ti.static(COFACTOR_PAIRS):
-            A[ti.static(_packed(i, k))] += sign * p * c
+            A[ti.static(packed(i, k))] += sign * p * c
 
     return add_volume
 
@@ -92,7 +92,7 @@ def history_functions():
             eta, slope = 1.0 - loss * bend, loss * (1.0 - bend * bend) / width
             for i in ti.static(range(5)):
                 for k in ti.static(range(i + 1)):
-                    A[ti.static(_packed(i, k))] = eta * A[ti.static(_packed(i, k))] + slope * P[i] * P[k]
+                    A[ti.static(packed(i, k))] = eta * A[ti.static(packed(i, k))] + slope * P[i] * P[k]
             P *= eta
 
     @ti.func
@@ -110,11 +110,11 @@ def history_functions():
         for i in ti.static(range(2)):
             P[2 * i] += F[2 * i] * h[0] + F[2 * i + 1] * h[1]
             P[2 * i + 1] += F[2 * i] * h[1] + F[2 * i + 1] * h[2]
-            A[ti.static(_packed(2 * i, 2 * i))] += h[0]
-            A[ti.static(_packed(2 * i + 1, 2 * i))] += h[1]
-            A[ti.static(_packed(2 * i + 1, 2 * i + 1))] += h[2]
+            A[ti.static(packed(2 * i, 2 * i))] += h[0]
+            A[ti.static(packed(2 * i + 1, 2 * i))] += h[1]
+            A[ti.static(packed(2 * i + 1, 2 * i + 1))] += h[2]
         P[4] += F[4] * h[3]
-        A[ti.static(_packed(4, 4))] += h[3]
+        A[ti.static(packed(4, 4))] += h[3]
         return S
 
     return soften, relax
@@ -166,14 +166,14 @@ def function(energy: KernelEnergy, tangents: bool = True):
             if ti.static(tangents):
                 for i in ti.static(range(4)):
                     for k in ti.static(range(i + 1)):
-                        A[ti.static(_packed(i, k))] = (
+                        A[ti.static(packed(i, k))] = (
                             d[3] * twice[i] * twice[k] + d[4] * (twice[i] * cof[k] + cof[i] * twice[k])
                             + d[5] * cof[i] * cof[k])
-                    A[ti.static(_packed(i, i))] += 2.0 * d[0]
-                    A[ti.static(_packed(4, i))] = d[6] * twice[i] + d[7] * cof[i]
-                A[ti.static(_packed(4, 4))] = d[8]
+                    A[ti.static(packed(i, i))] += 2.0 * d[0]
+                    A[ti.static(packed(4, i))] = d[6] * twice[i] + d[7] * cof[i]
+                A[ti.static(packed(4, 4))] = d[8]
                 for i, k, sign in ti.static(COFACTOR_PAIRS):
-                    A[ti.static(_packed(i, k))] += sign * d[1]
+                    A[ti.static(packed(i, k))] += sign * d[1]
             return density, P, A
 
         return stress_and_tangent
@@ -230,12 +230,12 @@ def function(energy: KernelEnergy, tangents: bool = True):
             turn, shear = m12 - m21, m12 + m21
             for i in ti.static(range(4)):
                 for k in ti.static(range(i + 1)):
-                    A[ti.static(_packed(i, k))] = (
+                    A[ti.static(packed(i, k))] = (
                         w2[0, 0] * n1[i] * n1[k] + w2[1, 1] * n2[i] * n2[k]
                         + w2[0, 1] * (n1[i] * n2[k] + n2[i] * n1[k])
                         + 0.5 * twist * turn[i] * turn[k] + 0.5 * flip * shear[i] * shear[k])
-                A[ti.static(_packed(4, i))] = w2[2, 0] * n1[i] + w2[2, 1] * n2[i]
-            A[ti.static(_packed(4, 4))] = w2[2, 2]
+                A[ti.static(packed(4, i))] = w2[2, 0] * n1[i] + w2[2, 1] * n2[i]
+            A[ti.static(packed(4, 4))] = w2[2, 2]
         return density, P, A
 
     return stress_and_tangent

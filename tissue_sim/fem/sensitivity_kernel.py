@@ -60,7 +60,7 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
     soften, relax = point.history_functions()
     factorise, solve = band_matrix.functions()
     _, _, factorise_lu, solve_lu = band_lu.functions()
-    row = [[point._packed(i, k) for k in range(5)] for i in range(5)]
+    row = [[point.packed(i, k) for k in range(5)] for i in range(5)]
 
     @ti.func
     def pulled_back(F, P):
