@@ -11,7 +11,6 @@ CELLS = "10.1002_btm2.10294_fig5d-cell1.zip"
 @pytest.fixture(scope="module")
 def adhesive(data_folder):
     """Recordings of the folder by file name, from sheets without a header: time s, strain, nominal stress kPa."""
-    pytest.importorskip("openpyxl", reason="reading xlsx needs the extra 'formats'")
     from tissue_sim.formats.xlsx import read_xlsx
 
     def read(name, strain, column, stress):
@@ -63,7 +62,6 @@ def test_loading_and_unloading_in_tension(adhesive):
 
 
 def test_cells_under_a_tip(data_folder):
-    pytest.importorskip("afmformats", reason="reading AFM files needs the extra 'formats'")
     from tissue_sim.formats.afm import read_afm_curves
 
     found = []
