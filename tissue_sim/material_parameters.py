@@ -12,14 +12,21 @@ from dataclasses import replace
 
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.material import Bulk, Material
+from tissue_sim.material_schema import (
+    LayerEntry,
+    PoroelasticityEntry,
+    PronyTermEntry,
+    PunctureEntry,
+    SofteningEntry,
+    effect_parameters,
+    entries_of,
+)
 
-#: Path of the file -> field, and its unit in SI.
+#: Path of the file -> key -> field, and its unit in SI.
 _FIELDS = {
-    "viscoelastic.terms": {"g": ("g", 1.0), "tau_s": ("tau", 1.0)},
-    "layers": {"thickness_mm": ("thickness", 1e-3), "modulus_ratio": ("ratio", 1.0)},
-    "softening": {"loss": ("loss", 1.0), "modulus_Pa": ("modulus", 1.0), "share": ("share", 1.0)},
-    "poroelasticity": {"phi": ("phi", 1.0), "diffusivity_mm2_per_s": ("diffusivity", 1e-6)},
-    "puncture": {"depth_mm": ("depth", 1e-3), "drop": ("drop", 1.0)},
+    "viscoelastic.terms": PronyTermEntry.attributes, "layers": LayerEntry.attributes,
+    "softening": SofteningEntry.attributes, "poroelasticity": PoroelasticityEntry.attributes,
+    "puncture": PunctureEntry.attributes,
 }
 
 
@@ -28,15 +35,8 @@ def parameter_values(material: Material) -> dict[str, float]:
     values = dict(material.parameters)
     if material.bulk.value is not None:
         values[f"bulk.{material.bulk.kind}"] = material.bulk.value
-    terms = material.viscoelastic.terms if material.viscoelastic else ()
-    for path, part in [*((f"viscoelastic.terms[{i}]", term) for i, term in enumerate(terms)),
-                       *((f"layers[{i}]", layer) for i, layer in enumerate(material.layers)),
-                       ("softening", material.softening), ("poroelasticity", material.poroelasticity),
-                       ("puncture", material.puncture)]:
-        if part is not None:
-            for name, (field, unit) in _FIELDS[re.sub(r"\[\d+\]", "", path)].items():
-                values[f"{path}.{name}"] = getattr(part, field) / unit
-    return values
+    effects = effect_parameters(entries_of(material, {}))
+    return values | {name: value for name, (value, _) in effects.items()}
 
 
 def with_parameter(material: Material, name: str, value: float) -> Material:
