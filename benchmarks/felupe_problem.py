@@ -1,4 +1,4 @@
-"""Compression of a cylinder solved by FElupe: the oracle of tests/interop and the peer of benchmarks/compression.py.
+"""Compression of a cylinder solved by FElupe: the oracle of tests/interop and the peer of the benchmarks.
 
 FElupe is an independent finite-element program (https://felupe.readthedocs.io). It works in mm, MPa and N here, with
 the axis of rotation along its first coordinate. Its axisymmetric integrals run over the full circle (they carry
@@ -110,6 +110,48 @@ def _mixed(region, cells, element, first) -> fem.FieldContainer:
                                fem.Field(dual_region, values=first.reshape(-1, 1))])
 
 
+def unknowns(mesh: Mesh, pressure: str) -> fem.FieldContainer:
+    """FElupe's fields on our nodes and elements.
+
+    Args:
+        mesh: ours.
+        pressure: ``"P0"``: constant in four-node quads, condensed (`SolidBodyNearlyIncompressible`); the others keep
+            pressure and volume ratio as unknowns (`NearlyIncompressible`): ``"P0 mixed"``, ``"P-1"`` three
+            discontinuous modes, ``"Q1"`` continuous bilinear (Taylor-Hood).
+    """
+    four = mesh.element is Q4P0
+    turned = mesh.connectivity[:, _TURNED[:mesh.element.nodes]]
+    felupe_mesh = fem.Mesh(mesh.nodes[:, ::-1] * 1e3, turned, "quad" if four else "quad9")
+    region = (fem.RegionQuad if four else fem.RegionBiQuadraticQuad)(felupe_mesh)
+    cells = np.arange(len(turned))
+    match pressure:
+        case "P0":
+            return fem.FieldContainer([fem.FieldAxisymmetric(region, dim=2)])
+        case "P0 mixed":
+            return fem.FieldsMixed(region, n=3, axisymmetric=True)
+        case "P-1":
+            return _mixed(region, np.arange(3 * cells.size).reshape(-1, 3), _LinearModes(),
+                          np.tile([1.0, 0.0, 0.0], cells.size))
+        case "Q1":
+            corners, numbers = np.unique(turned[:, :4], return_inverse=True)
+            return _mixed(region, numbers.reshape(-1, 4), fem.Quad(), np.ones(corners.size))
+        case _:
+            raise ValueError(f"unknown pressure {pressure!r}")
+
+
+def solid(law: fem.Material, field: fem.FieldContainer, bulk_modulus: float):
+    """The body of a law on `unknowns`: condensed where these are displacements only. `bulk_modulus`: Pa."""
+    if len(field.fields) == 1:
+        return fem.SolidBodyNearlyIncompressible(law, field, bulk=bulk_modulus * 1e-6)
+    return fem.SolidBody(fem.NearlyIncompressible(law, bulk=bulk_modulus * 1e-6), field)
+
+
+def boundary(field: fem.FieldContainer, mesh: Mesh, name: str, held: str) -> fem.Boundary:
+    """A node set of our mesh, held in the directions of `held`: ``"r"``, ``"z"`` or ``"rz"``."""
+    members = np.isin(np.arange(len(mesh.nodes)), mesh.sets[name])
+    return fem.Boundary(field[0], mask=members, skip=("z" not in held, "r" not in held))
+
+
 def compression_curve(mesh: Mesh, law: fem.Material, bulk_modulus: float, depths, *, held: str = "rz",
                       pressure: str = "P0", tolerance: float | None = None) -> np.ndarray:
     """Forces on the upper plate.
@@ -120,47 +162,19 @@ def compression_curve(mesh: Mesh, law: fem.Material, bulk_modulus: float, depths
         bulk_modulus: Pa, of U(J) = K/2 (J - 1)^2.
         depths: m, without rest.
         held: ``"rz"``: both faces bonded; ``"z"``: both lubricated.
-        pressure: ``"P0"``: constant in four-node quads, condensed (`SolidBodyNearlyIncompressible`); the others keep
-            pressure and volume ratio as unknowns (`NearlyIncompressible`): ``"P0 mixed"``, ``"P-1"`` three
-            discontinuous modes, ``"Q1"`` continuous bilinear (Taylor-Hood).
+        pressure: see `unknowns`.
         tolerance: of FElupe's Newton iteration; its default when None.
 
     Returns:
         N, shape of `depths`, positive in compression.
     """
-    four = mesh.element is Q4P0
-    turned = mesh.connectivity[:, _TURNED[:mesh.element.nodes]]
-    felupe_mesh = fem.Mesh(mesh.nodes[:, ::-1] * 1e3, turned, "quad" if four else "quad9")
-    region = (fem.RegionQuad if four else fem.RegionBiQuadraticQuad)(felupe_mesh)
-    cells = np.arange(len(turned))
-    K = bulk_modulus * 1e-6
-    match pressure:
-        case "P0":
-            field = fem.FieldContainer([fem.FieldAxisymmetric(region, dim=2)])
-        case "P0 mixed":
-            field = fem.FieldsMixed(region, n=3, axisymmetric=True)
-        case "P-1":
-            field = _mixed(region, np.arange(3 * cells.size).reshape(-1, 3), _LinearModes(),
-                           np.tile([1.0, 0.0, 0.0], cells.size))
-        case "Q1":
-            corners, numbers = np.unique(turned[:, :4], return_inverse=True)
-            field = _mixed(region, numbers.reshape(-1, 4), fem.Quad(), np.ones(corners.size))
-        case _:
-            raise ValueError(f"unknown pressure {pressure!r}")
-    if pressure == "P0":
-        solid = fem.SolidBodyNearlyIncompressible(law, field, bulk=K)
-    else:
-        solid = fem.SolidBody(fem.NearlyIncompressible(law, bulk=K), field)
-
-    def boundary(name: str, axial: bool, radial: bool):
-        members = np.isin(np.arange(len(mesh.nodes)), mesh.sets[name])
-        return fem.Boundary(field[0], mask=members, skip=(not axial, not radial))
-
-    boundaries = {"axis": boundary("axis", False, True), "base": boundary("base", True, held == "rz"),
-                  "top": boundary("top", True, False)}
+    field = unknowns(mesh, pressure)
+    boundaries = {"axis": boundary(field, mesh, "axis", "r"), "base": boundary(field, mesh, "base", held),
+                  "top": boundary(field, mesh, "top", "z")}
     if held == "rz":
-        boundaries["top stays"] = boundary("top", False, True)
-    step = fem.Step([solid], ramp={boundaries["top"]: -1e3 * np.asarray(depths)}, boundaries=boundaries)
+        boundaries["top stays"] = boundary(field, mesh, "top", "r")
+    step = fem.Step([solid(law, field, bulk_modulus)], ramp={boundaries["top"]: -1e3 * np.asarray(depths)},
+                    boundaries=boundaries)
     curve = fem.CharacteristicCurve([step], boundary=boundaries["top"])
     curve.evaluate(verbose=False, **({} if tolerance is None else {"tol": tolerance}))
     return -np.array(curve.y)[:, 0]

@@ -11,7 +11,10 @@ _HOMES = {
     "Replicate": "replicates", "read_replicates": "replicates",
     "fit_law": "uniaxial",
     "Fit": "fit", "Minimum": "fit", "Nuisance": "fit", "Prediction": "fit",
-    "CalibrationResult": "analytical", "calibrate": "analytical", "to_json": "analytical",
+    "CalibrationResult": "result", "to_json": "result",
+    "calibrate": "batch",
+    "MeasuredCurve": "measured", "read_measured": "measured",
+    "Workers": "executors", "WorkerError": "executors",
 }
 
 __all__ = sorted(_HOMES)

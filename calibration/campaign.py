@@ -6,7 +6,6 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -20,15 +19,22 @@ from calibration.campaign_checks import (
     read_columns_key,
     require_positive,
 )
+from calibration.campaign_effects import check_effects
 from calibration.campaign_schema import CampaignTable, FitTable, NoiseTable, SpecimenTable, TestTable, decode_campaign
+from calibration.campaign_setup import Setup, check_homogeneous, read_setup
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment import STANDARD_GRAVITY, Specimen
 from tissue_sim.formats import check_delimiter
+from tissue_sim.frozen_mapping import read_only
 from tissue_sim.laws import LAWS
 from tissue_sim.material import Bulk
+from tissue_sim.recording_file import KINDS
 
 #: Prior standard deviation of a contact offset when neither the fit nor the noise states one, m.
 DEFAULT_OFFSET_PRIOR = 0.05e-3
+#: Starts of an inverse fit where the campaign does not say.
+DEFAULT_STARTS = 3
+MOST_STARTS = 1000
 
 
 @dataclass(frozen=True)
@@ -37,13 +43,14 @@ class Test:
 
     Attributes:
         name: unique in the campaign.
-        kind: a key of `HOMOGENEOUS`.
+        kind: a key of `tissue_sim.recording_file.KINDS`.
         specimen: None where the recordings are stretch and stress already.
         recordings: files, sorted, at least one.
         reading: how to read them, the options of `tissue_sim.read_recordings`.
         max_strain: fitted window of the nominal strain (shear strain for shear), or None for everything.
         hold_out: predicted, not fitted.
         place: where it stands in the campaign file, such as ``test[0]``.
+        setup: tool, interfaces and rig, of an inverse fit; None of tension and shear.
     """
 
     name: str
@@ -54,15 +61,16 @@ class Test:
     max_strain: float | None = None
     hold_out: bool = False
     place: str = "test"
+    setup: Setup | None = None
 
     @property
     def mode(self) -> str:
-        """Mode of `Law.nominal_stress`."""
+        """Mode of `Law.nominal_stress`, of a homogeneous test."""
         return HOMOGENEOUS[self.kind]
 
 
 def _read_only(values: Mapping | None = None) -> Mapping:
-    return MappingProxyType(dict(values or {}))
+    return read_only(values or {})
 
 
 @dataclass(frozen=True)
@@ -71,12 +79,16 @@ class FitSettings:
 
     Attributes:
         laws: names in `tissue_sim.laws.LAWS`.
-        bulk: bulk response that goes into the material files; the fit itself is incompressible.
+        method: ``"analytical"`` (homogeneous tests, closed forms) or ``"inverse_fem"``.
+        bulk: bulk response that goes into the material files; the analytical fit itself is incompressible.
         offset: ``"none"`` or ``"fit"``: a contact offset and a zero per replicate.
         offset_bound, offset_prior: m, half width of the bounds and standard deviation of the prior.
         zero_bound, zero_prior: N; None: ten times the prior, which is five times the noise of the force.
         strain_points: evenly spaced strains that every replicate is interpolated to, or None for its own samples.
-        start, fixed: parameter -> value, SI. prior: parameter -> (mean, standard deviation). bounds: (low, high).
+        starts: how many an inverse fit tries.
+        start, fixed: parameter -> value, SI; for an inverse fit also other parameters of the material, by the paths of
+            `tissue_sim.material_parameters`, which it then has. prior: parameter -> (mean, standard deviation).
+            bounds: (low, high).
     """
 
     laws: tuple[str, ...]
@@ -87,6 +99,8 @@ class FitSettings:
     zero_bound: float | None = None
     zero_prior: float | None = None
     strain_points: int | None = None
+    starts: int = DEFAULT_STARTS
+    method: str = "analytical"
     start: Mapping[str, float] = field(default_factory=_read_only)
     fixed: Mapping[str, float] = field(default_factory=_read_only)
     prior: Mapping[str, tuple[float, float]] = field(default_factory=_read_only)
@@ -98,16 +112,18 @@ class Noise:
     """What is known about the scatter of the measurement, as standard deviations.
 
     Attributes:
-        force: N; None: estimated from second differences of the samples.
+        force: N; None: estimated from the samples.
         nominal_stress: Pa, for tests that are recorded as stress; None: estimated.
-        contact_jitter: m, of the contact point between replicates.
-        zero_jitter: N, of the zero between replicates.
+        contact_jitter: m, of the contact point between replicates; None: estimated (inverse fits).
+        zero_jitter: N, of the zero between replicates; None: estimated (inverse fits).
+        correlation_time: s, of the force noise; 0 is white; None: estimated (inverse fits).
     """
 
     force: float | None = None
     nominal_stress: float | None = None
-    contact_jitter: float = 0.0
-    zero_jitter: float = 0.0
+    contact_jitter: float | None = 0.0
+    zero_jitter: float | None = 0.0
+    correlation_time: float | None = None
 
 
 @dataclass(frozen=True)
@@ -147,8 +163,8 @@ def load_campaign(path: str | Path) -> Campaign:
     try:
         specimens = _specimens(table)
         tests = _tests(table, specimens, path.parent)
-        return Campaign(path, _read_only(specimens), tests, _fit_settings(table.fit, table.noise), _noise(table.noise),
-                        hashlib.sha256(data).hexdigest(), _density(tests))
+        return Campaign(path, _read_only(specimens), tests, _fit_settings(table.fit, table.noise),
+                        _noise(table.noise, table.fit.method), hashlib.sha256(data).hexdigest(), _density(tests))
     except InputError as error:
         raise error.located(file=path) from None
 
@@ -201,10 +217,15 @@ def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path
         name = entry.name if entry.name is not None else f"{entry.kind}_{i + 1}" if same_kind else entry.kind
         if name in tests:
             raise InputError(f"the name {name!r} is taken by another test; names must be unique", field=f"{field}.name")
-        check_available(entry, field)
+        if table.fit.method == "analytical":
+            check_available(entry, field)
+        elif entry.protocol is not None:
+            raise InputError("the motion of a test is that of its recordings; leave the protocol out",
+                             field=f"{field}.protocol")
         require_positive(entry.speed_mm_s, f"{field}.speed_mm_s", " mm/s")
         require_positive(entry.max_strain, f"{field}.max_strain")
-        if entry.max_strain is not None and entry.kind == "lubricated_compression" and entry.max_strain >= 1:
+        compressed = entry.kind not in ("uniaxial_tension", "simple_shear")
+        if entry.max_strain is not None and compressed and entry.max_strain >= 1:
             raise InputError(f"{entry.max_strain:g} is not below 1, where the specimen would have no height left",
                              field=f"{field}.max_strain")
         if entry.skip_lines is not None and entry.skip_lines < 0:
@@ -216,10 +237,13 @@ def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path
         columns = read_columns_key(entry, field)
         if entry.delimiter is not None:
             check_delimiter(entry.delimiter, f"{field}.delimiter")
+        specimen, setup = _find_specimen(entry, specimens, table, field), None
+        if table.fit.method == "inverse_fem":
+            check_homogeneous(entry.kind, specimen, field)
+            setup = read_setup(entry, specimen, folder, field)
         tests[name] = Test(
-            name, entry.kind, _find_specimen(entry, specimens, field),
-            find_recordings(entry.recordings, folder, f"{field}.recordings"), _reading(entry, columns),
-            entry.max_strain, entry.hold_out, field)
+            name, entry.kind, specimen, find_recordings(entry.recordings, folder, f"{field}.recordings"),
+            _reading(entry, columns), entry.max_strain, entry.hold_out, field, setup)
     if all(test.hold_out for test in tests.values()):
         raise InputError("every test is held out, so there is nothing to fit; set hold_out = false on one",
                          field="test[0].hold_out")
@@ -233,24 +257,28 @@ def _reading(entry: TestTable, columns: Mapping[str, Any] | None) -> Mapping[str
     return _read_only({"format": entry.format, **{key: value for key, value in stated.items() if value is not None}})
 
 
-def _find_specimen(entry: TestTable, specimens: Mapping[str, Specimen], field: str) -> Specimen | None:
+def _find_specimen(entry: TestTable, specimens: Mapping[str, Specimen], table: CampaignTable,
+                   field: str) -> Specimen | None:
     if entry.specimen is not None and entry.specimen not in specimens:
         hint = nearest(entry.specimen, specimens) if specimens else "; the file has no [[specimen]]"
         raise InputError(f"no specimen is named {entry.specimen!r}{hint}", field=f"{field}.specimen")
     if entry.specimen is None and len(specimens) > 1:
         raise InputError(f"name one of the specimens: {', '.join(specimens)}", field=f"{field}.specimen")
     found = next(iter(specimens.values()), None) if entry.specimen is None else specimens[entry.specimen]
-    if found is not None and found.specific_weight and entry.kind != "lubricated_compression":
+    standing = ("lubricated_compression",) if table.fit.method == "analytical" else \
+        tuple(kind for kind in KINDS if kind not in ("uniaxial_tension", "simple_shear"))
+    if found is not None and found.specific_weight and entry.kind not in standing:
         raise InputError(f"gravity = true is for a specimen that stands under a plate, and {entry.kind} does not say "
                          "how it hangs or lies; give this test a specimen with gravity = false",
                          field=f"{field}.specimen")
+    prism = found is not None and table.specimen[list(specimens).index(found.name)].shape == "prism"
+    if prism and entry.kind not in HOMOGENEOUS:
+        raise InputError(f"{entry.kind} is simulated on a cylinder, and {found.name!r} is a prism; use shape = "
+                         "'cylinder' with radius_mm", field=f"{field}.specimen")
     return found
 
 
 def _fit_settings(table: FitTable, noise: NoiseTable) -> FitSettings:
-    if table.method != "analytical":
-        raise InputError(f"method {table.method!r} is not available in this version; use 'analytical'",
-                         field="fit.method")
     if not table.laws:
         raise InputError(f"name at least one law; known: {', '.join(LAWS)}", field="fit.laws")
     for i, name in enumerate(table.laws):
@@ -263,7 +291,12 @@ def _fit_settings(table: FitTable, noise: NoiseTable) -> FitSettings:
     check_bulk_ratio(table.bulk_ratio)
     if table.strain_points is not None and table.strain_points < 5:
         raise InputError(f"{table.strain_points} points are too few; give at least 5", field="fit.strain_points")
-    check_parameters(table)
+    if table.method == "inverse_fem" and table.strain_points is not None:
+        raise InputError("an inverse fit takes the samples as they are; leave it out", field="fit.strain_points")
+    if table.starts is not None and not 1 <= table.starts <= MOST_STARTS:
+        raise InputError(f"{table.starts} starts; give 1 to {MOST_STARTS}", field="fit.starts")
+    effects = check_effects(table) if table.method == "inverse_fem" else ()
+    check_parameters(table, effects)
     offset_prior = next((value * 1e-3 for value in (table.offset_prior_mm, noise.contact_jitter_mm)
                          if isinstance(value, float | int) and value > 0), DEFAULT_OFFSET_PRIOR)
     zero_prior = next((float(value) for value in (table.zero_prior_N, noise.zero_jitter_N)
@@ -272,22 +305,35 @@ def _fit_settings(table: FitTable, noise: NoiseTable) -> FitSettings:
         laws=tuple(table.laws), bulk=Bulk() if table.bulk_ratio is None else Bulk("bulk_ratio", table.bulk_ratio),
         offset=table.offset, offset_bound=table.offset_bounds_mm * 1e-3, offset_prior=offset_prior,
         zero_bound=table.zero_bounds_N, zero_prior=zero_prior, strain_points=table.strain_points,
+        starts=table.starts or DEFAULT_STARTS, method=table.method,
         start=_read_only(table.start), fixed=_read_only(table.fixed), prior=_read_only(table.prior),
         bounds=_read_only(table.bounds))
 
 
-def _noise(table: NoiseTable) -> Noise:
+def _noise(table: NoiseTable, method: str) -> Noise:
     for key in ("force_N", "nominal_stress_Pa"):
         value = getattr(table, key)
         require_positive(None if value == "estimate" else value, f"noise.{key}")
-    for key in ("contact_jitter_mm", "zero_jitter_N"):
+    # What an inverse fit estimates unless it is stated.
+    known = {}
+    for key, default in (("contact_jitter_mm", 0.0), ("zero_jitter_N", 0.0), ("correlation_time_s", 0.0)):
         value = getattr(table, key)
-        if value == "estimate":
-            raise InputError('"estimate" is not available in this version; state a standard deviation or leave it out',
-                             field=f"noise.{key}")
-        if value is not None and not (np.isfinite(value) and value >= 0):
-            raise InputError(f"{value:g} is negative; give a standard deviation", field=f"noise.{key}")
+        if method == "analytical":
+            if value == "estimate":
+                raise InputError('"estimate" needs fit.method = "inverse_fem"; state a standard deviation or leave it '
+                                 "out", field=f"noise.{key}")
+            if key == "correlation_time_s" and value:
+                raise InputError('coloured noise needs fit.method = "inverse_fem"; leave it out', field=f"noise.{key}")
+            value = default if value is None else value
+        if value in (None, "estimate"):
+            known[key] = None
+            continue
+        if not (np.isfinite(value) and value >= 0):
+            raise InputError(f"{value:g} is negative; give 0 or more", field=f"noise.{key}")
+        known[key] = float(value)
+    contact = known["contact_jitter_mm"]
     return Noise(
         force=None if table.force_N == "estimate" else table.force_N,
         nominal_stress=None if table.nominal_stress_Pa == "estimate" else table.nominal_stress_Pa,
-        contact_jitter=(table.contact_jitter_mm or 0.0) * 1e-3, zero_jitter=table.zero_jitter_N or 0.0)
+        contact_jitter=None if contact is None else contact * 1e-3, zero_jitter=known["zero_jitter_N"],
+        correlation_time=known["correlation_time_s"])

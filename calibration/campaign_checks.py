@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -12,21 +11,17 @@ import numpy as np
 from calibration.campaign_schema import FitTable, TestTable
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.formats import check_columns
+from tissue_sim.frozen_mapping import read_only
 from tissue_sim.laws import LAWS
 from tissue_sim.material import BULK_RATIOS
 from tissue_sim.recording_file import KINDS
 
 #: Test kinds with a homogeneous deformation -> mode of `Law.nominal_stress`.
 HOMOGENEOUS = {"lubricated_compression": "uniaxial", "uniaxial_tension": "uniaxial", "simple_shear": "simple_shear"}
-#: What `tool` may say; a profile file beside these. Only the plate is available in this version.
+#: What `tool` may say; a profile file beside these.
 TOOLS = ("plate", "flat", "round", "cone", "sphere")
 #: What a friction may say in words; a coefficient beside these.
 FRICTIONS = ("bonded", "stick", "frictionless")
-
-
-def later(what: str, field: str) -> InputError:
-    """An error for a key that a later version will understand."""
-    return InputError(f"{what} is not available in this version; leave it out", field=field)
 
 
 def require_positive(value: float | None, field: str, unit: str = "") -> None:
@@ -46,16 +41,18 @@ def check_bulk_ratio(ratio: float | None) -> None:
 def check_available(entry: TestTable, field: str) -> None:
     """Keys of later versions, and keys that contradict a plate on a homogeneous test."""
     if entry.kind not in HOMOGENEOUS:
-        raise InputError(f"a test of kind {entry.kind!r} is not available in this version; the analytical method takes "
-                         f"{', '.join(HOMOGENEOUS)}", field=f"{field}.kind")
+        raise InputError(f"the analytical method takes {', '.join(HOMOGENEOUS)}; for {entry.kind!r} set fit.method = "
+                         "'inverse_fem'", field=f"{field}.kind")
     if entry.tool not in TOOLS and not Path(entry.tool).suffix:
         raise InputError(f"unknown tool {entry.tool!r}{nearest(entry.tool, TOOLS)}", field=f"{field}.tool")
     if entry.tool != "plate":
-        raise InputError(f"tool {entry.tool!r} is not available in this version; use 'plate'", field=f"{field}.tool")
+        raise InputError(f"a homogeneous test is done with a plate, not with {entry.tool!r}; leave it out",
+                         field=f"{field}.tool")
     for key in ("protocol", "rig"):
         if getattr(entry, key) is not None:
-            raise later(key, f"{field}.{key}")
-    for key in ("tool_radius_mm", "edge_radius_mm", "half_angle_deg", "friction_wall"):
+            raise InputError("does not belong to the analytical method; leave it out, or set fit.method = "
+                             "'inverse_fem'", field=f"{field}.{key}")
+    for key in ("tool_radius_mm", "edge_radius_mm", "half_angle_deg", "tip_radius_mm", "friction_wall"):
         if getattr(entry, key):
             raise InputError(f"a plate that covers the specimen has no {key}; leave it out", field=f"{field}.{key}")
     expected = ("frictionless", 0) if entry.kind == "lubricated_compression" else ("bonded",)
@@ -81,7 +78,7 @@ def read_columns_key(entry: TestTable, field: str) -> Mapping[str, Any] | None:
     if not any(set(pair) <= set(columns) for pair in pairs):
         raise InputError(f"{entry.kind} needs the columns {' or '.join(' and '.join(pair) for pair in pairs)}",
                          field=f"{field}.columns")
-    return MappingProxyType(columns)
+    return read_only(columns)
 
 
 def find_recordings(patterns: list[str], folder: Path, field: str) -> tuple[Path, ...]:
@@ -112,9 +109,9 @@ def _is_pattern(text: str) -> bool:
     return any(character in text for character in "*?[")
 
 
-def check_parameters(table: FitTable) -> None:
-    """Names and values of start, fixed, prior and bounds."""
-    known = sorted({parameter for law in table.laws for parameter in LAWS[law].parameters})
+def check_parameters(table: FitTable, effects: Sequence[str] = ()) -> None:
+    """Names and values of start, fixed, prior and bounds; `effects` are names beside those of the laws."""
+    known = [*sorted({parameter for law in table.laws for parameter in LAWS[law].parameters}), *effects]
     for key in ("start", "fixed", "prior", "bounds"):
         for name, value in getattr(table, key).items():
             field = f"fit.{key}.{name}"

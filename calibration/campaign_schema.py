@@ -56,6 +56,7 @@ class TestTable(_Table, kw_only=True):
     tool_radius_mm: float | None = None
     edge_radius_mm: float | None = None
     half_angle_deg: float | None = None
+    tip_radius_mm: float | None = None
     friction: str | float | None = None
     friction_base: str | float | None = None
     friction_wall: float | None = None
@@ -78,6 +79,7 @@ class FitTable(_Table, kw_only=True):
     zero_bounds_N: float | None = None
     zero_prior_N: float | None = None
     strain_points: int | None = None
+    starts: int | None = None
     start: dict[str, float] = {}
     fixed: dict[str, float] = {}
     prior: dict[str, Pair] = {}
@@ -89,6 +91,7 @@ class NoiseTable(_Table, kw_only=True):
 
     force_N: float | Literal["estimate"] = "estimate"
     nominal_stress_Pa: float | Literal["estimate"] = "estimate"
+    correlation_time_s: float | Literal["estimate"] | None = None
     contact_jitter_mm: float | Literal["estimate"] | None = None
     zero_jitter_N: float | Literal["estimate"] | None = None
 

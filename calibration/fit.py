@@ -39,15 +39,17 @@ class Nuisance(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Prediction(msgspec.Struct, frozen=True, kw_only=True):
-    """A held-out test as a law predicts it.
+    """A test as a law predicts it that was fitted without that test.
 
     Attributes:
         test, law: names.
         RMSE_N: root mean square error of the force; None without a specimen.
-        RMSE_Pa: of the nominal stress.
-        percent: error relative to the largest measured stress.
+        RMSE_Pa: of the nominal stress; None where the deformation is not homogeneous.
+        percent: error relative to the largest measured stress, or force.
+        expected_N: RMSE that noise, jitter and the uncertainty of the parameters would make; None where unknown.
+        fitted: tests that the law was fitted to for this; empty: all that are not held out.
 
-    All None where the law does not carry a specimen that weighs as far as the test went.
+    Errors are None where the law does not carry the specimen as far as the test went.
     """
 
     test: str
@@ -55,6 +57,128 @@ class Prediction(msgspec.Struct, frozen=True, kw_only=True):
     RMSE_N: float | None
     RMSE_Pa: float | None
     percent: float | None
+    expected_N: float | None = None
+    fitted: list[str] = []
+
+
+class Iteration(msgspec.Struct, frozen=True, kw_only=True):
+    """One solve of an inverse fit: all tests simulated at one set of parameters.
+
+    Attributes:
+        start: number of the start, from 1. run: number of the solve from that start, from 1.
+        parameters: free ones, name -> value, SI. error: sum of squares of the whitened residuals and priors.
+        RMSE_N: of all samples. corrected: whether the difference to the accurate mesh was in.
+    """
+
+    start: int
+    run: int
+    parameters: dict[str, float]
+    error: float
+    RMSE_N: float
+    corrected: bool
+
+
+class Profile(msgspec.Struct, frozen=True, kw_only=True):
+    """Profile likelihood of one parameter: the smallest sum of squares for each of its values.
+
+    Attributes:
+        values: ascending, SI; the estimate is among them.
+        rises: of the sum of squares above its minimum there, in units of the noise (or of the residuals where these
+            exceed it).
+        level: rise at the ends of the 95 % interval.
+        notes: what ended the interval early, such as ``"low: bound 0"``.
+    """
+
+    values: list[float]
+    rises: list[float]
+    level: float
+    notes: list[str] = []
+
+
+class Region(msgspec.Struct, frozen=True, kw_only=True):
+    """Whether a smooth misfit is left in one part of one test.
+
+    Attributes:
+        test, segment: names. start, end: displacement at its ends, mm (strain where the test has no specimen).
+        p: probability of so large a misfit by chance, adjusted for the number of regions (Holm).
+        statistic, freedom: of the test, see `calibration.adequacy`.
+        misfit_N: root mean square of the smooth part of data minus model (Pa where the test has no specimen).
+        largest_N, at: where that is largest: its value with sign, and the displacement there, mm.
+        adequate: p above 0.05.
+    """
+
+    test: str
+    segment: str
+    start: float
+    end: float
+    p: float
+    statistic: float
+    freedom: int
+    misfit_N: float
+    largest_N: float
+    at: float
+    adequate: bool
+
+
+class Direction(msgspec.Struct, frozen=True, kw_only=True):
+    """A combination of parameters that the tests tell poorly.
+
+    Attributes:
+        shares: parameter -> component of the unit vector of relative changes.
+        relative_error: standard error along it, relative to the parameters.
+    """
+
+    shares: dict[str, float]
+    relative_error: float
+
+
+class Suggestion(msgspec.Struct, frozen=True, kw_only=True):
+    """A further test, and what it would do.
+
+    Attributes:
+        test: in words.
+        standard_errors: name -> standard error with it, SI.
+    """
+
+    test: str
+    standard_errors: dict[str, float]
+
+
+class SensorStatement(msgspec.Struct, frozen=True, kw_only=True):
+    """Noise of one test's recordings, as stated or estimated.
+
+    Attributes:
+        test: name. deviation_N: standard deviation (Pa where the test has no specimen).
+        correlation_time_s: 0 for white noise. source: ``"stated"``, ``"estimated"`` or ``"resolution"``.
+    """
+
+    test: str
+    deviation_N: float
+    correlation_time_s: float
+    source: str
+
+
+class JitterStatement(msgspec.Struct, frozen=True, kw_only=True):
+    """Scatter between recordings, and how many degrees of freedom an estimate of it has (None: stated)."""
+
+    contact_mm: float
+    zero_N: float
+    freedom: int | None = None
+
+
+class MeshCorrection(msgspec.Struct, frozen=True, kw_only=True):
+    """Accurate mesh against fast mesh in one test.
+
+    Attributes:
+        test: name. largest_percent: largest difference, relative to the largest force.
+        remainder_percent: standard deviation that the accurate mesh's own error is given, relative to the force.
+        refreshes: how often the difference was computed.
+    """
+
+    test: str
+    largest_percent: float
+    remainder_percent: float
+    refreshes: int
 
 
 class Covariance(msgspec.Struct, frozen=True, kw_only=True):
@@ -84,15 +208,24 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
         stable_from, stable_to: stretches that are Drucker-stable in all three modes of loading; stability: the same
             in words; stretch_range: of the data.
         sag_mm: specimen that weighs -> by how much it sags with this law.
-        nuisances: of the replicates when offsets are fitted.
+        nuisances: of the replicates when offsets are fitted or their jitter is marginalised.
         minima: best first. starts: how many were tried.
         status: ``"converged"``, ``"unstable"`` (in the measured loading over the data), ``"not_physical"`` or
             ``"not_converged"``. Only the first is usable.
         unusable: why it is not usable over the data; None where it is.
         warnings: what to mind, usable or not: bounds that hold unknowns, loss of stability in other loading.
         message: for people; holds both.
-        iterations: evaluations of the model. fem_solves: 0 for a closed form. cpu_s: processor seconds.
+        iterations: evaluations of the model. fem_solves: simulated tests; 0 for a closed form. cpu_s: processor
+            seconds.
         material_file: name of the file, None where the fit gives no material.
+
+    Of an inverse fit only:
+        interval_notes: name -> what cut its interval. profiles: name -> profile likelihood.
+        regions: where a smooth misfit is left. history: every solve of every start.
+        condition: of the information, each parameter scaled by its value. directions: those told poorly.
+        suggestions: further tests, best first, where something is not identifiable.
+        jitter, mesh: what was marginalised and corrected.
+        left_out: percent, root mean square over the tests, of the predictions that rank the laws.
     """
 
     law: str
@@ -107,7 +240,7 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
     on_bound: list[str]
     R2: float
     RMSE_N: float | None
-    RMSE_Pa: float
+    RMSE_Pa: float | None
     noise_ratio: float
     AIC: float
     BIC: float
@@ -129,3 +262,13 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
     fem_solves: int = 0
     cpu_s: float
     material_file: str | None = None
+    interval_notes: dict[str, str] = {}
+    profiles: dict[str, Profile] = {}
+    regions: list[Region] = []
+    history: list[Iteration] = []
+    condition: float | None = None
+    directions: list[Direction] = []
+    suggestions: list[Suggestion] = []
+    jitter: JitterStatement | None = None
+    mesh: list[MeshCorrection] = []
+    left_out: float | None = None

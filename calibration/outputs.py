@@ -8,12 +8,12 @@ import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from calibration.analytical import CalibrationResult, to_json
 from calibration.assess import residual_of
 from calibration.fit import Fit
 from calibration.output_folder import FIT_FILE
 from calibration.replicates import Replicate, loading_path
 from calibration.report import write_report
+from calibration.result import CalibrationResult, to_json
 from calibration.self_weight import statement
 from tissue_sim.atomic_write import write_text
 from tissue_sim.laws import find_law
@@ -77,7 +77,7 @@ def write_summary(results: Sequence[CalibrationResult], path: Path) -> None:
             for name in names:
                 row += [fit.parameters.get(name), fit.standard_errors.get(name)]
             rows.append(row)
-    write_text(path, _table(header, rows))
+    write_text(path, format_table(header, rows))
 
 
 def _curves(result: CalibrationResult, replicates: Sequence[Replicate]) -> str:
@@ -90,7 +90,8 @@ def _curves(result: CalibrationResult, replicates: Sequence[Replicate]) -> str:
             stress = mine[0].model.stress(find_law(fit.law), abscissa, fit.parameters)
             for a, p in zip(abscissa, stress, strict=True):
                 rows.append([fit.law, test.name, mine[0].model.abscissa, a, p, *_rig_units(a, p, mine[0])])
-    return _table(["law", "test", "abscissa", "value", "nominal stress [Pa]", "displacement [mm]", "force [N]"], rows)
+    return format_table(["law", "test", "abscissa", "value", "nominal stress [Pa]", "displacement [mm]", "force [N]"],
+                        rows)
 
 
 def _residuals(result: CalibrationResult, replicates: Sequence[Replicate]) -> str:
@@ -103,7 +104,7 @@ def _residuals(result: CalibrationResult, replicates: Sequence[Replicate]) -> st
             for a, p, r in zip(replicate.abscissa, replicate.stress, residual, strict=True):
                 rows.append([fit.law, replicate.name, replicate.model.abscissa, a, p, p + r, r,
                              None if area is None else replicate.force_sign * area * r])
-    return _table(["law", "replicate", "abscissa", "value", "measured [Pa]", "model [Pa]", "residual [Pa]",
+    return format_table(["law", "replicate", "abscissa", "value", "measured [Pa]", "model [Pa]", "residual [Pa]",
                    "residual [N]"], rows)
 
 
@@ -116,7 +117,8 @@ def _rig_units(abscissa: float, stress: float, replicate: Replicate) -> tuple[fl
     return sign * (abscissa - rest) * replicate.test.specimen.height * 1e3, sign * stress * replicate.area
 
 
-def _table(header: Sequence[str], rows: Iterable[Sequence]) -> str:
+def format_table(header: Sequence[str], rows: Iterable[Sequence]) -> str:
+    """CSV with eight digits; None and NaN are empty cells."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(header)

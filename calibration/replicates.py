@@ -117,7 +117,7 @@ def read_replicates(campaign: Campaign) -> tuple[Replicate, ...]:
 
 
 def _read(recording: Recording, path: Path, test: Test, campaign: Campaign) -> Replicate:
-    _check_size(recording, test, campaign, path)
+    check_size(recording, test, campaign, path)
     recording = _loading(recording)
     mechanical, abscissa, stress = _curve(recording, test, path)
     _check_range(abscissa, recording, test, path)
@@ -152,7 +152,7 @@ def _read(recording: Recording, path: Path, test: Test, campaign: Campaign) -> R
                      str(recording.metadata.get("sha256", "")), interpolation)
 
 
-def _check_size(recording: Recording, test: Test, campaign: Campaign, path: Path) -> None:
+def check_size(recording: Recording, test: Test, campaign: Campaign, path: Path) -> None:
     """Refuse a recording that says itself that its specimen has another size."""
     said = recording.metadata.get("specimen")
     if test.specimen is None or not isinstance(said, Mapping):

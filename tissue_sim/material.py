@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 
 import numpy as np
 
 from tissue_sim.errors import InputError
+from tissue_sim.frozen_mapping import read_only
 from tissue_sim.laws import Law, find_law
 from tissue_sim.layer import Layer
 from tissue_sim.puncture import Puncture
@@ -98,7 +98,7 @@ class Material:
     puncture: Puncture | None = None
 
     def __post_init__(self):
-        object.__setattr__(self, "parameters", MappingProxyType(self.energy_law.as_mapping(self.parameters)))
+        object.__setattr__(self, "parameters", read_only(self.energy_law.as_mapping(self.parameters)))
         object.__setattr__(self, "layers", tuple(self.layers))
         if not self.mu0 > 0:
             raise InputError(f"these parameters give a shear modulus of {self.mu0:g} Pa at rest; it must be positive",

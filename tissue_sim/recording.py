@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from tissue_sim.errors import InputError, nearest
+from tissue_sim.frozen_mapping import read_only
 
 #: Channel -> quantity of its unit. SI inside: s, m, N, Pa, K.
 CHANNELS: dict[str, str] = {
@@ -70,12 +70,12 @@ class Recording:
             if back.size:
                 raise InputError(f"time runs backwards after sample {back[0] + 1} ({channels['time'][back[0]]:g} s, "
                                  f"then {channels['time'][back[0] + 1]:g} s)", field="time")
-        object.__setattr__(self, "channels", MappingProxyType(channels))
+        object.__setattr__(self, "channels", read_only(channels))
         labels = {name: np.array(values) for name, values in self.labels.items()}
         for values in labels.values():
             values.flags.writeable = False
-        object.__setattr__(self, "labels", MappingProxyType(labels))
-        object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))
+        object.__setattr__(self, "labels", read_only(labels))
+        object.__setattr__(self, "metadata", read_only(self.metadata))
 
     def __len__(self) -> int:
         return next(iter(self.channels.values())).size

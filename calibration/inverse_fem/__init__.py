@@ -1,0 +1,1 @@
+"""The inverse calibration: simulated tests against measured ones, all at once."""

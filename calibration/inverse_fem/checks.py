@@ -1,0 +1,83 @@
+"""What is refused before an inverse fit begins, because nothing good would come of it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calibration.campaign import Campaign
+from calibration.campaign_effects import is_effect
+from calibration.inverse_fem.forces import InfeasibleError
+from calibration.inverse_fem.problem import Problem
+from calibration.inverse_fem.starts import starts
+from tissue_sim.errors import InputError
+from tissue_sim.laws import check_stability, find_law
+
+#: A parameter is unseen where a change by its own size moves all forces together by less than this, in units of
+#: their noise.
+UNSEEN = 0.1
+
+
+def check_start(problem: Problem, campaign: Campaign, number: int) -> None:
+    """Simulate the first start once and look at it.
+
+    Args:
+        problem: of one law. campaign: where it comes from. number: of the law in ``fit.laws``.
+
+    Raises:
+        InputError: a stated start (or fixed value) that no material has or that is unstable inside the data, more
+            unknowns than samples, a parameter that no test can see; with the file and the field.
+    """
+    space, law = problem.space, find_law(problem.space.law)
+    if problem.samples <= len(space.free):
+        raise InputError(f"{law.name} has {len(space.free)} unknown parameters and the tests only {problem.samples} "
+                         "points; widen max_strain or take a simpler law", file=campaign.path,
+                         field=f"fit.laws[{number}]")
+    theta = starts(space, 1)[0]
+    values = space.values(theta)
+    own = {name: value for name, value in values.items() if not is_effect(name)}
+    stated = [name for name in own if name in campaign.fit.start or name in campaign.fit.fixed]
+    key = "start" if any(name in campaign.fit.start for name in stated) else "fixed"
+    try:
+        space.material(values)
+    except InputError as error:
+        raise InputError(f"with these values {law.name} is no material: {error.problem}", file=campaign.path,
+                         field=f"fit.{key}") from None
+    if stated:
+        _check_stable(problem, campaign, law, own, key)
+    try:
+        evaluation = problem.evaluate(theta)
+    except InfeasibleError as error:
+        if stated:
+            raise InputError(f"the simulation does not get through the data with this start ({error}); state another "
+                             "one, or a smaller max_strain", file=campaign.path, field=f"fit.{key}") from None
+        return
+    seen = np.linalg.norm(evaluation.rates, axis=0) * space.sizes(values)
+    for name, size in zip(space.free, seen, strict=True):
+        if size < UNSEEN and not np.isfinite(space.prior_deviation[space.free.index(name)]):
+            field = f"fit.start.{name}" if name in campaign.fit.start else f"fit.laws[{number}]"
+            raise InputError(f"no test can see {name}: changing it by its own size moves all forces together by "
+                             f"{size:.2g} of their noise; fix it in [fit.fixed], or add a test that it acts on",
+                             file=campaign.path, field=field)
+
+
+def _check_stable(problem: Problem, campaign: Campaign, law, own: dict[str, float], key: str) -> None:
+    """Refuse a stated law that loses stability in a homogeneous test inside its data."""
+    low, high = 1.0, 1.0
+    place = ""
+    for test in problem.tests:
+        deepest = max(float(curve.displacement.max()) for curve in test.measured)
+        if not test.homogeneous or getattr(test, "mode", "uniaxial") != "uniaxial":
+            continue
+        height = test.specimen.height if hasattr(test, "specimen") else test.height
+        if getattr(test, "compressed", True):
+            low, place = min(low, 1 - deepest / height), test.name
+        else:
+            high, place = max(high, 1 + deepest / height), test.name
+    if low == high:
+        return
+    lower, upper = check_stability(law, law.as_array(own), (min(low, 0.99), max(high, 1.01))).limits["uniaxial"]
+    if lower > low or upper < high:
+        limit = lower if lower > low else upper
+        raise InputError(f"{law.name} with these values loses stability at stretch {limit:.3g}, inside the data of "
+                         f"{place} (to {low if lower > low else high:.3g}); choose values that are stable there",
+                         file=campaign.path, field=f"fit.{key}")

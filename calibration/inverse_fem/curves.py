@@ -1,0 +1,68 @@
+"""Curves of an estimate for tables and pictures: model, its error, and the band for a new recording."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import stats
+
+from calibration.inverse_fem.estimate import Estimate
+from calibration.inverse_fem.forces import ClosedTest, InfeasibleError, SimulatedTest
+from calibration.inverse_fem.motion import Timed
+from calibration.inverse_fem.problem import Problem
+from calibration.inverse_fem.results import TestCurves
+from calibration.inverse_fem.uncertainty import Uncertainty
+from calibration.measured import MeasuredCurve
+
+POINTS = 101
+_TWO_SIGMA = stats.norm.ppf(0.975)
+
+
+def draw_curves(estimate: Estimate, spread: Uncertainty,
+                tests: Sequence[tuple[SimulatedTest | ClosedTest, float]]) -> list[TestCurves]:
+    """The curves of each test that the simulation gets through.
+
+    Args:
+        estimate: the minimum. spread: its uncertainty. tests: with the relative error of the mesh in each.
+    """
+    problem, found = estimate.problem, []
+    evaluation = problem.evaluate(estimate.theta)
+    fitted = {curve.name: evaluation.force[rows] for curve, rows in zip(problem.measured, problem.rows, strict=True)}
+    for test, mesh_error in tests:
+        try:
+            found.append(_curves_of(problem, estimate.theta, spread, test, mesh_error, fitted))
+        except InfeasibleError:
+            continue
+    return found
+
+
+def _curves_of(problem: Problem, theta: np.ndarray, spread: Uncertainty, test: SimulatedTest | ClosedTest,
+               mesh_error: float, fitted: dict[str, np.ndarray]) -> TestCurves:
+    first = test.measured[0]
+    answer = test.solve(problem.space, theta, problem.solves)
+    # The path is that of a recording without scatter, seen by the same test.
+    path = _path(test)
+    seen = type(test)(**{**vars(test), "measured": (path,)})
+    force, rates, contact = seen.evaluate(answer, 0, 0.0)
+    variance = np.einsum("np,pq,nq->n", rates, spread.covariance, rates) + (mesh_error * force)**2
+    new = variance + first.noise.deviation**2 + (problem.jitter.contact * contact)**2 + problem.jitter.zero**2
+    own = []
+    for number, curve in enumerate(test.measured):
+        own.append(fitted[curve.name] if curve.name in fitted else test.evaluate(answer, number, 0.0)[0])
+    timed = isinstance(test, SimulatedTest) and isinstance(test.motions[0], Timed)
+    return TestCurves(first.test, test.measured, path.time if timed else None, path.displacement, force,
+                      np.sqrt(variance), _TWO_SIGMA * np.sqrt(new), tuple(own))
+
+
+def _path(test: SimulatedTest | ClosedTest) -> MeasuredCurve:
+    """What a perfect recording of the test would have for its motion."""
+    first = test.measured[0]
+    if isinstance(test, SimulatedTest) and isinstance(test.motions[0], Timed):
+        time = np.linspace(first.time[0], first.time[-1], 4 * POINTS)
+        displacement = np.interp(time, first.time, first.displacement)
+    else:
+        displacement = np.linspace(0.0, max(curve.displacement.max() for curve in test.measured), POINTS)
+        time = None if first.time is None else np.interp(displacement, first.displacement, first.time)
+    return MeasuredCurve(first.name, first.test, time, displacement, np.zeros_like(displacement), None, first.file,
+                         first.sha256, first.noise)

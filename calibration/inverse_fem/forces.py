@@ -1,0 +1,242 @@
+"""The force of each test as a function of the parameters of the material: simulated, or in closed form."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from calibration.campaign_setup import Setup
+from calibration.inverse_fem.motion import Loading, Timed
+from calibration.inverse_fem.parameters import ParameterSpace
+from calibration.inverse_fem.solves import SimulatedCurve, Solves, content_key
+from calibration.measured import MeasuredCurve
+from tissue_sim.errors import ConvergenceError, InputError
+from tissue_sim.experiment import Experiment, Model, Specimen
+from tissue_sim.recording import Recording
+from tissue_sim.rig import Rig
+from tissue_sim.sensitivities import sensitivities
+from tissue_sim.simulation import simulate
+from tissue_sim.uniaxial_history import nominal_stress_history, shear_stress_history
+
+#: Width of a difference with the contact offset, as a part of the travel.
+_OFFSET_WIDTH = 1e-3
+
+
+class InfeasibleError(RuntimeError):
+    """No force at these parameters: no such material, or the simulation does not get through."""
+
+
+@dataclass(eq=False)
+class SimulatedTest:
+    """A test that the finite elements simulate, on one mesh.
+
+    Attributes:
+        name: of the test.
+        specimen, setup: what is done to what.
+        motions: each a `Loading` or `Timed`. motion_of: number of the motion of each recording.
+        measured: the recordings.
+        correction: what the accurate mesh has more, N, of each motion, shape (k,); empty until `refine` finds out.
+    """
+
+    name: str
+    specimen: Specimen
+    setup: Setup
+    motions: tuple[Loading | Timed, ...]
+    motion_of: tuple[int, ...]
+    measured: tuple[MeasuredCurve, ...]
+    correction: list[np.ndarray] = field(default_factory=list)
+
+    @property
+    def rig(self) -> Rig:
+        return self.setup.rig
+
+    @property
+    def proportional(self) -> bool:
+        """Whether force is proportional to the moduli: no weight and nothing elastic beside the tissue."""
+        return not self.specimen.specific_weight and not self.rig.compliance
+
+    @property
+    def homogeneous(self) -> bool:
+        """Whether every mesh is exact."""
+        return self._experiment(self.motions[0]).homogeneous
+
+    def solve(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> list[np.ndarray]:
+        """Force and derivatives at the knots of each motion, shape (k, 1 + p), with the correction.
+
+        Raises:
+            InfeasibleError: no such material, or no convergence.
+        """
+        values = space.values(theta)
+        answer = []
+        for number, motion in enumerate(self.motions):
+            force, rates = self._simulated(space, values, solves, motion, "fast")
+            if self.correction:
+                force = force + self.correction[number]
+            answer.append(np.column_stack([force, rates]))
+        return answer
+
+    def refine(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> float:
+        """Compute what the accurate mesh has more at these parameters, and keep it as the correction.
+
+        Returns:
+            The largest difference of the two meshes, relative to the largest force.
+
+        Raises:
+            InfeasibleError: the accurate mesh does not get through.
+        """
+        if self.homogeneous:
+            self.correction = [np.zeros(motion.protocol.time.size) for motion in self.motions]
+            return 0.0
+        values, found, largest = space.values(theta), [], 0.0
+        for motion in self.motions:
+            fast, _ = self._simulated(space, values, solves, motion, "fast")
+            knots = motion.coarse
+            accurate, _ = self._simulated(space, values, solves, motion, "accurate")
+            difference = accurate - fast[knots]
+            largest = max(largest, float(np.abs(difference).max() / np.abs(accurate).max()))
+            found.append(motion.spread(difference, knots))
+        self.correction = found
+        return largest
+
+    def _simulated(self, space: ParameterSpace, values: dict[str, float], solves: Solves, motion: Loading | Timed,
+                   resolution: str) -> tuple[np.ndarray, np.ndarray]:
+        """Force, shape (k,), and derivatives with the free parameters, shape (k, p); none of the accurate mesh."""
+        factor = 1.0
+        if self.proportional:
+            values, factor = space.normalised(values)
+        protocol = motion.protocol
+        names: Sequence[str] = space.free
+        if resolution == "accurate":
+            knots = motion.coarse
+            protocol = type(protocol)(protocol.time[knots], protocol.displacement[knots])
+            names = ()
+        experiment = self.setup.experiment(self.specimen, protocol)
+        key = content_key(experiment, self.rig.motion_only, space.law, values, space.bulk, list(names), resolution)
+        curve = solves.find(key)
+        if curve is None:
+            curve = _simulate(space, values, experiment, self.rig.motion_only, names, resolution)
+            solves.count(self.name, resolution)
+            solves.keep(key, curve)
+        if curve.problem:
+            raise InfeasibleError(f"{self.name}: {curve.problem}")
+        force = factor * np.array(curve.force)
+        scale = np.array([1.0 if self.proportional and space.is_modulus(name) else factor for name in names])
+        return force, np.array(curve.rates).reshape(force.size, len(names)) * scale
+
+    def evaluate(self, answer: list[np.ndarray], recording: int, offset: float):
+        """Force (n,), derivatives (n, p) and derivative with the contact offset (n,) at the samples of a recording."""
+        measured, number = self.measured[recording], self.motion_of[recording]
+        motion, columns = self.motions[number], answer[number]
+        time = measured.time
+        if isinstance(motion, Timed):
+            columns = np.column_stack([columns, _offset_rate(motion, columns[:, 0])])
+            # Motions that count as one may have begun at different times of their clocks.
+            time = time - measured.time[0] + motion.sampled_from
+        values, rate = motion.evaluate(columns, time, measured.displacement, offset)
+        force, gain = values[:, 0], 1.0 + self.rig.sensor_gain
+        reading = Rig(**{name: getattr(self.rig, name) for name in _READING})
+        if not reading.ideal:
+            channels = {"displacement": measured.displacement, "force": force}
+            if measured.time is not None:
+                channels["time"] = measured.time
+            force = reading.read(Recording(channels)).force
+        return force, gain * values[:, 1:], gain * rate
+
+    def _experiment(self, motion: Loading | Timed) -> Experiment:
+        return self.setup.experiment(self.specimen, motion.protocol)
+
+
+#: What of a rig acts on readings.
+_READING = ("guide_friction", "rate_damping", "latency", "sensor_gain", "zero_offset", "sensor_drift")
+
+
+def _offset_rate(motion: Timed, force: np.ndarray) -> np.ndarray:
+    """d(force)/d(contact offset) at the knots, by the loading curve and what history has made of it."""
+    recording = Recording({"time": motion.time, "displacement": motion.displacement, "force": force})
+    width = _OFFSET_WIDTH * np.ptp(motion.displacement)
+    more, less = (Rig(contact_offset=offset).apply(recording).force for offset in (width, -width))
+    return (more - less) / (2 * width)
+
+
+def _simulate(space: ParameterSpace, values: dict[str, float], experiment: Experiment, rig: Rig,
+              names: Sequence[str], resolution: str) -> SimulatedCurve:
+    began = clock.process_time()
+    try:
+        model = Model(experiment, space.material(values), rig)
+        if names:
+            answer = sensitivities(model, names, resolution=resolution)
+            force, rates = answer.recording.force, answer.values
+        else:
+            force, rates = simulate(model, resolution=resolution).force, np.zeros((0, 0))
+    except (ConvergenceError, InputError) as error:
+        return SimulatedCurve([], [], str(error), clock.process_time() - began)
+    return SimulatedCurve(force.tolist(), rates.tolist(), "", clock.process_time() - began)
+
+
+@dataclass(eq=False)
+class ClosedTest:
+    """Tension or shear: the closed form of the incompressible material.
+
+    Attributes:
+        name: of the test. mode: of `Law.nominal_stress`. height, area: m and m2.
+        measured: the recordings.
+    """
+
+    name: str
+    mode: str
+    compressed: bool
+    height: float
+    area: float
+    measured: tuple[MeasuredCurve, ...]
+
+    @property
+    def radius(self) -> float:
+        """Of a round specimen of this cross-section, m."""
+        return float(np.sqrt(self.area / np.pi))
+
+    proportional = True
+    homogeneous = True
+
+    def solve(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> tuple:
+        """What `evaluate` needs."""
+        try:
+            space.material(space.values(theta))
+        except InputError as error:
+            raise InfeasibleError(f"{self.name}: {error}") from None
+        return space, np.array(theta)
+
+    def refine(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> float:
+        """The closed form needs no correction."""
+        return 0.0
+
+    def evaluate(self, answer: tuple, recording: int, offset: float):
+        """As `SimulatedTest.evaluate`."""
+        space, theta = answer
+        measured = self.measured[recording]
+        sign = -1.0 if self.compressed else 1.0
+
+        def force_at(values: dict[str, float], moved: float) -> np.ndarray:
+            rest = 0.0 if self.mode == "simple_shear" else 1.0
+            strain = rest + sign * (measured.displacement - moved) / self.height
+            material = space.material(values)
+            if material.relaxation(self.radius) is None and material.softening is None:
+                stress = material.energy_law.nominal_stress(strain, material.values, self.mode)
+                return sign * self.area * material.instantaneous_factor * stress
+            history = shear_stress_history if self.mode == "simple_shear" else nominal_stress_history
+            return sign * self.area * history(material, measured.time, strain, self.radius)
+
+        values = space.values(theta)
+        force = force_at(values, offset)
+        rates = np.empty((force.size, len(space.free)))
+        for k, name in enumerate(space.free):
+            half = 5e-7 * (abs(values[name]) or 1.0)
+            rates[:, k] = (force_at(values | {name: values[name] + half}, offset)
+                           - force_at(values | {name: values[name] - half}, offset)) / (2 * half)
+        width = 1e-6 * self.height
+        rate = (force_at(values, offset + width) - force_at(values, offset - width)) / (2 * width)
+        if not (np.isfinite(force).all() and np.isfinite(rates).all()):
+            raise InfeasibleError(f"{self.name}: the law gives no finite stress")
+        return force, rates, rate

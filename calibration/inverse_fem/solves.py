@@ -1,0 +1,104 @@
+"""Simulated curves, remembered by the content of what they depend on: in memory, and on disk for a run that goes on."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+import tissue_sim
+from tissue_sim.atomic_write import write_bytes
+from tissue_sim.tool import Tool
+
+#: Raised when the simulation of the same model gives another curve: what is on disk is not used any more then.
+SOLVER_VERSION = 1
+
+
+class SimulatedCurve(msgspec.Struct, frozen=True, array_like=True):
+    """Force and its derivatives at the knots of a motion.
+
+    Attributes:
+        force: N, shape (k,), as a list; empty where the simulation did not get through.
+        rates: dF/dtheta, shape (k, p), as lists.
+        problem: why it did not get through; empty otherwise.
+        cpu_s: processor seconds that it took.
+    """
+
+    force: list[float]
+    rates: list[list[float]]
+    problem: str
+    cpu_s: float
+
+
+class Solves:
+    """Simulations by key.
+
+    Args:
+        folder: where they are kept, a file each; None: in memory only.
+    """
+
+    def __init__(self, folder: Path | None = None):
+        self.folder = folder
+        self._known: dict[str, SimulatedCurve] = {}
+        #: (test, resolution) -> simulations that nobody remembered.
+        self.counts: Counter[tuple[str, str]] = Counter()
+
+    def __getstate__(self):
+        # Another process reads what it needs from the folder, and counts its own.
+        return {"folder": self.folder, "_known": {} if self.folder else self._known, "counts": Counter()}
+
+    def find(self, key: str) -> SimulatedCurve | None:
+        """The curve of a key, None where nobody computed it; a file that cannot be read does not count."""
+        if key not in self._known and self.folder is not None:
+            with contextlib.suppress(OSError, msgspec.DecodeError, msgspec.ValidationError):
+                self._known[key] = msgspec.msgpack.decode((self.folder / f"{key}.msgpack").read_bytes(),
+                                                          type=SimulatedCurve)
+        return self._known.get(key)
+
+    def keep(self, key: str, curve: SimulatedCurve) -> None:
+        """Remember a curve."""
+        self._known[key] = curve
+        if self.folder is not None:
+            write_bytes(self.folder / f"{key}.msgpack", msgspec.msgpack.encode(curve))
+
+    def count(self, test: str, resolution: str) -> None:
+        """Note a simulation that was done."""
+        self.counts[test, resolution] += 1
+
+    def move_to(self, folder: Path) -> None:
+        """Keep everything in a folder from now on."""
+        self.folder = folder
+        for key, curve in self._known.items():
+            self.keep(key, curve)
+
+
+def content_key(*parts: Any) -> str:
+    """SHA-256 of everything in frozen data, numbers to the last digit, with the version of the solver."""
+    content = msgspec.json.encode([tissue_sim.__version__, SOLVER_VERSION, _plain(parts)])
+    return hashlib.sha256(content).hexdigest()[:40]
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Tool):
+        # A profile counts by its content, not by its file.
+        own = {entry.name: _plain(getattr(value, entry.name)) for entry in fields(value)
+               if entry.name != "profile_file"}
+        return own | {"outline": _plain(value.outline)}
+    if is_dataclass(value):
+        return [type(value).__name__, {entry.name: _plain(getattr(value, entry.name)) for entry in fields(value)}]
+    if isinstance(value, np.ndarray):
+        return [float(number).hex() if value.dtype.kind == "f" else str(number) for number in value.ravel()]
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in sorted(value.items())}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float):
+        return value.hex()
+    return value if isinstance(value, int | str | bool | None) else str(value)

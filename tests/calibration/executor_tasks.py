@@ -1,0 +1,96 @@
+"""Functions for test_executors.py, which a worker process imports by name: it cannot import the test module."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+from tissue_sim.errors import ConvergenceError, InputError
+
+
+def add(left, right):
+    return left + right
+
+
+def sleep_then(seconds, value):
+    time.sleep(seconds)
+    return value
+
+
+def environment(*names):
+    return {name: os.environ.get(name) for name in names}
+
+
+def die():
+    # SIGTERM ends a process at once too, and exists on every platform.
+    os.kill(os.getpid(), getattr(signal, "SIGKILL", signal.SIGTERM))
+
+
+def die_first(marker, value):
+    """Kill this process, unless the marker says that it happened before."""
+    marker = Path(marker)
+    if not marker.exists():
+        marker.touch()
+        die()
+    return value
+
+
+def log_then(log, name, fatal):
+    """A line in a log, then the end of this process or the name."""
+    with Path(log).open("a") as stream:
+        stream.write(f"{name}\n")
+    if fatal:
+        die()
+    return name
+
+
+def refuse(kind, marker=None):
+    if marker is not None:
+        Path(marker).touch()
+    if kind == "input":
+        raise InputError("is not positive", file="a.toml", line=3, field="test[0].radius")
+    if kind == "convergence":
+        raise ConvergenceError("stopped", depth=0.004)
+    return kind
+
+
+def wait_for(marker, value, seconds=0.0):
+    """The value, so many seconds after the marker appears."""
+    while not Path(marker).exists():
+        time.sleep(0.01)
+    return sleep_then(seconds, value)
+
+
+def call(function, *arguments):
+    return function(*arguments)
+
+
+def nested(pair):
+    return pair[0], pair[1]
+
+
+def interrupted(value):
+    """The value, in spite of a Ctrl-C."""
+    signal.raise_signal(signal.SIGINT)
+    return value
+
+
+def hold(folder):
+    """Say which process this is, then hold on for a minute."""
+    Path(folder, str(os.getpid())).touch()
+    time.sleep(60)
+
+
+if __name__ == "__main__":
+    # A program of two workers that hold on, for Ctrl-C.
+    import sys
+
+    from calibration.executors import Workers, open_tasks
+
+    # A shell that starts the tests in the background has it ignored.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with open_tasks(Workers(2)) as tasks:
+            tasks.run(hold, [(sys.argv[1],)] * 4)
+    except KeyboardInterrupt:
+        sys.exit(42)

@@ -1,0 +1,65 @@
+"""The peer of benchmarks/inverse_fem.py solves our problem: a punch bonded to a cylinder on a bonded base, without the
+side wall, which FElupe has not, on the same mesh with the same element.
+"""
+
+import importlib
+import sys
+
+import numpy as np
+import pytest
+
+import tissue_sim as ts
+from tissue_sim.fem.axisymmetric import AxisymmetricSolver
+from tissue_sim.fem.elements import Q4P0, Q9P1
+from tissue_sim.fem.newton import StepStatus
+from tissue_sim.mesh import needle_mesh
+
+#: Pa. The second set is the one that a warm start meets: other moduli and another ratio of them.
+MODULI = [(1404.9, 699.4), (1200.0, 900.0)]
+DEPTHS = np.array([0.5e-3, 1e-3, 1.5e-3])
+BULK_RATIO = 1e4
+
+
+@pytest.fixture(scope="module")
+def felupe_indentation(root):
+    """The module that the benchmark times; its neighbour is found beside it."""
+    before = set(sys.modules)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(root / "benchmarks")
+        yield importlib.import_module("felupe_indentation")
+    for name in {"felupe_indentation", "felupe_problem"} - before:
+        sys.modules.pop(name, None)
+
+
+def our_forces(mesh, C10, C20):
+    material = ts.Material("reduced_polynomial_2", {"C10": C10, "C20": C20}, ts.Bulk("bulk_ratio", BULK_RATIO))
+    solver = AxisymmetricSolver(mesh, material, {"base": "rz"}, {"face": "rz"})
+    steps = [solver.step(depth) for depth in DEPTHS]
+    assert all(step.status is StepStatus.CONVERGED for step in steps)
+    return [step.force for step in steps]
+
+
+@pytest.fixture(params=[Q4P0, Q9P1], ids=["Q4/P0", "Q9/P-1"])
+def mesh(request):
+    return needle_mesh(0.04, 0.07, 0.008, request.param, smallest=4e-3, growth=1.8, largest=15e-3)
+
+
+@pytest.mark.parametrize("warm", [False, True], ids=["from rest", "warm"])
+def test_forces_equal_ours(felupe_indentation, mesh, warm):
+    punch = felupe_indentation.Indentation(mesh, DEPTHS, bulk_ratio=BULK_RATIO, warm=warm)
+    for moduli in MODULI:
+        np.testing.assert_allclose(punch.forces(*moduli), our_forces(mesh, *moduli), rtol=1e-7)
+    assert punch.solves == len(MODULI)
+
+
+def test_warm_start_saves_iterations_and_no_accuracy(felupe_indentation, mesh):
+    """One modulus moved by the step of a finite difference: the same forces, at most two iterations a depth."""
+    forces, iterations = [], []
+    for warm in (False, True):
+        punch = felupe_indentation.Indentation(mesh, DEPTHS, bulk_ratio=BULK_RATIO, warm=warm)
+        punch.forces(1400.0, 600.0)
+        first = punch.iterations
+        forces.append(punch.forces(1401.4, 600.0))
+        iterations.append(punch.iterations - first)
+    np.testing.assert_allclose(forces[1], forces[0], rtol=1e-7)
+    assert iterations[1] <= 2 * DEPTHS.size < iterations[0]
