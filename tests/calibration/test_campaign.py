@@ -147,7 +147,7 @@ BAD = [
     ("[\"run_*.csv\"]", "[\"run_*.csv\"]\ncolumns = { force = { nme = \"a\" } }", "test[0].columns.force.nme", "name"),
     ("force_N = 0.02", "force_N = 0", "noise.force_N", "positive"),
     ("force_N = 0.02", "force_N = \"guess\"", "noise.force_N", "estimate"),
-    ("contact_jitter_mm = 0.03", "contact_jitter_mm = \"estimate\"", "noise.contact_jitter_mm", "not available"),
+    ("contact_jitter_mm = 0.03", "contact_jitter_mm = \"estimate\"", "noise.contact_jitter_mm", "needs fit.method"),
     ("[[test]]", "[test]", "test", "[[test]]"),
 ]
 

@@ -1,7 +1,7 @@
 """The page of an inverse calibration: what it says first, what its pictures show, and that it stands alone."""
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -28,6 +28,7 @@ from calibration.inverse_fem import curve_figures, estimate_figures, figures
 from calibration.inverse_fem.report import write_inverse_report
 from calibration.inverse_fem.results import TestCurves as CurvesOfTest
 from calibration.measured import MeasuredCurve
+from calibration.result import CalibrationResult
 from calibration.sensor_noise import SensorNoise
 from tissue_sim import Specimen, find_law
 
@@ -35,21 +36,6 @@ LEVEL = 3.8414588  # 95 % quantile of chi-square with one degree of freedom
 JITTER, ZERO, NOISE = 0.03e-3, 0.01, 0.02
 TRUTH = {"C10": 1404.9, "C20": 699.4}
 SPECIMEN = Specimen(0.04, 0.07, "phantom")
-
-
-@dataclass(frozen=True)
-class Result:
-    """The fields of a calibration's result that the page reads."""
-
-    campaign: Campaign
-    fits: tuple
-    predictions: tuple
-    message: str
-    noise: tuple
-
-    @property
-    def best(self):
-        return self.fits[0]
 
 
 def make_test(name, kind, specimen=SPECIMEN, hold_out=False):
@@ -227,8 +213,9 @@ def campaign():
     told = Campaign(Path("study.toml"), {"phantom": SPECIMEN}, TESTS, settings, Noise(), "ab" * 32)
     noise = tuple(SensorStatement(test=t.name, deviation_N=8.0 if t is STRIP else NOISE, correlation_time_s=0.0,
                                   source="estimated") for t in TESTS)
-    result = Result(told, (best, second), tuple(predictions), "Best by prediction of the tests left out: "
-                    "reduced_polynomial_2.", noise)
+    result = CalibrationResult(
+        told, (best, second), tuple(predictions), "Best by prediction of the tests left out: reduced_polynomial_2.",
+        Path("out"), "cd" * 32, noise=noise)
     curves = {best.law: [curves_of(t, polynomial, near) for t in TESTS],
               second.law: [curves_of(t, mooney, bound) for t in TESTS]}
     return result, curves
