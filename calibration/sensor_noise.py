@@ -100,7 +100,8 @@ def estimate_shared_noise(recordings: Sequence[Signal], *, deviation: float | No
     Args:
         recordings: force, time and segment labels of each; without labels a recording is one segment, and corners in
             its force count as noise where the trend cannot follow them.
-        deviation: N, where it is stated; only the colour is estimated then.
+        deviation: N, where it is stated; only the colour is estimated then, from the shape of the autocorrelation, so
+            that a level which is stated too high or too low makes no colour.
         correlation_time: s (in samples without time), where it is stated, 0 for white; only the level is estimated.
 
     Raises:
@@ -116,9 +117,9 @@ def estimate_shared_noise(recordings: Sequence[Signal], *, deviation: float | No
     if not pieces:
         raise InputError(f"no segment has {FEWEST_SAMPLES} samples, which is too few to estimate the noise from; "
                          "state it", field="noise.force_N")
-    tau, degrees = _select(pieces, deviation, correlation_time)
+    tau, degrees = _select(pieces, correlation_time)
     if correlation_time is None and tau:
-        tau = _refine(pieces, degrees, tau, deviation)
+        tau = _refine(pieces, degrees, tau)
     if deviation is not None:
         return replace(checked, correlation_time=tau)
     squares, freedom, _ = _restricted(pieces, degrees, tau)
@@ -159,7 +160,7 @@ def _pieces(force: np.ndarray, time: np.ndarray | None, segment: Sequence | np.n
     return pieces
 
 
-def _select(pieces: list[_Piece], deviation: float | None, stated: float | None) -> tuple[float, list[int]]:
+def _select(pieces: list[_Piece], stated: float | None) -> tuple[float, list[int]]:
     """Correlation time and degree of each segment's trend with the least BIC."""
     samples = sum(piece.time.size for piece in pieces)
     candidates = [0.0] if stated is None else [stated]
@@ -173,24 +174,22 @@ def _select(pieces: list[_Piece], deviation: float | None, stated: float | None)
         triangles, logarithms = zip(*(piece.triangle(tau) for piece in pieces), strict=True)
         # Sum of squared residuals of each segment for each degree, from 0 up.
         squares = [np.cumsum(R[:, -1][::-1]**2)[::-1][1:] for R in triangles]
-        degrees = _degrees(squares, pieces, deviation)
+        degrees = _degrees(squares, samples)
         total = sum(part[k] for part, k in zip(squares, degrees, strict=True))
-        fit = samples * np.log(max(total / samples, LEAST**2)) if deviation is None else total / deviation**2
         terms = sum(degrees) + (1 if tau and stated is None else 0)
-        criterion = fit + sum(logarithms) + terms * np.log(samples)
+        criterion = samples * np.log(max(total / samples, LEAST**2)) + sum(logarithms) + terms * np.log(samples)
         if criterion < best[0]:
             best = (criterion, float(tau), degrees)
     return best[1], best[2]
 
 
-def _degrees(squares: list[np.ndarray], pieces: list[_Piece], deviation: float | None) -> list[int]:
+def _degrees(squares: list[np.ndarray], samples: int) -> list[int]:
     """Degree of each segment's trend with the least BIC, from the highest down; squares: of each, shape (degrees,)."""
-    samples = sum(piece.time.size for piece in pieces)
     degrees = [part.size - 1 for part in squares]
     while True:
         freedom = samples - sum(k + 1 for k in degrees)
         total = sum(part[k] for part, k in zip(squares, degrees, strict=True))
-        variance = max(total / freedom, LEAST**2) if deviation is None else deviation**2
+        variance = max(total / freedom, LEAST**2)
         lower = [int(np.argmin((part / variance + np.arange(part.size) * np.log(samples))[:k + 1]))
                  for part, k in zip(squares, degrees, strict=True)]
         if lower == degrees:
@@ -210,12 +209,10 @@ def _restricted(pieces: list[_Piece], degrees: list[int], tau: float) -> tuple[f
     return squares, freedom, logarithm
 
 
-def _refine(pieces: list[_Piece], degrees: list[int], tau: float, deviation: float | None) -> float:
+def _refine(pieces: list[_Piece], degrees: list[int], tau: float) -> float:
     """Correlation time with the largest restricted likelihood near a first guess."""
     def criterion(logarithm: float) -> float:
         squares, freedom, determinants = _restricted(pieces, degrees, float(np.exp(logarithm)))
-        if deviation is not None:
-            return squares / deviation**2 + determinants
         return freedom * np.log(max(squares / freedom, LEAST**2)) + determinants
 
     # The restricted likelihood's optimum lies above the likelihood's that chose the guess.

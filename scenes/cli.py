@@ -10,6 +10,7 @@ import os
 import sys
 from collections.abc import Sequence
 
+from calibration.executors import WorkerError
 from scenes.commands import COMMANDS, LATER
 from scenes.parsing import Parser, later_answer
 from tissue_sim import __version__
@@ -34,7 +35,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return code
     except InputError as error:
         return _fail(str(error), BAD_INPUT)
-    except (ConvergenceError, MissingBackendError) as error:
+    except (ConvergenceError, MissingBackendError, WorkerError) as error:
         return _fail(str(error), GOAL_MISSED)
     except BrokenPipeError:
         # The reader of a pipe (head, less) has left: not an error. What is still buffered goes nowhere.

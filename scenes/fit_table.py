@@ -1,118 +1,139 @@
-"""The tables of a calibration on the screen; they fit on 80 columns."""
+"""The results of a calibration on the screen; the tables fit on 80 columns."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from calibration.page import stable_stretches
 from calibration.pressure import format_pressure, pressure_unit
+from calibration.self_weight import statement
+from scenes.text_table import print_sentence, text_table
 from tissue_sim.laws import find_law
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+    from calibration.fit import Fit, Prediction
+    from calibration.result import CalibrationResult
 
-def print_results(answer: dict[str, Any], output: Path, console: Console, *, read_back: Collection[Path] = ()) -> None:
-    """Print the object of ``calibrate --json``: tables for each campaign, remarks, and what was written.
+
+def print_results(results: Sequence[CalibrationResult], output: Path, console: Console) -> None:
+    """Print tables and remarks of each campaign, and what was written.
 
     Args:
-        answer: of `calibration.to_json`, for one campaign or for several.
-        output: folder that the files are in.
+        results: of one call.
+        output: folder that was given in it.
         console: where to print.
-        read_back: folders of campaigns that were finished before, so that nothing was fitted.
     """
-    several = answer.get("campaigns")
-    campaigns = several or [answer]
+    for result in results:
+        print_sentence(console, result.campaign.name)
+        if result.campaign.fit.method == "inverse_fem":
+            from scenes.inverse_fit_table import print_inverse
 
-    def line(text: str) -> None:
-        console.print(text, markup=False, soft_wrap=True)
-
-    for campaign in campaigns:
-        line(campaign["campaign"])
-        console.print(fit_table(campaign))
-        line("* best usable law; dBIC: BIC above it; stable: stretches, in any loading")
-        console.print(parameter_table(campaign))
-        line(campaign["message"])
-        line(campaign["self_weight"])
-        for fit in campaign["fits"]:
-            remarks = [fit["message"]] if fit["unusable"] else fit["warnings"]
-            if remarks:
-                line(f"{fit['law']}: {'; '.join(remarks)}")
-        for prediction in campaign["predictions"]:
-            line(f"held out {prediction['test']}, {prediction['law']}: {_prediction(prediction)}")
-    for folder in [Path(campaign["output"]) for campaign in campaigns]:
-        if folder in read_back:
-            line(f"read back from {folder}, nothing was fitted")
+            print_inverse(result, console)
         else:
-            line(f"wrote {folder / 'report.html'}")
-    if several:
-        line(f"wrote {output / 'summary.csv'}")
+            _print_analytical(result, console)
+    for result in results:
+        if result.resumed:
+            _print_path(console, f"read back from {result.output}, nothing was fitted")
+        else:
+            _print_path(console, f"wrote {result.output / 'report.html'}")
+    if len(results) > 1:
+        _print_path(console, f"wrote {output / 'summary.csv'}")
 
 
-def fit_table(campaign: dict[str, Any]) -> Table:
-    """A rich table of the ranking: one row a law, pressures in the unit that suits the first."""
-    best = campaign["fits"][0]
-    E0, mu0 = pressure_unit(best["E0_Pa"]), pressure_unit(best["mu0_Pa"])
-    error_key, error = ("RMSE_N", ("N", 1.0)) if best["RMSE_N"] is not None else \
-        ("RMSE_Pa", pressure_unit(best["RMSE_Pa"]))
-    table = _table("law", f"E0 {E0[0]}", f"mu0 {mu0[0]}", "R2", f"RMSE {error[0]}", "dBIC", "stable")
-    for fit in campaign["fits"]:
-        # Without a usable law there is a first one, and no best.
-        first = fit is best and fit["unusable"] is None
-        table.add_row(f"{fit['law']}{' *' if first else ''}", f"{fit['E0_Pa'] / E0[1]:.4g}",
-                      f"{fit['mu0_Pa'] / mu0[1]:.4g}", _share(fit["R2"]), f"{fit[error_key] / error[1]:.4g}",
-                      "-" if fit["unusable"] else f"{fit['BIC'] - best['BIC']:.4g}", _stretches(fit),
-                      style="bold" if first else None)
+def _print_path(console: Console, text: str) -> None:
+    console.print(text, markup=False, emoji=False, soft_wrap=True)
+
+
+def _print_analytical(result: CalibrationResult, console: Console) -> None:
+    console.print(_ranking_table(result.fits))
+    print_sentence(console, "* best usable law; dBIC: BIC above it; stable: stretches, in any loading")
+    console.print(_parameter_table(result.fits))
+    print_sentence(console, result.message)
+    print_sentence(console, statement(result.campaign, result.best))
+    for fit in result.fits:
+        print_remarks(fit, console)
+    for prediction in result.predictions:
+        print_sentence(console, f"held out {prediction.test}, {prediction.law}: {_prediction(prediction)}")
+
+
+def print_remarks(fit: Fit, console: Console) -> None:
+    """What to mind about a fit, in a sentence; nothing where there is nothing."""
+    remarks = [fit.message] if fit.unusable else fit.warnings
+    if remarks:
+        print_sentence(console, f"{fit.law}: {'; '.join(remarks)}")
+
+
+def _ranking_table(fits: Sequence[Fit]) -> Table:
+    """One row a law, pressures in the unit that suits the first."""
+    best = fits[0]
+    E0, mu0 = pressure_unit(best.E0), pressure_unit(best.mu0)
+    unit, size = error_unit(best)
+    table = text_table("law", f"E0 {E0[0]}", f"mu0 {mu0[0]}", "R2", f"RMSE {unit}", "dBIC", "stable")
+    for fit in fits:
+        error = fit.RMSE_N if unit == "N" else fit.RMSE_Pa
+        table.add_row(ranked_name(fit, best), f"{fit.E0 / E0[1]:.4g}", f"{fit.mu0 / mu0[1]:.4g}",
+                      share_of_variance(fit), f"{error / size:.4g}",
+                      "-" if fit.unusable else f"{fit.BIC - best.BIC:.4g}", stable_stretches(fit),
+                      style=ranked_style(fit, best))
     return table
 
 
-def parameter_table(campaign: dict[str, Any]) -> Table:
-    """A rich table of the parameters and their standard errors, in the order of the ranking."""
-    table = _table("law", "parameter", "value ± standard error")
-    table.columns[1].justify = table.columns[2].justify = "left"
-    for fit in campaign["fits"]:
-        units = find_law(fit["law"]).units
-        for i, (name, value) in enumerate(fit["parameters"].items()):
-            table.add_row(fit["law"] if i == 0 else "", name, _value(fit, name, value, units[name] != "1"))
+def error_unit(best: Fit) -> tuple[str, float]:
+    """Unit of the root mean square errors of a ranking, and its size in SI; a force where all tests have one."""
+    return ("N", 1.0) if best.RMSE_N is not None or best.RMSE_Pa is None else pressure_unit(best.RMSE_Pa)
+
+
+def ranked_name(fit: Fit, best: Fit) -> str:
+    """The law, with a star where it is the best usable one: without a usable law there is a first one, and no best."""
+    return f"{fit.law} *" if fit is best and fit.unusable is None else fit.law
+
+
+def ranked_style(fit: Fit, best: Fit) -> str | None:
+    """Style of a row of the ranking."""
+    return "bold" if fit is best and fit.unusable is None else None
+
+
+def share_of_variance(fit: Fit) -> str:
+    """R2."""
+    return f"{fit.R2:.5f}" if fit.R2 > -1 else f"{fit.R2:.3g}"
+
+
+def _parameter_table(fits: Sequence[Fit]) -> Table:
+    """The parameters and their standard errors, in the order of the ranking."""
+    table = text_table("law", "parameter", "value ± standard error", text=3)
+    for fit in fits:
+        units = find_law(fit.law).units
+        for i, (name, value) in enumerate(fit.parameters.items()):
+            table.add_row(fit.law if i == 0 else "", name, _value(fit, name, value, units[name] != "1"))
     return table
 
 
-def _table(*headings: str) -> Table:
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
-    for i, heading in enumerate(headings):
-        table.add_column(heading, no_wrap=True, justify="left" if i == 0 else "right")
-    return table
-
-
-def _share(R2: float) -> str:
-    return f"{R2:.5f}" if R2 > -1 else f"{R2:.3g}"
-
-
-def _stretches(fit: dict[str, Any]) -> str:
-    if fit["mu0_Pa"] <= 0 or fit["stable_from"] >= fit["stable_to"]:
-        return "nowhere"
-    return f"{fit['stable_from']:.3g} to {fit['stable_to']:.3g}"
-
-
-def _value(fit: dict[str, Any], name: str, value: float, pressure: bool) -> str:
+def _value(fit: Fit, name: str, value: float, pressure: bool) -> str:
     """A parameter with its standard error, or why it has none."""
-    error = fit["standard_errors"].get(name)
+    error = fit.standard_errors.get(name)
     spread = error or None
     if pressure:
         text = format_pressure(value, error=spread)
     else:
         text = f"{value:.5g}" if spread is None else f"{value:.5g} ± {spread:.2g}"
+    return f"{text}{remark_on_error(fit, name)}"
+
+
+def remark_on_error(fit: Fit, name: str) -> str:
+    """Why a parameter has no standard error, in brackets; empty where it has one."""
+    error = fit.standard_errors.get(name)
     if error is None:
-        return f"{text} ({'on its bound' if name in fit['on_bound'] else 'not determined'})"
-    return text if error else f"{text} (fixed)"
+        return f" ({'on its bound' if name in fit.on_bound else 'not determined'})"
+    return "" if error else " (fixed)"
 
 
-def _prediction(prediction: dict[str, Any]) -> str:
-    if prediction["percent"] is None:
+def _prediction(prediction: Prediction) -> str:
+    if prediction.percent is None:
         return "the law does not carry the specimen so far"
-    force = "" if prediction["RMSE_N"] is None else f"RMSE {prediction['RMSE_N']:.3g} N, "
-    return f"{force}{prediction['percent']:.2g} % of the largest stress"
+    force = "" if prediction.RMSE_N is None else f"RMSE {prediction.RMSE_N:.3g} N, "
+    return f"{force}{prediction.percent:.2g} % of the largest stress"

@@ -1,6 +1,7 @@
 """House rules that a machine can hold: who imports whom, encodings, lengths, names."""
 
 import ast
+import importlib
 import subprocess
 import sys
 import zipfile
@@ -114,3 +115,11 @@ def test_wheel_holds_exactly_the_four_packages(tmp_path):
     assert {name for name in places if name.endswith(".py")} == {place(path) for path in SOURCES}
     assert entry_points.split() == ["[console_scripts]", "tissue-sim", "=", "scenes.cli:main"]
     assert not list((ROOT / "tests").rglob("__init__.py"))
+
+
+def test_no_public_name_is_also_a_module():
+    """Importing the module would put it in the place of what the package names so."""
+    for package in ("tissue_sim", "calibration"):
+        names = set(importlib.import_module(package).__all__)
+        modules = {path.stem for path in (ROOT / package).iterdir()}
+        assert not names & modules - {"laws"}, package

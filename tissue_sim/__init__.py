@@ -20,7 +20,7 @@ _HOMES = {
     "read_recording": "recording_file", "read_recordings": "recording_file", "write_recording": "recording_file",
     "MaterialFile": "material_file", "load_material": "material_file", "read_material_file": "material_file",
     "write_material_file": "material_file",
-    "Sensitivities": "sensitivities", "sensitivities": "sensitivities",
+    "Sensitivities": "differentiation", "sensitivities": "differentiation",
     "simulate": "simulation", "Fields": "fem.fields",
     "LAWS": "laws", "find_law": "laws", "register": "laws", "check_stability": "laws",
     "ConvergenceError": "errors", "InputError": "errors", "MissingBackendError": "errors",

@@ -63,8 +63,10 @@ def build_test(test: Test, curves: Sequence[MeasuredCurve], space: ParameterSpac
     deepest = max(curve.displacement.max() for curve in curves)
     depth = min(deepest + max(_MARGIN * contact, _LEAST_MARGIN * deepest), 0.999 * test.specimen.height)
     speed = float(np.median([curve.speed or STUDY_SPEED for curve in curves]))
-    pointed = test.setup.tool.face_radius == 0
-    motion = Loading.to(float(depth), max(speed, 1e-9), pointed=pointed)
+    setup = test.setup
+    slides = any(isinstance(value, float) for value in (setup.friction, setup.friction_base, setup.friction_wall))
+    smooth = setup.tool.shape == "plate" or (setup.tool.shape == "flat" and not setup.tool.edge_radius and not slides)
+    motion = Loading.to(float(depth), max(speed, 1e-9), smooth=smooth)
     return SimulatedTest(test.name, test.specimen, test.setup, (motion,), (0,) * len(curves), curves)
 
 

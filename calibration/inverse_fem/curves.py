@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy import stats
@@ -43,7 +44,7 @@ def _curves_of(problem: Problem, theta: np.ndarray, spread: Uncertainty, test: S
     answer = test.solve(problem.space, theta, problem.solves)
     # The path is that of a recording without scatter, seen by the same test.
     path = _path(test)
-    seen = type(test)(**{**vars(test), "measured": (path,)})
+    seen = replace(test, measured=(path,))
     force, rates, contact = seen.evaluate(answer, 0, 0.0)
     variance = np.einsum("np,pq,nq->n", rates, spread.covariance, rates) + (mesh_error * force)**2
     new = variance + first.noise.deviation**2 + (problem.jitter.contact * contact)**2 + problem.jitter.zero**2

@@ -21,8 +21,6 @@ SETTLED, SAFETY = 5e-4, 5.0
 #: The same for a change of the jitter, relative.
 JITTER_SETTLED = 0.05
 MOST_REFRESHES = 8
-#: Of the sum of squares; of 1000 samples at the noise it is a thirtieth of a standard error.
-TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +80,7 @@ def settle(problem: Problem, theta: np.ndarray, stated: Stated, start: int = 1, 
         if None in (stated.contact, stated.zero):
             _estimate_jitter(problem, theta, stated)
         problem.forget()
-        descent = descend(problem, theta, start=start, corrected=True, tolerance=TOLERANCE, listen=listen,
+        descent = descend(problem, theta, start=start, corrected=True, listen=listen,
                           past=past + len(history))
         history += descent.history
         if not np.isfinite(descent.error):

@@ -5,24 +5,25 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from calibration.campaign_setup import Setup
-from calibration.inverse_fem.motion import Loading, Timed
+from calibration.inverse_fem.motion import Course, Loading, Timed
 from calibration.inverse_fem.parameters import ParameterSpace
 from calibration.inverse_fem.solves import SimulatedCurve, Solves, content_key
 from calibration.measured import MeasuredCurve
+from tissue_sim.differentiation import sensitivities
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment import Experiment, Model, Specimen
 from tissue_sim.recording import Recording
 from tissue_sim.rig import Rig
-from tissue_sim.sensitivities import sensitivities
 from tissue_sim.simulation import simulate
 from tissue_sim.uniaxial_history import nominal_stress_history, shear_stress_history
 
-#: Width of a difference with the contact offset, as a part of the travel.
-_OFFSET_WIDTH = 1e-3
+#: What of a rig acts on readings.
+_READING = ("guide_friction", "rate_damping", "latency", "sensor_gain", "zero_offset", "sensor_drift")
 
 
 class InfeasibleError(RuntimeError):
@@ -63,8 +64,8 @@ class SimulatedTest:
         """Whether every mesh is exact."""
         return self._experiment(self.motions[0]).homogeneous
 
-    def solve(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> list[np.ndarray]:
-        """Force and derivatives at the knots of each motion, shape (k, 1 + p), with the correction.
+    def solve(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> list[Course]:
+        """The course of force and derivatives, (n, 1 + p), along each motion, with the correction.
 
         Raises:
             InfeasibleError: no such material, or no convergence.
@@ -75,7 +76,7 @@ class SimulatedTest:
             force, rates = self._simulated(space, values, solves, motion, "fast")
             if self.correction:
                 force = force + self.correction[number]
-            answer.append(np.column_stack([force, rates]))
+            answer.append(motion.through(np.column_stack([force, rates])))
         return answer
 
     def refine(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> float:
@@ -87,17 +88,12 @@ class SimulatedTest:
         Raises:
             InfeasibleError: the accurate mesh does not get through.
         """
-        if self.homogeneous:
-            self.correction = [np.zeros(motion.protocol.time.size) for motion in self.motions]
-            return 0.0
         values, found, largest = space.values(theta), [], 0.0
-        for motion in self.motions:
+        for motion in () if self.homogeneous else self.motions:
             fast, _ = self._simulated(space, values, solves, motion, "fast")
-            knots = motion.coarse
             accurate, _ = self._simulated(space, values, solves, motion, "accurate")
-            difference = accurate - fast[knots]
-            largest = max(largest, float(np.abs(difference).max() / np.abs(accurate).max()))
-            found.append(motion.spread(difference, knots))
+            found.append(accurate - fast)
+            largest = max(largest, float(np.abs(found[-1]).max() / np.abs(accurate).max()))
         self.correction = found
         return largest
 
@@ -107,13 +103,8 @@ class SimulatedTest:
         factor = 1.0
         if self.proportional:
             values, factor = space.normalised(values)
-        protocol = motion.protocol
-        names: Sequence[str] = space.free
-        if resolution == "accurate":
-            knots = motion.coarse
-            protocol = type(protocol)(protocol.time[knots], protocol.displacement[knots])
-            names = ()
-        experiment = self.setup.experiment(self.specimen, protocol)
+        names: Sequence[str] = () if resolution == "accurate" else space.free
+        experiment = self.setup.experiment(self.specimen, motion.protocol)
         key = content_key(experiment, self.rig.motion_only, space.law, values, space.bulk, list(names), resolution)
         curve = solves.find(key)
         if curve is None:
@@ -126,39 +117,29 @@ class SimulatedTest:
         scale = np.array([1.0 if self.proportional and space.is_modulus(name) else factor for name in names])
         return force, np.array(curve.rates).reshape(force.size, len(names)) * scale
 
-    def evaluate(self, answer: list[np.ndarray], recording: int, offset: float):
+    def evaluate(self, answer: list[Course], recording: int, offset: float):
         """Force (n,), derivatives (n, p) and derivative with the contact offset (n,) at the samples of a recording."""
         measured, number = self.measured[recording], self.motion_of[recording]
-        motion, columns = self.motions[number], answer[number]
-        time = measured.time
+        motion, time = self.motions[number], measured.time
         if isinstance(motion, Timed):
-            columns = np.column_stack([columns, _offset_rate(motion, columns[:, 0])])
             # Motions that count as one may have begun at different times of their clocks.
             time = time - measured.time[0] + motion.sampled_from
-        values, rate = motion.evaluate(columns, time, measured.displacement, offset)
+        values, rate = answer[number](time, measured.displacement, offset)
         force, gain = values[:, 0], 1.0 + self.rig.sensor_gain
-        reading = Rig(**{name: getattr(self.rig, name) for name in _READING})
-        if not reading.ideal:
+        if not self.reading.ideal:
             channels = {"displacement": measured.displacement, "force": force}
             if measured.time is not None:
                 channels["time"] = measured.time
-            force = reading.read(Recording(channels)).force
+            force = self.reading.read(Recording(channels)).force
         return force, gain * values[:, 1:], gain * rate
+
+    @cached_property
+    def reading(self) -> Rig:
+        """The rig as far as it reads forces."""
+        return Rig(**{name: getattr(self.rig, name) for name in _READING})
 
     def _experiment(self, motion: Loading | Timed) -> Experiment:
         return self.setup.experiment(self.specimen, motion.protocol)
-
-
-#: What of a rig acts on readings.
-_READING = ("guide_friction", "rate_damping", "latency", "sensor_gain", "zero_offset", "sensor_drift")
-
-
-def _offset_rate(motion: Timed, force: np.ndarray) -> np.ndarray:
-    """d(force)/d(contact offset) at the knots, by the loading curve and what history has made of it."""
-    recording = Recording({"time": motion.time, "displacement": motion.displacement, "force": force})
-    width = _OFFSET_WIDTH * np.ptp(motion.displacement)
-    more, less = (Rig(contact_offset=offset).apply(recording).force for offset in (width, -width))
-    return (more - less) / (2 * width)
 
 
 def _simulate(space: ParameterSpace, values: dict[str, float], experiment: Experiment, rig: Rig,

@@ -10,10 +10,10 @@ from calibration.fit import Direction, Suggestion
 from calibration.inverse_fem.parameters import ParameterSpace
 from calibration.inverse_fem.problem import Problem
 from calibration.inverse_fem.uncertainty import Uncertainty
+from tissue_sim.differentiation import sensitivities
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment import Experiment, Model, Specimen
 from tissue_sim.protocol import STUDY_SPEED, Protocol
-from tissue_sim.sensitivities import sensitivities
 from tissue_sim.tool import Tool
 
 #: A combination whose relative standard error is larger than this is poorly told.

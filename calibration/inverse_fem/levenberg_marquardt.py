@@ -16,6 +16,9 @@ from calibration.inverse_fem.problem import Evaluation, Problem
 
 #: A step that lowers the sum of squares by less than this share of it ends the descent.
 TOLERANCE = 1e-7
+#: A step that would lower the sum of squares by less than this is not made: it is a fraction sqrt(ENOUGH) of a standard
+#: error. A start is only to tell its minimum from others.
+ENOUGH, ENOUGH_OF_A_START = 1e-3, 3e-2
 MOST_SOLVES = 60
 
 Listener = Callable[[Iteration], None]
@@ -44,8 +47,10 @@ class Descent:
 class _Outer:
     """The problem as scipy sees it, in parameters relative to the start."""
 
-    def __init__(self, problem: Problem, scale: np.ndarray, free: np.ndarray, base: np.ndarray, note: Callable):
+    def __init__(self, problem: Problem, scale: np.ndarray, free: np.ndarray, base: np.ndarray, note: Callable,
+                 enough: float):
         self.problem, self.scale, self.free, self.base, self.note = problem, scale, free, base, note
+        self.enough = enough
         self.failure = ""
 
     def theta(self, u: np.ndarray) -> np.ndarray:
@@ -65,13 +70,29 @@ class _Outer:
         return residual
 
     def jacobian(self, u: np.ndarray) -> np.ndarray:
-        return self.problem.evaluate(self.theta(u)).projected[1][:, self.free] * self.scale[self.free]
+        theta = self.theta(u)
+        evaluation = self.problem.evaluate(theta)
+        residual, jacobian = evaluation.projected
+        jacobian = jacobian[:, self.free] * self.scale[self.free]
+        # What the best step would still gain; it is not worth a solve when it does not count.
+        gain = float(np.sum((jacobian @ np.linalg.lstsq(jacobian, residual, rcond=1e-12)[0])**2))
+        if gain < self.enough * max(1.0, evaluation.error / self.problem.samples):
+            raise _SettledError(theta, evaluation.error)
+        return jacobian
 
     size = 1
 
 
+class _SettledError(Exception):
+    """The minimum is as near as it matters."""
+
+    def __init__(self, theta: np.ndarray, error: float):
+        super().__init__()
+        self.theta, self.error = theta, error
+
+
 def descend(problem: Problem, theta: np.ndarray, *, start: int = 1, held: int | None = None,
-            corrected: bool = False, tolerance: float = TOLERANCE, listen: Listener | None = None,
+            corrected: bool = False, enough: float = ENOUGH, listen: Listener | None = None,
             past: int = 0) -> Descent:
     """Trust-region Levenberg-Marquardt from `theta`.
 
@@ -81,8 +102,8 @@ def descend(problem: Problem, theta: np.ndarray, *, start: int = 1, held: int | 
     Args:
         problem: what to fit. theta: start, SI, shape (p,).
         start: number for the history. held: index of a parameter that stays where it is.
-        corrected: whether the difference to the accurate mesh is in; for the history.
-        tolerance: relative, of the sum of squares.
+        corrected: whether the difference to the accurate mesh is in.
+        enough: gain in the sum of squares, in units of the noise or the residuals, that is not worth a solve.
         listen: called after each solve. past: solves of this start so far.
 
     Source: scipy's trust region reflective method, see `calibration.uniaxial.fit_law`; the step is that of Levenberg
@@ -119,11 +140,14 @@ def descend(problem: Problem, theta: np.ndarray, *, start: int = 1, held: int | 
     if not free.size:
         return done(theta, evaluation.error, True, "")
     scale = space.sizes(space.values(theta))
-    outer = _Outer(problem, scale, free, theta, note)
-    result = least_squares(
-        outer.residual, theta[free] / scale[free], outer.jacobian,
-        bounds=(space.low[free] / scale[free], space.high[free] / scale[free]), x_scale="jac", ftol=tolerance,
-        xtol=tolerance, gtol=1e-14, max_nfev=MOST_SOLVES)
+    outer = _Outer(problem, scale, free, theta, note, enough)
+    try:
+        result = least_squares(
+            outer.residual, theta[free] / scale[free], outer.jacobian,
+            bounds=(space.low[free] / scale[free], space.high[free] / scale[free]), x_scale="jac", ftol=TOLERANCE,
+            xtol=TOLERANCE, gtol=1e-14, max_nfev=MOST_SOLVES)
+    except _SettledError as settled:
+        return done(settled.theta, settled.error, True, "")
     theta = outer.theta(result.x)
     failure = "" if result.status > 0 else \
         f"no minimum after {MOST_SOLVES} solves{f'; {outer.failure}' if outer.failure else ''}"

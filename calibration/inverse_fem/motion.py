@@ -2,19 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from tissue_sim.protocol import Protocol
+from tissue_sim.recording import Recording
+from tissue_sim.rig import Rig
 
-#: Steps of a way as long as the largest depth; of a pointed tool they grow with the power of the depth.
-LOADING_STEPS, POINTED_POWER = 20, 1.5
+#: Steps to the largest depth where the force is smooth: a cubic through them errs by 2e-6 of the largest force between
+#: plates and by 8e-5 under a flat needle.
+SMOOTH_STEPS = 8
+#: Steps where tissue slides or rolls onto the tool, and how they grow: knots at shares^power of the depth. Friction
+#: remembers its way, and its first part needs the shorter steps.
+SLIDING_STEPS, SLIDING_POWER = 20, 1.5
+#: Steps of a motion in several directions, to its travel.
+TIMED_STEPS = 20
 #: A recorded motion is made of straight lines within this part of its travel.
 STRAIGHT = 3e-3
 #: Of a hold: the first step as a part of it, and how much longer each step is than the one before.
 _HOLD_FIRST, _HOLD_GROWTH = 0.01, 1.6
+
+
+#: Rounding of the corner of the force at the touch, as a part of the depth: it raises the force there by what it is
+#: after a quarter of this.
+_TOUCH_WIDTH = 1e-3
+#: Width of a difference with the contact offset, as a part of the travel.
+_OFFSET_WIDTH = 1e-3
+
+#: Columns at samples, shape (n, m), and the derivative of the first with the contact offset, shape (n,), from the
+#: samples' time (s) and displacement (m), shape (n,), and the offset (m).
+Course = Callable[[np.ndarray | None, np.ndarray, float], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,41 +49,31 @@ class Loading:
     speed: float
 
     @classmethod
-    def to(cls, depth: float, speed: float, *, pointed: bool, steps: int = LOADING_STEPS) -> Loading:
-        """Knots from rest to `depth`, m; closer at the touch for a tool that is `pointed`."""
-        share = np.linspace(0.0, 1.0, steps + 1)
-        return cls(depth * (share**POINTED_POWER if pointed else share), speed)
+    def to(cls, depth: float, speed: float, *, smooth: bool) -> Loading:
+        """Knots from rest to `depth`, m; few where the force is `smooth`, closer at the touch where it is not."""
+        if smooth:
+            return cls(np.linspace(0.0, depth, SMOOTH_STEPS + 1), speed)
+        return cls(depth * np.linspace(0.0, 1.0, SLIDING_STEPS + 1)**SLIDING_POWER, speed)
 
     @property
     def protocol(self) -> Protocol:
         return Protocol(self.depth / self.speed, self.depth)
 
-    @property
-    def coarse(self) -> np.ndarray:
-        """Every other knot, the last included: enough for a difference of two meshes."""
-        return np.unique([*range(0, self.depth.size, 2), self.depth.size - 1])
-
-    def spread(self, values: np.ndarray, knots: np.ndarray) -> np.ndarray:
-        """Values at some knots, shape (j, ...), interpolated to all, shape (k, ...)."""
-        return _spline(self.depth[knots], values)(self.depth)
-
-    def evaluate(self, columns: np.ndarray, time: np.ndarray | None, displacement: np.ndarray,
-                 offset: float) -> tuple[np.ndarray, np.ndarray]:
-        """Columns at samples when the tool touches at `offset`, and the derivative of the first with the offset.
-
-        Args:
-            columns: force and what else belongs to it at the knots, shape (k, m).
-            time: not needed. displacement: of the samples, m, shape (n,). offset: m.
-
-        Returns:
-            Shapes (n, m) and (n,); nothing is felt before the touch.
-        """
-        depth = displacement - offset
+    def through(self, columns: np.ndarray) -> Course:
+        """The course of force and what else belongs to it, given at the knots, shape (k, m)."""
         spline = _spline(self.depth, columns)
-        touched = (depth > 0.0)[:, None]
-        inside = np.maximum(depth, 0.0)
-        slope = spline(inside, 1)[:, 0]
-        return np.where(touched, spline(inside), 0.0), -np.where(touched[:, 0], slope, 0.0)
+        slope = spline.derivative()
+
+        def course(time: np.ndarray | None, displacement: np.ndarray, offset: float) -> tuple[np.ndarray, np.ndarray]:
+            depth = displacement - offset
+            # Nothing is felt before the touch. The corner there is rounded, so that an offset which lets a sample pass
+            # it to and fro still has a best value.
+            width = _TOUCH_WIDTH * self.depth[-1]
+            root = np.hypot(depth, width)
+            inside = 0.5 * (depth + root)
+            return spline(inside), -slope(inside)[:, 0] * inside / root
+
+        return course
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +91,7 @@ class Timed:
     sampled_from: float
 
     @classmethod
-    def of(cls, time: np.ndarray, displacement: np.ndarray, *, steps: int = LOADING_STEPS) -> Timed:
+    def of(cls, time: np.ndarray, displacement: np.ndarray, *, steps: int = TIMED_STEPS) -> Timed:
         """Knots of a recorded motion, shapes (n,): its straight parts, in steps of 1/`steps` of the travel.
 
         The time of the touch is extrapolated where the recording starts below it.
@@ -109,15 +119,6 @@ class Timed:
     def protocol(self) -> Protocol:
         return Protocol(self.time - self.time[0], self.displacement)
 
-    @property
-    def coarse(self) -> np.ndarray:
-        """All knots: the way between them matters."""
-        return np.arange(self.time.size)
-
-    def spread(self, values: np.ndarray, knots: np.ndarray) -> np.ndarray:
-        """Values at all knots, as they are."""
-        return values
-
     def like(self, other: Timed) -> bool:
         """Whether it is the same motion, within what is straight."""
         if self.legs != other.legs:
@@ -127,23 +128,35 @@ class Timed:
                     and np.abs(self.time - self.time[0] - other.time + other.time[0]).max()
                     <= STRAIGHT * np.ptp(self.time))
 
-    def evaluate(self, columns: np.ndarray, time: np.ndarray, displacement: np.ndarray,
-                 offset: float) -> tuple[np.ndarray, np.ndarray]:
-        """As `Loading.evaluate`; the last column is the derivative of the force with the offset, and is taken away.
-
-        Args:
-            columns: shape (k, m + 1). time: s, since the start of the motion is that of the knots, shape (n,).
-        """
-        values = np.empty((time.size, columns.shape[1]))
-        ends = self.time[[last for _, last in self.legs[:-1]]]
-        leg_of = np.searchsorted(ends, time, side="left")
+    def through(self, columns: np.ndarray) -> Course:
+        """As `Loading.through`; times are those of the clock of the recording whose motion it is."""
         travel = np.ptp(self.displacement)
-        for number, (first, last) in enumerate(self.legs):
-            mine, part = leg_of == number, slice(first, last + 1)
+        columns = np.column_stack([columns, self._offset_rate(columns[:, 0])])
+        parts = []
+        for first, last in self.legs:
+            part = slice(first, last + 1)
             moving = abs(self.displacement[last] - self.displacement[first]) > 2 * STRAIGHT * travel
-            clipped = np.clip(time[mine], self.time[first], self.time[last])
-            values[mine] = (_spline if moving else _monotone)(self.time[part], columns[part])(clipped)
-        return values[:, :-1] + offset * np.eye(1, columns.shape[1] - 1) * values[:, -1:], values[:, -1]
+            parts.append((_spline if moving else _monotone)(self.time[part], columns[part]))
+        ends = self.time[[last for _, last in self.legs[:-1]]]
+
+        def course(time: np.ndarray, displacement: np.ndarray, offset: float) -> tuple[np.ndarray, np.ndarray]:
+            values = np.empty((time.size, columns.shape[1]))
+            leg_of = np.searchsorted(ends, time, side="left")
+            for number, ((first, last), interpolant) in enumerate(zip(self.legs, parts, strict=True)):
+                mine = leg_of == number
+                values[mine] = interpolant(np.clip(time[mine], self.time[first], self.time[last]))
+            rate = values[:, -1]
+            values[:, 0] += offset * rate
+            return values[:, :-1], rate
+
+        return course
+
+    def _offset_rate(self, force: np.ndarray) -> np.ndarray:
+        """d(force)/d(contact offset) at the knots, by the loading curve and what history has made of it."""
+        recording = Recording({"time": self.time, "displacement": self.displacement, "force": force})
+        width = _OFFSET_WIDTH * np.ptp(self.displacement)
+        more, less = (Rig(contact_offset=offset).apply(recording).force for offset in (width, -width))
+        return (more - less) / (2 * width)
 
 
 def label_segments(time: np.ndarray, displacement: np.ndarray) -> np.ndarray:

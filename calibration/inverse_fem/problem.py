@@ -14,8 +14,9 @@ from calibration.inverse_fem.solves import Solves
 from calibration.jitter import Jitter, WhitenedReplicate
 from calibration.sensor_noise import whiten
 
-#: Offsets are found by this many linear steps; the force is almost a straight line over their size.
-_OFFSET_STEPS = 3
+#: Offsets are found by this many linear steps at most, to this share of their standard deviation; the force is almost
+#: a straight line over their size.
+_OFFSET_STEPS, _OFFSET_SETTLED = 10, 3e-4
 #: Smooth shapes of the error that the accurate mesh is left with: constant and linear along the way.
 MESH_MODES = 2
 
@@ -136,18 +137,22 @@ class Problem:
         if self._last is not None and np.array_equal(self._last.theta, theta):
             return self._last
         answers = [test.solve(self.space, theta, self.solves) for test in self.tests]
-        nuisances = np.zeros(self.nuisances)
-        steps = _OFFSET_STEPS if "contact" in self.kinds else 1
-        for _ in range(steps):
+        # Near the last place the nuisances are near those there.
+        nuisances = self._last.nuisances if self._last is not None else np.zeros(self.nuisances)
+        best, change, share = np.inf, np.zeros_like(nuisances), 1.0
+        for _ in range(_OFFSET_STEPS):
             residual, rates, columns, force = self._linearise(answers, nuisances)
-            change = np.zeros_like(nuisances)
-            if nuisances.size:
-                matrix = np.eye(nuisances.size) + columns.T @ columns
-                change = -cho_solve(cho_factor(matrix), columns.T @ residual + nuisances)
-            nuisances = nuisances + change
-            residual = residual + columns @ change
-            if "contact" not in self.kinds or np.abs(change).max() < 1e-3:
+            error = residual @ residual + nuisances @ nuisances
+            if error > best:
+                share *= 0.5
+                nuisances = nuisances - share * change
+                continue
+            best, share = error, 1.0
+            matrix = np.eye(nuisances.size) + columns.T @ columns
+            change = -cho_solve(cho_factor(matrix), columns.T @ residual + nuisances)
+            if np.abs(change).max(initial=0.0) < _OFFSET_SETTLED:
                 break
+            nuisances = nuisances + change
         prior = np.flatnonzero(np.isfinite(self.space.prior_deviation))
         deviation = self.space.prior_deviation[prior]
         prior_rates = np.zeros((prior.size, theta.size))

@@ -19,7 +19,7 @@ from calibration.inverse_fem.build import REMAINDERS, build_problem, build_test,
 from calibration.inverse_fem.checks import check_start
 from calibration.inverse_fem.estimate import Estimate, Stated, settle
 from calibration.inverse_fem.forces import InfeasibleError
-from calibration.inverse_fem.levenberg_marquardt import Descent, Listener, descend
+from calibration.inverse_fem.levenberg_marquardt import ENOUGH_OF_A_START, Descent, Listener, descend
 from calibration.inverse_fem.problem import Problem
 from calibration.inverse_fem.profiles import ProfileSide, profile_side
 from calibration.inverse_fem.ranking import rank, ranking_message
@@ -193,7 +193,7 @@ class InverseWork:
 
 def run_start(problem: Problem, number: int, theta: np.ndarray, listen: Listener | None = None) -> Descent:
     """From one start to its minimum on the fast mesh."""
-    return descend(problem, theta, start=number, listen=listen)
+    return descend(problem, theta, start=number, enough=ENOUGH_OF_A_START, listen=listen)
 
 
 def run_settle(problem: Problem, best: Descent, stated: Stated, listen: Listener | None = None) -> Estimate:

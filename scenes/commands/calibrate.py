@@ -5,46 +5,74 @@ from __future__ import annotations
 from pathlib import Path
 
 from scenes.console import print_json, progress_console, results_console
-from scenes.parsing import Parser, add_json, add_overwrite
+from scenes.parsing import Parser, add_json, add_overwrite, at_least
 
 SUMMARY = "fit strain-energy laws to the recordings of one or more campaigns"
-EXAMPLE = "tissue-sim calibrate campaign.toml -o results"
+EXAMPLE = "tissue-sim calibrate campaign.toml -o results --workers 4"
 
 
 def add_arguments(parser: Parser) -> None:
     parser.add_argument("campaigns", type=Path, nargs="+", metavar="CAMPAIGN.toml", help="campaign files")
     parser.add_argument("-o", dest="output", type=Path, required=True, metavar="OUT",
                         help="folder of material files, tables and the report; resumed when it holds the same work")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=at_least(1), default=1, metavar="N",
+                       help="processes that share starts, profiles, laws and left-out tests of inverse fits (default: "
+                            "this one)")
+    where.add_argument("--dask", metavar="ADDRESS",
+                       help="the same on a running dask cluster: tcp://HOST:PORT, or the file of its scheduler")
     add_overwrite(parser)
     add_json(parser)
     parser.set_defaults(run=run, resume_hint="no campaign was finished: run the same command to start again")
 
 
 def run(arguments) -> int:
-    from calibration import calibrate, to_json
+    from calibration import Workers, calibrate, to_json
+    from scenes.calibration_progress import CalibrationProgress
 
+    before = _claim_on(arguments.output)
     try:
-        with progress_console(quiet=arguments.json).status("calibrating") as status:
+        with CalibrationProgress(progress_console(quiet=arguments.json), len(arguments.campaigns)) as progress:
             results = calibrate(arguments.campaigns, arguments.output, overwrite=arguments.overwrite,
-                                progress=status.update)
+                                progress=progress.say, listen=progress.listen,
+                                workers=Workers(arguments.workers, arguments.dask))
     except KeyboardInterrupt:
-        if _finished(arguments):
-            arguments.resume_hint = "campaigns that were finished are kept: run the same command to go on"
+        # With --overwrite, results of other work may still be there, untouched.
+        if not arguments.overwrite or _claim_on(arguments.output) != before:
+            arguments.resume_hint = _resume_hint(arguments)
         raise
     if arguments.json:
         print_json(to_json(results))
     else:
         from scenes.fit_table import print_results
 
-        print_results(to_json(results), arguments.output, results_console(),
-                      read_back=[result.output for result in results if result.resumed])
+        print_results(results, arguments.output, results_console())
     # The goal is a material that a simulator can use: a usable fit at the top of each ranking.
     return 0 if all(result.best.status == "converged" for result in results) else 1
 
 
-def _finished(arguments) -> bool:
-    """Whether the folder holds a finished campaign of this call."""
+def _claim_on(output: Path) -> tuple[int, int] | None:
+    """Which file says what work a folder holds."""
+    try:
+        found = (output / "work.json").stat()
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_ino
+
+
+def _resume_hint(arguments) -> str:
+    """What an interrupted call leaves, and how to go on with it."""
     folders = [arguments.output]
     if len(arguments.campaigns) > 1:
         folders = [arguments.output / path.stem for path in arguments.campaigns]
-    return any((folder / "fit.json").is_file() for folder in folders)
+    finished = [folder for folder in folders if (folder / "fit.json").is_file()]
+    kept = ["campaigns that were finished are kept"] if finished else []
+    for folder in folders:
+        count = 0 if folder in finished else len(list(folder.glob("solves/*.msgpack")))
+        if count:
+            kept.append(f"{count} simulation{'s' if count > 1 else ''} {'are' if count > 1 else 'is'} kept in "
+                        f"{folder / 'solves'}")
+    if not kept:
+        return arguments.resume_hint
+    without = " without --overwrite" if arguments.overwrite else ""
+    return f"{', '.join(kept)}: run the same command{without} to go on"

@@ -158,6 +158,17 @@ def test_what_is_stated_is_kept():
     assert colour.correlation_time == pytest.approx(0.5, rel=0.4)
 
 
+@pytest.mark.parametrize("stated", [0.005, 0.02, 0.1])
+def test_a_wrong_level_makes_no_colour_and_hides_none(stated):
+    for tau in (0.0, 0.5):
+        found = [estimate_sensor_noise(CURVES["sphere"] + sensor_noise(401, 0.02, seed, time=TIME,
+                                                                       correlation_time=tau), TIME, deviation=stated)
+                 for seed in range(20)]
+        assert {one.deviation for one in found} == {stated}
+        assert np.median([one.correlation_time for one in found]) == pytest.approx(tau, rel=0.25)
+        assert np.mean([(one.correlation_time > 0) == (tau > 0) for one in found]) >= 0.9
+
+
 def test_the_restricted_likelihood_counts_what_trends_absorb():
     """Thirty segments of eight samples: two or three of them go into each trend, and the variance is still right."""
     segment = np.repeat(np.arange(30), 8)

@@ -1,0 +1,99 @@
+"""A calibration as it goes: what is being done, and the iteration table of the fit that is under way."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+from rich.console import Group
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.spinner import Spinner
+from rich.table import Table
+from rich.text import Text
+
+from calibration.page import parameter_unit
+from scenes.text_table import text_table
+from tissue_sim.laws import find_law
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from calibration.fit import Iteration
+
+#: Rows of the table: at most so many, at least so many, and lines that the screen needs beside them.
+_MOST_ROWS, _FEWEST_ROWS, _OTHER_LINES = 12, 3, 8
+#: s without news after which the first run of a machine is mentioned.
+_PATIENCE = 2.0
+_BAR_WIDTH = 20
+_COMPILING = "a machine's first run compiles the solver, which takes half a minute; later ones find it ready"
+
+
+class CalibrationProgress:
+    """What `calibration.calibrate` tells, live on a terminal; gone when the block ends.
+
+    Args:
+        console: of the progress; when it is quiet nothing is shown.
+        campaigns: how many are calibrated.
+    """
+
+    def __init__(self, console: Console, campaigns: int = 1):
+        self._console, self._campaigns = console, campaigns
+        self._sentence, self._began, self._said = "reading", time.monotonic(), time.monotonic()
+        self._place, self._rows, self._solves = ("", ""), [], 0
+        self._seen: list[str] = []
+        self._spinner = Spinner("dots")
+        self._live = Live(console=console, get_renderable=self.render, transient=True, refresh_per_second=8)
+
+    def __enter__(self) -> CalibrationProgress:
+        if not self._console.quiet:
+            self._live.start()
+        return self
+
+    def __exit__(self, *failure) -> None:
+        self._live.stop()
+
+    def say(self, sentence: str) -> None:
+        """Show what is done from now on."""
+        self._sentence, self._said = sentence, time.monotonic()
+        if self._live.is_started:
+            # At once: a kernel that is compiled, or runs, keeps the refreshing thread waiting.
+            self._live.refresh()
+
+    def listen(self, campaign: str, law: str, iteration: Iteration) -> None:
+        """Add a solve to the table; another law, or campaign, begins a new one."""
+        if self._place != (campaign, law):
+            self._place, self._rows = (campaign, law), []
+        if campaign not in self._seen:
+            self._seen.append(campaign)
+        self._rows = [*self._rows, iteration][-_MOST_ROWS:]
+        self._solves += 1
+
+    def render(self) -> Group:
+        """The table, if any, above a line that says what is done."""
+        now = time.monotonic()
+        seconds = round(now - self._began)
+        line = Table.grid(padding=(0, 1))
+        line.add_row(self._spinner, ProgressBar(width=_BAR_WIDTH, pulse=True, animation_time=now),
+                     Text(f"{seconds // 60}:{seconds % 60:02d}"),
+                     Text(f"{self._solves} solves" if self._solves else ""),
+                     Text(f"campaign {max(len(self._seen), 1)} of {self._campaigns}" if self._campaigns > 1 else ""))
+        parts = [self._table()] if self._rows else []
+        parts += [Text(self._sentence), line]
+        if not self._solves and now - self._said > _PATIENCE:
+            parts.append(Text(_COMPILING, style="dim"))
+        return Group(*parts)
+
+    def _table(self) -> Table:
+        law = find_law(self._place[1])
+        names = list(self._rows[-1].parameters)
+        headings = [f"{name} {unit}".strip() for name, unit in ((n, parameter_unit(law, n)) for n in names)]
+        table = text_table("start", "run", *headings, "error", "RMSE N", "mesh", text=0)
+        for column in table.columns[2:2 + len(names)]:
+            column.no_wrap, column.overflow = False, "fold"
+        room = self._console.size.height - _OTHER_LINES
+        for row in self._rows[-max(room, _FEWEST_ROWS):]:
+            table.add_row(str(row.start), str(row.run), *(f"{row.parameters[name]:.5g}" for name in names),
+                          f"{row.error:.6g}", f"{row.RMSE_N:.3g}", "corrected" if row.corrected else "fast")
+        table.title, table.title_justify = Text(law.name, style="bold not italic"), "left"
+        return table

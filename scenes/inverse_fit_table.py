@@ -1,0 +1,185 @@
+"""The results of an inverse calibration on the screen; the tables fit on 80 columns."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from rich.text import Text
+
+from calibration.drawing import counted
+from calibration.inverse_fem.curve_figures import probability, size_of
+from calibration.inverse_fem.report_tables import direction_in_words, place_of, suggestion_in_words
+from calibration.page import number, parameter_unit, stable_stretches
+from calibration.pressure import pressure_unit
+from calibration.self_weight import statement
+from scenes.fit_table import (
+    error_unit,
+    print_remarks,
+    ranked_name,
+    ranked_style,
+    remark_on_error,
+    share_of_variance,
+)
+from scenes.text_table import print_sentence, text_table
+from tissue_sim.laws import find_law
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from calibration.campaign import Test
+    from calibration.fit import Fit, Prediction, Region
+    from calibration.result import CalibrationResult
+
+#: Columns of the longest path into a material that are shown in a line.
+_NAME_WIDTH = 29
+#: From here on a number is written with an exponent.
+_LARGE = 1e8
+
+
+def print_inverse(result: CalibrationResult, console: Console) -> None:
+    """Print what an inverse calibration found: ranking, parameters, predictions, then what to know about them."""
+    fits, tests = result.fits, {test.name: test for test in result.campaign.tests}
+    console.print(_ranking_table(result))
+    console.print(_parameter_table(fits))
+    if result.predictions:
+        console.print(_prediction_table(result.predictions, tests))
+    print_sentence(console, result.message)
+    for sentence in (*_untold(fits), *_misfits(fits, tests), *_basis(result, tests)):
+        print_sentence(console, sentence)
+    for fit in fits:
+        print_remarks(fit, console)
+    for fit in fits:
+        print_sentence(console, f"{fit.law}: {_effort(fit)}")
+
+
+def _ranking_table(result: CalibrationResult) -> Table:
+    """One row a law, with the figure that ranks them beside R2."""
+    fits, best = result.fits, result.best
+    E0, mu0 = pressure_unit(best.E0), pressure_unit(best.mu0)
+    unit, size = error_unit(best)
+    ranked_by, words = "dBIC", "dBIC: BIC above it"
+    if any(fit.left_out is not None for fit in fits):
+        ranked_by, words = "left out %", "left out: error of each test, predicted from the others"
+        if any(not prediction.fitted for prediction in result.predictions):
+            ranked_by, words = "held out %", "held out: error of the tests that no fit has seen"
+    table = text_table("law", ranked_by, "R2", f"RMSE {unit}", f"E0 {E0[0]}", f"mu0 {mu0[0]}", "stable")
+    for fit in fits:
+        error = fit.RMSE_N if unit == "N" else fit.RMSE_Pa
+        figure = fit.left_out if ranked_by != "dBIC" else None if fit.unusable else fit.BIC - best.BIC
+        table.add_row(ranked_name(fit, best), number(figure, 3), share_of_variance(fit),
+                      "-" if error is None else f"{error / size:.4g}", f"{fit.E0 / E0[1]:.4g}",
+                      f"{fit.mu0 / mu0[1]:.4g}", stable_stretches(fit), style=ranked_style(fit, best))
+    table.caption = Text(f"* best usable law; {words};\nstable: stretches, in any loading", style="not italic")
+    table.caption_justify = "left"
+    return table
+
+
+def _parameter_table(fits: Sequence[Fit]) -> Table:
+    """Parameters with standard errors and profile-likelihood intervals, in the order of the ranking."""
+    table = text_table("parameter", "value ± standard error", "95 % interval", text=3)
+    table.columns[0].no_wrap, table.columns[0].overflow = False, "fold"
+    table.columns[0].max_width = _NAME_WIDTH
+    for fit in fits:
+        if len(fits) > 1:
+            table.add_row(fit.law, "", "")
+        for name, value in fit.parameters.items():
+            unit = parameter_unit(find_law(fit.law), name)
+            error = fit.standard_errors.get(name)
+            digits = _decimals(value, error)
+            spread = f" ± {_fixed(error, _decimals(error, error))}" if error else ""
+            pair = fit.intervals95.get(name) if error else None
+            interval = "" if pair is None else " to ".join(_fixed(end, digits) for end in pair)
+            table.add_row(f"{'  ' if len(fits) > 1 else ''}{name}",
+                          f"{_fixed(value, digits)}{spread}{f' {unit}' if unit else ''}{remark_on_error(fit, name)}",
+                          f"{interval}{' (cut)' if name in fit.interval_notes else ''}")
+    return table
+
+
+def _decimals(value: float, error: float | None) -> int | None:
+    """Digits after the point that leave the standard error two; None: an exponent or too few digits to matter."""
+    if not error or not math.isfinite(error) or max(abs(value), error) >= _LARGE:
+        return None
+    return min(max(1 - math.floor(math.log10(error)), 0), 12)
+
+
+def _fixed(value: float, decimals: int | None) -> str:
+    return f"{value:.5g}" if decimals is None else f"{value:.{decimals}f}"
+
+
+def _prediction_table(predictions: Sequence[Prediction], tests: Mapping[str, Test]) -> Table:
+    """Tests that a law was not fitted to."""
+    table = text_table("law", "predicts", "", "RMSE", "%", "by chance", text=3)
+    table.columns[1].no_wrap, table.columns[1].overflow = False, "fold"
+    last = None
+    for p in predictions:
+        test = tests[p.test]
+        error = p.RMSE_Pa if test.specimen is None else p.RMSE_N
+        chance = "-" if p.expected_N is None else f"{p.expected_N:.3g} N"
+        table.add_row(p.law if p.law != last else "", Text(p.test), "left out" if p.fitted else "held out",
+                      "not reached" if error is None else _size(error, test), number(p.percent, 2), chance)
+        last = p.law
+    table.caption = Text("%: of the largest force or stress; by chance: what noise, jitter and the errors of the\n"
+                         "parameters would make", style="not italic")
+    table.caption_justify = "left"
+    return table
+
+
+def _size(error: float, test: Test) -> str:
+    unit, size = pressure_unit(error) if test.specimen is None else ("N", 1.0)
+    return f"{error / size:.3g} {unit}"
+
+
+def _untold(fits: Sequence[Fit]) -> Iterator[str]:
+    """What cut an interval, and what these tests do not tell."""
+    for fit in fits:
+        for name, note in fit.interval_notes.items():
+            yield f"{fit.law}: the interval of {name} is cut, {note}"
+        if fit.not_identifiable:
+            told = "; ".join(suggestion_in_words(s, fit) for s in fit.suggestions) or "no further test is known to help"
+            yield f"{fit.law}: not identifiable from these tests: {', '.join(fit.not_identifiable)}; {told}"
+        elif fit.directions:
+            told = f"; {suggestion_in_words(fit.suggestions[0], fit)}" if fit.suggestions else ""
+            yield f"{fit.law}: told poorly: {'; '.join(direction_in_words(d) for d in fit.directions)}{told}"
+
+
+def _misfits(fits: Sequence[Fit], tests: Mapping[str, Test]) -> Iterator[str]:
+    """Regions whose residuals are more than noise."""
+    for fit in fits:
+        bad = sorted((region for region in fit.regions if not region.adequate), key=lambda region: region.p)
+        if bad:
+            yield f"{fit.law}: smooth misfit in {'; '.join(_misfit(region, tests[region.test]) for region in bad)}"
+        elif fit.regions:
+            yield f"{fit.law}: no smooth misfit in any of {counted(len(fit.regions), 'region')}"
+
+
+def _misfit(region: Region, test: Test) -> str:
+    return f"{region.test} ({place_of(region, test)}): {size_of(region.misfit_N, test)}, {probability(region.p)}"
+
+
+def _basis(result: CalibrationResult, tests: Mapping[str, Test]) -> Iterator[str]:
+    """Noise, jitter, mesh and weight that the numbers rest on."""
+    alike: dict[str, list[str]] = {}
+    for noise in result.noise:
+        colour = "white" if noise.correlation_time_s == 0 else f"correlated over {noise.correlation_time_s:.2g} s"
+        words = f"{size_of(noise.deviation_N, tests[noise.test])} {noise.source}, {colour}"
+        alike.setdefault(words, []).append(noise.test)
+    parts = [words if len(alike) == 1 else f"{words} ({', '.join(names)})" for words, names in alike.items()]
+    jitter = result.best.jitter
+    scatter = ""
+    if jitter is not None:
+        freedom = "stated" if jitter.freedom is None else f"from {counted(jitter.freedom, 'degree')} of freedom"
+        scatter = f"; between recordings {jitter.contact_mm:.2g} mm of contact, {jitter.zero_N:.2g} N of zero, {freedom}"
+    yield f"noise: {', '.join(parts)}{scatter}"
+    meshes = [f"{mesh.test} {mesh.largest_percent:.2g} %" for mesh in result.best.mesh if mesh.largest_percent]
+    if meshes:
+        yield f"accurate mesh minus fast mesh, corrected: {', '.join(meshes)}"
+    yield statement(result.campaign, result.best)
+
+
+def _effort(fit: Fit) -> str:
+    return (f"{counted(fit.iterations, 'solve')} from {counted(fit.starts, 'start')}, "
+            f"{counted(fit.fem_solves, 'simulated test')} with profiles and predictions, {fit.cpu_s:.3g} s of "
+            "processor time")
