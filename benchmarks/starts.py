@@ -210,7 +210,8 @@ def draw(result: dict, console: Console) -> None:
                      verdict(all(error <= most for error, most in zip(one["worst_errors"], MAY_ERR, strict=True)),
                              " / ".join(f"{100 * most:g}" for most in MAY_ERR)) if joint else ""])
     table(console, f"Starts up to {FARTHEST:g} times off, solves of the fast mesh per test and start, CPU seconds",
-          ["campaign", "same minimum", "median, most", "target", "CPU s", "estimate: fast + accurate", "CPU s", "target"], rows)
+          ["campaign", "same minimum", "median, most", "target", "CPU s", "estimate: fast + accurate", "CPU s",
+           "target"], rows)
     table(console, "Estimate with the difference of the accurate mesh, %",
           ["campaign", *(f"{name} off" for name in PARAMETERS), "mesh difference", "largest error of any start",
            "target"], more)

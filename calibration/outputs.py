@@ -11,6 +11,7 @@ from pathlib import Path
 from calibration.assess import residual_of
 from calibration.fit import Fit
 from calibration.output_folder import FIT_FILE
+from calibration.page import parameter_unit
 from calibration.replicates import Replicate, loading_path
 from calibration.report import write_report
 from calibration.result import CalibrationResult, to_json
@@ -61,21 +62,23 @@ def material_file(fit: Fit, result: CalibrationResult, fitted: Sequence[Replicat
 
 
 def write_summary(results: Sequence[CalibrationResult], path: Path) -> None:
-    """One row for each law of each campaign."""
-    names = list(dict.fromkeys(name for result in results for fit in result.fits for name in fit.parameters))
+    """One row for each law of each campaign; a cell is empty where the method has no such figure."""
+    laws = [(fit.law, name) for result in results for fit in result.fits for name in fit.parameters]
+    units = {name: parameter_unit(find_law(law), name) or "-" for law, name in laws}
     header = ["campaign", "rank", "law", "status", "E0 [Pa]", "mu0 [Pa]", "R2", "RMSE [N]", "RMSE [Pa]", "AIC", "BIC",
-              "stable_from", "stable_to"]
-    units = {name: unit for result in results for fit in result.fits for name, unit in find_law(fit.law).units.items()}
-    for name in names:
-        unit = "-" if units[name] == "1" else units[name]
-        header += [f"{name} [{unit}]", f"{name} standard error [{unit}]"]
+              "left_out [%]", "noise_ratio", "stable_from", "stable_to", "not_identifiable", "fem_solves", "cpu [s]"]
+    for name, unit in units.items():
+        header += [f"{name} [{unit}]", f"{name} standard error [{unit}]", f"{name} low95 [{unit}]",
+                   f"{name} high95 [{unit}]"]
     rows = []
     for result in results:
         for rank, fit in enumerate(result.fits, start=1):
             row = [result.campaign.name, rank, fit.law, fit.status, fit.E0, fit.mu0, fit.R2, fit.RMSE_N, fit.RMSE_Pa,
-                   fit.AIC, fit.BIC, fit.stable_from, fit.stable_to]
-            for name in names:
-                row += [fit.parameters.get(name), fit.standard_errors.get(name)]
+                   fit.AIC, fit.BIC, fit.left_out, fit.noise_ratio, fit.stable_from, fit.stable_to,
+                   " ".join(fit.not_identifiable), fit.fem_solves, fit.cpu_s]
+            for name in units:
+                low, high = fit.intervals95.get(name) or (None, None)
+                row += [fit.parameters.get(name), fit.standard_errors.get(name), low, high]
             rows.append(row)
     write_text(path, format_table(header, rows))
 

@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
 #: Rows of the table: at most so many, at least so many, and lines that the screen needs beside them.
 _MOST_ROWS, _FEWEST_ROWS, _OTHER_LINES = 12, 3, 8
-#: s without news after which the first run of a machine is mentioned.
-_PATIENCE = 2.0
+#: s after which the first run of a machine is mentioned: before it compiles, which stops the picture.
+_PATIENCE = 0.5
 _BAR_WIDTH = 20
-_COMPILING = "a machine's first run compiles the solver, which takes half a minute; later ones find it ready"
+_COMPILING = "loading the solver (a machine's first run compiles it, about half a minute)"
 
 
 class CalibrationProgress:

@@ -1,9 +1,8 @@
-"""The results of a calibration on the screen; the tables fit on 80 columns."""
+"""The results of an analytical calibration on the screen; the tables fit on 80 columns."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calibration.page import stable_stretches
@@ -20,36 +19,8 @@ if TYPE_CHECKING:
     from calibration.result import CalibrationResult
 
 
-def print_results(results: Sequence[CalibrationResult], output: Path, console: Console) -> None:
-    """Print tables and remarks of each campaign, and what was written.
-
-    Args:
-        results: of one call.
-        output: folder that was given in it.
-        console: where to print.
-    """
-    for result in results:
-        print_sentence(console, result.campaign.name)
-        if result.campaign.fit.method == "inverse_fem":
-            from scenes.inverse_fit_table import print_inverse
-
-            print_inverse(result, console)
-        else:
-            _print_analytical(result, console)
-    for result in results:
-        if result.resumed:
-            _print_path(console, f"read back from {result.output}, nothing was fitted")
-        else:
-            _print_path(console, f"wrote {result.output / 'report.html'}")
-    if len(results) > 1:
-        _print_path(console, f"wrote {output / 'summary.csv'}")
-
-
-def _print_path(console: Console, text: str) -> None:
-    console.print(text, markup=False, emoji=False, soft_wrap=True)
-
-
-def _print_analytical(result: CalibrationResult, console: Console) -> None:
+def print_analytical(result: CalibrationResult, console: Console) -> None:
+    """Print what an analytical calibration found: ranking, parameters, remarks and predictions."""
     console.print(_ranking_table(result.fits))
     print_sentence(console, "* best usable law; dBIC: BIC above it; stable: stretches, in any loading")
     console.print(_parameter_table(result.fits))

@@ -42,10 +42,17 @@ _LARGE = 1e8
 def print_inverse(result: CalibrationResult, console: Console) -> None:
     """Print what an inverse calibration found: ranking, parameters, predictions, then what to know about them."""
     fits, tests = result.fits, {test.name: test for test in result.campaign.tests}
-    console.print(_ranking_table(result))
+    heading, meaning = _ranked_by(result)
+    console.print(_ranking_table(fits, heading))
+    print_sentence(console, f"* best usable law; {meaning}; stable: stretches, in any loading")
+    console.print()
     console.print(_parameter_table(fits))
+    console.print()
     if result.predictions:
         console.print(_prediction_table(result.predictions, tests))
+        print_sentence(console, "%: of the largest force or stress; by chance: what noise, jitter and the errors of "
+                                "the parameters would make")
+        console.print()
     print_sentence(console, result.message)
     for sentence in (*_untold(fits), *_misfits(fits, tests), *_basis(result, tests)):
         print_sentence(console, sentence)
@@ -55,25 +62,28 @@ def print_inverse(result: CalibrationResult, console: Console) -> None:
         print_sentence(console, f"{fit.law}: {_effort(fit)}")
 
 
-def _ranking_table(result: CalibrationResult) -> Table:
+def _ranked_by(result: CalibrationResult) -> tuple[str, str]:
+    """Heading of the figure that ranks the laws, and what it means."""
+    if all(fit.left_out is None for fit in result.fits):
+        return "dBIC", "dBIC: BIC above it"
+    if any(not prediction.fitted for prediction in result.predictions):
+        return "held out %", "held out: error in tests that no fit has seen"
+    return "left out %", "left out: error in each test, predicted from the others"
+
+
+def _ranking_table(fits: Sequence[Fit], heading: str) -> Table:
     """One row a law, with the figure that ranks them beside R2."""
-    fits, best = result.fits, result.best
+    best = fits[0]
     E0, mu0 = pressure_unit(best.E0), pressure_unit(best.mu0)
     unit, size = error_unit(best)
-    ranked_by, words = "dBIC", "dBIC: BIC above it"
-    if any(fit.left_out is not None for fit in fits):
-        ranked_by, words = "left out %", "left out: error of each test, predicted from the others"
-        if any(not prediction.fitted for prediction in result.predictions):
-            ranked_by, words = "held out %", "held out: error of the tests that no fit has seen"
-    table = text_table("law", ranked_by, "R2", f"RMSE {unit}", f"E0 {E0[0]}", f"mu0 {mu0[0]}", "stable")
+    table = text_table("law", heading, "R2", f"RMSE {unit}", f"E0 {E0[0]}", f"mu0 {mu0[0]}", "stable")
     for fit in fits:
         error = fit.RMSE_N if unit == "N" else fit.RMSE_Pa
-        figure = fit.left_out if ranked_by != "dBIC" else None if fit.unusable else fit.BIC - best.BIC
-        table.add_row(ranked_name(fit, best), number(figure, 3), share_of_variance(fit),
-                      "-" if error is None else f"{error / size:.4g}", f"{fit.E0 / E0[1]:.4g}",
-                      f"{fit.mu0 / mu0[1]:.4g}", stable_stretches(fit), style=ranked_style(fit, best))
-    table.caption = Text(f"* best usable law; {words};\nstable: stretches, in any loading", style="not italic")
-    table.caption_justify = "left"
+        above = None if fit.unusable else fit.BIC - best.BIC
+        table.add_row(ranked_name(fit, best), number(above if heading == "dBIC" else fit.left_out, 3),
+                      share_of_variance(fit), "-" if error is None else f"{error / size:.4g}",
+                      f"{fit.E0 / E0[1]:.4g}", f"{fit.mu0 / mu0[1]:.4g}", stable_stretches(fit),
+                      style=ranked_style(fit, best))
     return table
 
 
@@ -121,9 +131,6 @@ def _prediction_table(predictions: Sequence[Prediction], tests: Mapping[str, Tes
         table.add_row(p.law if p.law != last else "", Text(p.test), "left out" if p.fitted else "held out",
                       "not reached" if error is None else _size(error, test), number(p.percent, 2), chance)
         last = p.law
-    table.caption = Text("%: of the largest force or stress; by chance: what noise, jitter and the errors of the\n"
-                         "parameters would make", style="not italic")
-    table.caption_justify = "left"
     return table
 
 
@@ -171,7 +178,8 @@ def _basis(result: CalibrationResult, tests: Mapping[str, Test]) -> Iterator[str
     scatter = ""
     if jitter is not None:
         freedom = "stated" if jitter.freedom is None else f"from {counted(jitter.freedom, 'degree')} of freedom"
-        scatter = f"; between recordings {jitter.contact_mm:.2g} mm of contact, {jitter.zero_N:.2g} N of zero, {freedom}"
+        scatter = (f"; between recordings {jitter.contact_mm:.2g} mm of contact, {jitter.zero_N:.2g} N of zero, "
+                   f"{freedom}")
     yield f"noise: {', '.join(parts)}{scatter}"
     meshes = [f"{mesh.test} {mesh.largest_percent:.2g} %" for mesh in result.best.mesh if mesh.largest_percent]
     if meshes:

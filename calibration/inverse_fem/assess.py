@@ -22,7 +22,7 @@ from calibration.inverse_fem.identifiability import condition, not_identifiable,
 from calibration.inverse_fem.levenberg_marquardt import Descent
 from calibration.inverse_fem.problem import Evaluation, Problem
 from calibration.inverse_fem.profiles import ProfileSide
-from calibration.inverse_fem.regions import judge_regions
+from calibration.inverse_fem.regions import judge_regions, name_misfits
 from calibration.inverse_fem.uncertainty import Uncertainty
 from calibration.self_weight import sags
 from calibration.statistics import MODEL_ERROR_RATIO, correlation, information_criteria, r_squared
@@ -236,9 +236,8 @@ def _message(estimate: Estimate, descents: Sequence[Descent], unusable: str | No
     same = sum(descent.error <= best * (1 + 1e-4) for descent in descents)
     parts = [f"converged; {same} of {len(descents)} start{'s' if len(descents) != 1 else ''} ended there"
              if unusable is None else unusable]
-    bad = [f"{region.test} {region.segment}" for region in regions if not region.adequate]
-    if bad:
-        parts.append(f"a smooth misfit is left in {', '.join(bad)}")
+    if bad := name_misfits(regions):
+        parts.append(f"a smooth misfit is left in {bad}")
     elif regions:
         parts.append("no smooth misfit is left in any test")
     if loose:

@@ -106,10 +106,10 @@ def _refine(problem: Problem, theta: np.ndarray, warnings: list[str]) -> tuple[f
         try:
             found.append(test.refine(problem.space, theta, problem.solves))
             errors.append(remainder(test, REMAINDERS))
-        except InfeasibleError as failure:
+        except InfeasibleError:
             found.append(float("nan"))
             errors.append(remainder(test, FAST_REMAINDERS))
-            warning = f"the accurate mesh does not get through, so the fast one's error is carried instead ({failure})"
+            warning = f"{test.name}: the accurate mesh does not get through, so the fast one's error is carried"
             if warning not in warnings:
                 warnings.append(warning)
     problem.mesh_error = tuple(errors)

@@ -9,6 +9,7 @@ from msgspec.structs import replace
 
 from calibration.campaign import Campaign
 from calibration.fit import Fit, Prediction
+from calibration.inverse_fem.regions import name_misfits
 from calibration.inverse_fem.results import TestCurves
 
 #: Laws whose predictions differ by less than this share are not told apart by them.
@@ -66,9 +67,8 @@ def ranking_message(fits: Sequence[Fit], predictions: Sequence[Prediction], camp
         parts.append(f"{best.law} has the lowest BIC; with a single test there is nothing to predict, so this does not "
                      "say which law is right: add a test of another kind" if len(fits) > 1 else
                      f"{best.law} was fitted to a single test, so nothing is known of how it predicts another")
-    bad = [f"{region.test} ({region.segment})" for region in best.regions if not region.adequate]
-    if bad:
-        parts.append(f"it leaves a smooth misfit in {', '.join(bad)}, so something is missing in the model")
+    if bad := name_misfits(best.regions):
+        parts.append(f"it leaves a smooth misfit in {bad}, so something is missing in the model")
     if best.not_identifiable:
         parts.append(f"the tests do not determine {', '.join(best.not_identifiable)}"
                      + (f"; {best.suggestions[0].test} would" if best.suggestions else ""))

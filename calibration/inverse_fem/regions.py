@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from msgspec.structs import replace
@@ -54,6 +54,17 @@ def judge_regions(problem: Problem, evaluation: Evaluation) -> list[Region]:
     adjusted = holm(np.array([region.p for region in found])) if found else []
     return [replace(region, p=float(p), adequate=bool(p > LEVEL))
             for region, p in zip(found, adjusted, strict=True)]
+
+
+def name_misfits(regions: Sequence[Region]) -> str:
+    """Where a smooth misfit is left, in words: whole tests by their name; empty where none is."""
+    found = []
+    for test in dict.fromkeys(region.test for region in regions):
+        mine = [region for region in regions if region.test == test]
+        bad = [region.segment for region in mine if not region.adequate]
+        if bad:
+            found.append(test if len(bad) == len(mine) else f"{test} ({', '.join(bad)})")
+    return ", ".join(found)
 
 
 def _regions(problem: Problem) -> Iterator[tuple]:

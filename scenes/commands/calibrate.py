@@ -44,7 +44,7 @@ def run(arguments) -> int:
     if arguments.json:
         print_json(to_json(results))
     else:
-        from scenes.fit_table import print_results
+        from scenes.calibration_results import print_results
 
         print_results(results, arguments.output, results_console())
     # The goal is a material that a simulator can use: a usable fit at the top of each ranking.

@@ -1,0 +1,217 @@
+"""How often 95 % intervals of the inverse calibration hold the true moduli, in campaigns made from known ones.
+
+    python benchmarks/coverage.py [--json] [--campaigns N] [--workers N] [--seed N] [--profile-every N]
+
+Each campaign: lubricated, bonded and needle test, three replicates of 401 samples each, from the accurate mesh, with
+white noise of 0.02 N and, from replicate to replicate, contact offsets of 0.03 mm and zeros of 0.01 N. Each is fitted
+from 1400/600 with the jitter stated, with the jitter estimated from the replicates, and by ordinary least squares:
+the same model and mesh difference, no offsets, no zeros, all samples independent.
+"""
+
+# One thread each, before the libraries start.
+import os
+
+os.environ["OMP_NUM_THREADS"] = "1"
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+os.environ["MKL_NUM_THREADS"] = "1"
+
+import argparse
+import time
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from measure import about, show, table, verdict
+from rich.console import Console
+from rich.progress import track
+from scipy import stats
+from scipy.interpolate import CubicSpline
+from starts import (
+    BULK,
+    DEPTH,
+    JOINT,
+    LAW,
+    NOISE,
+    PARAMETERS,
+    SCENES,
+    SPECIMEN,
+    START,
+    TRUTH,
+    make_campaign,
+    make_recordings,
+)
+
+import tissue_sim as ts
+from calibration.campaign import Noise
+from calibration.executors import Workers, open_tasks
+from calibration.inverse_fem.build import build_problem
+from calibration.inverse_fem.estimate import Estimate, Stated, settle
+from calibration.inverse_fem.levenberg_marquardt import descend
+from calibration.inverse_fem.problem import Problem
+from calibration.inverse_fem.profiles import profile_side
+from calibration.inverse_fem.solves import Solves
+from calibration.inverse_fem.uncertainty import assess_uncertainty
+from calibration.jitter import Jitter
+from calibration.measured import MeasuredCurve
+
+CONTACT, ZERO = 0.03e-3, 0.01
+#: Samples of the accurate curves that the data are interpolated from, and how far they go beyond the data, m.
+POINTS, BEYOND = 41, 6 * CONTACT
+#: Nominal coverage, and where it has to lie.
+NOMINAL, LEAST, MOST = 0.95, 0.92, 0.98
+#: Jitter that is stated, m and N; None: estimated.
+STATED = {"jitter stated": Stated(CONTACT, ZERO), "jitter estimated": Stated(None, None)}
+ORDINARY = "ordinary least squares"
+
+Truth = Mapping[str, tuple[np.ndarray, np.ndarray]]
+
+
+def true_curves(scenes: Sequence[str] = JOINT) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Depth, m, and force, N, of the accurate mesh at the true moduli."""
+    material = ts.Material(LAW, dict(zip(PARAMETERS, TRUTH.tolist(), strict=True)), BULK)
+    protocol = ts.Protocol.ramp(DEPTH + BEYOND, POINTS)
+    found = {}
+    for name in scenes:
+        recording = ts.simulate(ts.Model(SCENES[name].setup.experiment(SPECIMEN, protocol), material),
+                                resolution="accurate")
+        found[name] = recording.displacement, recording.force
+    return found
+
+
+def run_campaign(number: int, seed: int, truth: Truth, profiled: bool) -> dict[str, dict]:
+    """One synthetic campaign by all methods.
+
+    Args:
+        number, seed: of its scatter. truth: see `true_curves`. profiled: whether to follow the profiles too.
+
+    Returns:
+        Method -> plain numbers: estimate, standard errors, half width of an interval in them, interval ends of the
+        profiles (None without), whether it converged, refreshes of the mesh difference, CPU seconds.
+    """
+    curves = {name: CubicSpline(*curve) for name, curve in truth.items()}
+    measured: dict[str, tuple[MeasuredCurve, ...]] | None = None
+    solves, found = Solves(), {}
+    for method, stated in STATED.items():
+        campaign = make_campaign(tuple(truth), Noise(NOISE, contact_jitter=stated.contact,
+                                                      zero_jitter=stated.zero, correlation_time=0.0))
+        if measured is None:
+            measured = make_recordings(campaign, lambda name, depth: curves[name](depth),
+                                       np.random.default_rng([seed, number]), CONTACT, ZERO)
+        began = time.process_time()
+        problem = build_problem(LAW, campaign, measured, solves)
+        estimate = settle(problem, descend(problem, START).theta, stated)
+        found[method] = {**_interval(estimate, profiled), "refreshes": estimate.refreshes,
+                         "cpu_s": time.process_time() - began}
+        if ORDINARY not in found:
+            found[ORDINARY] = _ordinary(estimate)
+    return found
+
+
+def _interval(estimate: Estimate, profiled: bool) -> dict:
+    """Interval of generalised least squares."""
+    problem, theta = estimate.problem, estimate.theta
+    spread = assess_uncertainty(problem, problem.evaluate(theta))
+    ends = None
+    if profiled:
+        ends = [[profile_side(problem, theta, estimate.error, spread, i, side).end for side in (-1, 1)]
+                for i in range(theta.size)]
+    return {"theta": theta.tolist(), "errors": spread.standard_errors.tolist(), "quantile": spread.quantile,
+            "profile": ends, "converged": estimate.converged and not estimate.warnings}
+
+
+def _ordinary(estimate: Estimate) -> dict:
+    """Interval of ordinary least squares with the same model: s^2 (J'J)^-1."""
+    old = estimate.problem
+    problem = Problem(old.space, old.tests, old.solves, Jitter(0.0, 0.0, None), (0.0,) * len(old.tests))
+    descent = descend(problem, estimate.theta, corrected=True)
+    evaluation = problem.evaluate(descent.theta)
+    freedom = problem.samples - descent.theta.size
+    covariance = evaluation.error / freedom * np.linalg.inv(evaluation.rates.T @ evaluation.rates)
+    return {"theta": descent.theta.tolist(), "errors": np.sqrt(np.diag(covariance)).tolist(),
+            "quantile": float(stats.t.ppf(0.5 + 0.5 * NOMINAL, freedom)), "profile": None,
+            "converged": descent.converged}
+
+
+def summarise(runs: Sequence[Mapping[str, Mapping]]) -> list[dict]:
+    """Coverage of each method and kind of interval; a fit that did not converge counts as one that missed.
+
+    Returns:
+        For each: how many campaigns; arrays over C10 and C20 as lists: share of intervals that hold the truth and its
+        binomial standard error, mean error and scatter of the estimates as shares of the truth, standard error on
+        average (root mean square) in units of that scatter, mean half width as a share of the truth.
+    """
+    found = []
+    for method in (*STATED, ORDINARY):
+        for kind in ("standard errors", "profile"):
+            own = [run[method] for run in runs if kind == "standard errors" or run[method]["profile"] is not None]
+            if not own:
+                continue
+            theta, errors = (np.array([one[key] for one in own]) for key in ("theta", "errors"))
+            half = np.array([one["quantile"] for one in own])[:, None] * errors
+            ends = np.stack([theta - half, theta + half], axis=-1)
+            if kind == "profile":
+                ends = np.array([one["profile"] for one in own])
+            converged = np.array([one["converged"] for one in own])
+            inside = (ends[..., 0] <= TRUTH) & (ends[..., 1] >= TRUTH) & converged[:, None]
+            share, scatter = inside.mean(axis=0), theta.std(axis=0, ddof=min(1, len(own) - 1))
+            found.append({
+                "method": method, "interval": kind, "campaigns": len(own), "not_converged": int((~converged).sum()),
+                "coverage": share.tolist(), "binomial_error": np.sqrt(share * (1 - share) / len(own)).tolist(),
+                "mean_error": (theta.mean(axis=0) / TRUTH - 1).tolist(), "scatter": (scatter / TRUTH).tolist(),
+                "error_over_scatter": (np.sqrt((errors**2).mean(axis=0)) / scatter).tolist(),
+                "half_width": (0.5 * np.ptp(ends, axis=-1).mean(axis=0) / TRUTH).tolist(),
+                "cpu_s": float(np.median([one.get("cpu_s", 0.0) for one in own]))})
+    return found
+
+
+def run_study(campaigns: int, seed: int, workers: int, profile_every: int) -> list[dict[str, dict]]:
+    """All campaigns, in order."""
+    truth = true_curves()
+    tasks_of = [(number, seed, truth, bool(profile_every) and number % profile_every == 0)
+                for number in range(campaigns)]
+    with open_tasks(Workers(workers)) as tasks:
+        if workers > 1:
+            return tasks.run(run_campaign, tasks_of)
+        return [run_campaign(*task) for task in track(tasks_of, "campaigns", console=Console(stderr=True))]
+
+
+def draw(result: dict, console: Console) -> None:
+    """The result as a table."""
+    rows = []
+    for one in result["intervals"]:
+        for k, name in enumerate(PARAMETERS):
+            generalised = one["method"] != ORDINARY
+            rows.append([f"{one['method']}, {one['interval']}", name, str(one["campaigns"]),
+                         f"{100 * one['coverage'][k]:.1f} ± {100 * one['binomial_error'][k]:.1f}",
+                         verdict(LEAST <= one["coverage"][k] <= MOST, f"{100 * LEAST:g} to {100 * MOST:g}")
+                         if generalised else "", f"{100 * one['half_width'][k]:.2f}",
+                         f"{100 * one['mean_error'][k]:.3f}", f"{100 * one['scatter'][k]:.3f}",
+                         f"{one['error_over_scatter'][k]:.2f}"])
+    table(console, f"Coverage of {100 * NOMINAL:g} % intervals, %",
+          ["method, interval", "modulus", "campaigns", "coverage", "target", "half width", "mean error", "scatter",
+           "standard error / scatter"], rows)
+    for one in result["intervals"]:
+        if one["not_converged"]:
+            console.print(f"{one['method']}: {one['not_converged']} of {one['campaigns']} did not converge; they count "
+                          "as misses")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    parser.add_argument("--campaigns", type=int, default=200, metavar="N", help="synthetic campaigns (default 200)")
+    parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes (default 1)")
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="of the scatter (default 1)")
+    parser.add_argument("--profile-every", type=int, default=1, metavar="N",
+                        help="follow the profiles of every Nth campaign; 0: of none (default 1)")
+    arguments = parser.parse_args()
+    if arguments.campaigns < 1:
+        parser.error("give at least one campaign")
+    runs = run_study(arguments.campaigns, arguments.seed, arguments.workers, arguments.profile_every)
+    result = about("coverage") | {
+        "truth": dict(zip(PARAMETERS, TRUTH.tolist(), strict=True)), "seed": arguments.seed,
+        "contact_jitter_mm": 1e3 * CONTACT, "zero_jitter_N": ZERO, "noise_N": NOISE, "intervals": summarise(runs)}
+    show(result, draw, as_json=arguments.json)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,457 @@
+"""The inverse calibration: the least-squares problem, what it finds, what it says of it, and what it refuses."""
+
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+import calibration
+import tissue_sim as ts
+from calibration.inverse_fem.build import build_problem
+from calibration.inverse_fem.checks import check_start
+from calibration.inverse_fem.estimate import Stated, settle
+from calibration.inverse_fem.levenberg_marquardt import descend
+from calibration.inverse_fem.motion import Timed, label_segments
+from calibration.inverse_fem.parameters import ParameterSpace
+from calibration.inverse_fem.profiles import profile_side
+from calibration.inverse_fem.solves import Solves
+from calibration.inverse_fem.starts import starts
+from calibration.inverse_fem.uncertainty import assess_uncertainty
+from calibration.jitter import Jitter
+
+TRUTH = {"C10": 1404.9, "C20": 699.4}
+SPECIMEN = ts.Specimen(0.040, 0.070)
+SPEED = 0.248e-3
+HEAD = """
+[[specimen]]
+name = "phantom"
+radius_mm = 40.0
+height_mm = 70.0
+"""
+TESTS = {
+    "lubricated": 'kind = "lubricated_compression"\n',
+    "bonded": 'kind = "bonded_compression"\n',
+    "needle": 'kind = "needle_indentation"\ntool = "flat"\ntool_radius_mm = 8.0\n',
+}
+FIT = """
+[fit]
+method = "inverse_fem"
+laws = ["reduced_polynomial_2"]
+bulk_ratio = 10000.0
+starts = 1
+start = { C10 = 1400.0, C20 = 600.0 }
+
+[noise]
+force_N = 0.02
+correlation_time_s = 0
+contact_jitter_mm = 0.03
+zero_jitter_N = 0.01
+"""
+
+
+def lubricated_force(depth, values=TRUTH, law="reduced_polynomial_2"):
+    return -ts.find_law(law).nominal_stress(1 - depth / SPECIMEN.height, values, "uniaxial") * SPECIMEN.area
+
+
+def reference_force(reference: Path, name: str):
+    table = np.loadtxt(reference / name, delimiter=",", comments="#")
+    return CubicSpline(table[:, 0] * 1e-3, table[:, 1])
+
+
+def write_recordings(folder, name, depth, force, count=3, noise=0.02, seed=0, jitter=(0.0, 0.0), time=None, **labels):
+    """Replicates `NAME_1.csv` ... of a force that is a function of the depth."""
+    rng = np.random.default_rng([seed, sum(map(ord, name))])
+    for number in range(1, count + 1):
+        offset, zero = rng.normal(0.0, jitter[0]), rng.normal(0.0, jitter[1])
+        clean = force(np.maximum(depth - offset, 0.0)) + zero
+        channels = {"time": depth / SPEED if time is None else time, "displacement": depth,
+                    "force": clean + rng.normal(0.0, noise, depth.size)}
+        ts.write_recording(ts.Recording(channels, labels=labels), folder / f"{name}_{number}.csv")
+
+
+def campaign_text(*names, fit=FIT, extra=""):
+    tests = "".join(f'[[test]]\nname = "{name}"\n{TESTS[name]}recordings = ["{name}_*.csv"]\n{extra}'
+                    for name in names)
+    return HEAD + tests + fit
+
+
+def problem_of(folder, text, law="reduced_polynomial_2", solves=None):
+    path = folder / "study.toml"
+    path.write_text(text, encoding="utf-8")
+    campaign = calibration.load_campaign(path)
+    effects = tuple(name for name in (*campaign.fit.start, *campaign.fit.fixed) if "." in name)
+    return campaign, build_problem(law, campaign, calibration.read_measured(campaign, effects), solves or Solves())
+
+
+@pytest.fixture
+def plates(tmp_path):
+    """Lubricated and bonded compression; the bonded force is our own fast mesh's."""
+    depth = np.linspace(0.0, 0.010, 41)
+    write_recordings(tmp_path, "lubricated", depth, lubricated_force, jitter=(0.03e-3, 0.01))
+    experiment = ts.Experiment(SPECIMEN, ts.Protocol.ramp(0.010, 21))
+    curve = ts.simulate(ts.Model(experiment, ts.Material("reduced_polynomial_2", TRUTH, ts.Bulk("bulk_ratio", 1e4))))
+    write_recordings(tmp_path, "bonded", depth, CubicSpline(curve.displacement, curve.force), jitter=(0.03e-3, 0.01))
+    return tmp_path
+
+
+class TestProblem:
+    def test_gradient_is_exact(self, plates):
+        """Sensitivities of the solver, nuisances that follow, whitening: all of it against differences."""
+        _, problem = problem_of(plates, campaign_text("lubricated", "bonded"))
+        theta = np.array([1380.0, 820.0])
+        residual, jacobian = problem.evaluate(theta).projected
+        gradient = 2 * jacobian.T @ residual
+        for i, width in enumerate((0.5, 0.5)):
+            step = np.eye(2)[i] * width
+            difference = (problem.evaluate(theta + step).error - problem.evaluate(theta - step).error) / (2 * width)
+            assert gradient[i] == pytest.approx(difference, rel=1e-4)
+
+    def test_error_is_that_of_generalised_least_squares(self, plates):
+        """With a zero and mesh modes, which are linear: r' V^-1 r with the dense covariance."""
+        _, problem = problem_of(plates, campaign_text("lubricated", "bonded"))
+        problem.jitter = Jitter(0.0, 0.015, None)
+        problem.forget()
+        theta = np.array([1390.0, 700.0])
+        answers = [test.solve(problem.space, theta, problem.solves) for test in problem.tests]
+        total = 0.0
+        for test, answer, error in zip(problem.tests, answers, problem.mesh_error, strict=True):
+            curves = [test.evaluate(answer, r, 0.0)[0] - m.force for r, m in enumerate(test.measured)]
+            n, count = curves[0].size, len(curves)
+            V = np.kron(np.eye(count), 0.02**2 * np.eye(n) + 0.015**2 * np.ones((n, n)))
+            along = [2 * m.displacement / m.displacement.max() - 1 for m in test.measured]
+            modes = error * np.stack([np.concatenate([m.force for m in test.measured]),
+                                      np.concatenate([a * m.force for a, m in zip(along, test.measured, strict=True)])])
+            V += modes.T @ modes
+            r = np.concatenate(curves)
+            total += r @ np.linalg.solve(V, r)
+        assert problem.evaluate(theta).error == pytest.approx(total, rel=1e-9)
+
+    def test_force_is_proportional_to_the_moduli(self, plates):
+        """One solve serves every multiple, so a law of one modulus is fitted with a single one."""
+        campaign, _ = problem_of(plates, campaign_text("lubricated", "bonded"))
+        solves = Solves()
+        _, problem = problem_of(plates, campaign_text("lubricated", "bonded").replace(
+            "reduced_polynomial_2", "neo_hooke").replace(", C20 = 600.0", ""), "neo_hooke", solves)
+        descent = descend(problem, np.array([14.0]))
+        assert descent.converged
+        assert descent.simulations == {("lubricated", "fast"): 1, ("bonded", "fast"): 1}
+        # The minimum of a linear problem.
+        assert problem.evaluate(descent.theta).error < problem.evaluate(descent.theta * 1.001).error
+        assert problem.evaluate(descent.theta).error < problem.evaluate(descent.theta * 0.999).error
+        space = ParameterSpace.of("reduced_polynomial_2", campaign)
+        one, factor = space.normalised({"C10": 3.0, "C20": 1.5})
+        other, larger = space.normalised({"C10": 3e4, "C20": 1.5e4})
+        assert one == other
+        assert larger == pytest.approx(1e4 * factor)
+
+    def test_weight_is_not_proportional(self, plates):
+        text = campaign_text("lubricated").replace("height_mm = 70.0", "height_mm = 70.0\ngravity = true\n"
+                                                   "density_kg_m3 = 1000.0")
+        _, problem = problem_of(plates, text)
+        assert not problem.tests[0].proportional
+        _, jacobian = problem.evaluate(np.array([1404.9, 699.4])).projected
+        assert np.isfinite(jacobian).all()
+
+    def test_it_travels_to_another_process(self, plates):
+        _, problem = problem_of(plates, campaign_text("lubricated"))
+        theta = np.array([1400.0, 700.0])
+        assert pickle.loads(pickle.dumps(problem)).evaluate(theta).error == problem.evaluate(theta).error
+
+
+class TestStarts:
+    def test_starts_differ_and_keep_the_bounds(self, plates):
+        text = campaign_text("lubricated") + "\n[fit.bounds]\nC20 = [0.0, 1000.0]\n"
+        campaign, _ = problem_of(plates, text)
+        found = starts(ParameterSpace.of("reduced_polynomial_2", campaign), 7)
+        assert len({tuple(theta) for theta in found}) == 7
+        assert found[0].tolist() == [1400.0, 600.0]
+        assert all(0.0 <= theta[1] <= 1000.0 for theta in found)
+
+    @pytest.mark.parametrize("law", ["ogden_2", "ogden_3", "mooney_rivlin", "reduced_polynomial_3"])
+    def test_every_law_has_starts(self, plates, law):
+        text = campaign_text("lubricated").replace("reduced_polynomial_2", law).replace(
+            "start = { C10 = 1400.0, C20 = 600.0 }", "")
+        campaign, _ = problem_of(plates, text, law)
+        space = ParameterSpace.of(law, campaign)
+        for theta in starts(space, 5):
+            assert space.material(space.values(theta)).mu0 > 0
+
+
+class TestStudy:
+    """The study's situation: data of an independent solver."""
+
+    @pytest.fixture
+    def folder(self, tmp_path, reference):
+        depth = np.linspace(0.0, 0.010, 401)
+        write_recordings(tmp_path, "lubricated", depth, lubricated_force)
+        for name, file in (("bonded", "bonded_RP.csv"), ("needle", "punch_bonded_face_side_wall_RP.csv")):
+            write_recordings(tmp_path, name, depth, reference_force(reference, file))
+        return tmp_path
+
+    def test_joint_fit_finds_the_truth_from_far_off(self, folder):
+        _, problem = problem_of(folder, campaign_text("lubricated", "bonded", "needle"))
+        ends = []
+        for start in ((1400.0, 600.0), (140.0, 6990.0), (14000.0, 70.0)):
+            problem.solves = Solves()
+            problem.forget()
+            descent = descend(problem, np.array(start))
+            assert descent.converged
+            assert max(descent.simulations.values()) <= 9
+            ends.append(descent.theta)
+        spread = assess_uncertainty(problem, problem.evaluate(ends[0]))
+        assert np.ptp(ends, axis=0) == pytest.approx([0.0, 0.0], abs=0.2 * spread.standard_errors.max())
+        estimate = settle(problem, ends[0], Stated(0.03e-3, 0.01))
+        assert estimate.theta[0] == pytest.approx(TRUTH["C10"], rel=0.003)
+        assert estimate.theta[1] == pytest.approx(TRUTH["C20"], rel=0.03)
+        # The meshes differ by what docs/simulation.md says.
+        assert estimate.differences[0] == 0.0
+        assert 0.001 < estimate.differences[1] < 0.004
+        assert 0.003 < estimate.differences[2] < 0.008
+
+    def test_profiles_meet_the_likelihood(self, folder):
+        _, problem = problem_of(folder, campaign_text("lubricated", "bonded"))
+        descent = descend(problem, np.array([1400.0, 600.0]), enough=1e-6)
+        spread = assess_uncertainty(problem, problem.evaluate(descent.theta))
+        side = profile_side(problem, descent.theta, descent.error, spread, 1, 1)
+        assert side.note == ""
+        # Nearly linear, so the profile is nearly a parabola.
+        assert side.end - descent.theta[1] == pytest.approx(1.96 * spread.standard_errors[1], rel=0.03)
+        # At its end no value of the other parameter does better than the rise says.
+        others = descent.theta[0] + np.linspace(-4, 4, 9) * spread.standard_errors[0]
+        errors = [problem.evaluate(np.array([c10, side.end])).error for c10 in others]
+        assert min(errors) >= descent.error + 0.95 * 1.96**2
+        problem.space.high[1] = descent.theta[1] + 0.5 * spread.standard_errors[1]
+        cut = profile_side(problem, descent.theta, descent.error, spread, 1, 1)
+        assert cut.note.startswith("bound")
+        assert cut.end == problem.space.high[1]
+
+
+def test_motion_of_a_ramp_hold_and_return():
+    protocol = ts.Protocol.parse("ramp 5mm @0.5mm/s; hold 20s; unload 2mm @0.5mm/s", points=101)
+    time = np.arange(0.0, protocol.time[-1], 0.1)
+    displacement = np.interp(time, protocol.time, protocol.displacement)
+    motion = Timed.of(time, displacement)
+    assert len(motion.legs) == 3
+    assert np.interp(time, motion.time, motion.displacement) == pytest.approx(displacement, abs=2e-5)
+    labels = label_segments(time, displacement)
+    assert dict.fromkeys(labels.tolist()).keys() == {"ramp", "hold", "unload"}
+    assert labels[0] == "ramp"
+    assert labels[-1] == "unload"
+    # A function that is smooth on each leg comes back at the samples.
+    force = np.where(motion.time < 10, motion.displacement * 200, 1 - 0.3 * (1 - np.exp(-(motion.time - 10) / 3)))
+    exact = np.where(time < 10, displacement * 200, 1 - 0.3 * (1 - np.exp(-(time - 10) / 3)))
+    values, rate = motion.through(force[:, None])(time, displacement, 0.0)
+    held = (time > 10.5) & (time < 29)
+    assert values[held, 0] == pytest.approx(exact[held], abs=2e-3)
+    assert values[time < 9, 0] == pytest.approx(exact[time < 9], abs=1e-4)
+    # A later touch means less force while loading.
+    assert (rate[(time > 1) & (time < 9)] < 0).all()
+
+
+def test_viscoelastic_parameters_from_ramp_and_hold(tmp_path):
+    material = ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e4),
+                           viscoelastic=ts.Prony((ts.PronyTerm(0.3, 4.0),)))
+    protocol = ts.Protocol.parse("ramp 5mm @0.5mm/s; hold 20s; unload 2mm @0.5mm/s", points=81)
+    truth = ts.simulate(ts.Model(ts.Experiment(SPECIMEN, protocol, friction="frictionless",
+                                               friction_base="frictionless"), material))
+    time = np.arange(0.0, protocol.time[-1], 0.2)
+    depth = np.interp(time, truth.time, truth.displacement)
+    force = np.interp(time, truth.time, truth.force)
+    write_recordings(tmp_path, "lubricated", depth, lambda _: force, time=time, noise=0.01)
+    fit = FIT.replace("reduced_polynomial_2", "neo_hooke").replace("force_N = 0.02", "force_N = 0.01").replace(
+        "start = { C10 = 1400.0, C20 = 600.0 }",
+        'start = { C10 = 900.0, "viscoelastic.terms[0].g" = 0.5, "viscoelastic.terms[0].tau_s" = 10.0 }')
+    _, problem = problem_of(tmp_path, campaign_text("lubricated", fit=fit), "neo_hooke")
+    assert problem.tests[0].measured[0].segment is not None
+    descent = descend(problem, np.array([900.0, 0.5, 10.0]))
+    assert descent.converged
+    errors = assess_uncertainty(problem, problem.evaluate(descent.theta)).standard_errors
+    assert (np.abs(descent.theta - [1500.0, 0.3, 4.0]) < 4 * errors + [1.5, 3e-3, 0.06]).all()
+
+
+def test_tension_without_a_specimen_is_a_closed_form(tmp_path):
+    stretch = np.linspace(1.0, 1.8, 81)
+    law = ts.find_law("mooney_rivlin")
+    truth = {"C10": 20e3, "C01": 5e3}
+    rng = np.random.default_rng(1)
+    for number in (1, 2):
+        stress = law.nominal_stress(stretch, truth, "uniaxial") + rng.normal(0.0, 100.0, stretch.size)
+        recording = ts.Recording({"stretch": stretch, "nominal stress": stress})
+        ts.write_recording(recording, tmp_path / f"pull_{number}.csv")
+    text = ('[[test]]\nkind = "uniaxial_tension"\nrecordings = ["pull_*.csv"]\n'
+            '[fit]\nmethod = "inverse_fem"\nlaws = ["mooney_rivlin"]\n'
+            '[noise]\nnominal_stress_Pa = 100.0\ncontact_jitter_mm = 0\nzero_jitter_N = 0\n')
+    _, problem = problem_of(tmp_path, text, "mooney_rivlin")
+    descent = descend(problem, np.array([1e3, 1e3]))
+    errors = assess_uncertainty(problem, problem.evaluate(descent.theta)).standard_errors
+    assert (np.abs(descent.theta - [20e3, 5e3]) < 4 * errors).all()
+    assert descent.simulations == {}
+
+
+class TestSolves:
+    def test_a_killed_run_goes_on(self, plates):
+        folder = plates / "solves"
+        _, problem = problem_of(plates, campaign_text("bonded"), solves=Solves(folder))
+        first = descend(problem, np.array([1400.0, 600.0]))
+        assert first.simulations[("bonded", "fast")] >= 2
+        _, again = problem_of(plates, campaign_text("bonded"), solves=Solves(folder))
+        second = descend(again, np.array([1400.0, 600.0]))
+        assert second.simulations == {}
+        assert second.theta.tolist() == first.theta.tolist()
+
+    def test_a_damaged_file_counts_as_none(self, plates):
+        folder = plates / "solves"
+        _, problem = problem_of(plates, campaign_text("bonded"), solves=Solves(folder))
+        theta = np.array([1400.0, 600.0])
+        error = problem.evaluate(theta).error
+        for file in folder.iterdir():
+            file.write_bytes(file.read_bytes()[:40])
+        _, again = problem_of(plates, campaign_text("bonded"), solves=Solves(folder))
+        assert again.evaluate(theta).error == error
+        assert sum(again.solves.counts.values()) == 1
+
+    def test_another_model_is_another_solve(self, plates):
+        solves = Solves()
+        for text in (campaign_text("bonded"), campaign_text("bonded").replace("70.0", "71.0"),
+                     campaign_text("bonded").replace("10000.0", "1000.0")):
+            _, problem = problem_of(plates, text, solves=solves)
+            problem.evaluate(np.array([1400.0, 600.0]))
+        assert sum(solves.counts.values()) == 3
+
+
+class TestWhole:
+    """Through the function that users call."""
+
+    def test_law_is_preferred_for_its_prediction(self, plates):
+        text = campaign_text("lubricated", "bonded").replace(
+            '["reduced_polynomial_2"]', '["neo_hooke", "reduced_polynomial_2"]')
+        (plates / "study.toml").write_text(text, encoding="utf-8")
+        heard = []
+        result, = calibration.calibrate([plates / "study.toml"], plates / "out", figures=False,
+                                        listen=lambda campaign, law, iteration: heard.append((law, iteration.run)))
+        assert result.best.law == "reduced_polynomial_2"
+        best, other = result.fits
+        assert best.left_out < 0.5 < other.left_out
+        assert {p.test for p in result.predictions} == {"lubricated", "bonded"}
+        assert all(p.fitted and p.test not in p.fitted for p in result.predictions)
+        mine = [p for p in result.predictions if p.law == best.law]
+        assert max(p.RMSE_N / p.expected_N for p in mine) < 1.5
+        for name, value in TRUTH.items():
+            low, high = best.intervals95[name]
+            assert low < best.parameters[name] < high
+            assert abs(best.parameters[name] - value) < 4 * best.standard_errors[name]
+        assert all(region.adequate for region in best.regions)
+        assert not all(region.adequate for region in other.regions)
+        assert len([law for law, _ in heard if law == best.law]) == len(best.history)
+        material = ts.load_material(plates / "out" / best.material_file)
+        assert material.parameters["C10"] == best.parameters["C10"]
+        again, = calibration.calibrate([plates / "study.toml"], plates / "out", figures=False)
+        assert again.resumed
+        assert again.fits == result.fits
+
+    def test_what_is_not_told_and_what_would(self, plates):
+        """Mooney-Rivlin on a short lubricated compression: a flat valley, and a test that ends it."""
+        text = campaign_text("lubricated", extra="max_strain = 0.05\n").replace(
+            "reduced_polynomial_2", "mooney_rivlin").replace("C20 = 600.0", "C01 = 600.0")
+        (plates / "study.toml").write_text(text, encoding="utf-8")
+        result, = calibration.calibrate([plates / "study.toml"], plates / "out", figures=False)
+        fit = result.best
+        assert fit.directions
+        # Their sum is told, their difference is not.
+        shares = fit.directions[0].shares
+        assert shares["C10"] * shares["C01"] < 0
+        assert fit.suggestions
+        assert fit.suggestions[0].standard_errors["C10"] < 0.7 * fit.standard_errors["C10"]
+        assert fit.left_out is None
+        assert "single test" in result.message
+
+    def test_a_held_out_test_is_predicted(self, plates):
+        text = campaign_text("lubricated") + (
+            '[[test]]\nname = "bonded"\nkind = "bonded_compression"\nrecordings = ["bonded_*.csv"]\nhold_out = true\n')
+        (plates / "study.toml").write_text(text, encoding="utf-8")
+        result, = calibration.calibrate([plates / "study.toml"], plates / "out", figures=False)
+        prediction, = result.predictions
+        assert prediction.test == "bonded"
+        assert prediction.fitted == []
+        assert prediction.percent < 1.0
+        assert "held-out" in result.message
+
+
+def bad(folder, text):
+    """The error of a calibration, and that nothing was written."""
+    (folder / "study.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(ts.InputError) as caught:
+        calibration.calibrate([folder / "study.toml"], folder / "out", figures=False)
+    assert not (folder / "out").exists()
+    return caught.value
+
+
+BOUNDS = "\n[fit.bounds]\nC20 = [0.0, 500.0]\n"
+
+
+class TestRefused:
+    @pytest.mark.parametrize(("change", "field", "hint"), [
+        (lambda t: t.replace("height_mm = 70.0", "height_mm = 9.0"), "test[0].recordings", "deeper than the specimen"),
+        (lambda t: t + BOUNDS, "fit.start.C20", "outside its bounds"),
+        (lambda t: t.replace("C20 = 600.0", "C20 = -6000.0"), "fit.start", "loses stability"),
+        (lambda t: t.replace("C10 = 1400.0", "C10 = -1400.0"), "fit.start", "is no material"),
+        (lambda t: t.replace("lubricated_*.csv", "none_*.csv"), "test[0].recordings[0]", "no file matches"),
+        (lambda t: t.replace("C20 = 600.0", 'C20 = 600.0, "softening.loss" = 0.3'), "fit.start.softening.loss",
+         "no test can see"),
+        (lambda t: t.replace("C20 = 600.0", 'C20 = 600.0, "viscoelastic.terms[0].g" = 0.3'),
+         "fit.start.viscoelastic.terms[0].tau_s", "missing"),
+        (lambda t: t.replace("C20 = 600.0", 'C20 = 600.0, "viscoelastic.terms[0].tau" = 0.3'),
+         "fit.start.viscoelastic.terms[0].tau", "tau_s"),
+        (lambda t: t.replace("C20 = 600.0", 'C20 = 600.0, "softening.loss" = 1.3'), "fit.start.softening.loss",
+         "outside its bounds"),
+        (lambda t: t.replace("lubricated_compression", "needle_indentation"), "test[0].tool", "shape of its tool"),
+        (lambda t: t.replace("lubricated_compression", "friction_compression"), "test[0].friction",
+         "coefficient of friction"),
+        (lambda t: t.replace("kind =", "friction = 0.3\nkind ="), "test[0].friction", "friction_compression"),
+        (lambda t: t.replace("kind =", 'rig = "none.rig.json"\nkind ='), "test[0].rig", "none.rig.json"),
+        (lambda t: t.replace("kind =", 'tool = "flat"\ntool_radius_mm = 8.0\nkind ='), "test[0].tool",
+         "needle_indentation"),
+        (lambda t: t.replace("zero_jitter_N = 0.01", "zero_jitter_N = -1"), "noise.zero_jitter_N", "negative"),
+    ], ids=["deep", "bounds", "unstable", "no material", "missing file", "unseen", "incomplete", "path", "value",
+            "tool", "friction", "contradiction", "rig", "plate", "jitter"])
+    def test_one_sentence_with_the_field(self, plates, change, field, hint):
+        error = bad(plates, change(campaign_text("lubricated")))
+        assert hint in str(error)
+        assert error.field == field or field in str(error)
+        assert "study.toml" in str(error) or "rig.json" in str(error)
+
+    def test_recordings_that_are_no_replicates(self, plates):
+        depth = np.linspace(0.0, 0.004, 41)
+        ts.write_recording(ts.Recording({"time": depth / SPEED, "displacement": depth,
+                                         "force": lubricated_force(depth)}), plates / "lubricated_4.csv")
+        error = bad(plates, campaign_text("lubricated"))
+        assert "lubricated_4.csv to 4 mm" in str(error)
+        assert "[[test]]" in str(error)
+        depth = np.linspace(0.0, 0.010, 41)
+        ts.write_recording(ts.Recording({"time": depth / (10 * SPEED), "displacement": depth,
+                                         "force": lubricated_force(depth)}), plates / "lubricated_4.csv")
+        assert "at 2.48 mm/s" in str(bad(plates, campaign_text("lubricated")))
+
+    def test_columns_that_do_not_fit_the_kind(self, plates):
+        stretch = np.linspace(1.0, 0.9, 21)
+        ts.write_recording(ts.Recording({"stretch": stretch, "nominal stress": 1e4 * (stretch - 1)}),
+                           plates / "needle_1.csv")
+        error = bad(plates, campaign_text("needle"))
+        assert error.file == plates / "needle_1.csv"
+        assert "displacement" in str(error)
+
+    def test_a_material_that_ages_needs_time(self, plates):
+        depth = np.linspace(0.0, 0.010, 21)
+        ts.write_recording(ts.Recording({"displacement": depth, "force": lubricated_force(depth)}),
+                           plates / "lubricated_1.csv")
+        start = 'C20 = 600.0, "viscoelastic.terms[0].g" = 0.3, "viscoelastic.terms[0].tau_s" = 3.0'
+        error = bad(plates, campaign_text("lubricated").replace("C20 = 600.0", start))
+        assert "speed_mm_s" in str(error)
+
+    def test_more_unknowns_than_samples(self, plates):
+        campaign, problem = problem_of(plates, campaign_text("lubricated"))
+        problem.samples = 2
+        with pytest.raises(ts.InputError, match=r"fit\.laws\[0\].*2 points"):
+            check_start(problem, campaign, 0)
