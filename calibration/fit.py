@@ -225,6 +225,8 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
         condition: of the information, each parameter scaled by its value. directions: those told poorly.
         suggestions: further tests, best first, where something is not identifiable.
         jitter, mesh: what was marginalised and corrected.
+        estimate_cpu_s: processor seconds from the best start to the estimate, the rest of `cpu_s` went into other
+            starts, profiles, left-out tests and pictures.
         left_out: percent, root mean square over the tests, of the predictions that rank the laws.
     """
 
@@ -272,3 +274,4 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
     jitter: JitterStatement | None = None
     mesh: list[MeshCorrection] = []
     left_out: float | None = None
+    estimate_cpu_s: float = 0.0

@@ -9,7 +9,7 @@ import numpy as np
 
 from calibration.campaign import Campaign, Test
 from calibration.inverse_fem.motion import label_segments
-from calibration.replicates import NOT_LOADING, check_size
+from calibration.replicates import NOT_LOADING, check_size, names_of
 from calibration.sensor_noise import SensorNoise, estimate_shared_noise
 from tissue_sim.errors import InputError
 from tissue_sim.recording import MIN_POINTS, Recording
@@ -88,8 +88,9 @@ def read_measured(campaign: Campaign, effects: tuple[str, ...] = ()) -> dict[str
         curves: list[MeasuredCurve] = []
         for path in test.recordings:
             try:
-                curves += [_curve(recording, path, test, campaign, effects)
-                           for recording in read_recordings(path, kind=test.kind, **test.reading)]
+                recordings = read_recordings(path, kind=test.kind, **test.reading)
+                curves += [_curve(recording, name, path, test, campaign, effects)
+                           for recording, name in zip(recordings, names_of(recordings, path, test), strict=True)]
             except InputError as error:
                 field = test.place if error.file is None else None
                 raise error.located(file=campaign.path, field=field) from None
@@ -104,7 +105,8 @@ def read_measured(campaign: Campaign, effects: tuple[str, ...] = ()) -> dict[str
     return found
 
 
-def _curve(recording: Recording, path: Path, test: Test, campaign: Campaign, effects: tuple[str, ...]) -> MeasuredCurve:
+def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Campaign,
+           effects: tuple[str, ...]) -> MeasuredCurve:
     check_size(recording, test, campaign, path)
     displacement, force = _mechanical(recording, test, path)
     time = np.array(recording.time) if "time" in recording else None
@@ -153,7 +155,7 @@ def _curve(recording: Recording, path: Path, test: Test, campaign: Campaign, eff
     if time is not None and ages(effects) and (np.diff(time[places]) <= 0).any():
         raise InputError(f"{path.name} holds two samples at the same time; the force of this material depends on it",
                          field="recordings")
-    return MeasuredCurve(f"{test.name}/{recording.name}", test, None if time is None else time[places], displacement,
+    return MeasuredCurve(name, test, None if time is None else time[places], displacement,
                          force, labels, path, str(recording.metadata.get("sha256", "")))
 
 

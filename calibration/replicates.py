@@ -100,8 +100,9 @@ def read_replicates(campaign: Campaign) -> tuple[Replicate, ...]:
     for test in campaign.tests:
         for path in test.recordings:
             try:
-                found = [_read(recording, path, test, campaign)
-                         for recording in read_recordings(path, kind=test.kind, **test.reading)]
+                recordings = read_recordings(path, kind=test.kind, **test.reading)
+                found = [_read(recording, name, path, test, campaign)
+                         for recording, name in zip(recordings, names_of(recordings, path, test), strict=True)]
             except InputError as error:
                 field = test.place if error.file is None else None
                 raise error.located(file=campaign.path, field=field) from None
@@ -116,7 +117,12 @@ def read_replicates(campaign: Campaign) -> tuple[Replicate, ...]:
     return tuple(replicates)
 
 
-def _read(recording: Recording, path: Path, test: Test, campaign: Campaign) -> Replicate:
+def names_of(recordings: Sequence[Recording], path: Path, test: Test) -> list[str]:
+    """Names of the recordings of one file: the file's, or their own where it holds several."""
+    return [f"{test.name}/{path.stem if len(recordings) == 1 else recording.name}" for recording in recordings]
+
+
+def _read(recording: Recording, name: str, path: Path, test: Test, campaign: Campaign) -> Replicate:
     check_size(recording, test, campaign, path)
     recording = _loading(recording)
     mechanical, abscissa, stress = _curve(recording, test, path)
@@ -148,7 +154,7 @@ def _read(recording: Recording, path: Path, test: Test, campaign: Campaign) -> R
         abscissa, stress = abscissa[inside], stress[inside]
     for array in (abscissa, stress):
         array.flags.writeable = False
-    return Replicate(f"{test.name}/{recording.name}", test, abscissa, stress, noise, source, mechanical, path,
+    return Replicate(name, test, abscissa, stress, noise, source, mechanical, path,
                      str(recording.metadata.get("sha256", "")), interpolation)
 
 

@@ -9,11 +9,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
+from msgspec.structs import replace
 
 from calibration.batch import Context
 from calibration.campaign import Campaign
 from calibration.campaign_effects import is_effect
-from calibration.fit import Fit, Prediction, SensorStatement
+from calibration.fit import Prediction, SensorStatement
 from calibration.inverse_fem.assess import assess
 from calibration.inverse_fem.build import REMAINDERS, build_problem, build_test, remainder
 from calibration.inverse_fem.checks import check_start
@@ -82,7 +83,6 @@ class InverseWork:
 
         campaign, laws, tasks = self.campaign, self.campaign.fit.laws, context.tasks
         problems = {law: self._problem(law) for law in laws}
-        stated = _stated(campaign)
 
         def listener(law: str) -> Listener:
             return lambda iteration: context.listen(campaign.name, law, iteration)
@@ -108,7 +108,8 @@ class InverseWork:
         best = {law: min(own, key=lambda d: d.error) for law, own in grouped.items()}
         usable = [law for law in laws if np.isfinite(best[law].error)]
         estimates: dict[str, Estimate] = dict(zip(usable, several(
-            run_settle, [(law,) for law in usable], [(problems[law], best[law], stated) for law in usable],
+            run_settle, [(law,) for law in usable],
+            [(problems[law], best[law], _stated(campaign, problems[law])) for law in usable],
             "the difference of the accurate mesh"), strict=True))
         usable = [law for law in usable if np.isfinite(estimates[law].error)]
         spreads = {law: assess_uncertainty(e.problem, e.problem.evaluate(e.theta))
@@ -132,8 +133,9 @@ class InverseWork:
             simulations = sum(sum(part.simulations.values()) for part in parts)
             simulations += sum((self.solves.counts - counted).values())
             spent = sum(part.cpu_s for part in parts) + time.process_time() - began
-            answers.append((_with_cost(fit, simulations, spent),
-                            [*(one.prediction for one in left), *held_out], curves))
+            fit = replace(fit, fem_solves=simulations, cpu_s=spent,
+                          estimate_cpu_s=best[law].cpu_s + estimates[law].cpu_s)
+            answers.append((fit, [*(one.prediction for one in left), *held_out], curves))
         return answers
 
     def _explore(self, context: Context, estimates: dict[str, Estimate], spreads: dict[str, Uncertainty],
@@ -201,17 +203,11 @@ def run_settle(problem: Problem, best: Descent, stated: Stated, listen: Listener
     return settle(problem, best.theta, stated, start=best.start, past=len(best.history), listen=listen)
 
 
-def _stated(campaign: Campaign) -> Stated:
+def _stated(campaign: Campaign, problem: Problem) -> Stated:
+    """The jitter that is not to be estimated: fitted offsets have their priors."""
     if campaign.fit.offset == "fit":
-        problem_priors = campaign.fit.offset_prior, campaign.fit.zero_prior or 0.0
-        return Stated(*problem_priors)
+        return Stated(problem.jitter.contact, problem.jitter.zero)
     return Stated(campaign.noise.contact_jitter, campaign.noise.zero_jitter)
-
-
-def _with_cost(fit: Fit, simulations: int, cpu_s: float) -> Fit:
-    from msgspec.structs import replace
-
-    return replace(fit, fem_solves=simulations, cpu_s=cpu_s)
 
 
 def _digests(campaign: Campaign) -> tuple[str, ...]:
