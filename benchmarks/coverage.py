@@ -26,7 +26,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from measure import about, show, table, verdict
 from rich.console import Console
-from rich.progress import track
+from rich.progress import Progress
 from scipy import stats
 from scipy.interpolate import CubicSpline
 from starts import (
@@ -87,12 +87,13 @@ def true_curves(data: str, scenes: Sequence[str] = JOINT) -> dict[str, tuple[np.
                                       resolution="accurate").force) for name in scenes}
 
 
-def run_campaign(number: int, seed: int, truth: Truth, drawn: bool, profiled: bool) -> dict[str, dict]:
-    """One synthetic campaign by all methods.
+def run_campaign(number: int, seed: int, truth: Truth, drawn: bool, profiled: bool,
+                 methods: Sequence[str] = tuple(STATED)) -> dict[str, dict]:
+    """One synthetic campaign by these methods, and by ordinary least squares.
 
     Args:
         number, seed: of its scatter. truth: see `true_curves`. drawn: whether a mesh error is drawn into the data.
-        profiled: whether to follow the profiles too.
+        profiled: whether to follow the profiles too. methods: keys of `STATED`.
 
     Returns:
         Method -> plain numbers: estimate, standard errors, half width of an interval in them, interval ends of the
@@ -109,7 +110,7 @@ def run_campaign(number: int, seed: int, truth: Truth, drawn: bool, profiled: bo
 
     campaigns = {method: make_campaign(tuple(truth), Noise(NOISE, contact_jitter=stated.contact,
                                                            zero_jitter=stated.zero, correlation_time=0.0))
-                 for method, stated in STATED.items()}
+                 for method, stated in STATED.items() if method in methods}
     measured = make_recordings(next(iter(campaigns.values())), force, generator, CONTACT, ZERO)
     solves, found = Solves(), {}
     for method, campaign in campaigns.items():
@@ -159,7 +160,7 @@ def summarise(runs: Sequence[Mapping[str, Mapping]]) -> list[dict]:
         average (root mean square) in units of that scatter, mean half width as a share of the truth.
     """
     found = []
-    for method in METHODS:
+    for method in (name for name in METHODS if name in runs[0]):
         for kind in ("Wald", "profile"):
             own = [run[method] for run in runs if kind == "Wald" or run[method]["profile"] is not None]
             if not own:
@@ -189,10 +190,9 @@ def run_study(data: str, campaigns: int, seed: int, workers: int, profile_every:
     truth = true_curves(data)
     tasks_of = [(number, seed, truth, data == "drawn", bool(profile_every) and number % profile_every == 0)
                 for number in range(campaigns)]
-    with open_tasks(Workers(workers)) as tasks:
-        if workers > 1:
-            return tasks.run(run_campaign, tasks_of)
-        return [run_campaign(*task) for task in track(tasks_of, "campaigns", console=Console(stderr=True))]
+    with open_tasks(Workers(workers)) as tasks, Progress(console=Console(stderr=True)) as progress:
+        bar = progress.add_task("campaigns", total=campaigns)
+        return tasks.run(run_campaign, tasks_of, lambda *_: progress.advance(bar))
 
 
 def draw(result: dict, console: Console) -> None:

@@ -26,7 +26,7 @@ class AnalyticalWork:
     """A campaign whose tests have closed forms; see `calibration.batch.Work`.
 
     Raises:
-        InputError: what `read_replicates` refuses, or fewer samples than a law has parameters.
+        InputError: what `read_replicates` refuses.
     """
 
     extra = ()
@@ -34,7 +34,10 @@ class AnalyticalWork:
     def __init__(self, campaign: Campaign):
         self.campaign = campaign
         self.recordings = read_replicates(campaign)
-        _check_size(campaign, self.recordings)
+
+    def check(self, context: Context) -> None:
+        """Refuse laws with more parameters than the tests have samples."""
+        _check_size(self.campaign, self.recordings)
 
     def run(self, folder: Path, work: str, context: Context) -> CalibrationResult:
         """Fit all laws and write everything."""

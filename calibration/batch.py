@@ -14,8 +14,10 @@ from calibration.executors import Tasks, Workers, open_tasks
 from calibration.fit import Iteration
 from calibration.output_folder import SUMMARY_FILE, claim
 from calibration.result import CalibrationResult, read_back
-from tissue_sim.errors import InputError
+from tissue_sim.errors import ConvergenceError, InputError
 
+#: Told what is done now, and how many of its tasks are done, and of how many.
+Progress = Callable[..., None]
 #: Told the campaign, the law and each solve of an inverse fit.
 IterationListener = Callable[[str, str, Iteration], None]
 
@@ -25,12 +27,13 @@ class Context:
     """What the work on a campaign is done with.
 
     Attributes:
-        tasks: where its parts run. say: called with a sentence before each part. listen: told every solve.
+        tasks: where its parts run. say: called with a sentence before each part, and with the number of its tasks that
+            are done and of all. listen: told every solve.
         figures: whether reports get their pictures.
     """
 
     tasks: Tasks
-    say: Callable[[str], None] = lambda sentence: None
+    say: Progress = lambda sentence, done=0, of=0: None
     listen: IterationListener = lambda campaign, law, iteration: None
     figures: bool = True
 
@@ -44,7 +47,7 @@ class Recorded(Protocol):
 
 
 class Work(Protocol):
-    """A campaign that has been read and checked.
+    """A campaign that has been read.
 
     Attributes:
         campaign: what is asked. recordings: what it reads. extra: digests of the other files that it reads.
@@ -54,12 +57,19 @@ class Work(Protocol):
     recordings: Sequence[Recorded]
     extra: Sequence[str]
 
+    def check(self, context: Context) -> None:
+        """Refuse what cannot be fitted, before anything is written; not asked of work that is finished.
+
+        Raises:
+            InputError: with file and field.
+        """
+
     def run(self, folder: Path, work: str, context: Context) -> CalibrationResult:
         """Fit, and write everything into the folder; ``fit.json`` last, because it says that the work is finished."""
 
 
 def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool = False,
-              progress: Callable[[str], None] | None = None, listen: IterationListener | None = None,
+              progress: Progress | None = None, listen: IterationListener | None = None,
               figures: bool = True, workers: Workers | None = None) -> list[CalibrationResult]:
     """Fit every law of every campaign and write the results.
 
@@ -73,13 +83,15 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
         paths: campaign files.
         output: folder, created where missing.
         overwrite: replace the results of other work in `output`.
-        progress: called with a sentence before each part of the work.
+        progress: called with a sentence before each part of the work, how many of its tasks are done, and of how many
+            (0 and 0 where it has none).
         listen: called with the campaign, the law and each solve of an inverse fit.
         figures: whether the report gets its pictures.
         workers: who computes the parts of inverse fits; None: this process.
 
     Raises:
         InputError: anything wrong in a campaign or a recording, or `output` holds something else; nothing is written.
+        ConvergenceError: no law of a campaign could be fitted; those of the other campaigns are written.
         WorkerError: a worker process dies each time that it is given a part.
     """
     output = Path(output)
@@ -93,28 +105,38 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
     with open_tasks(workers or Workers()) as tasks:
         quiet = Context(tasks, figures=figures)
         context = Context(tasks, progress or quiet.say, listen or quiet.listen, figures)
-        prepared = [_prepare(campaign, context) for campaign in campaigns]
+        prepared = [_prepare(campaign) for campaign in campaigns]
         works = {item.campaign.name: _digest(item) for item in prepared}
         folders = {campaign.name: output / campaign.name if len(campaigns) > 1 else output for campaign in campaigns}
-        same = claim(output, folders, campaigns, [r for item in prepared for r in item.recordings], works, overwrite)
-        results = []
+        finished = {campaign.name: None if overwrite else
+                    read_back(campaign, folders[campaign.name], works[campaign.name]) for campaign in campaigns}
+        for item in prepared:
+            if finished[item.campaign.name] is None:
+                item.check(context)
+        claim(output, folders, campaigns, [r for item in prepared for r in item.recordings], works, overwrite)
+        results, failures = [], []
         for item in prepared:
             name = item.campaign.name
-            result = read_back(item.campaign, folders[name], works[name]) if same else None
-            results.append(result or item.run(folders[name], works[name], context))
+            try:
+                results.append(finished[name] or item.run(folders[name], works[name], context))
+            except ConvergenceError as failure:
+                # The others are not to wait for it.
+                failures.append(str(failure))
     if len(results) > 1:
         # Here, so that importing calibration draws nothing in.
         from calibration.outputs import write_summary
 
         write_summary(results, output / SUMMARY_FILE)
+    if failures:
+        raise ConvergenceError("; ".join(failures))
     return results
 
 
-def _prepare(campaign: Campaign, context: Context) -> Work:
+def _prepare(campaign: Campaign) -> Work:
     if campaign.fit.method == "inverse_fem":
         from calibration.inverse_fem.work import InverseWork
 
-        return InverseWork(campaign, context)
+        return InverseWork(campaign)
     from calibration.analytical import AnalyticalWork
 
     return AnalyticalWork(campaign)

@@ -41,6 +41,7 @@ class CalibrationProgress:
         self._console, self._campaigns = console, campaigns
         self._sentence, self._began, self._said = "reading", time.monotonic(), time.monotonic()
         self._place, self._rows, self._solves = ("", ""), [], 0
+        self._done, self._of = 0, 0
         self._seen: list[str] = []
         self._spinner = Spinner("dots")
         self._live = Live(console=console, get_renderable=self.render, transient=True, refresh_per_second=8)
@@ -53,9 +54,9 @@ class CalibrationProgress:
     def __exit__(self, *failure) -> None:
         self._live.stop()
 
-    def say(self, sentence: str) -> None:
-        """Show what is done from now on."""
-        self._sentence, self._said = sentence, time.monotonic()
+    def say(self, sentence: str, done: int = 0, of: int = 0) -> None:
+        """Show what is done from now on, and how many of its tasks are done, of how many."""
+        self._sentence, self._said, self._done, self._of = sentence, time.monotonic(), done, of
         if self._live.is_started:
             # At once: a kernel that is compiled, or runs, keeps the refreshing thread waiting.
             self._live.refresh()
@@ -74,7 +75,9 @@ class CalibrationProgress:
         now = time.monotonic()
         seconds = round(now - self._began)
         line = Table.grid(padding=(0, 1))
-        line.add_row(self._spinner, ProgressBar(width=_BAR_WIDTH, pulse=True, animation_time=now),
+        bar = ProgressBar(total=self._of, completed=self._done, width=_BAR_WIDTH) if self._of else \
+            ProgressBar(width=_BAR_WIDTH, pulse=True, animation_time=now)
+        line.add_row(self._spinner, bar, Text(f"{self._done} of {self._of}" if self._of else ""),
                      Text(f"{seconds // 60}:{seconds % 60:02d}"),
                      Text(f"{self._solves} solves" if self._solves else ""),
                      Text(f"campaign {max(len(self._seen), 1)} of {self._campaigns}" if self._campaigns > 1 else ""))
@@ -88,7 +91,7 @@ class CalibrationProgress:
         law = find_law(self._place[1])
         names = list(self._rows[-1].parameters)
         headings = [f"{name} {unit}".strip() for name, unit in ((n, parameter_unit(law, n)) for n in names)]
-        table = text_table("start", "run", *headings, "error", "RMSE N", "mesh", text=0)
+        table = text_table("start", "run", *headings, "error", "RMSE", "mesh", text=0)
         for column in table.columns[2:2 + len(names)]:
             column.no_wrap, column.overflow = False, "fold"
         room = self._console.size.height - _OTHER_LINES

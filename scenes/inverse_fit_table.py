@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from textwrap import shorten
 from typing import TYPE_CHECKING
 
 from rich.text import Text
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
 
 #: Columns of the longest path into a material that are shown in a line.
 _NAME_WIDTH = 29
+#: Of a note on an interval, and of the regions with a misfit of a law; all of them are in the report.
+_NOTE_WIDTH, _MOST_REGIONS = 60, 3
 #: From here on a number is written with an exponent.
 _LARGE = 1e8
 
@@ -142,8 +145,10 @@ def _size(error: float, test: Test) -> str:
 def _untold(fits: Sequence[Fit]) -> Iterator[str]:
     """What cut an interval, and what these tests do not tell."""
     for fit in fits:
-        for name, note in fit.interval_notes.items():
-            yield f"{fit.law}: the interval of {name} is cut, {note}"
+        cuts = [f"{name} {shorten(note, _NOTE_WIDTH, placeholder=' ...')}"
+                for name, profile in fit.profiles.items() for note in profile.notes]
+        if cuts:
+            yield f"{fit.law}: intervals that are cut: {'; '.join(cuts)}"
         if fit.not_identifiable:
             told = "; ".join(suggestion_in_words(s, fit) for s in fit.suggestions) or "no further test is known to help"
             yield f"{fit.law}: not identifiable from these tests: {', '.join(fit.not_identifiable)}; {told}"
@@ -153,11 +158,14 @@ def _untold(fits: Sequence[Fit]) -> Iterator[str]:
 
 
 def _misfits(fits: Sequence[Fit], tests: Mapping[str, Test]) -> Iterator[str]:
-    """Regions whose residuals are more than noise."""
+    """Regions whose residuals are more than noise, the surest first."""
     for fit in fits:
-        bad = sorted((region for region in fit.regions if not region.adequate), key=lambda region: region.p)
+        bad = sorted((region for region in fit.regions if not region.adequate),
+                     key=lambda region: (region.p, -region.statistic))
         if bad:
-            yield f"{fit.law}: smooth misfit in {'; '.join(_misfit(region, tests[region.test]) for region in bad)}"
+            worst = "; ".join(_misfit(region, tests[region.test]) for region in bad[:_MOST_REGIONS])
+            more = f"; and {len(bad) - _MOST_REGIONS} more" if len(bad) > _MOST_REGIONS else ""
+            yield f"{fit.law}: smooth misfit in {worst}{more}"
         elif fit.regions:
             yield f"{fit.law}: no smooth misfit in any of {counted(len(fit.regions), 'region')}"
 

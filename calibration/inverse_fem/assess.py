@@ -67,9 +67,10 @@ def assess(estimate: Estimate, spread: Uncertainty, descents: Sequence[Descent],
     status, unusable = _verdict(estimate, stability, ranges)
     warnings = [*estimate.warnings, *(f"{name} ended on its bound {values[name]:.6g}" for name in on_bound)]
     warnings += _unstable_elsewhere(stability, (low, high), ranges)
-    if problem.jitter.freedom == 0 and not (problem.jitter.contact and problem.jitter.zero):
-        warnings.append("no test has two recordings, so their scatter is unknown and left out: state "
-                        "contact_jitter_mm and zero_jitter_N, or the errors are too small")
+    if problem.jitter.freedom == 0:
+        warnings.append("no test has two recordings, so the scatter between recordings is not known and was assumed: "
+                        f"contact {problem.jitter.contact * 1e3:.2g} mm, zero {problem.jitter.zero:.2g} N; state "
+                        "contact_jitter_mm and zero_jitter_N")
     if spread.ratio > MODEL_ERROR_RATIO:
         warnings.append(f"residuals are {spread.ratio:.3g} times the noise: the model misses something, and the "
                         "standard errors are no more than a guess")

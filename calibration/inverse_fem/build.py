@@ -24,7 +24,8 @@ REMAINDERS = {"plate": 0.0005, "flat": 0.001, "other": 0.002}
 FAST_REMAINDERS = {"plate": 0.003, "flat": 0.008, "other": 0.01}
 #: The simulated way goes on for so many standard deviations of the contact offset, but for this share at least.
 _MARGIN, _LEAST_MARGIN = 4.0, 1e-3
-#: Standard deviations with which an estimate of the jitter begins, m and as a share of the largest force.
+#: Standard deviations with which an estimate of the jitter begins, and which are assumed where no test has two
+#: recordings: m, and a share of the largest force.
 FIRST_CONTACT, FIRST_ZERO = 0.05e-3, 0.002
 
 

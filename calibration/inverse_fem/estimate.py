@@ -117,6 +117,9 @@ def _refine(problem: Problem, theta: np.ndarray, warnings: list[str]) -> tuple[f
 
 
 def _estimate_jitter(problem: Problem, theta: np.ndarray, stated: Stated) -> None:
+    """New jitter; where no test has two recordings the first guess stays, with freedom 0."""
+    if all(len(test.measured) < 2 for test in problem.tests):
+        return
     replicates = problem.replicates(problem.evaluate(theta))
     problem.jitter = estimate_jitter(replicates, contact=stated.contact, zero=stated.zero)
     problem.forget()

@@ -17,6 +17,9 @@ from calibration.sensor_noise import whiten
 #: Offsets are found by this many linear steps at most, to this share of their standard deviation; the force is almost
 #: a straight line over their size.
 _OFFSET_STEPS, _OFFSET_SETTLED = 10, 3e-4
+#: No offset is taken for larger than so many standard deviations: a model that wants more is wrong, and its curve would
+#: be read where nothing was simulated.
+_FARTHEST = 8.0
 #: Smooth shapes of the error that the accurate mesh is left with: constant and linear along the way.
 MESH_MODES = 2
 
@@ -137,22 +140,7 @@ class Problem:
         if self._last is not None and np.array_equal(self._last.theta, theta):
             return self._last
         answers = [test.solve(self.space, theta, self.solves) for test in self.tests]
-        # Near the last place the nuisances are near those there.
-        nuisances = self._last.nuisances if self._last is not None else np.zeros(self.nuisances)
-        best, change, share = np.inf, np.zeros_like(nuisances), 1.0
-        for _ in range(_OFFSET_STEPS):
-            residual, rates, columns, force = self._linearise(answers, nuisances)
-            error = residual @ residual + nuisances @ nuisances
-            if error > best:
-                share *= 0.5
-                nuisances = nuisances - share * change
-                continue
-            best, share = error, 1.0
-            matrix = np.eye(nuisances.size) + columns.T @ columns
-            change = -cho_solve(cho_factor(matrix), columns.T @ residual + nuisances)
-            if np.abs(change).max(initial=0.0) < _OFFSET_SETTLED:
-                break
-            nuisances = nuisances + change
+        nuisances, (residual, rates, columns, force) = self._best_nuisances(answers)
         prior = np.flatnonzero(np.isfinite(self.space.prior_deviation))
         deviation = self.space.prior_deviation[prior]
         prior_rates = np.zeros((prior.size, theta.size))
@@ -160,6 +148,32 @@ class Problem:
         self._last = Evaluation(theta, residual, rates, columns, nuisances,
                                 (theta[prior] - self.space.prior_mean[prior]) / deviation, prior_rates, force)
         return self._last
+
+    def _best_nuisances(self, answers: list) -> tuple[np.ndarray, tuple]:
+        """The nuisances that fit best, shape (m,), and the problem linearised there.
+
+        From zero each time, so that the sum of squares is a function of the parameters alone.
+        """
+        trial, reach, share = np.zeros(self.nuisances), np.inf, 1.0
+        best, found, change = trial, (), trial
+        for _ in range(_OFFSET_STEPS):
+            linearised = self._linearise(answers, trial)
+            residual, columns = linearised[0], linearised[2]
+            error = residual @ residual + trial @ trial
+            if found and error > reach:
+                share *= 0.5
+                trial = best + share * change
+                continue
+            best, reach, found, share = trial, error, linearised, 1.0
+            if not trial.size:
+                break
+            matrix = np.eye(trial.size) + columns.T @ columns
+            change = np.clip(trial - cho_solve(cho_factor(matrix), columns.T @ residual + trial),
+                             -_FARTHEST, _FARTHEST) - trial
+            if np.abs(change).max() < _OFFSET_SETTLED:
+                break
+            trial = trial + change
+        return best, found
 
     def forget(self) -> None:
         """The model has changed: corrections or jitter."""

@@ -39,20 +39,26 @@ class InverseWork:
     """A campaign of simulated tests; see `calibration.batch.Work`.
 
     Raises:
-        InputError: what `read_measured` refuses, a start that the law or the tests do not bear, a parameter that no
-            test can see.
+        InputError: what `read_measured` refuses.
     """
 
-    def __init__(self, campaign: Campaign, context: Context):
+    def __init__(self, campaign: Campaign):
         self.campaign = campaign
         effects = tuple(name for name in (*campaign.fit.start, *campaign.fit.fixed) if is_effect(name))
         self.measured: dict[str, tuple[MeasuredCurve, ...]] = read_measured(campaign, effects)
         self.recordings = [curve for curves in self.measured.values() for curve in curves]
         self.solves = Solves()
         self.extra = _digests(campaign)
-        for number, law in enumerate(campaign.fit.laws):
-            context.say(f"{campaign.name}: looking at the start of {law}")
-            check_start(self._problem(law), campaign, number)
+        #: Law -> simulations that looking at its start took.
+        self.looked: dict[str, int] = {}
+
+    def check(self, context: Context) -> None:
+        """Refuse a start that the law or the tests do not bear, or a parameter that no test can see."""
+        for number, law in enumerate(self.campaign.fit.laws):
+            context.say(f"{self.campaign.name}: looking at the start of {law}")
+            before = sum(self.solves.counts.values())
+            check_start(self._problem(law), self.campaign, number)
+            self.looked[law] = sum(self.solves.counts.values()) - before
 
     def _problem(self, law: str) -> Problem:
         return build_problem(law, self.campaign, self.measured, self.solves)
@@ -74,6 +80,7 @@ class InverseWork:
         result = CalibrationResult(
             self.campaign, tuple(fits), tuple(predictions), ranking_message(fits, predictions, self.campaign), folder,
             work, None, sources.pop() if len(sources) == 1 else "mixed", noise)
+        context.say(f"{self.campaign.name}: writing the report")
         write_campaign(result, curves, self.measured, figures=context.figures)
         return result
 
@@ -89,13 +96,20 @@ class InverseWork:
 
         def several(function: Callable, keys: Sequence, arguments: Sequence[tuple], what: str) -> list:
             """Results of a function with a `listen` keyword, for each key (law first)."""
-            context.say(f"{campaign.name}: {what}")
+            sentence, of = f"{campaign.name}: {what}", len(arguments)
+            context.say(sentence, 0, of)
+            answers = []
             if not tasks.parallel:
-                return [function(*own, listen=listener(key[0])) for key, own in zip(keys, arguments, strict=True)]
+                for key, own in zip(keys, arguments, strict=True):
+                    answers.append(function(*own, listen=listener(key[0])))
+                    context.say(sentence, len(answers), of)
+                return answers
 
             def replay(index: int, answer) -> None:
-                for iteration in getattr(answer, "history", ()):
+                for iteration in answer.history:
                     context.listen(campaign.name, keys[index][0], iteration)
+                answers.append(answer)
+                context.say(sentence, len(answers), of)
 
             return tasks.run(function, arguments, replay)
 
@@ -131,7 +145,7 @@ class InverseWork:
             curves = draw_curves(estimates[law], spreads[law], self._tests_of(estimates[law]))
             parts = [*grouped[law], estimates[law], *sides, *left]
             simulations = sum(sum(part.simulations.values()) for part in parts)
-            simulations += sum((self.solves.counts - counted).values())
+            simulations += sum((self.solves.counts - counted).values()) + self.looked.get(law, 0)
             spent = sum(part.cpu_s for part in parts) + time.process_time() - began
             fit = replace(fit, fem_solves=simulations, cpu_s=spent,
                           estimate_cpu_s=best[law].cpu_s + estimates[law].cpu_s)
@@ -150,10 +164,8 @@ class InverseWork:
                       for side in (-1, 1)]
             if len(estimate.problem.tests) > 1:
                 left += [(estimate.problem, estimate.theta, number) for number in range(len(estimate.problem.tests))]
-        context.say(f"{self.campaign.name}: {len(sides)} profile sides")
-        found_sides = context.tasks.run(profile_side, sides)
-        context.say(f"{self.campaign.name}: {len(left)} tests left out")
-        found_left = context.tasks.run(leave_out, left)
+        found_sides = self._run(context, profile_side, sides, "profiles")
+        found_left = self._run(context, leave_out, left, "tests left out, one at a time")
         laws = {id(estimates[law].problem): law for law in usable}
         sides_of: dict[str, list[ProfileSide]] = {law: [] for law in usable}
         left_of: dict[str, list[LeftOut]] = {law: [] for law in usable}
@@ -162,6 +174,16 @@ class InverseWork:
         for (problem, *_), one in zip(left, found_left, strict=True):
             left_of[laws[id(problem)]].append(one)
         return sides_of, left_of
+
+    def _run(self, context: Context, function: Callable, arguments: Sequence[tuple], what: str) -> list:
+        sentence, done = f"{self.campaign.name}: {what}", []
+
+        def note(index: int, answer) -> None:
+            done.append(index)
+            context.say(sentence, len(done), len(arguments))
+
+        context.say(sentence, 0, len(arguments))
+        return context.tasks.run(function, arguments, note)
 
     def _tests_of(self, estimate: Estimate) -> list:
         """All tests of the campaign in its order, those that are held out with a mesh difference of their own."""

@@ -379,6 +379,20 @@ class TestWhole:
         assert "held-out" in result.message
 
 
+    def test_a_single_recording_has_an_assumed_scatter(self, plates):
+        text = campaign_text("lubricated").replace("lubricated_*", "lubricated_1").replace(
+            "contact_jitter_mm = 0.03\nzero_jitter_N = 0.01\n", "")
+        (plates / "study.toml").write_text(text, encoding="utf-8")
+        result, = calibration.calibrate([plates / "study.toml"], plates / "out", figures=False)
+        fit = result.best
+        assert fit.jitter.freedom == 0
+        assert fit.jitter.contact_mm == pytest.approx(0.05)
+        assert any("assumed: contact 0.05 mm" in warning for warning in fit.warnings)
+        for name, value in TRUTH.items():
+            low, high = fit.intervals95[name]
+            assert low < value < high
+
+
 def bad(folder, text):
     """The error of a calibration, and that nothing was written."""
     (folder / "study.toml").write_text(text, encoding="utf-8")
