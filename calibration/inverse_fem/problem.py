@@ -19,7 +19,7 @@ from calibration.sensor_noise import whiten
 _OFFSET_STEPS, _OFFSET_SETTLED = 10, 3e-4
 #: No offset is taken for larger than so many standard deviations: a model that wants more is wrong, and its curve would
 #: be read where nothing was simulated.
-_FARTHEST = 8.0
+FARTHEST = 8.0
 #: Smooth shapes of the error that the accurate mesh is left with: constant and linear along the way.
 MESH_MODES = 2
 
@@ -68,8 +68,8 @@ class Evaluation:
         """How the nuisances move to make up for a change of the model, shape (m, ...)."""
         if not self.columns.shape[1]:
             return np.zeros((0, *columns.shape[1:]))
-        factor = cho_factor(np.eye(self.columns.shape[1]) + self.columns.T @ self.columns)
-        return -cho_solve(factor, self.columns.T @ columns)
+        loose = np.where(np.abs(self.nuisances) < FARTHEST, self.columns, 0.0)
+        return -cho_solve(cho_factor(np.eye(loose.shape[1]) + loose.T @ loose), loose.T @ columns)
 
     @property
     def design(self) -> tuple[np.ndarray, np.ndarray]:
@@ -167,9 +167,12 @@ class Problem:
             best, reach, found, share = trial, error, linearised, 1.0
             if not trial.size:
                 break
-            matrix = np.eye(trial.size) + columns.T @ columns
-            change = np.clip(trial - cho_solve(cho_factor(matrix), columns.T @ residual + trial),
-                             -_FARTHEST, _FARTHEST) - trial
+            matrix, slope = np.eye(trial.size) + columns.T @ columns, columns.T @ residual + trial
+            # What is pressed against its bound stays there, and the others do without it.
+            loose = ~((np.abs(trial) >= FARTHEST) & (slope * trial < 0.0))
+            change = np.zeros_like(trial)
+            change[loose] = -cho_solve(cho_factor(matrix[np.ix_(loose, loose)]), slope[loose])
+            change = np.clip(trial + change, -FARTHEST, FARTHEST) - trial
             if np.abs(change).max() < _OFFSET_SETTLED:
                 break
             trial = trial + change
