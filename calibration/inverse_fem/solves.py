@@ -7,6 +7,7 @@ import hashlib
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,6 @@ import tissue_sim
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.tool import Tool
 
-#: Raised when the simulation of the same model gives another curve: what is on disk is not used any more then.
-SOLVER_VERSION = 1
 
 
 class SimulatedCurve(msgspec.Struct, frozen=True, array_like=True):
@@ -80,9 +79,17 @@ class Solves:
 
 
 def content_key(*parts: Any) -> str:
-    """SHA-256 of everything in frozen data, numbers to the last digit, with the version of the solver."""
-    content = msgspec.json.encode([tissue_sim.__version__, SOLVER_VERSION, _plain(parts)])
-    return hashlib.sha256(content).hexdigest()[:40]
+    """SHA-256 of everything in frozen data, numbers to the last digit, and of the solver's own source."""
+    return hashlib.sha256(msgspec.json.encode([_solver_digest(), _plain(parts)])).hexdigest()[:40]
+
+
+@cache
+def _solver_digest() -> str:
+    """What would make the same model another curve: the source of the package."""
+    digest = hashlib.sha256(tissue_sim.__version__.encode())
+    for path in sorted(Path(tissue_sim.__file__).parent.rglob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
 def _plain(value: Any) -> Any:
