@@ -122,7 +122,7 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
             except ConvergenceError as failure:
                 # The others are not to wait for it.
                 failures.append(str(failure))
-    if len(results) > 1:
+    if len(campaigns) > 1:
         # Here, so that importing calibration draws nothing in.
         from calibration.outputs import write_summary
 

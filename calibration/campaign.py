@@ -15,6 +15,7 @@ from calibration.campaign_checks import (
     check_available,
     check_bulk_ratio,
     check_parameters,
+    check_unused,
     find_recordings,
     read_columns_key,
     require_positive,
@@ -32,6 +33,8 @@ from tissue_sim.recording_file import KINDS
 
 #: Prior standard deviation of a contact offset when neither the fit nor the noise states one, m.
 DEFAULT_OFFSET_PRIOR = 0.05e-3
+#: Half width of the bounds of a contact offset of an analytical fit where the campaign does not say, m.
+DEFAULT_OFFSET_BOUND = 0.5e-3
 #: Starts of an inverse fit where the campaign does not say.
 DEFAULT_STARTS = 3
 MOST_STARTS = 1000
@@ -94,7 +97,7 @@ class FitSettings:
     laws: tuple[str, ...]
     bulk: Bulk = field(default_factory=Bulk)
     offset: str = "none"
-    offset_bound: float = 0.5e-3
+    offset_bound: float = DEFAULT_OFFSET_BOUND
     offset_prior: float = DEFAULT_OFFSET_PRIOR
     zero_bound: float | None = None
     zero_prior: float | None = None
@@ -291,10 +294,9 @@ def _fit_settings(table: FitTable, noise: NoiseTable) -> FitSettings:
     check_bulk_ratio(table.bulk_ratio)
     if table.strain_points is not None and table.strain_points < 5:
         raise InputError(f"{table.strain_points} points are too few; give at least 5", field="fit.strain_points")
-    if table.method == "inverse_fem" and table.strain_points is not None:
-        raise InputError("an inverse fit takes the samples as they are; leave it out", field="fit.strain_points")
     if table.starts is not None and not 1 <= table.starts <= MOST_STARTS:
         raise InputError(f"{table.starts} starts; give 1 to {MOST_STARTS}", field="fit.starts")
+    check_unused(table, noise)
     effects = check_effects(table) if table.method == "inverse_fem" else ()
     check_parameters(table, effects)
     offset_prior = next((value * 1e-3 for value in (table.offset_prior_mm, noise.contact_jitter_mm)
@@ -303,7 +305,8 @@ def _fit_settings(table: FitTable, noise: NoiseTable) -> FitSettings:
                        if isinstance(value, float | int) and value > 0), None)
     return FitSettings(
         laws=tuple(table.laws), bulk=Bulk() if table.bulk_ratio is None else Bulk("bulk_ratio", table.bulk_ratio),
-        offset=table.offset, offset_bound=table.offset_bounds_mm * 1e-3, offset_prior=offset_prior,
+        offset=table.offset, offset_prior=offset_prior,
+        offset_bound=DEFAULT_OFFSET_BOUND if table.offset_bounds_mm is None else table.offset_bounds_mm * 1e-3,
         zero_bound=table.zero_bounds_N, zero_prior=zero_prior, strain_points=table.strain_points,
         starts=table.starts or DEFAULT_STARTS, method=table.method,
         start=_read_only(table.start), fixed=_read_only(table.fixed), prior=_read_only(table.prior),

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from calibration.campaign_schema import FitTable, TestTable
+from calibration.campaign_schema import FitTable, NoiseTable, TestTable
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.formats import check_columns
 from tissue_sim.frozen_mapping import read_only
@@ -107,6 +107,29 @@ def find_recordings(patterns: list[str], folder: Path, field: str) -> tuple[Path
 
 def _is_pattern(text: str) -> bool:
     return any(character in text for character in "*?[")
+
+
+def check_unused(table: FitTable, noise: NoiseTable) -> None:
+    """Refuse keys that would be read and have no effect."""
+    if table.method == "analytical":
+        if table.starts is not None:
+            raise InputError("the analytical method makes its own starts; leave it out", field="fit.starts")
+    else:
+        if table.strain_points is not None:
+            raise InputError("an inverse fit takes the samples as they are; leave it out", field="fit.strain_points")
+        for key in ("offset_bounds_mm", "zero_bounds_N"):
+            if getattr(table, key) is not None:
+                raise InputError("an inverse fit holds offsets and zeros by their priors, not by bounds; leave it out",
+                                 field=f"fit.{key}")
+    if table.offset == "none":
+        for key in ("offset_bounds_mm", "offset_prior_mm", "zero_bounds_N", "zero_prior_N"):
+            if getattr(table, key) is not None:
+                raise InputError('it counts with offset = "fit" only; leave it out or set that', field=f"fit.{key}")
+    elif table.method == "inverse_fem":
+        for key in ("contact_jitter_mm", "zero_jitter_N"):
+            if getattr(noise, key) == "estimate" or getattr(noise, key) == 0:
+                raise InputError('offset = "fit" needs the prior of the offsets: give a standard deviation, or leave '
+                                 "offset out", field=f"noise.{key}")
 
 
 def check_parameters(table: FitTable, effects: Sequence[str] = ()) -> None:

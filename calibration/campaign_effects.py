@@ -24,12 +24,13 @@ _ENTRIES = {"viscoelastic": ViscoelasticEntry, "softening": SofteningEntry, "lay
             "poroelasticity": PoroelasticityEntry, "puncture": PunctureEntry}
 #: Last part of a path -> bounds where the campaign states none.
 _BOUNDS = {
-    "g": (0.0, 0.99), "tau_s": (1e-4, 1e6), "loss": (0.0, 0.99), "modulus_Pa": (0.0, 1e9), "share": (1e-3, 1e3),
-    "thickness_mm": (1e-3, 1e3), "modulus_ratio": (1e-3, 1e3), "phi": (0.0, 0.99),
+    "g": (1e-6, 0.99), "tau_s": (1e-4, 1e6), "loss": (1e-6, 0.99), "modulus_Pa": (0.0, 1e9), "share": (1e-3, 1e3),
+    "thickness_mm": (1e-3, 1e3), "modulus_ratio": (1e-3, 1e3), "phi": (1e-6, 0.99),
     "diffusivity_mm2_per_s": (1e-6, 1e6), "depth_mm": (0.0, 1e3), "drop": (0.0, 0.99), "bulk_ratio": BULK_RATIOS,
     "K_Pa": (1.0, 1e12),
 }
-_PATH = re.compile(r"(viscoelastic\.terms\[\d+\]|softening|layers\[\d+\]|poroelasticity|puncture|bulk)\.(\w+)")
+_PATH = re.compile(r"(viscoelastic\.terms\[(?:0|[1-9]\d*)\]|softening|layers\[(?:0|[1-9]\d*)\]|poroelasticity|puncture"
+                   r"|bulk)\.(\w+)")
 
 
 def is_effect(name: str) -> bool:
@@ -105,10 +106,19 @@ def check_effects(table: FitTable) -> tuple[str, ...]:
                 raise InputError(f"give {name} a start too (or fix it), so that the material has it",
                                  field=f"fit.{key}.{name}")
     for name, value in stated.items():
-        low, high = table.bounds.get(name, effect_bounds(name))
+        widest = effect_bounds(name)
+        low, high = table.bounds.get(name, widest)
+        if low < widest[0] or high > widest[1]:
+            raise InputError(f"[{low:g}, {high:g}] is wider than what a material may have; give bounds within "
+                             f"[{widest[0]:g}, {widest[1]:g}]", field=f"fit.bounds.{name}")
         if not low <= value <= high:
             field = "start" if name in table.start else "fixed"
             raise InputError(f"{value:g} is outside its bounds [{low:g}, {high:g}]", field=f"fit.{field}.{name}")
+    bulk = [name for name in stated if name.startswith("bulk.")]
+    if bulk and (table.bulk_ratio is not None or len(bulk) > 1):
+        other = "fit.bulk_ratio" if table.bulk_ratio is not None else bulk[0]
+        raise InputError(f"{bulk[-1]} and {other} both state the bulk response; keep one of them",
+                         field=f"fit.{'start' if bulk[-1] in table.start else 'fixed'}.{bulk[-1]}")
     try:
         build_effect_parts(stated, Bulk())
     except InputError as error:

@@ -74,7 +74,7 @@ class FitTable(_Table, kw_only=True):
     laws: list[str]
     bulk_ratio: float | None = None
     offset: Literal["none", "fit"] = "none"
-    offset_bounds_mm: float = 0.5
+    offset_bounds_mm: float | None = None
     offset_prior_mm: float | None = None
     zero_bounds_N: float | None = None
     zero_prior_N: float | None = None

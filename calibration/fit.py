@@ -48,8 +48,10 @@ class Prediction(msgspec.Struct, frozen=True, kw_only=True):
         percent: error relative to the largest measured stress, or force.
         expected_N: RMSE that noise, jitter and the uncertainty of the parameters would make; None where unknown.
         fitted: tests that the law was fitted to for this; empty: all that are not held out.
+        note: why there is no prediction; empty where there is one.
 
-    Errors are None where the law does not carry the specimen as far as the test went.
+    Errors are None where the law does not carry the specimen as far as the test went, or where the other tests leave a
+    parameter open.
     """
 
     test: str
@@ -59,6 +61,7 @@ class Prediction(msgspec.Struct, frozen=True, kw_only=True):
     percent: float | None
     expected_N: float | None = None
     fitted: list[str] = []
+    note: str = ""
 
 
 class Iteration(msgspec.Struct, frozen=True, kw_only=True):

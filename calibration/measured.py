@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from calibration.campaign import Campaign, Test
-from calibration.inverse_fem.motion import label_segments
+from calibration.inverse_fem.motion import label_segments, number_runs
 from calibration.replicates import NOT_LOADING, check_size, names_of
-from calibration.sensor_noise import SensorNoise, estimate_shared_noise
+from calibration.sensor_noise import SensorNoise, estimate_shared_noise, spread_stamps
 from tissue_sim.errors import InputError
 from tissue_sim.recording import MIN_POINTS, Recording
 from tissue_sim.recording_file import KINDS, read_recordings
@@ -32,6 +32,7 @@ class MeasuredCurve:
         time: s, shape (n,), or None. displacement: m, positive under load, shape (n,). force: N, positive under load.
         segment: labels, shape (n,), or None where everything is one loading.
         file, sha256: where it came from.
+        stressed: whether it was recorded as strain and stress.
         noise: of the sensor; None before anybody has estimated it.
     """
 
@@ -43,6 +44,7 @@ class MeasuredCurve:
     segment: np.ndarray | None
     file: Path
     sha256: str
+    stressed: bool = False
     noise: SensorNoise | None = None
 
     @property
@@ -108,8 +110,13 @@ def read_measured(campaign: Campaign, effects: tuple[str, ...] = ()) -> dict[str
 def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Campaign,
            effects: tuple[str, ...]) -> MeasuredCurve:
     check_size(recording, test, campaign, path)
-    displacement, force = _mechanical(recording, test, path)
+    displacement, force, stressed = _mechanical(recording, test, path)
+    _check_parts(test, effects, stressed, path)
     time = np.array(recording.time) if "time" in recording else None
+    rig = None if test.setup is None else test.setup.rig
+    if time is None and rig is not None and (rig.latency or rig.rate_damping or rig.sensor_drift):
+        raise InputError(f"{path.name} has no time, and the rig of its test needs it (latency, damping or drift); give "
+                         "a time column, or speed_mm_s", field="recordings")
     labels = np.char.lower(recording.labels["segment"].astype(str)) if "segment" in recording.labels else None
     keep = np.ones(displacement.size, bool)
     if labels is not None:
@@ -139,7 +146,8 @@ def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Ca
                          f"{path.name} has no time, which tells loading from unloading; give a time column, or "
                          "speed_mm_s", field="recordings")
     if test.max_strain is not None:
-        inside = displacement[places] <= test.max_strain * height * (1 + 1e-9)
+        reached = np.abs(displacement) if test.kind == "simple_shear" else displacement
+        inside = reached[places] <= test.max_strain * height * (1 + 1e-9)
         # A window of the loading; what comes after the first sample beyond it had a history outside it.
         beyond = np.flatnonzero(~inside)
         places = places[: beyond[0]] if remembers(test, effects) and beyond.size else places[inside]
@@ -150,28 +158,41 @@ def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Ca
     if np.sum(force * displacement) <= 0:
         raise InputError(f"{path.name} has a force against the load; {test.kind} expects force above zero, so turn the "
                          "column with sign = -1", field="recordings")
+    time = None if time is None else time[places]
     if remembers(test, effects):
-        labels = label_segments(time[places], displacement) if labels is None else labels[places]
-    if time is not None and ages(effects) and (np.diff(time[places]) <= 0).any():
-        raise InputError(f"{path.name} holds two samples at the same time; the force of this material depends on it",
-                         field="recordings")
-    return MeasuredCurve(name, test, None if time is None else time[places], displacement,
-                         force, labels, path, str(recording.metadata.get("sha256", "")))
+        # A clock that is coarser than the sampling.
+        time = spread_stamps(time, time.size)
+        labels = number_runs(label_segments(time, displacement) if labels is None else labels[places])
+    return MeasuredCurve(name, test, time, displacement, force, labels, path,
+                         str(recording.metadata.get("sha256", "")), stressed)
 
 
-def _mechanical(recording: Recording, test: Test, path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement, m, and force, N, positive under load."""
+def _check_parts(test: Test, effects: tuple[str, ...], stressed: bool, path: Path) -> None:
+    """Refuse what the closed form of a homogeneous test leaves out."""
+    if test.setup is not None and not stressed:
+        return
+    if any(name.startswith("layers") for name in effects):
+        raise InputError(f"a layered specimen does not deform homogeneously, and {path.name} has a closed form only; "
+                         "give displacement and force of a compression or a needle", field="kind")
+    if test.specimen is None and any(name.startswith("poroelasticity") for name in effects):
+        raise InputError("a material that drains needs the size of the specimen; add a [[specimen]]", field="specimen")
+    if test.setup is not None and not test.setup.rig.ideal:
+        raise InputError(f"{path.name} holds stress, which no load frame reads; leave the rig out", field="rig")
+
+
+def _mechanical(recording: Recording, test: Test, path: Path) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Displacement, m, and force, N, positive under load, and whether they were recorded as strain and stress."""
     mechanical, *direct = KINDS[test.kind]
     if all(name in recording for name in mechanical):
         if test.specimen is None:
             raise InputError(f"{path.name} holds displacement and force, which need a [[specimen]]", field="specimen")
-        return np.array(recording.displacement), np.array(recording.force)
+        return np.array(recording.displacement), np.array(recording.force), False
     for motion, load in direct:
         if motion in recording and load in recording:
             sign = -1.0 if test.kind == "lubricated_compression" else 1.0
             rest = 1.0 if motion == "stretch" else 0.0
             height, area = (1.0, 1.0) if test.specimen is None else (test.specimen.height, test.specimen.area)
-            return sign * height * (recording.channel(motion) - rest), sign * area * recording.channel(load)
+            return sign * height * (recording.channel(motion) - rest), sign * area * recording.channel(load), True
     wanted = " or ".join(" and ".join(pair) for pair in KINDS[test.kind])
     raise InputError(f"{path.name} has {', '.join(recording.channels)}; {test.kind} needs {wanted}", field="recordings")
 
@@ -191,10 +212,12 @@ def _check_replicates(curves: list[MeasuredCurve], test: Test, campaign: Campaig
 
 
 def _noise(curves: list[MeasuredCurve], test: Test, campaign: Campaign) -> SensorNoise:
-    stated = campaign.noise.force
-    if test.specimen is None:
-        stated = campaign.noise.nominal_stress
-    elif stated is None and campaign.noise.nominal_stress is not None:
-        stated = campaign.noise.nominal_stress * test.specimen.area
+    """One noise for the recordings of a test: what is stated in the unit that they were recorded in counts first."""
+    force, stress = campaign.noise.force, campaign.noise.nominal_stress
+    area = 1.0 if test.specimen is None else test.specimen.area
+    if curves[0].stressed:
+        stated = stress * area if stress is not None else None if test.specimen is None else force
+    else:
+        stated = force
     return estimate_shared_noise([(curve.force, curve.time, curve.segment) for curve in curves], deviation=stated,
                                  correlation_time=campaign.noise.correlation_time)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -14,6 +15,8 @@ from tissue_sim.atomic_write import write_text
 from tissue_sim.errors import InputError
 
 WORK_FILE, FIT_FILE, SUMMARY_FILE = "work.json", "fit.json", "summary.csv"
+#: Folder of the simulations of an inverse fit, beside its results.
+SOLVES = "solves"
 TABLES = ("report.html", "curves.csv", "residuals.csv")
 WORK_SCHEMA = "tissue_sim/calibration/2"
 
@@ -41,6 +44,10 @@ def claim(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaig
         raise InputError("is a file; give a folder for the results", file=output)
     planned = [path for campaign in campaigns for path in result_files(campaign, folders[campaign.name])]
     planned += [output / WORK_FILE, *([output / SUMMARY_FILE] if len(campaigns) > 1 else [])]
+    for folder in folders.values():
+        if (folder / SOLVES).exists() and not (folder / SOLVES).is_dir():
+            raise InputError("is in the way: simulations are kept in a folder of that name; move it away",
+                             file=folder / SOLVES)
     _protect_inputs(planned, campaigns, replicates)
     found = _read_work(output)
     if not overwrite and output.exists() and any(output.iterdir()):
@@ -53,6 +60,7 @@ def claim(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaig
         if path.exists() and path not in earlier:
             raise InputError("is in the way: no earlier calibration in this folder wrote it; move it away or choose "
                              "another folder", file=path)
+    _clear_solves({path.parent for path in earlier})
     _remove(earlier, output)
     files = [path.relative_to(output).as_posix() for path in planned]
     content = {"schema": WORK_SCHEMA, "campaigns": dict(works), "files": files}
@@ -90,6 +98,16 @@ def _read_work(output: Path) -> dict[str, Any]:
     # Nothing outside the folder is ours, whatever the file says.
     inside = all(not place.is_absolute() and ".." not in place.parts and len(place.parts) <= 2 for place in places)
     return found if inside else {}
+
+
+def _clear_solves(folders: Iterable[Path]) -> None:
+    """Remove the simulations that earlier work kept, so that other work begins with none."""
+    for folder in folders:
+        for file in (folder / SOLVES).glob("*.msgpack"):
+            if re.fullmatch(r"[0-9a-f]{40}", file.stem):
+                file.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            (folder / SOLVES).rmdir()
 
 
 def _remove(files: Sequence[Path], output: Path) -> None:

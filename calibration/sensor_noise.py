@@ -75,7 +75,7 @@ def whiten(columns: np.ndarray, time: np.ndarray | None, noise: SensorNoise) -> 
     columns = np.asarray(columns, dtype=float)
     if not noise.correlation_time:
         return columns / noise.deviation
-    kept, fresh = _memory(_apart(time, columns.shape[0]), noise.correlation_time)
+    kept, fresh = _memory(spread_stamps(time, columns.shape[0]), noise.correlation_time)
     return _innovations(columns, kept, fresh) / noise.deviation
 
 
@@ -148,7 +148,7 @@ class _Piece:
 
 def _pieces(force: np.ndarray, time: np.ndarray | None, segment: Sequence | np.ndarray | None) -> list[_Piece]:
     force = np.asarray(force, dtype=float)
-    time = _apart(time, force.size)
+    time = spread_stamps(time, force.size)
     starts = [0] if segment is None else [0, *(np.flatnonzero(np.asarray(segment)[1:] != np.asarray(segment)[:-1]) + 1)]
     pieces = []
     for first, last in zip(starts, [*starts[1:], force.size], strict=True):
@@ -220,7 +220,7 @@ def _refine(pieces: list[_Piece], degrees: list[int], tau: float) -> float:
     return float(np.exp(minimize_scalar(criterion, bounds=bounds, method="bounded", options={"xatol": 1e-3}).x))
 
 
-def _apart(time: np.ndarray | None, samples: int) -> np.ndarray:
+def spread_stamps(time: np.ndarray | None, samples: int) -> np.ndarray:
     """Times with repeated stamps spread evenly up to the next stamp; the number of the sample without times."""
     if time is None:
         return np.arange(samples, dtype=float)

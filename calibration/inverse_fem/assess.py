@@ -14,13 +14,12 @@ from calibration.fit import (
     MeshCorrection,
     Minimum,
     Nuisance,
-    Prediction,
     Profile,
 )
 from calibration.inverse_fem.estimate import Estimate
 from calibration.inverse_fem.identifiability import condition, not_identifiable, suggest_tests, weak_directions
 from calibration.inverse_fem.levenberg_marquardt import Descent
-from calibration.inverse_fem.problem import Evaluation, Problem
+from calibration.inverse_fem.problem import FARTHEST, Evaluation, Problem
 from calibration.inverse_fem.profiles import ProfileSide
 from calibration.inverse_fem.regions import judge_regions, name_misfits
 from calibration.inverse_fem.uncertainty import Uncertainty
@@ -40,13 +39,12 @@ _TAIL = 0.01
 
 
 def assess(estimate: Estimate, spread: Uncertainty, descents: Sequence[Descent], sides: Sequence[ProfileSide],
-           left_out: Sequence[Prediction], campaign: Campaign, simulations: int, cpu_s: float) -> Fit:
-    """The `Fit` of an estimate.
+           campaign: Campaign) -> Fit:
+    """The `Fit` of an estimate; what it cost, and its rank, are not in it yet.
 
     Args:
         estimate: the minimum. spread: its uncertainty. descents: of all starts. sides: of the profiles.
-        left_out: predictions of tests by fits without them. campaign: what was asked.
-        simulations: simulated tests in all. cpu_s: processor seconds in all.
+        campaign: what was asked.
     """
     problem, space = estimate.problem, estimate.problem.space
     law, evaluation = find_law(space.law), problem.evaluate(estimate.theta)
@@ -70,18 +68,24 @@ def assess(estimate: Estimate, spread: Uncertainty, descents: Sequence[Descent],
     if problem.jitter.freedom == 0:
         warnings.append("no test has two recordings, so the scatter between recordings is not known and was assumed: "
                         f"contact {problem.jitter.contact * 1e3:.2g} mm, zero {problem.jitter.zero:.2g} N; state "
-                        "contact_jitter_mm and zero_jitter_N")
+                        "contact_jitter_mm and zero_jitter_N (of tests without a specimen: 1000 times strain, and Pa)")
     if spread.ratio > MODEL_ERROR_RATIO:
         warnings.append(f"residuals are {spread.ratio:.3g} times the noise: the model misses something, and the "
                         "standard errors are no more than a guess")
+    nuisances = _nuisances(problem, evaluation)
+    for nuisance in nuisances:
+        on_bound += [f"{nuisance.replicate}: {name}" for name in nuisance.on_bound]
+    if stuck := [nuisance.replicate for nuisance in nuisances if nuisance.on_bound]:
+        warnings.append(f"contact or zero of {', '.join(stuck)} would be more than {FARTHEST:g} times the stated or "
+                        "estimated scatter away: check where these recordings touch, or the jitter")
     regions = judge_regions(problem, evaluation)
     unknowns = len(space.free)
-    aic, bic = information_criteria(estimate.error, problem.samples, unknowns)
+    # Laws may come to another jitter, so that the determinant of the covariance counts.
+    aic, bic = information_criteria(estimate.error + evaluation.log_determinant, problem.samples, unknowns)
     order = list(space.names)
     covariance = np.zeros((len(order), len(order)))
     free = [order.index(name) for name in space.free]
     covariance[np.ix_(free, free)] = spread.covariance
-    rated = [p.percent for p in left_out if p.percent is not None]
     history = [entry for descent in descents for entry in descent.history] + list(estimate.history)
     stressed = [curve for curve in problem.measured if curve.test.specimen is None]
     root = float(np.sqrt(np.mean(residual**2)))
@@ -94,10 +98,10 @@ def assess(estimate: Estimate, spread: Uncertainty, descents: Sequence[Descent],
         noise_ratio=spread.ratio, AIC=aic, BIC=bic, E0=law.E0(own), mu0=law.mu0(own),
         stable_from=stability.stable_from, stable_to=stability.stable_to, stability=stability.describe(),
         stretch_range=(float(low), float(high)), sag_mm=sags(law, law.as_array(own), campaign),
-        nuisances=_nuisances(problem, evaluation), minima=_minima(descents, problem, data),
+        nuisances=nuisances, minima=_minima(descents, problem, data),
         starts=len(descents), status=status, unusable=unusable, warnings=warnings,
         message=_message(estimate, descents, unusable, loose, regions, spread, warnings),
-        iterations=len(history), fem_solves=simulations, cpu_s=cpu_s,
+        iterations=len(history), cpu_s=0.0,
         material_file=f"{law.name}.material.json" if law.mu0(own) > 0 else None, interval_notes=notes,
         profiles=profiles, regions=regions, history=history, condition=condition(spread), directions=directions,
         suggestions=suggest_tests(problem, estimate.theta, spread) if loose or directions else [],
@@ -106,8 +110,7 @@ def assess(estimate: Estimate, spread: Uncertainty, descents: Sequence[Descent],
         mesh=[MeshCorrection(test=test.name, largest_percent=100.0 * difference if np.isfinite(difference) else 0.0,
                              remainder_percent=100.0 * error, refreshes=estimate.refreshes)
               for test, difference, error in zip(problem.tests, estimate.differences, problem.mesh_error,
-                                                 strict=True)],
-        left_out=float(np.sqrt(np.mean(np.square(rated)))) if rated else None)
+                                                 strict=True)])
 
 
 def stretches(problem: Problem, evaluation: Evaluation) -> dict[str, tuple[float, float]]:
@@ -116,14 +119,12 @@ def stretches(problem: Problem, evaluation: Evaluation) -> dict[str, tuple[float
     for test in problem.tests:
         deepest = max(float(curve.displacement.max()) for curve in test.measured)
         if test.homogeneous:
-            height = test.specimen.height if hasattr(test, "specimen") else test.height
-            strain = deepest / height
-            compressed = getattr(test, "compressed", True)
-            if getattr(test, "mode", "uniaxial") == "simple_shear":
+            strain = deepest / test.height
+            if test.mode == "simple_shear":
                 largest = strain / 2 + float(np.sqrt(1 + strain**2 / 4))
                 found[test.name] = (1 / largest, largest)
             else:
-                axial = 1 - strain if compressed else 1 + strain
+                axial = 1 - strain if test.compressed else 1 + strain
                 found[test.name] = tuple(sorted((axial, axial**-0.5)))
             continue
         motion = test.motions[0].protocol
@@ -153,9 +154,9 @@ def _verdict(estimate: Estimate, stability: Stability, ranges: dict) -> tuple[st
     lower, upper = stability.limits["uniaxial"]
     for test in estimate.problem.tests:
         low, high = ranges[test.name]
-        if test.homogeneous and getattr(test, "mode", "uniaxial") == "uniaxial":
+        if test.homogeneous and test.mode == "uniaxial":
             # Along the load; across it the stretch follows.
-            low, high = (low, 1.0) if getattr(test, "compressed", True) else (1.0, high)
+            low, high = (low, 1.0) if test.compressed else (1.0, high)
             if lower > low or upper < high:
                 return "unstable", (f"not stable in uniaxial loading {'below' if lower > low else 'above'} stretch "
                                     f"{lower if lower > low else upper:.3g}, where {test.name} has data")
@@ -196,7 +197,8 @@ def _profiles(estimate: Estimate, spread: Uncertainty, sides: Sequence[ProfileSi
 def _nuisances(problem: Problem, evaluation: Evaluation) -> list[Nuisance]:
     if not problem.kinds:
         return []
-    matrix = np.linalg.inv(np.eye(evaluation.nuisances.size) + evaluation.columns.T @ evaluation.columns)
+    loose = np.where(evaluation.held, 0.0, evaluation.columns)
+    matrix = np.linalg.inv(np.eye(evaluation.nuisances.size) + loose.T @ loose)
     deviations = np.sqrt(np.diag(matrix))
     found = []
     for own, curve in zip(problem.own, problem.measured, strict=True):
@@ -205,10 +207,14 @@ def _nuisances(problem: Problem, evaluation: Evaluation) -> list[Nuisance]:
         errors = dict(zip(problem.kinds, deviations[own], strict=True))
         pairs = {kind: (values[kind] * size[kind], errors[kind] * size[kind]) if kind in values else (0.0, 0.0)
                  for kind in ("contact", "zero")}
+        held = {kind for kind, stuck in zip(problem.kinds, evaluation.held[own], strict=True) if stuck}
         found.append(Nuisance(
             replicate=curve.name, contact_offset_mm=float(pairs["contact"][0] * 1e3),
-            contact_offset_error_mm=float(pairs["contact"][1] * 1e3), zero_offset_N=float(pairs["zero"][0]),
-            zero_offset_error_N=float(pairs["zero"][1])))
+            contact_offset_error_mm=None if "contact" in held else float(pairs["contact"][1] * 1e3),
+            zero_offset_N=float(pairs["zero"][0]),
+            zero_offset_error_N=None if "zero" in held else float(pairs["zero"][1]),
+            on_bound=[name for name, kind in (("contact_offset_mm", "contact"), ("zero_offset_N", "zero"))
+                      if kind in held]))
     return found
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from calibration.campaign import Campaign, Test
 from calibration.campaign_checks import HOMOGENEOUS
+from calibration.campaign_effects import is_effect
 from calibration.inverse_fem.forces import ClosedTest, SimulatedTest
 from calibration.inverse_fem.motion import Loading, Timed
 from calibration.inverse_fem.parameters import ParameterSpace
@@ -40,19 +41,19 @@ def build_problem(law: str, campaign: Campaign, measured: Mapping[str, Sequence[
     fitted = [test for test in campaign.tests if not test.hold_out]
     jitter = first_jitter(campaign, [curve for test in fitted for curve in measured[test.name]])
     tests = tuple(build_test(test, measured[test.name], space, jitter.contact) for test in fitted)
-    return Problem(space, tests, solves, jitter, tuple(remainder(test, REMAINDERS) for test in tests))
+    return Problem(space, tests, solves, jitter)
 
 
 def build_test(test: Test, curves: Sequence[MeasuredCurve], space: ParameterSpace,
                contact: float) -> SimulatedTest | ClosedTest:
     """A test and how it is simulated; `contact` is the standard deviation of the contact offset, m."""
     curves = tuple(curves)
-    stressed = test.specimen is None
-    if test.setup is None or stressed:
-        size = (1.0, 1.0) if stressed else (test.specimen.height, test.specimen.area)
+    if test.setup is None or curves[0].stressed:
+        size = (1.0, 1.0) if test.specimen is None else (test.specimen.height, test.specimen.area)
         return ClosedTest(test.name, HOMOGENEOUS[test.kind], test.kind == "lubricated_compression", *size, curves)
-    effects = tuple(name for name in space.names if "." in name)
-    if remembers(test, effects) and _ways(curves):
+    effects = tuple(name for name in space.names if is_effect(name))
+    layered = any(name.startswith("layers") for name in effects)
+    if remembers(test, effects):
         motions, motion_of = [], []
         for curve in curves:
             motion = Timed.of(curve.time, curve.displacement)
@@ -60,7 +61,8 @@ def build_test(test: Test, curves: Sequence[MeasuredCurve], space: ParameterSpac
             if not same:
                 motions.append(motion)
             motion_of.append(same[0] if same else len(motions) - 1)
-        return SimulatedTest(test.name, test.specimen, test.setup, tuple(motions), tuple(motion_of), curves)
+        return SimulatedTest(test.name, test.specimen, test.setup, tuple(motions), tuple(motion_of), curves,
+                             layered)
     deepest = max(curve.displacement.max() for curve in curves)
     depth = min(deepest + max(_MARGIN * contact, _LEAST_MARGIN * deepest), 0.999 * test.specimen.height)
     speed = float(np.median([curve.speed or STUDY_SPEED for curve in curves]))
@@ -68,12 +70,8 @@ def build_test(test: Test, curves: Sequence[MeasuredCurve], space: ParameterSpac
     slides = any(isinstance(value, float) for value in (setup.friction, setup.friction_base, setup.friction_wall))
     smooth = setup.tool.shape == "plate" or (setup.tool.shape == "flat" and not setup.tool.edge_radius and not slides)
     motion = Loading.to(float(depth), max(speed, 1e-9), smooth=smooth)
-    return SimulatedTest(test.name, test.specimen, test.setup, (motion,), (0,) * len(curves), curves)
-
-
-def _ways(curves: Sequence[MeasuredCurve]) -> bool:
-    """Whether time or direction matter: more than one ramp, or a material that ages."""
-    return all(curve.time is not None for curve in curves)
+    return SimulatedTest(test.name, test.specimen, test.setup, (motion,), (0,) * len(curves), curves,
+                         layered)
 
 
 def first_jitter(campaign: Campaign, curves: Sequence[MeasuredCurve]) -> Jitter:

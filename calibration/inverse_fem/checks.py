@@ -40,7 +40,7 @@ def check_start(problem: Problem, campaign: Campaign, number: int) -> None:
     try:
         space.material(values)
     except InputError as error:
-        raise InputError(f"with these values {law.name} is no material: {error.problem}", file=campaign.path,
+        raise InputError(f"{law.name} is no material with this start: {error.problem}", file=campaign.path,
                          field=f"fit.{key}") from None
     if stated:
         _check_stable(problem, campaign, law, own, key)
@@ -62,22 +62,14 @@ def check_start(problem: Problem, campaign: Campaign, number: int) -> None:
 
 def _check_stable(problem: Problem, campaign: Campaign, law, own: dict[str, float], key: str) -> None:
     """Refuse a stated law that loses stability in a homogeneous test inside its data."""
-    low, high = 1.0, 1.0
-    place = ""
     for test in problem.tests:
-        deepest = max(float(curve.displacement.max()) for curve in test.measured)
-        if not test.homogeneous or getattr(test, "mode", "uniaxial") != "uniaxial":
+        if not test.homogeneous or test.mode != "uniaxial":
             continue
-        height = test.specimen.height if hasattr(test, "specimen") else test.height
-        if getattr(test, "compressed", True):
-            low, place = min(low, 1 - deepest / height), test.name
-        else:
-            high, place = max(high, 1 + deepest / height), test.name
-    if low == high:
-        return
-    lower, upper = check_stability(law, law.as_array(own), (min(low, 0.99), max(high, 1.01))).limits["uniaxial"]
-    if lower > low or upper < high:
-        limit = lower if lower > low else upper
-        raise InputError(f"{law.name} with these values loses stability at stretch {limit:.3g}, inside the data of "
-                         f"{place} (to {low if lower > low else high:.3g}); choose values that are stable there",
-                         file=campaign.path, field=f"fit.{key}")
+        strain = max(float(curve.displacement.max()) for curve in test.measured) / test.height
+        low, high = (1 - strain, 1.01) if test.compressed else (0.99, 1 + strain)
+        lower, upper = check_stability(law, law.as_array(own), (min(low, 0.99), high)).limits["uniaxial"]
+        if lower > low or upper < high:
+            limit, end = (lower, low) if lower > low else (upper, high)
+            raise InputError(f"{law.name} loses stability at stretch {limit:.3g} with this start, inside the data of "
+                             f"{test.name} (to {end:.3g}); choose values that are stable there", file=campaign.path,
+                             field=f"fit.{key}")

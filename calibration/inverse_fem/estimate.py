@@ -107,12 +107,13 @@ def _refine(problem: Problem, theta: np.ndarray, warnings: list[str]) -> tuple[f
             found.append(test.refine(problem.space, theta, problem.solves))
             errors.append(remainder(test, REMAINDERS))
         except InfeasibleError:
+            test.correction = []
             found.append(float("nan"))
             errors.append(remainder(test, FAST_REMAINDERS))
             warning = f"{test.name}: the accurate mesh does not get through, so the fast one's error is carried"
             if warning not in warnings:
                 warnings.append(warning)
-    problem.mesh_error = tuple(errors)
+    problem.carry(errors, theta)
     return tuple(found)
 
 

@@ -26,6 +26,10 @@ from tissue_sim.uniaxial_history import nominal_stress_history, shear_stress_his
 _READING = ("guide_friction", "rate_damping", "latency", "sensor_gain", "zero_offset", "sensor_drift")
 
 
+#: Half width of a difference with a parameter, in its size.
+_RATE_WIDTH = 1e-6
+
+
 class InfeasibleError(RuntimeError):
     """No force at these parameters: no such material, or the simulation does not get through."""
 
@@ -39,6 +43,7 @@ class SimulatedTest:
         specimen, setup: what is done to what.
         motions: each a `Loading` or `Timed`. motion_of: number of the motion of each recording.
         measured: the recordings.
+        layered: whether the material has layers.
         correction: what the accurate mesh has more, N, of each motion, shape (k,); empty until `refine` finds out.
     """
 
@@ -48,7 +53,11 @@ class SimulatedTest:
     motions: tuple[Loading | Timed, ...]
     motion_of: tuple[int, ...]
     measured: tuple[MeasuredCurve, ...]
+    layered: bool = False
     correction: list[np.ndarray] = field(default_factory=list)
+
+    mode = "uniaxial"
+    compressed = True
 
     @property
     def rig(self) -> Rig:
@@ -62,7 +71,12 @@ class SimulatedTest:
     @property
     def homogeneous(self) -> bool:
         """Whether every mesh is exact."""
-        return self._experiment(self.motions[0]).homogeneous
+        return not self.layered and self._experiment(self.motions[0]).homogeneous
+
+    @property
+    def height(self) -> float:
+        """Of the specimen, m."""
+        return self.specimen.height
 
     def solve(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> list[Course]:
         """The course of force and derivatives, (n, 1 + p), along each motion, with the correction.
@@ -126,6 +140,11 @@ class SimulatedTest:
             time = time - measured.time[0] + motion.sampled_from
         values, rate = answer[number](time, measured.displacement, offset)
         force, gain = values[:, 0], 1.0 + self.rig.sensor_gain
+        if self.rig.latency:
+            columns = np.column_stack([values, rate])
+            late = np.column_stack([np.interp(measured.time - self.rig.latency, measured.time, column)
+                                    for column in columns.T])
+            values, rate = late[:, :-1], late[:, -1]
         if not self.reading.ideal:
             channels = {"displacement": measured.displacement, "force": force}
             if measured.time is not None:
@@ -162,8 +181,8 @@ class ClosedTest:
     """Tension or shear: the closed form of the incompressible material.
 
     Attributes:
-        name: of the test. mode: of `Law.nominal_stress`. height, area: m and m2.
-        measured: the recordings.
+        name: of the test. mode: of `Law.nominal_stress`. compressed: whether displacement shortens the specimen.
+        height, area: m and m2. measured: the recordings.
     """
 
     name: str
@@ -210,12 +229,21 @@ class ClosedTest:
             return sign * self.area * history(material, measured.time, strain, self.radius)
 
         values = space.values(theta)
-        force = force_at(values, offset)
+        try:
+            force = force_at(values, offset)
+        except InputError as error:
+            raise InfeasibleError(f"{self.name}: {error}") from None
         rates = np.empty((force.size, len(space.free)))
-        for k, name in enumerate(space.free):
-            half = 5e-7 * (abs(values[name]) or 1.0)
-            rates[:, k] = (force_at(values | {name: values[name] + half}, offset)
-                           - force_at(values | {name: values[name] - half}, offset)) / (2 * half)
+        for k, (name, size) in enumerate(zip(space.free, space.sizes(values).tolist(), strict=True)):
+            ends = []
+            for step in (_RATE_WIDTH * size, -_RATE_WIDTH * size):
+                try:
+                    ends.append((force_at(values | {name: values[name] + step}, offset), step))
+                except InputError:
+                    # At the end of what a material may have: to one side.
+                    ends.append((force, 0.0))
+            (more, high), (less, low) = ends
+            rates[:, k] = (more - less) / (high - low) if high > low else np.nan
         width = 1e-6 * self.height
         rate = (force_at(values, offset + width) - force_at(values, offset - width)) / (2 * width)
         if not (np.isfinite(force).all() and np.isfinite(rates).all()):

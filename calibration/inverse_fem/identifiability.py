@@ -14,6 +14,7 @@ from tissue_sim.differentiation import sensitivities
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment import Experiment, Model, Specimen
 from tissue_sim.protocol import STUDY_SPEED, Protocol
+from tissue_sim.rig import Rig
 from tissue_sim.tool import Tool
 
 #: A combination whose relative standard error is larger than this is poorly told.
@@ -22,6 +23,10 @@ WEAK = 0.2
 _SAMPLES, _REPLICATES, _POINTS = 400, 3, 11
 _HOLD_S, _STRAIN, _DEEPER, _NEEDLE = 60.0, 0.14, 1.6, 0.2
 _MOST_SUGGESTIONS = 3
+#: Noise, N, and jitter, m and N, of a rig such as the study's, for campaigns that recorded stress.
+_RIG = 0.02, (0.03e-3, 0.01)
+#: Width of a difference with the contact offset, as a part of the travel.
+_OFFSET_WIDTH = 1e-3
 #: The study's specimen, for campaigns whose tests have none.
 _SPECIMEN = Specimen(0.040, 0.070)
 
@@ -65,10 +70,11 @@ def suggest_tests(problem: Problem, theta: np.ndarray, spread: Uncertainty) -> l
     rated = []
     information = spread.information[np.ix_(free, free)] / spread.inflation
     axis = np.linalg.eigh(information)[1][:, 0]
-    noise = float(np.median([curve.noise.deviation for curve in problem.measured if curve.test.specimen is not None]
-                            or [0.02]))
+    mechanical = [curve.noise.deviation for curve in problem.measured if curve.test.specimen is not None]
+    noise, jitter = _RIG if not mechanical else (
+        float(np.median(mechanical)), (problem.jitter.contact, problem.jitter.zero))
     for words, experiment in _candidates(problem):
-        gained = _information(problem, theta, experiment, spread, noise)
+        gained = _information(problem, theta, experiment, spread, noise, jitter)
         if gained is None:
             continue
         together = information + gained[np.ix_(free, free)]
@@ -111,18 +117,21 @@ def _protocols(depth: float, ageing: bool) -> list[tuple[str, Protocol]]:
                 text.replace(f"@{STUDY_SPEED * 1e3:.6g}", f"@{STUDY_SPEED * 1e4:.6g}"), points=_POINTS))]
 
 
-def _information(problem: Problem, theta: np.ndarray, experiment: Experiment, spread: Uncertainty,
-                 noise: float) -> np.ndarray | None:
-    """Scaled information of three recordings with the campaign's jitter marginalised; None where it stops."""
+def _information(problem: Problem, theta: np.ndarray, experiment: Experiment, spread: Uncertainty, noise: float,
+                 jitter: tuple[float, float]) -> np.ndarray | None:
+    """Scaled information of three recordings with the jitter marginalised; None where it stops."""
     space = problem.space
     try:
         answer = sensitivities(Model(experiment, space.material(space.values(theta))), space.free)
     except (ConvergenceError, InputError):
         return None
-    motion, force = answer.recording.displacement, answer.recording.force
-    weight = np.sqrt(_SAMPLES / force.size) / noise
+    recording = answer.recording
+    weight = np.sqrt(_SAMPLES / recording.force.size) / noise
     rates = weight * answer.values * spread.sizes
-    moving = np.gradient(force, motion, edge_order=1) if (np.diff(motion) > 0).all() else np.zeros_like(force)
-    columns = weight * np.column_stack([problem.jitter.contact * moving, problem.jitter.zero * np.ones_like(force)])
+    width = _OFFSET_WIDTH * np.ptp(recording.displacement)
+    more, less = (Rig(contact_offset=offset).apply(recording).force for offset in (width, -width))
+    contact, zero = jitter
+    columns = weight * np.column_stack([contact * (more - less) / (2 * width),
+                                        zero * np.ones_like(recording.force)])
     inner = np.linalg.inv(np.eye(2) + columns.T @ columns)
     return _REPLICATES * (rates.T @ rates - rates.T @ columns @ inner @ columns.T @ rates)

@@ -71,7 +71,10 @@ class Loading:
             width = _TOUCH_WIDTH * self.depth[-1]
             root = np.hypot(depth, width)
             inside = 0.5 * (depth + root)
-            return spline(inside), -slope(inside)[:, 0] * inside / root
+            # Beyond what was simulated the curve goes on straight.
+            known = np.minimum(inside, self.depth[-1])
+            rate = slope(known)
+            return spline(known) + rate * (inside - known)[:, None], -rate[:, 0] * inside / root
 
         return course
 
@@ -124,9 +127,9 @@ class Timed:
         if self.legs != other.legs:
             return False
         near = STRAIGHT * np.ptp(self.displacement)
+        speed = np.abs(np.diff(self.displacement) / np.diff(self.time)).max()
         return bool(np.abs(self.displacement - other.displacement).max() <= near
-                    and np.abs(self.time - self.time[0] - other.time + other.time[0]).max()
-                    <= STRAIGHT * np.ptp(self.time))
+                    and np.abs(self.time - self.time[0] - other.time + other.time[0]).max() <= near / speed)
 
     def through(self, columns: np.ndarray) -> Course:
         """As `Loading.through`; times are those of the clock of the recording whose motion it is."""
@@ -146,7 +149,8 @@ class Timed:
                 mine = leg_of == number
                 values[mine] = interpolant(np.clip(time[mine], self.time[first], self.time[last]))
             rate = values[:, -1]
-            values[:, 0] += offset * rate
+            # Where the tool was a little off the straight lines, it was as if the touch were elsewhere.
+            values[:, 0] += (offset - displacement + np.interp(time, self.time, self.displacement)) * rate
             return values[:, :-1], rate
 
         return course
@@ -157,6 +161,18 @@ class Timed:
         width = _OFFSET_WIDTH * np.ptp(self.displacement)
         more, less = (Rig(contact_offset=offset).apply(recording).force for offset in (width, -width))
         return (more - less) / (2 * width)
+
+
+def number_runs(labels: np.ndarray) -> np.ndarray:
+    """Labels of samples, shape (n,), with a number behind each that comes again after another: ``ramp``, ``unload``,
+    ``ramp 2``."""
+    begins = np.flatnonzero(np.append(True, labels[1:] != labels[:-1]))
+    seen: dict[str, int] = {}
+    names = []
+    for label in labels[begins].tolist():
+        seen[label] = seen.get(label, 0) + 1
+        names.append(label if seen[label] == 1 else f"{label} {seen[label]}")
+    return np.repeat(np.array(names), np.diff(np.append(begins, labels.size)))
 
 
 def label_segments(time: np.ndarray, displacement: np.ndarray) -> np.ndarray:

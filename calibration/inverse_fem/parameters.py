@@ -70,7 +70,8 @@ class ParameterSpace:
         law = find_law(self.law)
         # Formulas divide by an exponent, and their limit is reached long before.
         return {name: (float(np.copysign(SMALLEST_EXPONENT, found[name]))
-                       if not is_effect(name) and law.units[name] == "1" and abs(found[name]) < SMALLEST_EXPONENT
+                       if name in self.free and not is_effect(name) and law.units[name] == "1"
+                       and abs(found[name]) < SMALLEST_EXPONENT
                        else found[name]) for name in self.names}
 
     def material(self, values: Mapping[str, float], density: float | None = None, name: str = "") -> Material:

@@ -55,6 +55,12 @@ class Evaluation:
                      + self.prior_residual @ self.prior_residual)
 
     @property
+    def log_determinant(self) -> float:
+        """Logarithm of the determinant of the covariance of the samples, less that of the noise alone."""
+        m = self.columns.shape[1]
+        return float(np.linalg.slogdet(np.eye(m) + self.columns.T @ self.columns)[1])
+
+    @property
     def projected(self) -> tuple[np.ndarray, np.ndarray]:
         """Residual and Jacobian of the outer problem: nuisances follow the parameters, shapes (M,) and (M, p).
 
@@ -68,14 +74,20 @@ class Evaluation:
         """How the nuisances move to make up for a change of the model, shape (m, ...)."""
         if not self.columns.shape[1]:
             return np.zeros((0, *columns.shape[1:]))
-        loose = np.where(np.abs(self.nuisances) < FARTHEST, self.columns, 0.0)
+        loose = np.where(self.held, 0.0, self.columns)
         return -cho_solve(cho_factor(np.eye(loose.shape[1]) + loose.T @ loose), loose.T @ columns)
+
+    @property
+    def held(self) -> np.ndarray:
+        """Nuisances on the farthest that they may be, shape (m,)."""
+        return np.abs(self.nuisances) >= FARTHEST
 
     @property
     def design(self) -> tuple[np.ndarray, np.ndarray]:
         """Residual and Jacobian of the problem with all unknowns, parameters first: shapes (M,) and (M, p + m)."""
         p, m = self.rates.shape[1], self.columns.shape[1]
-        rows = [np.hstack([self.rates, self.columns]), np.hstack([np.zeros((m, p)), np.eye(m)]),
+        rows = [np.hstack([self.rates, np.where(self.held, 0.0, self.columns)]),
+                np.hstack([np.zeros((m, p)), np.eye(m)]),
                 np.hstack([self.prior_rates, np.zeros((self.prior_rates.shape[0], m))])]
         return np.concatenate([self.residual, self.nuisances, self.prior_residual]), np.concatenate(rows)
 
@@ -88,13 +100,16 @@ class Problem:
         space: parameters. tests: those that count. solves: what has been simulated.
         jitter: standard deviations of contact offset and zero.
         mesh_error: standard deviation of each test's remaining mesh error, relative to the force.
+        reference: force that it is relative to, N, of each recording, shape (n,) each; empty before there is an
+            estimate: no mesh error is carried then.
     """
 
     space: ParameterSpace
     tests: tuple[SimulatedTest | ClosedTest, ...]
     solves: Solves
     jitter: Jitter
-    mesh_error: tuple[float, ...]
+    mesh_error: tuple[float, ...] = ()
+    reference: tuple[np.ndarray, ...] = ()
     _last: Evaluation | None = field(default=None, repr=False)
 
     def __post_init__(self):
@@ -114,7 +129,7 @@ class Problem:
                     for i in range(len(self.places))]
         column = len(self.places) * len(self.kinds)
         self.shared = []
-        for size in self.mesh_error:
+        for size in self.mesh_error or (0.0,) * len(self.tests):
             modes = MESH_MODES if size > 0 else 0
             self.shared.append(slice(column, column + modes))
             column += modes
@@ -128,7 +143,20 @@ class Problem:
     def with_tests(self, numbers: Sequence[int]) -> Problem:
         """The same problem with some of the tests."""
         return Problem(self.space, tuple(self.tests[i] for i in numbers), self.solves, self.jitter,
-                       tuple(self.mesh_error[i] for i in numbers))
+                       tuple(self.mesh_error[i] for i in numbers) if self.mesh_error else (),
+                       tuple(force for force, (t, _) in zip(self.reference, self.places, strict=False)
+                             if t in numbers))
+
+    def carry(self, mesh_error: Sequence[float], theta: np.ndarray) -> None:
+        """Carry a mesh error of these sizes from now on, relative to the forces at these parameters.
+
+        Not to the measured ones: the noise in those would pull every modulus down (Peelle's puzzle; Frühwirth,
+        Neudecker and Leeb, EPJ Web of Conferences 27 (2012) 00008), and not to forces that move with the parameters.
+        """
+        answers = [test.solve(self.space, theta, self.solves) for test in self.tests]
+        self.reference = tuple(self.tests[t].evaluate(answers[t], r, 0.0)[0] for t, r in self.places)
+        self.mesh_error = tuple(mesh_error)
+        self.forget()
 
     def evaluate(self, theta: np.ndarray) -> Evaluation:
         """Everything at these parameters; the same ones again cost nothing.
@@ -190,13 +218,13 @@ class Problem:
         columns = np.zeros((self.samples, self.nuisances))
         force = np.empty(self.samples)
         sizes = [getattr(self.jitter, name) for name in self.kinds]
-        for rows, own, (t, r) in zip(self.rows, self.own, self.places, strict=True):
+        for place, (rows, own, (t, r)) in enumerate(zip(self.rows, self.own, self.places, strict=True)):
             test, measured = self.tests[t], self.tests[t].measured[r]
             values = dict(zip(self.kinds, nuisances[own] * sizes, strict=True))
             model, model_rates, contact_rate = test.evaluate(answers[t], r, values.get("contact", 0.0))
             own_columns = {"contact": contact_rate, "zero": np.ones_like(model)}
             force[rows] = model + values.get("zero", 0.0)
-            modes = self._mesh_columns(t, measured)
+            modes = self._mesh_columns(place)
             gap = force[rows] - measured.force + modes @ nuisances[self.shared[t]]
             white = whiten(np.column_stack([gap, model_rates, *(size * own_columns[name] for name, size in zip(
                 self.kinds, sizes, strict=True)), modes]), measured.time, measured.noise)
@@ -208,23 +236,24 @@ class Problem:
             raise InfeasibleError("the model gives a force that is not a number")
         return residual, rates, columns, force
 
-    def _mesh_columns(self, number: int, measured) -> np.ndarray:
-        """Modes of the mesh error, N, each of one standard deviation, shape (n, modes)."""
-        if not self.mesh_error[number]:
-            return np.zeros((measured.force.size, 0))
-        # In the measured force: it does not change with the parameters, and noise matters little at this size.
-        along = 2.0 * measured.displacement / measured.displacement.max() - 1.0
-        return self.mesh_error[number] * np.column_stack([measured.force, along * measured.force])
+    def _mesh_columns(self, place: int) -> np.ndarray:
+        """Modes of the mesh error of one recording, N, each of one standard deviation, shape (n, modes)."""
+        t, r = self.places[place]
+        displacement = self.tests[t].measured[r].displacement
+        if not self.mesh_error or not self.mesh_error[t]:
+            return np.zeros((displacement.size, 0))
+        along = 2.0 * displacement / np.abs(displacement).max() - 1.0
+        return self.mesh_error[t] * np.column_stack([self.reference[place], along * self.reference[place]])
 
     def replicates(self, evaluation: Evaluation) -> list[list[WhitenedReplicate]]:
         """What `calibration.jitter` needs of each test, at these parameters."""
         answers = [test.solve(self.space, evaluation.theta, self.solves) for test in self.tests]
         found: list[list[WhitenedReplicate]] = [[] for _ in self.tests]
-        for t, r in self.places:
+        for place, (t, r) in enumerate(self.places):
             measured = self.tests[t].measured[r]
             model, rates, contact = self.tests[t].evaluate(answers[t], r, 0.0)
             white = whiten(np.column_stack([model - measured.force, contact, np.ones_like(model), rates,
-                                            self._mesh_columns(t, measured)]), measured.time, measured.noise)
+                                            self._mesh_columns(place)]), measured.time, measured.noise)
             p = rates.shape[1]
             found[t].append(WhitenedReplicate(white[:, 0], white[:, 1], white[:, 2], white[:, 3:3 + p],
                                               white[:, 3 + p:]))

@@ -18,6 +18,8 @@ _NEAR, _MOST_POINTS = 0.02, 8
 _HALF = 0.5
 #: A constrained minimum is found when a further step would lower the sum of squares by less than this.
 _SETTLED, _MOST_STEPS = 5e-3, 6
+#: A sum of squares this much below that of the estimate is another minimum.
+_LOWER = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +58,7 @@ def profile_side(problem: Problem, theta: np.ndarray, error: float, spread: Unce
     bound = space.high[index] if side > 0 else space.low[index]
     deviation = spread.standard_errors[index]
     follow = spread.covariance[:, index] / spread.covariance[index, index]
-    points = [(0.0, 0.0)]
+    points, lower = [(0.0, 0.0)], []
     note = ""
 
     def rise_at(way: float) -> float:
@@ -66,6 +68,8 @@ def profile_side(problem: Problem, theta: np.ndarray, error: float, spread: Unce
         lowest = _constrained_minimum(problem, trial, index)
         rise = float(np.sqrt(max(lowest - error, 0.0) / spread.inflation))
         points.append((way, rise))
+        if lowest < error - _LOWER * spread.inflation:
+            lower.append(lowest)
         return rise
 
     limit = abs(bound - theta[index])
@@ -88,9 +92,15 @@ def profile_side(problem: Problem, theta: np.ndarray, error: float, spread: Unce
         note = f"no solution beyond: {failure}"
     points.sort()
     ways, rises = np.array(points).T
+    if lower and not note:
+        note = f"a lower minimum lies on this side (sum of squares {min(lower):.6g}): try more starts"
     if note.startswith("bound"):
         end = float(bound)
-    elif note:
+    elif note and len(points) == 1:
+        # Nothing was simulated on this side.
+        end = float(np.clip(theta[index] + side * quantile * deviation, space.low[index], space.high[index]))
+        note = f"by the standard error alone; {note}"
+    elif note and not lower:
         end = theta[index] + side * float(ways[-1])
     else:
         end = theta[index] + side * float(np.interp(quantile, rises, ways))

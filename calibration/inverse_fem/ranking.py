@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 from msgspec.structs import replace
 
-from calibration.campaign import Campaign
 from calibration.fit import Fit, Prediction
 from calibration.inverse_fem.regions import name_misfits
 from calibration.inverse_fem.results import TestCurves
@@ -24,7 +23,8 @@ def rank(fitted: Sequence[Fitted]) -> tuple[list[Fit], list[Prediction], dict[st
     Usable laws first, then those with a material, then by the root mean square of the prediction errors in % over all
     tests that were held out (where there are any) or left out one at a time; by BIC where nothing is predicted.
     """
-    fitted = [(replace(fit, left_out=_score(predictions)), predictions, curves)
+    told = {p.test for _, predictions, _ in fitted for p in predictions if p.percent is not None}
+    fitted = [(replace(fit, left_out=_score([p for p in predictions if p.test in told])), predictions, curves)
               for fit, predictions, curves in fitted]
 
     def order(item: Fitted):
@@ -38,13 +38,13 @@ def rank(fitted: Sequence[Fitted]) -> tuple[list[Fit], list[Prediction], dict[st
 
 
 def _score(predictions: Sequence[Prediction]) -> float | None:
-    """Root mean square error in %; a test that a law does not reach counts as an error of 100 %."""
+    """Root mean square error in %; a test that this law does not predict, but another does, counts as 100 %."""
     held_out = [p for p in predictions if not p.fitted]
     errors = [100.0 if p.percent is None else p.percent for p in held_out or predictions]
     return float(np.sqrt(np.mean(np.square(errors)))) if errors else None
 
 
-def ranking_message(fits: Sequence[Fit], predictions: Sequence[Prediction], campaign: Campaign) -> str:
+def ranking_message(fits: Sequence[Fit], predictions: Sequence[Prediction]) -> str:
     """What the first place is worth."""
     best = fits[0]
     if best.status != "converged":
@@ -77,6 +77,6 @@ def ranking_message(fits: Sequence[Fit], predictions: Sequence[Prediction], camp
 
 def _words(prediction: Prediction) -> str:
     if prediction.percent is None:
-        return f"{prediction.test} not reached"
+        return f"{prediction.test} not ({prediction.note})"
     force = "" if prediction.RMSE_N is None else f"{prediction.RMSE_N:.3g} N, "
     return f"{prediction.test} within {force}{prediction.percent:.2g} %"

@@ -70,9 +70,10 @@ def name_misfits(regions: Sequence[Region]) -> str:
 def _regions(problem: Problem) -> Iterator[tuple]:
     """Test, name, modes, and for each recording of the problem the place (0 to 1) and the samples of a region."""
     for number, test in enumerate(problem.tests):
-        first = test.measured[0]
-        if first.segment is not None and len(set(first.segment.tolist())) > 1:
-            for segment in dict.fromkeys(first.segment.tolist()):
+        segments = dict.fromkeys(name for curve in test.measured if curve.segment is not None
+                                 for name in curve.segment.tolist())
+        if len(segments) > 1:
+            for segment in segments:
                 inside = [curve.segment == segment if t == number else np.zeros(curve.force.size, bool)
                           for curve, (t, _) in zip(problem.measured, problem.places, strict=True)]
                 place = [_along(curve.time, mine) for curve, mine in zip(problem.measured, inside, strict=True)]

@@ -19,7 +19,6 @@ from tissue_sim.atomic_write import write_bytes
 from tissue_sim.tool import Tool
 
 
-
 class SimulatedCurve(msgspec.Struct, frozen=True, array_like=True):
     """Force and its derivatives at the knots of a motion.
 
@@ -73,7 +72,8 @@ class Solves:
 
     def move_to(self, folder: Path) -> None:
         """Keep everything in a folder from now on."""
-        self.folder = folder
+        # Another process may stand elsewhere.
+        self.folder = folder.resolve()
         for key, curve in self._known.items():
             self.keep(key, curve)
 

@@ -58,7 +58,7 @@ def assess_uncertainty(problem: Problem, evaluation: Evaluation) -> Uncertainty:
     on_bound = (evaluation.theta - space.low <= near) | (space.high - evaluation.theta <= near)
     scaled = jacobian * sizes
     information = scaled.T @ scaled
-    freedom = max(problem.samples - len(space.free), 1)
+    freedom = max(problem.samples + evaluation.prior_residual.size - len(space.free), 1)
     chi_square = evaluation.error
     inflation, basis, quantile = 1.0, "noise", stats.norm.ppf(0.975)
     if problem.jitter.freedom:

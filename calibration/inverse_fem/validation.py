@@ -10,6 +10,7 @@ import numpy as np
 
 from calibration.fit import Prediction
 from calibration.inverse_fem.forces import ClosedTest, InfeasibleError, SimulatedTest
+from calibration.inverse_fem.identifiability import not_identifiable
 from calibration.inverse_fem.levenberg_marquardt import descend
 from calibration.inverse_fem.problem import Problem
 from calibration.inverse_fem.uncertainty import assess_uncertainty
@@ -41,13 +42,18 @@ def leave_out(problem: Problem, theta: np.ndarray, number: int) -> LeftOut:
     rest, test = problem.with_tests(others), problem.tests[number]
     names = [other.name for other in rest.tests]
     descent = descend(rest, theta, corrected=True)
-    answer = _unknown(test.name, problem.space.law, names)
+    law = problem.space.law
+    answer = _unknown(test.name, law, names, f"no fit to the others: {descent.problem}")
     if np.isfinite(descent.error):
         try:
             spread = assess_uncertainty(rest, rest.evaluate(descent.theta))
-            answer = predict(problem, test, descent.theta, spread.covariance, names)
-        except InfeasibleError:
-            pass
+            # What the others do not tell would stay where this test has put it.
+            if open_names := not_identifiable(problem.space, spread):
+                answer = _unknown(test.name, law, names, f"the other tests do not determine {', '.join(open_names)}")
+            else:
+                answer = predict(problem, test, descent.theta, spread.covariance, names)
+        except InfeasibleError as failure:
+            answer = _unknown(test.name, law, names, str(failure))
     return LeftOut(answer, descent.theta, dict(problem.solves.counts - counted), time.process_time() - began)
 
 
@@ -75,12 +81,12 @@ def predict(problem: Problem, test: SimulatedTest | ClosedTest, theta: np.ndarra
     rmse = float(np.sqrt(squares / samples))
     stressed = test.measured[0].test.specimen is None
     if not np.isfinite(rmse):
-        return _unknown(test.name, problem.space.law, fitted)
+        return _unknown(test.name, problem.space.law, fitted, "the law gives no finite force")
     return Prediction(test=test.name, law=problem.space.law, RMSE_N=None if stressed else rmse,
                       RMSE_Pa=rmse if stressed else rmse / test.area if isinstance(test, ClosedTest) else None,
                       percent=100.0 * rmse / largest,
                       expected_N=None if stressed else float(np.sqrt(expected / samples)), fitted=fitted)
 
 
-def _unknown(test: str, law: str, fitted: list[str]) -> Prediction:
-    return Prediction(test=test, law=law, RMSE_N=None, RMSE_Pa=None, percent=None, fitted=fitted)
+def _unknown(test: str, law: str, fitted: list[str], note: str) -> Prediction:
+    return Prediction(test=test, law=law, RMSE_N=None, RMSE_Pa=None, percent=None, fitted=fitted, note=note)

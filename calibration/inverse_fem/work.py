@@ -29,10 +29,9 @@ from calibration.inverse_fem.starts import starts
 from calibration.inverse_fem.uncertainty import Uncertainty, assess_uncertainty
 from calibration.inverse_fem.validation import LeftOut, leave_out, predict
 from calibration.measured import MeasuredCurve, read_measured
+from calibration.output_folder import SOLVES
 from calibration.result import CalibrationResult
 from tissue_sim.errors import ConvergenceError
-
-SOLVES = "solves"
 
 
 class InverseWork:
@@ -49,6 +48,8 @@ class InverseWork:
         self.recordings = [curve for curves in self.measured.values() for curve in curves]
         self.solves = Solves()
         self.extra = _digests(campaign)
+        #: Law -> why it has no fit.
+        self.left_behind: dict[str, str] = {}
         #: Law -> simulations that looking at its start took.
         self.looked: dict[str, int] = {}
 
@@ -70,16 +71,20 @@ class InverseWork:
         self.solves.move_to(folder / SOLVES)
         found = [fitted for fitted in self._fit(context) if fitted is not None]
         if not found:
-            raise ConvergenceError(f"{self.campaign.path}: no start of any law has a simulation that gets through; "
-                                   "state another one in fit.start, or take a smaller max_strain")
+            raise ConvergenceError(f"{self.campaign.path}: no start of any law has a simulation that gets through "
+                                   f"({next(iter(self.left_behind.values()), '')}); state another one in fit.start, or "
+                                   "take a smaller max_strain")
         fits, predictions, curves = rank(found)
         noise = tuple(SensorStatement(test=name, deviation_N=own[0].noise.deviation,
                                       correlation_time_s=own[0].noise.correlation_time, source=own[0].noise.source)
                       for name, own in self.measured.items())
         sources = {entry.source for entry in noise}
+        message = ranking_message(fits, predictions)
+        for law, failure in self.left_behind.items():
+            message += f" {law} has no fit: {failure}."
         result = CalibrationResult(
-            self.campaign, tuple(fits), tuple(predictions), ranking_message(fits, predictions, self.campaign), folder,
-            work, None, sources.pop() if len(sources) == 1 else "mixed", noise)
+            self.campaign, tuple(fits), tuple(predictions), message, folder, work, None,
+            sources.pop() if len(sources) == 1 else "mixed", noise)
         context.say(f"{self.campaign.name}: writing the report")
         write_campaign(result, curves, self.measured, figures=context.figures)
         return result
@@ -134,13 +139,13 @@ class InverseWork:
         answers = []
         for law in laws:
             if law not in usable:
-                context.say(f"{campaign.name}: {law} has no simulation that gets through ({best[law].problem})")
+                failure = estimates[law].failure if law in estimates else best[law].problem
+                self.left_behind[law] = failure
                 continue
             context.say(f"{campaign.name}: what {law} tells")
             began, counted = time.process_time(), Counter(self.solves.counts)
             sides, left = sides_of[law], left_of[law]
-            fit = assess(estimates[law], spreads[law], grouped[law], sides, [one.prediction for one in left],
-                         campaign, 0, 0.0)
+            fit = assess(estimates[law], spreads[law], grouped[law], sides, campaign)
             held_out = self._held_out(estimates[law], spreads[law])
             curves = draw_curves(estimates[law], spreads[law], self._tests_of(estimates[law]))
             parts = [*grouped[law], estimates[law], *sides, *left]
@@ -209,9 +214,9 @@ class InverseWork:
             if test.name in held_out:
                 try:
                     found.append(predict(problem, test, estimate.theta, spread.covariance, []))
-                except InfeasibleError:
+                except InfeasibleError as failure:
                     found.append(Prediction(test=test.name, law=problem.space.law, RMSE_N=None, RMSE_Pa=None,
-                                            percent=None))
+                                            percent=None, note=str(failure)))
         return found
 
 

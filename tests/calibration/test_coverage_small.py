@@ -77,7 +77,7 @@ def test_intervals_hold_the_truth_where_ordinary_ones_do_not(benchmarks, runs):
 
 def test_profile_and_standard_error_agree_where_the_problem_is_almost_linear(runs):
     one = runs[0]["jitter stated"]
-    half = one["quantile"] * np.array(one["errors"])
+    half = np.array(one["quantile"]) * np.array(one["errors"])
     np.testing.assert_allclose(np.array(one["profile"]) - np.array(one["theta"])[:, None],
                                np.stack([-half, half], axis=-1), rtol=0.05)
 

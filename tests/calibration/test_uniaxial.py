@@ -204,16 +204,17 @@ def test_offsets_are_recovered_and_a_bound_is_reported(tmp_path):
     recordings = [compression("reduced_polynomial_2", STUDY, points=150, strain=0.3, force_noise=0.005, offset=offset,
                               zero=zero, seed=i)
                   for i, (offset, zero) in enumerate([(0.1e-3, 0.01), (-0.05e-3, -0.01), (0.0, 0.0)])]
-    settings = 'laws = ["reduced_polynomial_2"]\noffset = "{}"\noffset_prior_mm = 0.1\nzero_prior_N = 0.02'
-    fit = run(tmp_path, recordings, settings.format("fit"), noise="force_N = 0.005")["reduced_polynomial_2"]
+    settings = 'laws = ["reduced_polynomial_2"]\noffset = "fit"\noffset_prior_mm = 0.1\nzero_prior_N = 0.02'
+    fit = run(tmp_path, recordings, settings, noise="force_N = 0.005")["reduced_polynomial_2"]
     for found, (offset, zero) in zip(fit.nuisances, [(0.1, 0.01), (-0.05, -0.01), (0.0, 0.0)], strict=True):
         assert abs(found.contact_offset_mm - offset) < 4 * found.contact_offset_error_mm
         assert abs(found.zero_offset_N - zero) < 4 * found.zero_offset_error_N
     assert abs(fit.parameters["C10"] - STUDY["C10"]) < 4 * fit.standard_errors["C10"]
-    without = run(tmp_path, recordings, settings.format("none"), noise="force_N = 0.005")["reduced_polynomial_2"]
+    without = run(tmp_path, recordings, 'laws = ["reduced_polynomial_2"]',
+                  noise="force_N = 0.005")["reduced_polynomial_2"]
     assert without.nuisances == []
     assert without.RMSE_N > 1.5 * fit.RMSE_N
-    tight = run(tmp_path, recordings, settings.format("fit") + "\noffset_bounds_mm = 0.03",
+    tight = run(tmp_path, recordings, settings + "\noffset_bounds_mm = 0.03",
                 noise="force_N = 0.005")["reduced_polynomial_2"]
     assert tight.nuisances[0].on_bound == ["contact_offset_mm"]
     assert tight.nuisances[0].contact_offset_mm == pytest.approx(0.03, rel=1e-3)
