@@ -57,7 +57,7 @@ def print_inverse(result: CalibrationResult, console: Console) -> None:
                                 "the parameters would make")
         console.print()
     print_sentence(console, result.message)
-    for sentence in (*_untold(fits), *_misfits(fits, tests), *_basis(result, tests)):
+    for sentence in (*_unpredicted(result.predictions), *_untold(fits), *_misfits(fits, tests), *_basis(result, tests)):
         print_sentence(console, sentence)
     for fit in fits:
         print_remarks(fit, console)
@@ -132,9 +132,16 @@ def _prediction_table(predictions: Sequence[Prediction], tests: Mapping[str, Tes
         error = p.RMSE_Pa if test.specimen is None else p.RMSE_N
         chance = "-" if p.expected_N is None else f"{p.expected_N:.3g} N"
         table.add_row(p.law if p.law != last else "", Text(p.test), "left out" if p.fitted else "held out",
-                      "not reached" if error is None else _size(error, test), number(p.percent, 2), chance)
+                      "none" if error is None else _size(error, test), number(p.percent, 2), chance)
         last = p.law
     return table
+
+
+def _unpredicted(predictions: Sequence[Prediction]) -> Iterator[str]:
+    """Why there is no prediction."""
+    for p in predictions:
+        if p.percent is None:
+            yield f"{p.law} does not predict {p.test}: {p.note}"
 
 
 def _size(error: float, test: Test) -> str:

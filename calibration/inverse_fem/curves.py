@@ -22,7 +22,7 @@ _TWO_SIGMA = stats.norm.ppf(0.975)
 
 def draw_curves(estimate: Estimate, spread: Uncertainty,
                 tests: Sequence[tuple[SimulatedTest | ClosedTest, float]]) -> list[TestCurves]:
-    """The curves of each test that the simulation gets through.
+    """The curves of each test; not a number where the simulation does not get through.
 
     Args:
         estimate: the minimum. spread: its uncertainty. tests: with the relative error of the mesh in each.
@@ -34,7 +34,11 @@ def draw_curves(estimate: Estimate, spread: Uncertainty,
         try:
             found.append(_curves_of(problem, estimate.theta, spread, test, mesh_error, fitted))
         except InfeasibleError:
-            continue
+            path = _path(test)
+            nothing = np.full(path.displacement.size, np.nan)
+            found.append(TestCurves(test.measured[0].test, test.measured, path.time if _timed(test) else None,
+                                    path.displacement, nothing, nothing, nothing,
+                                    tuple(np.full(curve.force.size, np.nan) for curve in test.measured)))
     return found
 
 
@@ -51,15 +55,18 @@ def _curves_of(problem: Problem, theta: np.ndarray, spread: Uncertainty, test: S
     own = []
     for number, curve in enumerate(test.measured):
         own.append(fitted[curve.name] if curve.name in fitted else test.evaluate(answer, number, 0.0)[0])
-    timed = isinstance(test, SimulatedTest) and isinstance(test.motions[0], Timed)
-    return TestCurves(first.test, test.measured, path.time if timed else None, path.displacement, force,
+    return TestCurves(first.test, test.measured, path.time if _timed(test) else None, path.displacement, force,
                       np.sqrt(variance), _TWO_SIGMA * np.sqrt(new), tuple(own))
+
+
+def _timed(test: SimulatedTest | ClosedTest) -> bool:
+    return isinstance(test, SimulatedTest) and isinstance(test.motions[0], Timed)
 
 
 def _path(test: SimulatedTest | ClosedTest) -> MeasuredCurve:
     """What a perfect recording of the test would have for its motion."""
     first = test.measured[0]
-    if isinstance(test, SimulatedTest) and isinstance(test.motions[0], Timed):
+    if _timed(test):
         time = np.linspace(first.time[0], first.time[-1], 4 * POINTS)
         displacement = np.interp(time, first.time, first.displacement)
     else:

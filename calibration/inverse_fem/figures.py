@@ -6,6 +6,7 @@ matplotlib is imported on use; every function returns a PNG.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from textwrap import shorten
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,6 +28,8 @@ _DEEPEST, _CALLED = 6.0, float(stats.norm.isf(0.025))
 _PANELS = 3
 _RATIOS, _SIGNED = (0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50), (0, 0.5, 1, 2, 5, 10, 20, 50)
 
+#: Characters of a note in a picture.
+_NOTE_WIDTH = 90
 
 def draw_regions(fits: Sequence[Fit], tests: Sequence[Test]) -> bytes:
     """Tests by regions: the smooth misfit left in each, coloured by how many standard errors its probability makes.
@@ -112,7 +115,7 @@ def draw_predictions(predictions: Sequence[Prediction], tests: Sequence[Test]) -
         for p in predictions:
             y = cases.index((p.test, tuple(p.fitted))) - 0.4 + (laws.index(p.law) + 0.5) * height
             if p.percent is None:
-                axes.text(0.004 * limit, y, f"{find_law(p.law).title}: does not carry the specimen that far",
+                axes.text(0.004 * limit, y, shorten(f"{find_law(p.law).title}: none ({p.note})", _NOTE_WIDTH),
                           va="center", fontsize=9, color="0.35")
                 continue
             length = min(p.percent, 1.02 * limit)

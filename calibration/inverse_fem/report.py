@@ -116,7 +116,7 @@ def _prediction_in_words(prediction: Prediction, test: Test) -> str:
     how = "held out of every fit" if test.hold_out else f"fitted to {', '.join(prediction.fitted)} only"
     name = f"<b>{escape(prediction.test)}</b>, {escape(how)}: "
     if prediction.percent is None:
-        return name + '<span class="bad">the law does not carry the specimen that far</span>'
+        return name + f'<span class="bad">no prediction: {escape(prediction.note)}</span>'
     error = prediction.RMSE_N if prediction.RMSE_N is not None else prediction.RMSE_Pa
     size = "" if error is None else f"{size_of(error, test)}, "
     chance = "" if prediction.expected_N is None else f" (chance alone would make {prediction.expected_N:.2g} N)"
@@ -211,7 +211,8 @@ def inverse_assumptions(result: CalibrationResult) -> list[str]:
              "marginalised, not trusted."]
     if best.jitter is not None:
         freedom = best.jitter.freedom
-        source = "stated in the campaign" if freedom is None else f"estimated with {freedom} degrees of freedom"
+        source = "stated in the campaign, or the usual prior" if freedom is None else \
+            f"estimated with {freedom} degrees of freedom" if freedom else "assumed, as no test has two recordings"
         lines.append(f"Between recordings the contact point scatters by {best.jitter.contact_mm:.3g} mm and the zero "
                      f"by {best.jitter.zero_N:.3g} N (standard deviations), {source}.")
     for noise in result.noise:

@@ -36,7 +36,7 @@ def prediction_table(predictions: Iterable[Prediction], tests: Mapping[str, Test
     for p in predictions:
         how = "held out of all fits" if tests[p.test].hold_out else f"left out; fitted to {', '.join(p.fitted)}"
         rows.append([escape(p.test), escape(how), title_of(p.law), number(p.RMSE_N, 3), number(p.RMSE_Pa, 3),
-                     "does not reach" if p.percent is None else percent(p.percent), number(p.expected_N, 3)])
+                     f"none: {escape(p.note)}" if p.percent is None else percent(p.percent), number(p.expected_N, 3)])
     return html_table(["Test", "How", "Law", "RMSE [N]", "RMSE [Pa]", "of the largest", "RMSE by chance [N]"], rows,
                       text=(1, 2))
 

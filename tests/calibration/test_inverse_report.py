@@ -378,11 +378,12 @@ def test_regions_turn_orange_where_the_misfit_is_significant(campaign, drawn):
 
 def test_predictions_are_as_long_as_their_error_and_marked_where_chance_ends(campaign, drawn):
     result, _ = campaign
-    lost = Prediction(test="bonded", law="neo_hooke", RMSE_N=None, RMSE_Pa=None, percent=None)
+    lost = Prediction(test="bonded", law="neo_hooke", RMSE_N=None, RMSE_Pa=None, percent=None,
+                      note="stopped at 7 mm")
     axes = figures.draw_predictions([*result.predictions, lost], TESTS).axes[0]
     assert [bar.get_width() for bar in axes.patches] == pytest.approx([p.percent for p in result.predictions])
     assert axes.lines[0].get_xdata()[0] == pytest.approx(0.9 * 0.031 / 0.068)
-    assert any("does not carry" in words for words in texts_of(axes))
+    assert any("none (stopped at 7 mm)" in words for words in texts_of(axes))
     far = msgspec.structs.replace(result.predictions[-1], percent=900.0)
     axes = figures.draw_predictions([*result.predictions[:-1], far], TESTS).axes[0]
     assert axes.get_xlim()[1] < 20 and any(words.startswith("▸ 900\u00a0%") for words in texts_of(axes))
