@@ -261,8 +261,8 @@ def draw_friction(found: list[dict], console: Console) -> None:
                          number(own["predictions"]["A"]["percent"], 1), number(own["predictions"]["B"]["percent"], 1),
                          number(one["cpu_s"], 1)])
     table(console, f"EF10_0T to strain {FRICTION_WINDOW}: friction of both platens",
-          ["law, friction", "C10 (kPa)", "95 %", "C20 (kPa)", "E0 (kPa)", "RMSE (N)", "BIC above least",
-           "regions with misfit", "A from B %", "B from A %", "CPU s"], rows)
+          ["law, friction", "C10 (kPa)", "95 %", "C20 (kPa)", "E0 (kPa)", "RMSE (N)", "BIC - least",
+           "misfits", "A from B %", "B from A %", "CPU s"], rows)
 
 
 def number(value: float | None, digits: int) -> str:

@@ -32,7 +32,7 @@ from calibration.campaign_setup import Setup
 from calibration.executors import Workers, open_tasks
 from calibration.inverse_fem.build import build_problem
 from calibration.inverse_fem.estimate import Stated, settle
-from calibration.inverse_fem.levenberg_marquardt import descend
+from calibration.inverse_fem.levenberg_marquardt import ENOUGH_OF_A_START, descend
 from calibration.inverse_fem.solves import Solves
 from calibration.inverse_fem.uncertainty import assess_uncertainty
 from calibration.measured import MeasuredCurve
@@ -46,8 +46,9 @@ DEPTH, SPEED, SAMPLES, REPLICATES, NOISE = 10e-3, 0.248e-3, 401, 3, 0.02
 SEED = 5
 #: Starts reach from this share of the truth to its inverse.
 FARTHEST = 10.0
-#: Two ends are one minimum when their sums of squares differ by less: a tenth of a standard error, squared.
-SAME_MINIMUM = 0.01
+#: Two ends are one minimum when their sums of squares differ by less: a third of a standard error, squared. A start is
+#: not followed farther than `ENOUGH_OF_A_START`.
+SAME_MINIMUM = 0.1
 #: Targets: solves per test and start, median and most; CPU of the joint fit, s; errors of its moduli, relative.
 MEDIAN_SOLVES, MOST_SOLVES, CPU_TARGET, MAY_ERR = 5, 9, 2.0, (3e-3, 3e-2)
 
@@ -108,7 +109,7 @@ def make_recordings(campaign: Campaign, force: Callable[[str, np.ndarray], np.nd
             measured = (force(test.name, depth) + zero * generator.standard_normal()
                         + NOISE * generator.standard_normal(SAMPLES))
             curves.append(MeasuredCurve(f"{test.name}/{number}", test, displacement / SPEED, displacement, measured,
-                                        np.full(SAMPLES, "ramp"), Path(f"{number}.csv"), "", noise))
+                                        np.full(SAMPLES, "ramp"), Path(f"{number}.csv"), "", noise=noise))
         found[test.name] = tuple(curves)
     return found
 
@@ -135,7 +136,7 @@ def run_start(scenes: Sequence[str], start: np.ndarray, settled: bool) -> dict:
     """
     campaign = make_campaign(scenes, Noise(NOISE, contact_jitter=None, zero_jitter=None, correlation_time=0.0))
     problem = build_problem(LAW, campaign, reference_recordings(campaign), Solves())
-    descent = descend(problem, np.array(start))
+    descent = descend(problem, np.array(start), enough=ENOUGH_OF_A_START)
     found = {"start": list(start), "end": descent.theta.tolist(), "error": descent.error,
              "converged": descent.converged, "problem": descent.problem, "cpu_s": descent.cpu_s,
              "solves": [descent.simulations.get((name, "fast"), 0) for name in scenes]}

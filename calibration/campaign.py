@@ -200,7 +200,7 @@ def _specimen(entry: SpecimenTable, name: str, field: str) -> Specimen:
         raise InputError(f"a {entry.shape} has {needed}, not {other}; leave it out", field=f"{field}.{other}")
     require_positive(size, f"{field}.{needed}", " mm" if needed == "radius_mm" else " mm2")
     # Homogeneous tests know a specimen by its cross-section and height only.
-    radius = size * 1e-3 if needed == "radius_mm" else np.sqrt(size * 1e-6 / np.pi)
+    radius = size * 1e-3 if needed == "radius_mm" else float(np.sqrt(size * 1e-6 / np.pi))
     return Specimen(radius, entry.height_mm * 1e-3, name, entry.density_kg_m3,
                     STANDARD_GRAVITY if entry.gravity else 0.0, entry.height_is)
 

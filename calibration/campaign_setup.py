@@ -9,7 +9,7 @@ from pathlib import Path
 from calibration.campaign_checks import HOMOGENEOUS, TOOLS
 from calibration.campaign_schema import TestTable
 from tissue_sim.errors import InputError, nearest
-from tissue_sim.experiment import Experiment, Specimen
+from tissue_sim.experiment import Experiment, Specimen, checked_interface
 from tissue_sim.protocol import Protocol
 from tissue_sim.rig import Rig
 from tissue_sim.rig_file import load_rig
@@ -42,6 +42,15 @@ class Setup:
     friction_base: str | float = "frictionless"
     friction_wall: str | float = "frictionless"
     rig: Rig = field(default_factory=Rig)
+
+    def __post_init__(self):
+        for name in ("friction", "friction_base", "friction_wall"):
+            object.__setattr__(self, name, checked_interface(getattr(self, name), name))
+
+    @property
+    def slides(self) -> bool:
+        """Whether tissue may slip against friction, so that the force depends on the way."""
+        return any(isinstance(value, float) for value in (self.friction, self.friction_base, self.friction_wall))
 
     def experiment(self, specimen: Specimen, protocol: Protocol) -> Experiment:
         """The experiment of this test on a specimen.

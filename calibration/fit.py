@@ -49,6 +49,7 @@ class Prediction(msgspec.Struct, frozen=True, kw_only=True):
         expected_N: RMSE that noise, jitter and the uncertainty of the parameters would make; None where unknown.
         fitted: tests that the law was fitted to for this; empty: all that are not held out.
         note: why there is no prediction; empty where there is one.
+        parameters: free ones of the fit that predicts, name -> value, SI, of an inverse fit.
 
     Errors are None where the law does not carry the specimen as far as the test went, or where the other tests leave a
     parameter open.
@@ -62,6 +63,7 @@ class Prediction(msgspec.Struct, frozen=True, kw_only=True):
     expected_N: float | None = None
     fitted: list[str] = []
     note: str = ""
+    parameters: dict[str, float] = {}
 
 
 class Iteration(msgspec.Struct, frozen=True, kw_only=True):

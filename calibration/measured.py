@@ -63,8 +63,7 @@ def remembers(test: Test, effects: tuple[str, ...]) -> bool:
     Args:
         test: its friction counts. effects: paths of the material's parameters beside those of its law.
     """
-    slides = test.setup is not None and any(
-        isinstance(value, float) for value in (test.setup.friction, test.setup.friction_base, test.setup.friction_wall))
+    slides = test.setup is not None and test.setup.slides
     return slides or any(name.startswith(("viscoelastic", "poroelasticity", "softening")) for name in effects)
 
 

@@ -36,6 +36,8 @@ from tissue_sim.simulation import simulate
 _SAME = 1e-2
 #: Shares of the volume that are stretched less, or more, than what counts as the range of the data.
 _TAIL = 0.01
+#: A nuisance so many standard deviations away is not chance.
+SUSPECT = 4.0
 
 
 def assess(estimate: Estimate, spread: Uncertainty, descents: Sequence[Descent], sides: Sequence[ProfileSide],
@@ -78,6 +80,10 @@ def assess(estimate: Estimate, spread: Uncertainty, descents: Sequence[Descent],
     if stuck := [nuisance.replicate for nuisance in nuisances if nuisance.on_bound]:
         warnings.append(f"contact or zero of {', '.join(stuck)} would be more than {FARTHEST:g} times the stated or "
                         "estimated scatter away: check where these recordings touch, or the jitter")
+    farthest = float(np.abs(evaluation.nuisances).max(initial=0.0))
+    if farthest > SUSPECT and not stuck:
+        warnings.append(f"an offset, a zero or a mesh error is {farthest:.2g} times its standard deviation: something "
+                        "that the model lacks may hide there")
     regions = judge_regions(problem, evaluation)
     unknowns = len(space.free)
     # Laws may come to another jitter, so that the determinant of the covariance counts.

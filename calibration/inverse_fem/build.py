@@ -15,7 +15,7 @@ from calibration.inverse_fem.parameters import ParameterSpace
 from calibration.inverse_fem.problem import Problem
 from calibration.inverse_fem.solves import Solves
 from calibration.jitter import Jitter
-from calibration.measured import MeasuredCurve, remembers
+from calibration.measured import MeasuredCurve, ages, remembers
 from tissue_sim.protocol import STUDY_SPEED
 
 #: Standard deviation of the accurate mesh's own error relative to the force: what is left against independent
@@ -53,7 +53,8 @@ def build_test(test: Test, curves: Sequence[MeasuredCurve], space: ParameterSpac
         return ClosedTest(test.name, HOMOGENEOUS[test.kind], test.kind == "lubricated_compression", *size, curves)
     effects = tuple(name for name in space.names if is_effect(name))
     layered = any(name.startswith("layers") for name in effects)
-    if remembers(test, effects):
+    one_way = all(set(curve.segment.tolist()) == {"ramp"} for curve in curves if curve.segment is not None)
+    if ages(effects) or (remembers(test, effects) and not one_way):
         motions, motion_of = [], []
         for curve in curves:
             motion = Timed.of(curve.time, curve.displacement)
@@ -67,9 +68,9 @@ def build_test(test: Test, curves: Sequence[MeasuredCurve], space: ParameterSpac
     depth = min(deepest + max(_MARGIN * contact, _LEAST_MARGIN * deepest), 0.999 * test.specimen.height)
     speed = float(np.median([curve.speed or STUDY_SPEED for curve in curves]))
     setup = test.setup
-    slides = any(isinstance(value, float) for value in (setup.friction, setup.friction_base, setup.friction_wall))
-    smooth = setup.tool.shape == "plate" or (setup.tool.shape == "flat" and not setup.tool.edge_radius and not slides)
-    motion = Loading.to(float(depth), max(speed, 1e-9), smooth=smooth)
+    smooth = setup.tool.shape == "plate" or (
+        setup.tool.shape == "flat" and not setup.tool.edge_radius and not setup.slides)
+    motion = Loading.to(float(depth), max(speed, 1e-9), smooth=smooth, strain=float(depth / test.specimen.height))
     return SimulatedTest(test.name, test.specimen, test.setup, (motion,), (0,) * len(curves), curves,
                          layered)
 

@@ -88,7 +88,7 @@ def settle(problem: Problem, theta: np.ndarray, stated: Stated, start: int = 1, 
         moved = np.abs(descent.theta - theta) / problem.space.sizes(problem.space.values(theta))
         theta = descent.theta
         # The difference changes as the parameters do, so that the next move is this one times the difference.
-        share = np.nanmax(differences, initial=0.0)
+        share = max((difference for difference in differences if np.isfinite(difference)), default=0.0)
         if moved.max(initial=0.0) * min(1.0, SAFETY * share) < SETTLED and _alike(jitter, problem.jitter):
             break
         if refreshes == MOST_REFRESHES:

@@ -12,9 +12,9 @@ from tissue_sim.protocol import Protocol
 from tissue_sim.recording import Recording
 from tissue_sim.rig import Rig
 
-#: Steps to the largest depth where the force is smooth: a cubic through them errs by 2e-6 of the largest force between
-#: plates and by 8e-5 under a flat needle.
-SMOOTH_STEPS = 8
+#: Where the force is smooth: fewest steps to the largest depth, and largest nominal strain of one. A cubic through them
+#: errs by 7e-6 of the largest force between plates and by 9e-5 under a flat needle.
+SMOOTH_STEPS, SMOOTH_STRAIN = 8, 0.018
 #: Steps where tissue slides or rolls onto the tool, and how they grow: knots at shares^power of the depth. Friction
 #: remembers its way, and its first part needs the shorter steps.
 SLIDING_STEPS, SLIDING_POWER = 20, 1.5
@@ -49,10 +49,15 @@ class Loading:
     speed: float
 
     @classmethod
-    def to(cls, depth: float, speed: float, *, smooth: bool) -> Loading:
-        """Knots from rest to `depth`, m; few where the force is `smooth`, closer at the touch where it is not."""
+    def to(cls, depth: float, speed: float, *, smooth: bool, strain: float = 0.0) -> Loading:
+        """Knots from rest to `depth`, m; few where the force is `smooth`, closer at the touch where it is not.
+
+        Args:
+            depth: m. speed: m/s. strain: depth over the height of the specimen.
+        """
         if smooth:
-            return cls(np.linspace(0.0, depth, SMOOTH_STEPS + 1), speed)
+            steps = max(SMOOTH_STEPS, int(np.ceil(strain / SMOOTH_STRAIN)))
+            return cls(np.linspace(0.0, depth, steps + 1), speed)
         return cls(depth * np.linspace(0.0, 1.0, SLIDING_STEPS + 1)**SLIDING_POWER, speed)
 
     @property
@@ -151,7 +156,9 @@ class Timed:
             rate = values[:, -1]
             # Where the tool was a little off the straight lines, it was as if the touch were elsewhere.
             values[:, 0] += (offset - displacement + np.interp(time, self.time, self.displacement)) * rate
-            return values[:, :-1], rate
+            # Nothing is felt before the first touch.
+            values[(leg_of == 0) & (displacement < offset)] = 0.0
+            return values[:, :-1], values[:, -1]
 
         return course
 

@@ -13,6 +13,8 @@ from calibration.inverse_fem.results import TestCurves
 
 #: Laws whose predictions differ by less than this share are not told apart by them.
 ALIKE = 0.1
+#: A prediction error, in %, that nobody would call a prediction.
+FAR_OFF = 10.0
 
 Fitted = tuple[Fit, list[Prediction], Sequence[TestCurves]]
 
@@ -56,8 +58,12 @@ def ranking_message(fits: Sequence[Fit], predictions: Sequence[Prediction]) -> s
         shown = held_out or mine
         words = ", ".join(_words(p) for p in shown)
         what = "held-out tests" if held_out else "each test from the others"
-        parts.append(f"{best.law} predicts {what} best: {words}" if len(fits) > 1 else
-                     f"{best.law} predicts {what}: {words}")
+        if best.left_out > FAR_OFF:
+            parts.append(f"no law predicts {what}; the least wrong is {best.law}: {words}" if len(fits) > 1 else
+                         f"{best.law} does not predict {what}: {words}")
+        else:
+            parts.append(f"{best.law} predicts {what} best: {words}" if len(fits) > 1 else
+                         f"{best.law} predicts {what}: {words}")
         rivals = [fit.law for fit in fits[1:] if fit.status == "converged" and fit.left_out is not None
                   and fit.left_out <= (1 + ALIKE) * best.left_out]
         if rivals:
@@ -72,11 +78,12 @@ def ranking_message(fits: Sequence[Fit], predictions: Sequence[Prediction]) -> s
     if best.not_identifiable:
         parts.append(f"the tests do not determine {', '.join(best.not_identifiable)}"
                      + (f"; {best.suggestions[0].test} would" if best.suggestions else ""))
-    return ". ".join(part[0].upper() + part[1:] if i else part for i, part in enumerate(parts)) + "."
+    known = {fit.law for fit in fits}
+    return ". ".join(part if part.split()[0] in known else part[0].upper() + part[1:] for part in parts) + "."
 
 
 def _words(prediction: Prediction) -> str:
     if prediction.percent is None:
         return f"{prediction.test} not ({prediction.note})"
     force = "" if prediction.RMSE_N is None else f"{prediction.RMSE_N:.3g} N, "
-    return f"{prediction.test} within {force}{prediction.percent:.2g} %"
+    return f"{prediction.test} within {force}{float(f'{prediction.percent:.2g}'):g} %"

@@ -83,9 +83,10 @@ def predict(problem: Problem, test: SimulatedTest | ClosedTest, theta: np.ndarra
     if not np.isfinite(rmse):
         return _unknown(test.name, problem.space.law, fitted, "the law gives no finite force")
     return Prediction(test=test.name, law=problem.space.law, RMSE_N=None if stressed else rmse,
-                      RMSE_Pa=rmse if stressed else rmse / test.area if isinstance(test, ClosedTest) else None,
+                      RMSE_Pa=rmse if stressed else float(rmse / test.area) if isinstance(test, ClosedTest) else None,
                       percent=100.0 * rmse / largest,
-                      expected_N=None if stressed else float(np.sqrt(expected / samples)), fitted=fitted)
+                      expected_N=None if stressed else float(np.sqrt(expected / samples)), fitted=fitted,
+                      parameters=dict(zip(problem.space.free, np.asarray(theta).tolist(), strict=True)))
 
 
 def _unknown(test: str, law: str, fitted: list[str], note: str) -> Prediction:
