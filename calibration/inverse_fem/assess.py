@@ -19,7 +19,7 @@ from calibration.fit import (
 from calibration.inverse_fem.estimate import Estimate
 from calibration.inverse_fem.identifiability import condition, not_identifiable, suggest_tests, weak_directions
 from calibration.inverse_fem.levenberg_marquardt import Descent
-from calibration.inverse_fem.problem import FARTHEST, Evaluation, Problem
+from calibration.inverse_fem.problem import Evaluation, Problem
 from calibration.inverse_fem.profiles import ProfileSide
 from calibration.inverse_fem.regions import judge_regions, name_misfits
 from calibration.inverse_fem.uncertainty import Uncertainty
@@ -75,15 +75,14 @@ def assess(estimate: Estimate, spread: Uncertainty, descents: Sequence[Descent],
         warnings.append(f"residuals are {spread.ratio:.3g} times the noise: the model misses something, and the "
                         "standard errors are no more than a guess")
     nuisances = _nuisances(problem, evaluation)
-    for nuisance in nuisances:
-        on_bound += [f"{nuisance.replicate}: {name}" for name in nuisance.on_bound]
-    if stuck := [nuisance.replicate for nuisance in nuisances if nuisance.on_bound]:
-        warnings.append(f"contact or zero of {', '.join(stuck)} would be more than {FARTHEST:g} times the stated or "
-                        "estimated scatter away: check where these recordings touch, or the jitter")
-    farthest = float(np.abs(evaluation.nuisances).max(initial=0.0))
-    if farthest > SUSPECT and not stuck:
-        warnings.append(f"an offset, a zero or a mesh error is {farthest:.2g} times its standard deviation: something "
-                        "that the model lacks may hide there")
+    away = np.abs(evaluation.nuisances)
+    if stuck := [curve.name for own, curve in zip(problem.own, problem.measured, strict=True)
+                 if away[own].max(initial=0.0) > SUSPECT]:
+        warnings.append(f"contact or zero of {', '.join(stuck)} is more than {SUSPECT:g} times the stated or estimated "
+                        "scatter away: check where these recordings touch, or what the model lacks")
+    if away[len(problem.own) * len(problem.kinds):].max(initial=0.0) > SUSPECT:
+        warnings.append(f"the mesh error would be more than {SUSPECT:g} times what is known of it: something that the "
+                        "model lacks hides there")
     regions = judge_regions(problem, evaluation)
     unknowns = len(space.free)
     # Laws may come to another jitter, so that the determinant of the covariance counts.
@@ -189,13 +188,13 @@ def _profiles(estimate: Estimate, spread: Uncertainty, sides: Sequence[ProfileSi
                              *zip(up.values.tolist(), up.rises.tolist(), strict=True)})
             own = [f"{end}: {side.note}" for end, side in (("low", down), ("high", up)) if side.note]
             profiles[name] = Profile(values=[v for v, _ in points], rises=[r for _, r in points],
-                                     level=spread.quantile**2, notes=own)
+                                     level=float(spread.quantile[i]**2), notes=own)
             intervals[name] = (down.end, up.end)
             if own:
                 notes[name] = "; ".join(own)
         else:
             error = spread.standard_errors[i]
-            ends = np.clip(theta[i] + spread.quantile * error * np.array([-1.0, 1.0]), space.low[i], space.high[i])
+            ends = np.clip(theta[i] + spread.quantile[i] * error * np.array([-1.0, 1.0]), space.low[i], space.high[i])
             intervals[name] = (float(ends[0]), float(ends[1])) if np.isfinite(error) else None
     return profiles, {name: intervals[name] for name in space.names}, notes
 
@@ -203,8 +202,7 @@ def _profiles(estimate: Estimate, spread: Uncertainty, sides: Sequence[ProfileSi
 def _nuisances(problem: Problem, evaluation: Evaluation) -> list[Nuisance]:
     if not problem.kinds:
         return []
-    loose = np.where(evaluation.held, 0.0, evaluation.columns)
-    matrix = np.linalg.inv(np.eye(evaluation.nuisances.size) + loose.T @ loose)
+    matrix = np.linalg.inv(np.eye(evaluation.nuisances.size) + evaluation.columns.T @ evaluation.columns)
     deviations = np.sqrt(np.diag(matrix))
     found = []
     for own, curve in zip(problem.own, problem.measured, strict=True):
@@ -213,14 +211,10 @@ def _nuisances(problem: Problem, evaluation: Evaluation) -> list[Nuisance]:
         errors = dict(zip(problem.kinds, deviations[own], strict=True))
         pairs = {kind: (values[kind] * size[kind], errors[kind] * size[kind]) if kind in values else (0.0, 0.0)
                  for kind in ("contact", "zero")}
-        held = {kind for kind, stuck in zip(problem.kinds, evaluation.held[own], strict=True) if stuck}
         found.append(Nuisance(
             replicate=curve.name, contact_offset_mm=float(pairs["contact"][0] * 1e3),
-            contact_offset_error_mm=None if "contact" in held else float(pairs["contact"][1] * 1e3),
-            zero_offset_N=float(pairs["zero"][0]),
-            zero_offset_error_N=None if "zero" in held else float(pairs["zero"][1]),
-            on_bound=[name for name, kind in (("contact_offset_mm", "contact"), ("zero_offset_N", "zero"))
-                      if kind in held]))
+            contact_offset_error_mm=float(pairs["contact"][1] * 1e3), zero_offset_N=float(pairs["zero"][0]),
+            zero_offset_error_N=float(pairs["zero"][1])))
     return found
 
 

@@ -41,7 +41,8 @@ def build_problem(law: str, campaign: Campaign, measured: Mapping[str, Sequence[
     fitted = [test for test in campaign.tests if not test.hold_out]
     jitter = first_jitter(campaign, [curve for test in fitted for curve in measured[test.name]])
     tests = tuple(build_test(test, measured[test.name], space, jitter.contact) for test in fitted)
-    return Problem(space, tests, solves, jitter)
+    # What the fast mesh is off is no misfit that offsets should make up for.
+    return Problem(space, tests, solves, jitter, tuple(remainder(test, FAST_REMAINDERS) for test in tests))
 
 
 def build_test(test: Test, curves: Sequence[MeasuredCurve], space: ParameterSpace,

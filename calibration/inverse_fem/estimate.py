@@ -113,7 +113,7 @@ def _refine(problem: Problem, theta: np.ndarray, warnings: list[str]) -> tuple[f
             warning = f"{test.name}: the accurate mesh does not get through, so the fast one's error is carried"
             if warning not in warnings:
                 warnings.append(warning)
-    problem.carry(errors, theta)
+    problem.mesh_error = tuple(errors)
     return tuple(found)
 
 

@@ -167,7 +167,8 @@ def _rescaled(problem: Problem, theta: np.ndarray) -> np.ndarray:
     fixed = any(space.is_modulus(name) for name in space.fixed)
     if fixed or not moduli.any() or not all(test.proportional for test in problem.tests):
         return theta
-    residual, rates = problem.evaluate(theta).projected
+    # Without offsets and zeros, which far from the minimum would make up for a wrong size.
+    residual, rates = problem.bare(theta)
     # Euler: what all moduli together do to the force is their sum of C dF/dC.
     direction = rates[:, moduli] @ theta[moduli]
     if not direction @ direction > 0:

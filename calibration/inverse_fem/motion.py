@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -64,6 +64,16 @@ class Loading:
     def protocol(self) -> Protocol:
         return Protocol(self.depth / self.speed, self.depth)
 
+    @property
+    def even(self) -> Loading:
+        """The same way in even steps."""
+        return replace(self, depth=np.linspace(self.depth[0], self.depth[-1], self.depth.size))
+
+    def at_knots(self, course: Course) -> np.ndarray:
+        """A course at the knots, shape (k, m)."""
+        # The rounded touch would leave something at rest.
+        return course(None, self.depth, 0.0)[0] - course(None, self.depth[:1], 0.0)[0]
+
     def through(self, columns: np.ndarray) -> Course:
         """The course of force and what else belongs to it, given at the knots, shape (k, m)."""
         spline = _spline(self.depth, columns)
@@ -114,6 +124,8 @@ class Timed:
             way, duration = d[i + 1] - d[i], t[i + 1] - t[i]
             if abs(way) > 2 * STRAIGHT * travel:
                 share = np.linspace(0.0, 1.0, int(np.ceil(steps * abs(way) / travel - 1e-9)) + 1)[1:]
+                # From the touch as in `Loading`: friction remembers its first part.
+                share = share**SLIDING_POWER if i == 0 else share
             else:
                 count = int(np.ceil(np.log1p((_HOLD_GROWTH - 1) / _HOLD_FIRST) / np.log(_HOLD_GROWTH)))
                 share = (_HOLD_GROWTH ** np.arange(1, count + 1) - 1) / (_HOLD_GROWTH**count - 1)
@@ -126,6 +138,19 @@ class Timed:
     @cached_property
     def protocol(self) -> Protocol:
         return Protocol(self.time - self.time[0], self.displacement)
+
+    @property
+    def even(self) -> Timed:
+        """The same motion with even steps from the touch."""
+        first, last = self.legs[0]
+        time, displacement = self.time.copy(), self.displacement.copy()
+        for values in (time, displacement):
+            values[first:last + 1] = np.linspace(values[first], values[last], last + 1 - first)
+        return replace(self, time=time, displacement=displacement)
+
+    def at_knots(self, course: Course) -> np.ndarray:
+        """A course at the knots, shape (k, m)."""
+        return course(self.time, self.displacement, 0.0)[0]
 
     def like(self, other: Timed) -> bool:
         """Whether it is the same motion, within what is straight."""

@@ -12,14 +12,15 @@ from calibration.inverse_fem.forces import ClosedTest, InfeasibleError, Simulate
 from calibration.inverse_fem.parameters import ParameterSpace
 from calibration.inverse_fem.solves import Solves
 from calibration.jitter import Jitter, WhitenedReplicate
+from calibration.measured import MeasuredCurve
 from calibration.sensor_noise import whiten
 
 #: Offsets are found by this many linear steps at most, to this share of their standard deviation; the force is almost
 #: a straight line over their size.
 _OFFSET_STEPS, _OFFSET_SETTLED = 10, 3e-4
-#: No offset is taken for larger than so many standard deviations: a model that wants more is wrong, and its curve would
-#: be read where nothing was simulated.
-FARTHEST = 8.0
+#: Beyond so many standard deviations of the contact offset the force goes on straight: nothing was simulated there, and
+#: from a start far from the minimum a curve would lead astray.
+FARTHEST = 4.0
 #: Smooth shapes of the error that the accurate mesh is left with: constant and linear along the way.
 MESH_MODES = 2
 
@@ -74,20 +75,14 @@ class Evaluation:
         """How the nuisances move to make up for a change of the model, shape (m, ...)."""
         if not self.columns.shape[1]:
             return np.zeros((0, *columns.shape[1:]))
-        loose = np.where(self.held, 0.0, self.columns)
-        return -cho_solve(cho_factor(np.eye(loose.shape[1]) + loose.T @ loose), loose.T @ columns)
-
-    @property
-    def held(self) -> np.ndarray:
-        """Nuisances on the farthest that they may be, shape (m,)."""
-        return np.abs(self.nuisances) >= FARTHEST
+        factor = cho_factor(np.eye(self.columns.shape[1]) + self.columns.T @ self.columns)
+        return -cho_solve(factor, self.columns.T @ columns)
 
     @property
     def design(self) -> tuple[np.ndarray, np.ndarray]:
         """Residual and Jacobian of the problem with all unknowns, parameters first: shapes (M,) and (M, p + m)."""
         p, m = self.rates.shape[1], self.columns.shape[1]
-        rows = [np.hstack([self.rates, np.where(self.held, 0.0, self.columns)]),
-                np.hstack([np.zeros((m, p)), np.eye(m)]),
+        rows = [np.hstack([self.rates, self.columns]), np.hstack([np.zeros((m, p)), np.eye(m)]),
                 np.hstack([self.prior_rates, np.zeros((self.prior_rates.shape[0], m))])]
         return np.concatenate([self.residual, self.nuisances, self.prior_residual]), np.concatenate(rows)
 
@@ -99,17 +94,14 @@ class Problem:
     Attributes:
         space: parameters. tests: those that count. solves: what has been simulated.
         jitter: standard deviations of contact offset and zero.
-        mesh_error: standard deviation of each test's remaining mesh error, relative to the force.
-        reference: force that it is relative to, N, of each recording, shape (n,) each; empty before there is an
-            estimate: no mesh error is carried then.
+        mesh_error: standard deviation of each test's mesh error, relative to the model's force.
     """
 
     space: ParameterSpace
     tests: tuple[SimulatedTest | ClosedTest, ...]
     solves: Solves
     jitter: Jitter
-    mesh_error: tuple[float, ...] = ()
-    reference: tuple[np.ndarray, ...] = ()
+    mesh_error: tuple[float, ...]
     _last: Evaluation | None = field(default=None, repr=False)
 
     def __post_init__(self):
@@ -129,7 +121,7 @@ class Problem:
                     for i in range(len(self.places))]
         column = len(self.places) * len(self.kinds)
         self.shared = []
-        for size in self.mesh_error or (0.0,) * len(self.tests):
+        for size in self.mesh_error:
             modes = MESH_MODES if size > 0 else 0
             self.shared.append(slice(column, column + modes))
             column += modes
@@ -143,20 +135,7 @@ class Problem:
     def with_tests(self, numbers: Sequence[int]) -> Problem:
         """The same problem with some of the tests."""
         return Problem(self.space, tuple(self.tests[i] for i in numbers), self.solves, self.jitter,
-                       tuple(self.mesh_error[i] for i in numbers) if self.mesh_error else (),
-                       tuple(force for force, (t, _) in zip(self.reference, self.places, strict=False)
-                             if t in numbers))
-
-    def carry(self, mesh_error: Sequence[float], theta: np.ndarray) -> None:
-        """Carry a mesh error of these sizes from now on, relative to the forces at these parameters.
-
-        Not to the measured ones: the noise in those would pull every modulus down (Peelle's puzzle; Frühwirth,
-        Neudecker and Leeb, EPJ Web of Conferences 27 (2012) 00008), and not to forces that move with the parameters.
-        """
-        answers = [test.solve(self.space, theta, self.solves) for test in self.tests]
-        self.reference = tuple(self.tests[t].evaluate(answers[t], r, 0.0)[0] for t, r in self.places)
-        self.mesh_error = tuple(mesh_error)
-        self.forget()
+                       tuple(self.mesh_error[i] for i in numbers))
 
     def evaluate(self, theta: np.ndarray) -> Evaluation:
         """Everything at these parameters; the same ones again cost nothing.
@@ -177,6 +156,15 @@ class Problem:
                                 (theta[prior] - self.space.prior_mean[prior]) / deviation, prior_rates, force)
         return self._last
 
+    def bare(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Whitened residual (N,) and rates (N, p) without any nuisance.
+
+        Raises:
+            InfeasibleError: as `evaluate`.
+        """
+        answers = [test.solve(self.space, theta, self.solves) for test in self.tests]
+        return self._linearise(answers, np.zeros(self.nuisances))[:2]
+
     def _best_nuisances(self, answers: list) -> tuple[np.ndarray, tuple]:
         """The nuisances that fit best, shape (m,), and the problem linearised there.
 
@@ -195,12 +183,7 @@ class Problem:
             best, reach, found, share = trial, error, linearised, 1.0
             if not trial.size:
                 break
-            matrix, slope = np.eye(trial.size) + columns.T @ columns, columns.T @ residual + trial
-            # What is pressed against its bound stays there, and the others do without it.
-            loose = ~((np.abs(trial) >= FARTHEST) & (slope * trial < 0.0))
-            change = np.zeros_like(trial)
-            change[loose] = -cho_solve(cho_factor(matrix[np.ix_(loose, loose)]), slope[loose])
-            change = np.clip(trial + change, -FARTHEST, FARTHEST) - trial
+            change = -cho_solve(cho_factor(np.eye(trial.size) + columns.T @ columns), columns.T @ residual + trial)
             if np.abs(change).max() < _OFFSET_SETTLED:
                 break
             trial = trial + change
@@ -218,16 +201,22 @@ class Problem:
         columns = np.zeros((self.samples, self.nuisances))
         force = np.empty(self.samples)
         sizes = [getattr(self.jitter, name) for name in self.kinds]
-        for place, (rows, own, (t, r)) in enumerate(zip(self.rows, self.own, self.places, strict=True)):
+        for rows, own, (t, r) in zip(self.rows, self.own, self.places, strict=True):
             test, measured = self.tests[t], self.tests[t].measured[r]
             values = dict(zip(self.kinds, nuisances[own] * sizes, strict=True))
-            model, model_rates, contact_rate = test.evaluate(answers[t], r, values.get("contact", 0.0))
-            own_columns = {"contact": contact_rate, "zero": np.ones_like(model)}
+            offset, farthest = values.get("contact", 0.0), FARTHEST * self.jitter.contact
+            near = float(np.clip(offset, -farthest, farthest))
+            model, model_rates, contact_rate = test.evaluate(answers[t], r, near)
+            model = model + (offset - near) * contact_rate
+            modes, weights = self._mesh_columns(t, measured, model), nuisances[self.shared[t]]
+            # An error in proportion to the force changes its derivatives too.
+            factor = 1.0 + self._mesh_columns(t, measured, np.ones_like(model)) @ weights
+            own_columns = {"contact": factor * contact_rate, "zero": np.ones_like(model)}
             force[rows] = model + values.get("zero", 0.0)
-            modes = self._mesh_columns(place)
-            gap = force[rows] - measured.force + modes @ nuisances[self.shared[t]]
-            white = whiten(np.column_stack([gap, model_rates, *(size * own_columns[name] for name, size in zip(
-                self.kinds, sizes, strict=True)), modes]), measured.time, measured.noise)
+            gap = force[rows] - measured.force + modes @ weights
+            white = whiten(np.column_stack([gap, factor[:, None] * model_rates, *(
+                size * own_columns[name] for name, size in zip(self.kinds, sizes, strict=True)), modes]),
+                measured.time, measured.noise)
             p = rates.shape[1]
             residual[rows], rates[rows] = white[:, 0], white[:, 1:p + 1]
             columns[rows, own] = white[:, p + 1:p + 1 + len(self.kinds)]
@@ -236,24 +225,31 @@ class Problem:
             raise InfeasibleError("the model gives a force that is not a number")
         return residual, rates, columns, force
 
-    def _mesh_columns(self, place: int) -> np.ndarray:
-        """Modes of the mesh error of one recording, N, each of one standard deviation, shape (n, modes)."""
-        t, r = self.places[place]
-        displacement = self.tests[t].measured[r].displacement
-        if not self.mesh_error or not self.mesh_error[t]:
-            return np.zeros((displacement.size, 0))
-        along = 2.0 * displacement / np.abs(displacement).max() - 1.0
-        return self.mesh_error[t] * np.column_stack([self.reference[place], along * self.reference[place]])
+    def _mesh_columns(self, number: int, measured: MeasuredCurve, force: np.ndarray) -> np.ndarray:
+        """Modes of the mesh error, N, each of one standard deviation, shape (n, modes).
+
+        Of the model's force: as a share of the measured one an error would shrink the noise with the force, and pull
+        all moduli down by the number of samples times the variance of the error.
+
+        Args:
+            number: of the test. measured: the recording. force: of the model, N, shape (n,).
+
+        Source: D'Agostini, Nucl. Instrum. Methods A 346 (1994) 306.
+        """
+        if not self.mesh_error[number]:
+            return np.zeros((force.size, 0))
+        along = 2.0 * measured.displacement / np.abs(measured.displacement).max() - 1.0
+        return self.mesh_error[number] * np.column_stack([force, along * force])
 
     def replicates(self, evaluation: Evaluation) -> list[list[WhitenedReplicate]]:
         """What `calibration.jitter` needs of each test, at these parameters."""
         answers = [test.solve(self.space, evaluation.theta, self.solves) for test in self.tests]
         found: list[list[WhitenedReplicate]] = [[] for _ in self.tests]
-        for place, (t, r) in enumerate(self.places):
+        for t, r in self.places:
             measured = self.tests[t].measured[r]
             model, rates, contact = self.tests[t].evaluate(answers[t], r, 0.0)
             white = whiten(np.column_stack([model - measured.force, contact, np.ones_like(model), rates,
-                                            self._mesh_columns(place)]), measured.time, measured.noise)
+                                            self._mesh_columns(t, measured, model)]), measured.time, measured.noise)
             p = rates.shape[1]
             found[t].append(WhitenedReplicate(white[:, 0], white[:, 1], white[:, 2], white[:, 3:3 + p],
                                               white[:, 3 + p:]))

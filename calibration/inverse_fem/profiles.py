@@ -54,7 +54,7 @@ def profile_side(problem: Problem, theta: np.ndarray, error: float, spread: Unce
     approximation puts the others, so that it mostly takes one solve.
     """
     began, counted = time.process_time(), Counter(problem.solves.counts)
-    space, quantile = problem.space, spread.quantile
+    space, quantile = problem.space, float(spread.quantile[index])
     bound = space.high[index] if side > 0 else space.low[index]
     deviation = spread.standard_errors[index]
     follow = spread.covariance[:, index] / spread.covariance[index, index]

@@ -14,6 +14,8 @@ from calibration.statistics import RESIDUAL_RATIO
 ON_BOUND = 1e-6
 #: A direction whose scaled information is below this share of the largest is not determined.
 SINGULAR = 1e-14
+#: Factor of a variance of the jitter for a derivative.
+_MORE = 1.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +27,7 @@ class Uncertainty:
         standard_errors: shape (p,); NaN on a bound, inf in a direction that nothing determines.
         on_bound: shape (p,), bool.
         basis: ``"noise"``, ``"residuals"`` (they exceed the noise) or ``"replicates"`` (the jitter is estimated).
-        quantile: half width of a 95 % interval in standard errors.
+        quantile: half widths of the 95 % intervals in standard errors, shape (p,).
         inflation: factor of all variances because the residuals exceed the noise, at least 1.
         ratio: root mean square of the whitened residuals.
         sizes: whole changes of the parameters, see `ParameterSpace.sizes`, shape (p,).
@@ -36,7 +38,7 @@ class Uncertainty:
     standard_errors: np.ndarray
     on_bound: np.ndarray
     basis: str
-    quantile: float
+    quantile: np.ndarray
     inflation: float
     ratio: float
     sizes: np.ndarray
@@ -60,9 +62,7 @@ def assess_uncertainty(problem: Problem, evaluation: Evaluation) -> Uncertainty:
     information = scaled.T @ scaled
     freedom = max(problem.samples + evaluation.prior_residual.size - len(space.free), 1)
     chi_square = evaluation.error
-    inflation, basis, quantile = 1.0, "noise", stats.norm.ppf(0.975)
-    if problem.jitter.freedom:
-        basis, quantile = "replicates", stats.t.ppf(0.975, problem.jitter.freedom)
+    inflation, basis, quantile = 1.0, "noise", np.full(len(space.free), stats.norm.ppf(0.975))
     if chi_square > RESIDUAL_RATIO**2 * freedom:
         inflation, basis = chi_square / freedom, "residuals"
     inside = np.flatnonzero(~on_bound)
@@ -77,6 +77,34 @@ def assess_uncertainty(problem: Problem, evaluation: Evaluation) -> Uncertainty:
         errors[inside] = np.sqrt(np.diag(own))
         loose = (np.abs(vectors[:, flat]) > 0.1).any(axis=1) if flat.any() else np.zeros(inside.size, bool)
         errors[inside[loose]] = np.inf
+    if problem.jitter.freedom and inside.size:
+        basis = "residuals" if basis == "residuals" else "replicates"
+        quantile[inside] = stats.t.ppf(0.975, _freedom(problem, evaluation, sizes, inside))
     ratio = float(np.sqrt(np.mean(evaluation.residual**2)))
-    return Uncertainty(covariance, errors, on_bound, basis, float(quantile), float(inflation), ratio, sizes,
+    return Uncertainty(covariance, errors, on_bound, basis, quantile, float(inflation), ratio, sizes,
                        information)
+
+
+def _freedom(problem: Problem, evaluation: Evaluation, sizes: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """Degrees of freedom of the variances of some parameters where the jitter is an estimate, shape (len(inside),).
+
+    The jitter's variances are known to a relative variance of 2 / freedom each, and a parameter's variance follows them
+    by its logarithmic derivative: offsets that the samples tell do not matter.
+
+    Source: Satterthwaite, Biometrics Bulletin 2 (1946) 110, as in Kenward and Roger, Biometrics 53 (1997) 983.
+    """
+    rates = (evaluation.rates * sizes)[:, inside]
+    priors = (evaluation.prior_rates * sizes)[:, inside]
+    # The columns of all recordings for one kind of jitter stand at a stride.
+    own = len(problem.places) * len(problem.kinds)
+
+    def variances(kind: int, factor: float) -> np.ndarray:
+        columns = evaluation.columns.copy()
+        columns[:, kind:own:len(problem.kinds)] *= np.sqrt(factor)
+        cross = columns.T @ rates
+        taken = cross.T @ np.linalg.solve(np.eye(columns.shape[1]) + columns.T @ columns, cross)
+        return np.diag(np.linalg.pinv(rates.T @ rates - taken + priors.T @ priors, hermitian=True))
+
+    squares = sum(((np.log(variances(kind, _MORE)) - np.log(variances(kind, 1 / _MORE))) / (2 * np.log(_MORE)))**2
+                  for kind in range(len(problem.kinds)))
+    return problem.jitter.freedom / np.maximum(squares, 1e-9)

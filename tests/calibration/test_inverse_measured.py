@@ -22,7 +22,7 @@ def fit(folder, data, laws, *, kind="lubricated_compression", face="", window=0.
                  f'format = "instron"\nmax_strain = {window}\n')
     if tension:
         strip = (data / "soro_tensile" / "Ecoflex 00-10.csv").as_posix()
-        text += ('[[specimen]]\nname = "strip"\nradius_mm = 2.3937\nheight_mm = 33.0\n'
+        text += ('[[specimen]]\nname = "strip"\nshape = "prism"\narea_mm2 = 18.0\nheight_mm = 33.0\n'
                  '[[test]]\nname = "tension"\nspecimen = "strip"\nkind = "uniaxial_tension"\nhold_out = true\n'
                  f'recordings = ["{strip}"]\nformat = "soft_robotics"\nmax_strain = 1.0\n')
     text += f'[fit]\nmethod = "inverse_fem"\nlaws = {laws}\nbulk_ratio = 10000.0\nstarts = 1\n[noise]\n{noise}\n'
