@@ -446,6 +446,23 @@ class TestWhole:
         assert [p.RMSE_N for p in other.predictions] == [p.RMSE_N for p in own.predictions]
         assert other.best.fem_solves >= own.best.fem_solves
 
+    def test_a_cluster_gives_the_same_numbers(self, plates, tmp_path_factory, monkeypatch):
+        """Worker processes of a local dask cluster that stand in another folder."""
+        distributed = pytest.importorskip("distributed", reason="needs the extra: pip install 'tissue-sim[cluster]'")
+        (plates / "study.toml").write_text(campaign_text("lubricated"), encoding="utf-8")
+        own, = calibration.calibrate([plates / "study.toml"], plates / "own", figures=False)
+        elsewhere = tmp_path_factory.mktemp("elsewhere")
+        monkeypatch.chdir(elsewhere)
+        with distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None,
+                                      local_directory=str(elsewhere / "scratch")) as cluster:
+            monkeypatch.chdir(plates)
+            other, = calibration.calibrate(["study.toml"], "other", figures=False,
+                                           workers=calibration.Workers(dask=cluster.scheduler_address))
+        assert other.best.parameters == own.best.parameters
+        assert other.best.intervals95 == own.best.intervals95
+        assert any((plates / "other" / "solves").iterdir())
+        assert not (elsewhere / "other").exists()
+
     def test_a_held_out_test_is_predicted(self, plates):
         text = campaign_text("lubricated") + (
             '[[test]]\nname = "bonded"\nkind = "bonded_compression"\nrecordings = ["bonded_*.csv"]\nhold_out = true\n')

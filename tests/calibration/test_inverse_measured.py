@@ -93,6 +93,14 @@ def test_tension_of_the_same_silicone_is_overpredicted(frictionless):
     assert error.percent == pytest.approx(100 * np.sqrt(np.mean((model - measured)**2)) / measured.max(), rel=1e-3)
 
 
+def test_no_friction_is_lubricated(frictionless, data_folder, tmp_path):
+    """A coefficient of 0 is the same test as lubricated platens, to the last digit."""
+    found = law(fit(tmp_path, data_folder, ["neo_hooke"], kind="friction_compression",
+                    face="friction = 0.0\nfriction_base = 0.0"), "neo_hooke")
+    assert found.parameters == law(frictionless, "neo_hooke").parameters
+    assert found.intervals95 == law(frictionless, "neo_hooke").intervals95
+
+
 def test_friction_changes_the_modulus_and_not_the_misfit(frictionless, data_folder, tmp_path):
     """What the platens are not stated to be: bonded ones take a quarter off C10 at the same misfit."""
     bonded = law(fit(tmp_path, data_folder, ["neo_hooke"], kind="bonded_compression"), "neo_hooke")
