@@ -1,5 +1,7 @@
 """Draw every picture of README and docs again: python docs/draw_pictures.py"""
 
+import base64
+import re
 import shutil
 import tempfile
 from dataclasses import replace
@@ -9,6 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import tissue_sim as ts
+from calibration import calibrate
 from scenes import SCENES, draw_simulation, run_demo
 from scenes.figures import save
 
@@ -42,6 +45,7 @@ def main() -> None:
         recording = ts.simulate(model, resolution="accurate", fields=True)
         draw_simulation(recording, model, PICTURES / f"{name}.png", field=field, reference=reference(curve))
     draw_cycles(material)
+    draw_inverse_calibration(material)
     for path in sorted(PICTURES.glob("*.png")):
         print(path)
 
@@ -71,6 +75,31 @@ def draw_cycles(material: ts.Material) -> None:
             panel.spines[["top", "right"]].set_visible(False)
     axes[0, 0].legend(frameon=False)
     save(figure, PICTURES / "cycles.png")
+
+
+def draw_inverse_calibration(material: ts.Material) -> None:
+    """The needle's picture in the report of an inverse calibration: three laws fitted to needle and bonded plates."""
+    tests = {"bonded_compression": "", "needle_indentation": 'tool = "flat"\ntool_radius_mm = 8.0\n'}
+    text = "[[specimen]]\nradius_mm = 40.0\nheight_mm = 70.0\n"
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for kind, keys in tests.items():
+            experiment = SCENES[kind].experiment(specimen=ts.Specimen(0.040, 0.070),
+                                                 protocol=ts.Protocol.ramp(0.010, 201))
+            true = ts.simulate(ts.Model(experiment, material), resolution="accurate")
+            for number in (1, 2, 3):
+                scatter = np.random.default_rng(number)
+                rig = ts.Rig(contact_offset=scatter.normal(0, 0.03e-3), zero_offset=scatter.normal(0, 0.01),
+                             force_noise=0.02, seed=number)
+                ts.write_recording(rig.measure(true), folder / f"{kind}_{number}.csv")
+            text += f'[[test]]\nname = "{kind.split("_")[0]}"\nkind = "{kind}"\nrecordings = ["{kind}_*.csv"]\n{keys}'
+        text += ('[fit]\nmethod = "inverse_fem"\nlaws = ["neo_hooke", "mooney_rivlin", "reduced_polynomial_2"]\n'
+                 'bulk_ratio = 10000.0\nstarts = 1\n')
+        (folder / "study.toml").write_text(text, encoding="utf-8")
+        calibrate([folder / "study.toml"], folder / "out")
+        page = (folder / "out" / "report.html").read_text(encoding="utf-8")
+    found = re.search(r'<img[^>]*src="data:image/png;base64,([^"]+)"[^>]*residuals of needle', page)
+    (PICTURES / "inverse_calibration.png").write_bytes(base64.b64decode(found[1]))
 
 
 if __name__ == "__main__":
