@@ -159,7 +159,7 @@ class SimulatedTest:
             late = np.column_stack([np.interp(measured.time - self.rig.latency, measured.time, column)
                                     for column in columns.T])
             values, rate = late[:, :-1], late[:, -1]
-        if not self.reading.ideal:
+        if self.reading is not None:
             channels = {"displacement": measured.displacement, "force": force}
             if measured.time is not None:
                 channels["time"] = measured.time
@@ -167,9 +167,10 @@ class SimulatedTest:
         return force, gain * values[:, 1:], gain * rate
 
     @cached_property
-    def reading(self) -> Rig:
-        """The rig as far as it reads forces."""
-        return Rig(**{name: getattr(self.rig, name) for name in _READING})
+    def reading(self) -> Rig | None:
+        """The rig as far as it reads forces; None where it reads them as they are."""
+        rig = Rig(**{name: getattr(self.rig, name) for name in _READING})
+        return None if rig.ideal else rig
 
     def _experiment(self, motion: Loading | Timed) -> Experiment:
         return self.setup.experiment(self.specimen, motion.protocol)
