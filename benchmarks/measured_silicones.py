@@ -28,7 +28,7 @@ COMPOSITIONS = ("EF10_0T", "EF10_50T", "EF10_100T", "EF30_0T", "EF50_0T")
 TENSION = {"EF10_0T": "Ecoflex 00-10", "EF30_0T": "Ecoflex 00-30", "EF50_0T": "Ecoflex 00-50"}
 #: Cross-section of a strip, mm2, its gauge length, mm, and the nominal strain to which it is predicted.
 STRIP_AREA, STRIP_LENGTH, STRIP_STRAIN = 18.0, 33.0, 1.0
-STRETCHES, STRIP_POINTS = (1.25, 1.5, 2.0), 41
+STRETCHES = (1.25, 1.5, 2.0)
 #: Laws that can follow the curve nearly; the others have nothing to tell about noise.
 LAWS_ESTIMATED = ("reduced_polynomial_2", "reduced_polynomial_3", "mooney_rivlin")
 LAWS = ("neo_hooke", "reduced_polynomial_2", "reduced_polynomial_3", "mooney_rivlin", "ogden_1")
@@ -40,8 +40,6 @@ FRICTION_WINDOW, FRICTION_LAWS = 0.14, ("neo_hooke", "reduced_polynomial_2")
 FRICTIONS = (0.0, 0.05, 0.1, 0.2, 0.4, 0.7, "bonded")
 #: What a law is allowed to miss: a share of the largest force, correlated over a share of the ramp.
 MODEL_ERROR, MODEL_MEMORY = 0.01, 1.0 / 3.0
-#: Jitter where fits with different interfaces are compared, mm and share of the largest force.
-CONTACT_JITTER, ZERO_JITTER = 0.1, 0.01
 ESTIMATED = "estimated"
 
 
@@ -52,7 +50,7 @@ class Study:
     Attributes:
         name: of its files. composition: key of the recordings. window: nominal strain.
         samples: which of A and B. laws, starts: of the fit. friction: of both platens, or ``"bonded"``.
-        noise: ``"estimated"`` or ``"stated"`` (the model error above). jitter: the same.
+        noise: ``"estimated"`` or ``"stated"`` (the model error above).
         tension: whether the strip is predicted.
     """
 
@@ -64,7 +62,6 @@ class Study:
     starts: int = 3
     friction: float | str = 0.0
     noise: str = "stated"
-    jitter: str = ESTIMATED
     tension: bool = False
 
     def write(self, folder: Path, data: Path) -> Path:
@@ -101,8 +98,6 @@ class Study:
             ramp = self.window * HEIGHT_MM / SPEED_MM_S
             found |= {"force_N": float(f"{MODEL_ERROR * largest:.2g}"),
                       "correlation_time_s": float(f"{MODEL_MEMORY * ramp:.2g}")}
-        if self.jitter != ESTIMATED:
-            found |= {"contact_jitter_mm": CONTACT_JITTER, "zero_jitter_N": float(f"{ZERO_JITTER * largest:.2g}")}
         return found
 
 
@@ -159,10 +154,8 @@ def tension(result: CalibrationResult, law: str) -> dict[str, list[float]]:
     if not rows:
         return {}
     displacement, measured, model = np.array(rows).T
-    stretch = np.linspace(1.0 + displacement[0] / STRIP_LENGTH, 1.0 + displacement[-1] / STRIP_LENGTH, STRIP_POINTS)
-    at = (stretch - 1.0) * STRIP_LENGTH
-    return {"stretch": stretch.tolist(), **{name: (np.interp(at, displacement, force) / (STRIP_AREA * 1e-6)).tolist()
-                                            for name, force in (("measured", measured), ("model", model))}}
+    return {"stretch": (1.0 + displacement / STRIP_LENGTH).tolist(),
+            "measured": (measured / (STRIP_AREA * 1e-6)).tolist(), "model": (model / (STRIP_AREA * 1e-6)).tolist()}
 
 
 def studies() -> dict[str, list[Study]]:
@@ -175,7 +168,7 @@ def studies() -> dict[str, list[Study]]:
     of_windows = [Study(f"window_{window}_{noise}", "EF10_0T", window, starts=1, noise=noise,
                         tension=noise != ESTIMATED) for noise in (ESTIMATED, "stated") for window in WINDOWS]
     of_frictions = [Study(f"friction_{friction}", "EF10_0T", FRICTION_WINDOW, laws=FRICTION_LAWS, starts=1,
-                          friction=friction, jitter="stated") for friction in FRICTIONS]
+                          friction=friction) for friction in FRICTIONS]
     return {"stated": stated, "estimated": estimated, "windows": of_windows, "friction": of_frictions}
 
 

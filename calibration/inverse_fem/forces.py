@@ -166,6 +166,16 @@ class SimulatedTest:
             force = self.reading.read(Recording(channels)).force
         return force, gain * values[:, 1:], gain * rate
 
+    def scan(self, answer: list[Course], recording: int, offsets: np.ndarray) -> np.ndarray:
+        """Force at the samples of a recording for these contact offsets, m, shape (n, offsets)."""
+        if self.reading is not None or self.rig.latency:
+            return np.column_stack([self.evaluate(answer, recording, offset)[0] for offset in offsets])
+        measured, number = self.measured[recording], self.motion_of[recording]
+        motion, time = self.motions[number], measured.time
+        if isinstance(motion, Timed):
+            time = time - measured.time[0] + motion.sampled_from
+        return answer[number].forces(time, measured.displacement, offsets)
+
     @cached_property
     def reading(self) -> Rig | None:
         """The rig as far as it reads forces; None where it reads them as they are."""

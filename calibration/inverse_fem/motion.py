@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import typing
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -32,9 +32,20 @@ _TOUCH_WIDTH = 1e-3
 #: Width of a difference with the contact offset, as a part of the travel.
 _OFFSET_WIDTH = 1e-3
 
-#: Columns at samples, shape (n, m), and the derivative of the first with the contact offset, shape (n,), from the
-#: samples' time (s) and displacement (m), shape (n,), and the offset (m).
-Course = Callable[[np.ndarray | None, np.ndarray, float], tuple[np.ndarray, np.ndarray]]
+
+class Course(typing.Protocol):
+    """Force, and what else belongs to it, along a motion."""
+
+    def __call__(self, time: np.ndarray | None, displacement: np.ndarray,
+                 offset: float) -> tuple[np.ndarray, np.ndarray]:
+        """Columns at samples, shape (n, m), and the derivative of the first with the contact offset, shape (n,).
+
+        Args:
+            time: s, displacement: m, of the samples, shape (n,). offset: m.
+        """
+
+    def forces(self, time: np.ndarray | None, displacement: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+        """The first column at these contact offsets, m, shape (n, offsets)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,22 +87,36 @@ class Loading:
 
     def through(self, columns: np.ndarray) -> Course:
         """The course of force and what else belongs to it, given at the knots, shape (k, m)."""
-        spline = _spline(self.depth, columns)
-        slope = spline.derivative()
+        return _LoadingCourse(self.depth, columns)
 
-        def course(time: np.ndarray | None, displacement: np.ndarray, offset: float) -> tuple[np.ndarray, np.ndarray]:
-            depth = displacement - offset
-            # Nothing is felt before the touch. The corner there is rounded, so that an offset which lets a sample pass
-            # it to and fro still has a best value.
-            width = _TOUCH_WIDTH * self.depth[-1]
-            root = np.hypot(depth, width)
-            inside = 0.5 * (depth + root)
-            # Beyond what was simulated the curve goes on straight.
-            known = np.minimum(inside, self.depth[-1])
-            rate = slope(known)
-            return spline(known) + rate * (inside - known)[:, None], -rate[:, 0] * inside / root
 
-        return course
+class _LoadingCourse:
+    """See `Course`. Nothing is felt before the touch.
+
+    The corner there is rounded, so that an offset which lets a sample pass it to and fro still has a best value.
+    """
+
+    def __init__(self, depth: np.ndarray, columns: np.ndarray):
+        self._end, self._width = depth[-1], _TOUCH_WIDTH * depth[-1]
+        self._spline = _spline(depth, columns)
+        self._slope = self._spline.derivative()
+        self._force = _spline(depth, columns[:, 0])
+
+    def __call__(self, time, displacement, offset):
+        inside, known, share = self._inside(displacement - offset)
+        rate = self._slope(known)
+        # Beyond what was simulated the curve goes on straight.
+        return self._spline(known) + rate * (inside - known)[:, None], -rate[:, 0] * share
+
+    def forces(self, time, displacement, offsets):
+        inside, known, _ = self._inside(displacement[:, None] - offsets)
+        return self._force(known) + self._force(self._end, 1) * (inside - known)
+
+    def _inside(self, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Depth in the tissue, the part of it that was simulated, and its derivative with `depth`."""
+        root = np.hypot(depth, self._width)
+        inside = 0.5 * (depth + root)
+        return inside, np.minimum(inside, self._end), inside / root
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,29 +188,7 @@ class Timed:
 
     def through(self, columns: np.ndarray) -> Course:
         """As `Loading.through`; times are those of the clock of the recording whose motion it is."""
-        travel = np.ptp(self.displacement)
-        columns = np.column_stack([columns, self._offset_rate(columns[:, 0])])
-        parts = []
-        for first, last in self.legs:
-            part = slice(first, last + 1)
-            moving = abs(self.displacement[last] - self.displacement[first]) > 2 * STRAIGHT * travel
-            parts.append((_spline if moving else _monotone)(self.time[part], columns[part]))
-        ends = self.time[[last for _, last in self.legs[:-1]]]
-
-        def course(time: np.ndarray, displacement: np.ndarray, offset: float) -> tuple[np.ndarray, np.ndarray]:
-            values = np.empty((time.size, columns.shape[1]))
-            leg_of = np.searchsorted(ends, time, side="left")
-            for number, ((first, last), interpolant) in enumerate(zip(self.legs, parts, strict=True)):
-                mine = leg_of == number
-                values[mine] = interpolant(np.clip(time[mine], self.time[first], self.time[last]))
-            rate = values[:, -1]
-            # Where the tool was a little off the straight lines, it was as if the touch were elsewhere.
-            values[:, 0] += (offset - displacement + np.interp(time, self.time, self.displacement)) * rate
-            # Nothing is felt before the first touch.
-            values[(leg_of == 0) & (displacement < offset)] = 0.0
-            return values[:, :-1], values[:, -1]
-
-        return course
+        return _TimedCourse(self, np.column_stack([columns, self._offset_rate(columns[:, 0])]))
 
     def _offset_rate(self, force: np.ndarray) -> np.ndarray:
         """d(force)/d(contact offset) at the knots, by the loading curve and what history has made of it."""
@@ -193,6 +196,36 @@ class Timed:
         width = _OFFSET_WIDTH * np.ptp(self.displacement)
         more, less = (Rig(contact_offset=offset).apply(recording).force for offset in (width, -width))
         return (more - less) / (2 * width)
+
+
+class _TimedCourse:
+    """See `Course`; the last column is the derivative of the force with the offset."""
+
+    def __init__(self, motion: Timed, columns: np.ndarray):
+        self._motion, self._size = motion, columns.shape[1]
+        travel = np.ptp(motion.displacement)
+        self._parts = []
+        for first, last in motion.legs:
+            part = slice(first, last + 1)
+            moving = abs(motion.displacement[last] - motion.displacement[first]) > 2 * STRAIGHT * travel
+            self._parts.append((_spline if moving else _monotone)(motion.time[part], columns[part]))
+        self._ends = motion.time[[last for _, last in motion.legs[:-1]]]
+
+    def __call__(self, time, displacement, offset):
+        motion, values = self._motion, np.empty((time.size, self._size))
+        leg_of = np.searchsorted(self._ends, time, side="left")
+        for number, ((first, last), interpolant) in enumerate(zip(motion.legs, self._parts, strict=True)):
+            mine = leg_of == number
+            values[mine] = interpolant(np.clip(time[mine], motion.time[first], motion.time[last]))
+        rate = values[:, -1]
+        # Where the tool was a little off the straight lines, it was as if the touch were elsewhere.
+        values[:, 0] += (offset - displacement + np.interp(time, motion.time, motion.displacement)) * rate
+        # Nothing is felt before the first touch.
+        values[(leg_of == 0) & (displacement < offset)] = 0.0
+        return values[:, :-1], values[:, -1]
+
+    def forces(self, time, displacement, offsets):
+        return np.column_stack([self(time, displacement, offset)[0][:, 0] for offset in offsets])
 
 
 def number_runs(labels: np.ndarray) -> np.ndarray:

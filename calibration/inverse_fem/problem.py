@@ -21,6 +21,8 @@ _OFFSET_STEPS, _OFFSET_SETTLED = 10, 3e-4
 #: Beyond so many standard deviations of the contact offset the force goes on straight: nothing was simulated there, and
 #: from a start far from the minimum a curve would lead astray.
 FARTHEST = 4.0
+#: Offsets that are tried first: to so many standard deviations on either side, a quarter of one apart.
+_SCANNED, _SCAN_POINTS = 3.0, 25
 #: Smooth shapes of the error that the accurate mesh is left with: constant and linear along the way.
 MESH_MODES = 2
 
@@ -168,9 +170,9 @@ class Problem:
     def _best_nuisances(self, answers: list) -> tuple[np.ndarray, tuple]:
         """The nuisances that fit best, shape (m,), and the problem linearised there.
 
-        From zero each time, so that the sum of squares is a function of the parameters alone.
+        From a scan each time, so that the sum of squares is a function of the parameters alone.
         """
-        trial, reach, share = np.zeros(self.nuisances), np.inf, 1.0
+        trial, reach, share = self._scanned(answers), np.inf, 1.0
         best, found, change = trial, (), trial
         for _ in range(_OFFSET_STEPS):
             linearised = self._linearise(answers, trial)
@@ -188,6 +190,31 @@ class Problem:
                 break
             trial = trial + change
         return best, found
+
+    def _scanned(self, answers: list) -> np.ndarray:
+        """Nuisances to begin with, shape (m,): the best contact offset of each recording on a grid, and its zero.
+
+        Each sample that the touch passes may make a minimum of its own, in which a descent from zero would stop.
+        """
+        trial = np.zeros(self.nuisances)
+        if "contact" not in self.kinds:
+            return trial
+        places = np.linspace(-_SCANNED, _SCANNED, _SCAN_POINTS)
+        for own, (t, r) in zip(self.own, self.places, strict=True):
+            test, measured = self.tests[t], self.tests[t].measured[r]
+            if isinstance(test, ClosedTest):
+                continue
+            gaps = test.scan(answers[t], r, places * self.jitter.contact) - measured.force[:, None]
+            white = whiten(np.column_stack([gaps, np.full(measured.force.size, self.jitter.zero)]), measured.time,
+                           measured.noise)
+            gaps, zero = white[:, :-1], white[:, -1]
+            # The zero that goes best with each offset is linear.
+            zeros = -(zero @ gaps) / (1.0 + zero @ zero)
+            squares = np.einsum("ng,ng->g", gaps, gaps) - (1.0 + zero @ zero) * zeros**2 + places**2
+            best = int(np.argmin(squares))
+            found = {"contact": places[best], "zero": zeros[best]}
+            trial[own] = [found[kind] for kind in self.kinds]
+        return trial
 
     def forget(self) -> None:
         """The model has changed: corrections or jitter."""

@@ -79,7 +79,8 @@ def ranking_message(fits: Sequence[Fit], predictions: Sequence[Prediction]) -> s
         parts.append(f"the tests do not determine {', '.join(best.not_identifiable)}"
                      + (f"; {best.suggestions[0].test} would" if best.suggestions else ""))
     known = {fit.law for fit in fits}
-    return ". ".join(part if part.split()[0] in known else part[0].upper() + part[1:] for part in parts) + "."
+    sentences = (part if part.split()[0].rstrip(",") in known else part[0].upper() + part[1:] for part in parts)
+    return f"{'. '.join(sentences)}."
 
 
 def _words(prediction: Prediction) -> str:

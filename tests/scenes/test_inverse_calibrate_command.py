@@ -235,7 +235,7 @@ def test_ctrl_c_keeps_the_simulations(overwrite, joint, tmp_path, capsys, monkey
         patch.setattr(work, "run_settle", interrupted)
         assert run(*words) == 130
     count = len(simulations(out))
-    assert count > 4
+    assert count > 2, "more than looking at the start takes"
     how = " without --overwrite" if overwrite else ""
     assert capsys.readouterr().err == (f"tissue-sim: stopped by Ctrl-C; {count} simulations are kept in "
                                        f"{out / 'solves'}: run the same command{how} to go on\n")
