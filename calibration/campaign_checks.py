@@ -139,7 +139,10 @@ def check_parameters(table: FitTable, effects: Sequence[str] = ()) -> None:
         for name, value in getattr(table, key).items():
             field = f"fit.{key}.{name}"
             if name not in known:
-                raise InputError(f"none of the listed laws has a parameter {name!r}{nearest(name, known)}", field=field)
+                hint = nearest(name, known)
+                if table.method == "inverse_fem":
+                    hint += '; other parameters of the material are paths in quotes, "viscoelastic.terms[0].g"'
+                raise InputError(f"none of the listed laws has a parameter {name!r}{hint}", field=field)
             if np.isnan(value).any() or (key != "bounds" and not np.isfinite(value).all()):
                 raise InputError(f"{value} is not finite; give a number", field=field)
     for name, (low, high) in table.bounds.items():

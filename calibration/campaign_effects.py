@@ -74,7 +74,7 @@ def build_effect_parts(values: Mapping[str, float], bulk: Bulk) -> dict[str, Any
 
 def _in_order(parts: Mapping[int, Any], place: str) -> list[Any]:
     if sorted(parts) != list(range(len(parts))):
-        raise InputError("are numbered from 0 without gaps", field=place)
+        raise InputError(f"its parts are numbered from 0 without gaps, as {place}[0], {place}[1]", field=place)
     return [parts[i] for i in range(len(parts))]
 
 
@@ -122,5 +122,7 @@ def check_effects(table: FitTable) -> tuple[str, ...]:
     try:
         build_effect_parts(stated, Bulk())
     except InputError as error:
-        raise error.located(field="fit.start") from None
+        # Incomplete parts are missed where the others stand.
+        field = f"fit.start.{error.field}".replace(".[", "[")
+        raise InputError(error.problem.replace("add it", "add it to fit.start or fit.fixed"), field=field) from None
     return tuple(stated)

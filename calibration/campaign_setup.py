@@ -111,7 +111,7 @@ def _tool(entry: TestTable, folder: Path, place: str) -> Tool:
     shape, profile = entry.tool, None
     if shape not in TOOLS:
         if not Path(shape).suffix:
-            raise InputError(f"unknown tool {shape!r}{nearest(shape, TOOLS)}, or a profile file",
+            raise InputError(f"unknown tool {shape!r}, and no profile file{nearest(shape, TOOLS)}",
                              field=f"{place}.tool")
         shape, profile = "profile", folder / shape
     if entry.kind == "needle_indentation" and entry.tool == "plate":

@@ -33,6 +33,7 @@ class MeasuredCurve:
         segment: labels, shape (n,), or None where everything is one loading.
         file, sha256: where it came from.
         stressed: whether it was recorded as strain and stress.
+        later: samples after the loading (holds, returns) that are left out, because the model does not remember.
         noise: of the sensor; None before anybody has estimated it.
     """
 
@@ -45,6 +46,7 @@ class MeasuredCurve:
     file: Path
     sha256: str
     stressed: bool = False
+    later: int = 0
     noise: SensorNoise | None = None
 
     @property
@@ -132,12 +134,13 @@ def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Ca
     if displacement[keep].max() <= 0:
         raise InputError(f"{path.name} holds no loading: its largest displacement is "
                          f"{displacement[keep].max() * 1e3:g} mm; turn the column with sign = -1", field="recordings")
-    places = np.flatnonzero(keep)
+    places, later = np.flatnonzero(keep), 0
     if not remembers(test, effects):
         if time is None and "displacement" not in recording:
             # A table of stress and stretch has no order in time.
             places = places[np.argsort(displacement[places], kind="stable")]
         places = places[: int(np.argmax(displacement[places])) + 1]
+        later = displacement.size - 1 - int(places[-1]) if time is not None else 0
         labels = None
     elif time is None:
         raise InputError(f"{path.name} has no time, and the force of this material depends on it; give a time column, "
@@ -159,11 +162,14 @@ def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Ca
                          "column with sign = -1", field="recordings")
     time = None if time is None else time[places]
     if remembers(test, effects):
+        if "speed" in test.reading and (np.diff(time) <= 0).any():
+            raise InputError(f"{path.name} stands still or turns, and speed_mm_s cannot tell the time there; give a "
+                             "time column", field="speed_mm_s")
         # A clock that is coarser than the sampling.
         time = spread_stamps(time, time.size)
         labels = number_runs(label_segments(time, displacement) if labels is None else labels[places])
     return MeasuredCurve(name, test, time, displacement, force, labels, path,
-                         str(recording.metadata.get("sha256", "")), stressed)
+                         str(recording.metadata.get("sha256", "")), stressed, later)
 
 
 def _check_parts(test: Test, effects: tuple[str, ...], stressed: bool, path: Path) -> None:

@@ -44,7 +44,8 @@ class CalibrationProgress:
         self._done, self._of = 0, 0
         self._seen: list[str] = []
         self._spinner = Spinner("dots")
-        self._live = Live(console=console, get_renderable=self.render, transient=True, refresh_per_second=8)
+        self._live = Live(console=console, get_renderable=self.render, transient=True, refresh_per_second=8,
+                          redirect_stdout=False, redirect_stderr=False)
 
     def __enter__(self) -> CalibrationProgress:
         if not self._console.quiet:

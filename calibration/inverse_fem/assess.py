@@ -38,6 +38,8 @@ _SAME = 1e-2
 _TAIL = 0.01
 #: A nuisance so many standard deviations away is not chance.
 SUSPECT = 4.0
+#: Degrees of freedom below which an estimated scatter of 0 is doubted.
+FEW = 6
 
 
 def assess(estimate: Estimate, spread: Uncertainty, descents: Sequence[Descent], sides: Sequence[ProfileSide],
@@ -67,6 +69,15 @@ def assess(estimate: Estimate, spread: Uncertainty, descents: Sequence[Descent],
     status, unusable = _verdict(estimate, stability, ranges)
     warnings = [*estimate.warnings, *(f"{name} ended on its bound {values[name]:.6g}" for name in on_bound)]
     warnings += _unstable_elsewhere(stability, (low, high), ranges)
+    if later := sum(curve.later for curve in problem.measured):
+        names = dict.fromkeys(curve.test.name for curve in problem.measured if curve.later)
+        warnings.append(f"what comes after the loading in {', '.join(names)} is not fitted ({later} samples): an elastic material has no holds and returns of its own; name "
+                        '"viscoelastic.terms[0].g" and ".tau_s", or "softening.loss", in fit.start to use them')
+    few = problem.jitter.freedom is not None and 0 < problem.jitter.freedom < FEW
+    if few and not (problem.jitter.contact and problem.jitter.zero):
+        what = "contact" if not problem.jitter.contact else "zero"
+        warnings.append(f"the scatter of the {what} comes out as 0 from few recordings, which does not prove it: state "
+                        f"{'contact_jitter_mm' if what == 'contact' else 'zero_jitter_N'}")
     if problem.jitter.freedom == 0:
         warnings.append("no test has two recordings, so the scatter between recordings is not known and was assumed: "
                         f"contact {problem.jitter.contact * 1e3:.2g} mm, zero {problem.jitter.zero:.2g} N; state "
@@ -109,7 +120,7 @@ def assess(estimate: Estimate, spread: Uncertainty, descents: Sequence[Descent],
         iterations=len(history), cpu_s=0.0,
         material_file=f"{law.name}.material.json" if law.mu0(own) > 0 else None, interval_notes=notes,
         profiles=profiles, regions=regions, history=history, condition=condition(spread), directions=directions,
-        suggestions=suggest_tests(problem, estimate.theta, spread) if loose or directions else [],
+        suggestions=suggest_tests(problem, estimate.theta, spread) if (loose or directions) and not on_bound else [],
         jitter=JitterStatement(contact_mm=problem.jitter.contact * 1e3, zero_N=problem.jitter.zero,
                                freedom=problem.jitter.freedom),
         mesh=[MeshCorrection(test=test.name, largest_percent=100.0 * difference if np.isfinite(difference) else 0.0,

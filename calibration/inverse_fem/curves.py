@@ -17,7 +17,6 @@ from calibration.inverse_fem.uncertainty import Uncertainty
 from calibration.measured import MeasuredCurve
 
 POINTS = 101
-_TWO_SIGMA = stats.norm.ppf(0.975)
 
 
 def draw_curves(estimate: Estimate, spread: Uncertainty,
@@ -52,11 +51,13 @@ def _curves_of(problem: Problem, theta: np.ndarray, spread: Uncertainty, test: S
     force, rates, contact = seen.evaluate(answer, 0, 0.0)
     variance = np.einsum("np,pq,nq->n", rates, spread.covariance, rates) + (mesh_error * force)**2
     new = variance + first.noise.deviation**2 + (problem.jitter.contact * contact)**2 + problem.jitter.zero**2
+    # How wide the scatter is, is itself an estimate where it was not stated.
+    quantile = stats.t.ppf(0.975, problem.jitter.freedom) if problem.jitter.freedom else stats.norm.ppf(0.975)
     own = []
     for number, curve in enumerate(test.measured):
         own.append(fitted[curve.name] if curve.name in fitted else test.evaluate(answer, number, 0.0)[0])
     return TestCurves(first.test, test.measured, path.time if _timed(test) else None, path.displacement, force,
-                      np.sqrt(variance), _TWO_SIGMA * np.sqrt(new), tuple(own))
+                      np.sqrt(variance), quantile * np.sqrt(new), tuple(own))
 
 
 def _timed(test: SimulatedTest | ClosedTest) -> bool:

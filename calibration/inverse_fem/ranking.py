@@ -52,6 +52,9 @@ def ranking_message(fits: Sequence[Fit], predictions: Sequence[Prediction]) -> s
     if best.status != "converged":
         return f"No law is usable over the data; the first is {best.law}: {best.message}."
     parts = []
+    if held := [name for name in best.on_bound if name in best.parameters]:
+        parts.append(f"{best.law} is held by the bounds of {', '.join(held)}: widen them in fit.bounds, or do not "
+                     "trust it")
     if best.left_out is not None:
         mine = [p for p in predictions if p.law == best.law]
         held_out = [p for p in mine if not p.fitted]

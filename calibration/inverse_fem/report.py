@@ -159,8 +159,9 @@ def _pictures(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurve
     if any(fit.regions for fit in fits):
         yield "<h2>What is left, by region</h2>"
         yield html_figure(draw_regions(fits, campaign.tests), "Misfit of each law in each region of each test",
-                          "Root mean square of the smooth part of data − model, and the probability of so much by "
-                          "chance, adjusted for the number of regions (Holm); orange from p = 0.05 down.")
+                          "Root mean square of what the law lacks there, before offsets, zeros and mesh error make up "
+                          "for part of it, and the probability of so much by chance, adjusted for the number of regions "
+                          "(Holm); orange from p = 0.05 down.")
     for fit in fits:
         inside = "".join(_estimates(fit, campaign))
         if inside:
@@ -171,7 +172,8 @@ def _pictures(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurve
         yield "<h2>Convergence</h2>"
         yield html_figure(draw_history(fits), "Error and parameters at every solve of every start",
                           "Error: sum of squares of the whitened residuals and priors. A line a start; one solve "
-                          "simulates all tests.")
+                          "simulates all tests. Where the accurate mesh comes in the error of a law that misses "
+                          "something may rise: until then the larger error of the fast mesh is allowed for.")
 
 
 def _estimates(fit: Fit, campaign: Campaign) -> Iterator[str]:

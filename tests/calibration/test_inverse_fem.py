@@ -567,6 +567,26 @@ class TestRefused:
         error = bad(plates, campaign_text("lubricated").replace("C20 = 600.0", start))
         assert "speed_mm_s" in str(error)
 
+    def test_a_speed_cannot_date_a_hold(self, plates):
+        depth = np.append(np.linspace(0.0, 0.010, 21), np.full(10, 0.010))
+        for number in (1, 2, 3):
+            ts.write_recording(ts.Recording({"displacement": depth, "force": lubricated_force(depth)}),
+                               plates / f"lubricated_{number}.csv")
+        start = 'C20 = 600.0, "viscoelastic.terms[0].g" = 0.3, "viscoelastic.terms[0].tau_s" = 3.0'
+        error = bad(plates, campaign_text("lubricated", extra="speed_mm_s = 0.248\n").replace("C20 = 600.0", start))
+        assert "stands still" in str(error)
+        assert "speed_mm_s" in error.field
+
+    def test_a_hold_that_is_left_out_is_said(self, plates):
+        depth = np.append(np.linspace(0.0, 0.010, 41), np.full(10, 0.010))
+        force = lubricated_force(depth)
+        write_recordings(plates, "lubricated", depth, lambda _: force, time=np.arange(51.0))
+        (plates / "study.toml").write_text(campaign_text("lubricated"), encoding="utf-8")
+        result, = calibration.calibrate([plates / "study.toml"], plates / "out", figures=False)
+        warning, = (warning for warning in result.best.warnings if "is not fitted" in warning)
+        assert "(30 samples)" in warning
+        assert "viscoelastic.terms[0].g" in warning
+
     def test_more_unknowns_than_samples(self, plates):
         campaign, problem = problem_of(plates, campaign_text("lubricated"))
         problem.samples = 2
