@@ -71,8 +71,9 @@ def assess(estimate: Estimate, spread: Uncertainty, descents: Sequence[Descent],
     warnings += _unstable_elsewhere(stability, (low, high), ranges)
     if later := sum(curve.later for curve in problem.measured):
         names = dict.fromkeys(curve.test.name for curve in problem.measured if curve.later)
-        warnings.append(f"what comes after the loading in {', '.join(names)} is not fitted ({later} samples): an elastic material has no holds and returns of its own; name "
-                        '"viscoelastic.terms[0].g" and ".tau_s", or "softening.loss", in fit.start to use them')
+        warnings.append(f"what comes after the loading in {', '.join(names)} is not fitted ({later} samples): an "
+                        'elastic material has no holds and returns of its own; name "viscoelastic.terms[0].g" and '
+                        '".tau_s", or "softening.loss", in fit.start to use them')
     few = problem.jitter.freedom is not None and 0 < problem.jitter.freedom < FEW
     if few and not (problem.jitter.contact and problem.jitter.zero):
         what = "contact" if not problem.jitter.contact else "zero"

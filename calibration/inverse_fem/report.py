@@ -160,8 +160,8 @@ def _pictures(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurve
         yield "<h2>What is left, by region</h2>"
         yield html_figure(draw_regions(fits, campaign.tests), "Misfit of each law in each region of each test",
                           "Root mean square of what the law lacks there, before offsets, zeros and mesh error make up "
-                          "for part of it, and the probability of so much by chance, adjusted for the number of regions "
-                          "(Holm); orange from p = 0.05 down.")
+                          "for part of it, and the probability of so much by chance, adjusted for the number of "
+                          "regions (Holm); orange from p = 0.05 down.")
     for fit in fits:
         inside = "".join(_estimates(fit, campaign))
         if inside:
