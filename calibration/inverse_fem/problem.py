@@ -21,6 +21,8 @@ _OFFSET_STEPS, _OFFSET_SETTLED = 10, 3e-4
 #: Beyond so many standard deviations of the contact offset the force goes on straight: nothing was simulated there, and
 #: from a start far from the minimum a curve would lead astray.
 FARTHEST = 4.0
+#: Relative distance of two offsets whose derivatives are compared.
+_CLOSE = 1e-3
 #: Offsets that are tried first: to so many standard deviations on either side, a quarter of one apart.
 _SCANNED, _SCAN_POINTS = 3.0, 25
 #: Smooth shapes of the error that the accurate mesh is left with: constant and linear along the way.
@@ -234,7 +236,11 @@ class Problem:
             offset, farthest = values.get("contact", 0.0), FARTHEST * self.jitter.contact
             near = float(np.clip(offset, -farthest, farthest))
             model, model_rates, contact_rate = test.evaluate(answers[t], r, near)
-            model = model + (offset - near) * contact_rate
+            if offset != near:
+                # The derivatives go on straight too, or they would not be those of the force.
+                other = test.evaluate(answers[t], r, (1 - _CLOSE) * near)[1]
+                model_rates = model_rates + (offset - near) * (model_rates - other) / (_CLOSE * near)
+                model = model + (offset - near) * contact_rate
             modes, weights = self._mesh_columns(t, measured, model), nuisances[self.shared[t]]
             # An error in proportion to the force changes its derivatives too.
             factor = 1.0 + self._mesh_columns(t, measured, np.ones_like(model)) @ weights

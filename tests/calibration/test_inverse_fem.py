@@ -108,6 +108,20 @@ class TestProblem:
             difference = (problem.evaluate(theta + step).error - problem.evaluate(theta - step).error) / (2 * width)
             assert gradient[i] == pytest.approx(difference, rel=1e-4)
 
+    def test_gradient_is_exact_where_offsets_are_far(self, plates):
+        """A touch at 0.3 mm where 0.03 mm is stated: the force goes on straight there, and its derivatives with it."""
+        depth = np.linspace(0.0, 0.010, 81)
+        write_recordings(plates, "lubricated", depth, lambda d: lubricated_force(np.maximum(d - 0.3e-3, 0.0)))
+        _, problem = problem_of(plates, campaign_text("lubricated"))
+        theta = np.array([1350.0, 900.0])
+        evaluation = problem.evaluate(theta)
+        assert np.abs(evaluation.nuisances).max() > 5
+        residual, jacobian = evaluation.projected
+        for i in range(2):
+            step = np.eye(2)[i] * 0.1
+            difference = (problem.evaluate(theta + step).error - problem.evaluate(theta - step).error) / 0.2
+            assert 2 * jacobian[:, i] @ residual == pytest.approx(difference, rel=1e-3)
+
     def test_error_is_that_of_generalised_least_squares(self, plates):
         """With a zero, mesh modes and coloured noise, which are linear: r' V^-1 r with the dense covariance."""
         text = campaign_text("lubricated", "bonded").replace("correlation_time_s = 0", "correlation_time_s = 2.0")
