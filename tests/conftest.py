@@ -5,6 +5,9 @@ from pathlib import Path
 
 import pytest
 
+# Before numpy comes: threads help no matrix as small as ours, and on a busy machine they wait for each other.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 ROOT = Path(__file__).resolve().parents[1]
 
 
