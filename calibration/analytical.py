@@ -35,7 +35,7 @@ class AnalyticalWork:
         self.campaign = campaign
         self.recordings = read_replicates(campaign)
 
-    def check(self, context: Context) -> None:
+    def check(self, folder: Path, context: Context) -> None:
         """Refuse laws with more parameters than the tests have samples."""
         _check_size(self.campaign, self.recordings)
 

@@ -57,8 +57,11 @@ class Work(Protocol):
     recordings: Sequence[Recorded]
     extra: Sequence[str]
 
-    def check(self, context: Context) -> None:
+    def check(self, folder: Path, context: Context) -> None:
         """Refuse what cannot be fitted, before anything is written; not asked of work that is finished.
+
+        Args:
+            folder: what an earlier run of the same work kept may be read there. context: to say what is done.
 
         Raises:
             InputError: with file and field.
@@ -112,7 +115,7 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
                     read_back(campaign, folders[campaign.name], works[campaign.name]) for campaign in campaigns}
         for item in prepared:
             if finished[item.campaign.name] is None:
-                item.check(context)
+                item.check(folders[item.campaign.name], context)
         claim(output, folders, campaigns, [r for item in prepared for r in item.recordings], works, overwrite)
         results, failures = [], []
         for item in prepared:

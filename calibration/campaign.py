@@ -20,7 +20,7 @@ from calibration.campaign_checks import (
     read_columns_key,
     require_positive,
 )
-from calibration.campaign_effects import check_effects
+from calibration.campaign_effects import check_effects, is_effect
 from calibration.campaign_schema import CampaignTable, FitTable, NoiseTable, SpecimenTable, TestTable, decode_campaign
 from calibration.campaign_setup import Setup, check_homogeneous, read_setup
 from tissue_sim.errors import InputError, nearest
@@ -108,6 +108,11 @@ class FitSettings:
     fixed: Mapping[str, float] = field(default_factory=_read_only)
     prior: Mapping[str, tuple[float, float]] = field(default_factory=_read_only)
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=_read_only)
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Paths of the material's parameters beside those of its law."""
+        return tuple(name for name in (*self.start, *self.fixed) if is_effect(name))
 
 
 @dataclass(frozen=True)

@@ -175,13 +175,14 @@ class MeshCorrection(msgspec.Struct, frozen=True, kw_only=True):
     """Accurate mesh against fast mesh in one test.
 
     Attributes:
-        test: name. largest_percent: largest difference, relative to the largest force.
-        remainder_percent: standard deviation that the accurate mesh's own error is given, relative to the force.
+        test: name. largest_percent: largest difference, relative to the largest force; None where the accurate mesh
+            did not get through.
+        remainder_percent: standard deviation of what the mesh that counts is off, relative to the force.
         refreshes: how often the difference was computed.
     """
 
     test: str
-    largest_percent: float
+    largest_percent: float | None
     remainder_percent: float
     refreshes: int
 

@@ -74,11 +74,8 @@ def ages(effects: tuple[str, ...]) -> bool:
     return any(name.startswith(("viscoelastic", "poroelasticity")) for name in effects)
 
 
-def read_measured(campaign: Campaign, effects: tuple[str, ...] = ()) -> dict[str, tuple[MeasuredCurve, ...]]:
+def read_measured(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:
     """Read and check all recordings of a campaign, held-out tests included: test -> its recordings.
-
-    Args:
-        campaign: what is asked. effects: paths of the material's parameters beside those of its law.
 
     Raises:
         InputError: an unreadable recording, columns that do not fit the kind, a recording deeper than its specimen or
@@ -92,7 +89,7 @@ def read_measured(campaign: Campaign, effects: tuple[str, ...] = ()) -> dict[str
         for path in test.recordings:
             try:
                 recordings = read_recordings(path, kind=test.kind, **test.reading)
-                curves += [_curve(recording, name, path, test, campaign, effects)
+                curves += [_curve(recording, name, path, test, campaign)
                            for recording, name in zip(recordings, names_of(recordings, path, test), strict=True)]
             except InputError as error:
                 field = test.place if error.file is None else None
@@ -108,8 +105,8 @@ def read_measured(campaign: Campaign, effects: tuple[str, ...] = ()) -> dict[str
     return found
 
 
-def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Campaign,
-           effects: tuple[str, ...]) -> MeasuredCurve:
+def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Campaign) -> MeasuredCurve:
+    effects = campaign.fit.effects
     check_size(recording, test, campaign, path)
     displacement, force, stressed = _mechanical(recording, test, path)
     _check_parts(test, effects, stressed, path)

@@ -22,8 +22,8 @@ WORK_SCHEMA = "tissue_sim/calibration/2"
 
 
 def claim(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaign], replicates: Sequence[Replicate],
-          works: Mapping[str, str], overwrite: bool) -> bool:
-    """Make `output` ready for this work, or find that it holds this very work already.
+          works: Mapping[str, str], overwrite: bool) -> None:
+    """Make `output` ready for this work; what it holds of this very work stays.
 
     Files of an earlier calibration are removed, by the list that it left in ``work.json``; no other file is touched.
 
@@ -32,9 +32,6 @@ def claim(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaig
         campaigns, replicates: what is read, which no result may replace.
         works: digest of each campaign, by its name.
         overwrite: whether other work in `output` may be replaced.
-
-    Returns:
-        Whether the same work is there, so that what is finished of it can be read back.
 
     Raises:
         InputError: `output` is a file, holds other work, or holds a file at the place of a result that no calibration
@@ -54,7 +51,7 @@ def claim(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaig
         if found.get("campaigns") != works:
             what = "the results of other work" if found else "other files"
             raise InputError(f"the folder holds {what}; choose an empty one or add --overwrite", file=output)
-        return True
+        return
     earlier = [output / name for name in found.get("files", ())]
     for path in planned:
         if path.exists() and path not in earlier:
@@ -65,7 +62,6 @@ def claim(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaig
     files = [path.relative_to(output).as_posix() for path in planned]
     content = {"schema": WORK_SCHEMA, "campaigns": dict(works), "files": files}
     write_text(output / WORK_FILE, json.dumps(content, indent=2) + "\n")
-    return False
 
 
 def result_files(campaign: Campaign, folder: Path) -> list[Path]:

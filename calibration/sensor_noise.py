@@ -79,13 +79,6 @@ def whiten(columns: np.ndarray, time: np.ndarray | None, noise: SensorNoise) -> 
     return _innovations(columns, kept, fresh) / noise.deviation
 
 
-def estimate_sensor_noise(force: np.ndarray, time: np.ndarray | None,
-                          segment: Sequence | np.ndarray | None = None, *, deviation: float | None = None,
-                          correlation_time: float | None = None) -> SensorNoise:
-    """Noise of one recording; see `estimate_shared_noise`."""
-    return estimate_shared_noise([(force, time, segment)], deviation=deviation, correlation_time=correlation_time)
-
-
 def estimate_shared_noise(recordings: Sequence[Signal], *, deviation: float | None = None,
                           correlation_time: float | None = None) -> SensorNoise:
     """One noise for all recordings of a sensor, from their scatter about smooth trends, without a model of the tissue.

@@ -28,5 +28,7 @@ def data_folder() -> Path:
     """Measured data of others; not part of the repository."""
     folder = Path(os.environ.get("TISSUE_SIM_DATA", ROOT.parent / "shared" / "data"))
     if not folder.is_dir():
-        pytest.skip(f"no measured data in {folder}; set TISSUE_SIM_DATA to the folder that holds ecoflex_compression")
+        pytest.skip("needs public recordings of others, which their licences keep out of this repository (their "
+                    "origins: docs/calibration.md, docs/measured_silicones.md, docs/viscoelasticity.md); with a copy, "
+                    f"set TISSUE_SIM_DATA to the folder that holds ecoflex_compression (looked in {folder})")
     return folder

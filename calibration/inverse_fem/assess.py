@@ -15,6 +15,7 @@ from calibration.fit import (
     Minimum,
     Nuisance,
     Profile,
+    Region,
 )
 from calibration.inverse_fem.estimate import Estimate
 from calibration.inverse_fem.identifiability import condition, not_identifiable, suggest_tests, weak_directions
@@ -68,7 +69,7 @@ def assess(estimate: Estimate, spread: Uncertainty, descents: Sequence[Descent],
     directions = weak_directions(space, spread)
     status, unusable = _verdict(estimate, stability, ranges)
     warnings = [*estimate.warnings, *(f"{name} ended on its bound {values[name]:.6g}" for name in on_bound)]
-    warnings += _unstable_elsewhere(stability, (low, high), ranges)
+    warnings += _unstable_elsewhere(stability, (low, high))
     if later := sum(curve.later for curve in problem.measured):
         names = dict.fromkeys(curve.test.name for curve in problem.measured if curve.later)
         warnings.append(f"what comes after the loading in {', '.join(names)} is not fitted ({later} samples): an "
@@ -117,14 +118,14 @@ def assess(estimate: Estimate, spread: Uncertainty, descents: Sequence[Descent],
         stretch_range=(float(low), float(high)), sag_mm=sags(law, law.as_array(own), campaign),
         nuisances=nuisances, minima=_minima(descents, problem, data),
         starts=len(descents), status=status, unusable=unusable, warnings=warnings,
-        message=_message(estimate, descents, unusable, loose, regions, spread, warnings),
+        message=_message(descents, unusable, loose, regions, warnings),
         iterations=len(history), cpu_s=0.0,
         material_file=f"{law.name}.material.json" if law.mu0(own) > 0 else None, interval_notes=notes,
         profiles=profiles, regions=regions, history=history, condition=condition(spread), directions=directions,
         suggestions=suggest_tests(problem, estimate.theta, spread) if (loose or directions) and not on_bound else [],
         jitter=JitterStatement(contact_mm=problem.jitter.contact * 1e3, zero_N=problem.jitter.zero,
                                freedom=problem.jitter.freedom),
-        mesh=[MeshCorrection(test=test.name, largest_percent=100.0 * difference if np.isfinite(difference) else 0.0,
+        mesh=[MeshCorrection(test=test.name, largest_percent=100.0 * difference if np.isfinite(difference) else None,
                              remainder_percent=100.0 * error, refreshes=estimate.refreshes)
               for test, difference, error in zip(problem.tests, estimate.differences, problem.mesh_error,
                                                  strict=True)])
@@ -180,7 +181,7 @@ def _verdict(estimate: Estimate, stability: Stability, ranges: dict) -> tuple[st
     return "converged", None
 
 
-def _unstable_elsewhere(stability: Stability, reached: tuple[float, float], ranges: dict) -> list[str]:
+def _unstable_elsewhere(stability: Stability, reached: tuple[float, float]) -> list[str]:
     lost = [f"in {mode} loading {side} stretch {limit:.3g}" for mode, (lower, upper) in stability.limits.items()
             for side, limit, bad in (("below", lower, lower > reached[0]), ("above", upper, upper < reached[1])) if bad]
     return [f"not stable {' and '.join(lost)}; the tests reach {reached[0]:.3g} to {reached[1]:.3g}"] if lost else []
@@ -248,8 +249,8 @@ def _minima(descents: Sequence[Descent], problem: Problem, data: np.ndarray) -> 
             for descent, count in kept]
 
 
-def _message(estimate: Estimate, descents: Sequence[Descent], unusable: str | None, loose: Sequence[str],
-             regions: Sequence, spread: Uncertainty, warnings: Sequence[str]) -> str:
+def _message(descents: Sequence[Descent], unusable: str | None, loose: Sequence[str], regions: Sequence[Region],
+             warnings: Sequence[str]) -> str:
     best = min(descent.error for descent in descents)
     # A descent ends within its tolerance of the minimum.
     same = sum(descent.error <= best * (1 + 1e-4) for descent in descents)

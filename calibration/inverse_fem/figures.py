@@ -122,11 +122,14 @@ def draw_predictions(predictions: Sequence[Prediction], tests: Sequence[Test]) -
             axes.barh(y, length, 0.86 * height, color=looks[p.law]["color"], alpha=0.85, lw=0)
             force = f"{p.RMSE_N:.3g} N" if p.RMSE_N is not None else \
                 "" if p.RMSE_Pa is None else format_pressure(p.RMSE_Pa, 3)
-            axes.text(length + 0.008 * limit, y, f"{'▸ ' if p.percent > length else ''}{percent(p.percent)}   {force}",
-                      va="center", fontsize=9)
+            end = length
             if p.expected_N is not None and p.RMSE_N:
                 chance = min(p.percent * p.expected_N / p.RMSE_N, limit)
+                # The mark must not stand in the number.
+                end = chance if length < chance < length + 0.1 * limit else length
                 expected, = axes.plot([chance, chance], [y - 0.46 * height, y + 0.46 * height], color="0.1", lw=2.4)
+            axes.text(end + 0.008 * limit, y, f"{'▸ ' if p.percent > length else ''}{percent(p.percent)}   {force}",
+                      va="center", fontsize=9)
         axes.set(xlim=(0, 1.16 * limit), yticks=range(len(cases)),
                  xlabel="root mean square error, % of the largest measured force (or stress)",
                  yticklabels=[_case(by_name[test], fitted) for test, fitted in cases])

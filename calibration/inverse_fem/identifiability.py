@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calibration.fit import Direction, Suggestion
+from calibration.inverse_fem.motion import offset_rate
 from calibration.inverse_fem.parameters import ParameterSpace
 from calibration.inverse_fem.problem import Problem
 from calibration.inverse_fem.uncertainty import Uncertainty
@@ -14,7 +15,6 @@ from tissue_sim.differentiation import sensitivities
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment import Experiment, Model, Specimen
 from tissue_sim.protocol import STUDY_SPEED, Protocol
-from tissue_sim.rig import Rig
 from tissue_sim.tool import Tool
 
 #: A combination whose relative standard error is larger than this is poorly told.
@@ -25,8 +25,6 @@ _HOLD_S, _STRAIN, _DEEPER, _NEEDLE = 60.0, 0.14, 1.6, 0.2
 _MOST_SUGGESTIONS = 3
 #: Noise, N, and jitter, m and N, of a rig such as the study's, for campaigns that recorded stress.
 _RIG = 0.02, (0.03e-3, 0.01)
-#: Width of a difference with the contact offset, as a part of the travel.
-_OFFSET_WIDTH = 1e-3
 #: The study's specimen, for campaigns whose tests have none.
 _SPECIMEN = Specimen(0.040, 0.070)
 
@@ -128,10 +126,7 @@ def _information(problem: Problem, theta: np.ndarray, experiment: Experiment, sp
     recording = answer.recording
     weight = np.sqrt(_SAMPLES / recording.force.size) / noise
     rates = weight * answer.values * spread.sizes
-    width = _OFFSET_WIDTH * np.ptp(recording.displacement)
-    more, less = (Rig(contact_offset=offset).apply(recording).force for offset in (width, -width))
     contact, zero = jitter
-    columns = weight * np.column_stack([contact * (more - less) / (2 * width),
-                                        zero * np.ones_like(recording.force)])
+    columns = weight * np.column_stack([contact * offset_rate(recording), zero * np.ones_like(recording.force)])
     inner = np.linalg.inv(np.eye(2) + columns.T @ columns)
     return _REPLICATES * (rates.T @ rates - rates.T @ columns @ inner @ columns.T @ rates)

@@ -188,14 +188,8 @@ class Timed:
 
     def through(self, columns: np.ndarray) -> Course:
         """As `Loading.through`; times are those of the clock of the recording whose motion it is."""
-        return _TimedCourse(self, np.column_stack([columns, self._offset_rate(columns[:, 0])]))
-
-    def _offset_rate(self, force: np.ndarray) -> np.ndarray:
-        """d(force)/d(contact offset) at the knots, by the loading curve and what history has made of it."""
-        recording = Recording({"time": self.time, "displacement": self.displacement, "force": force})
-        width = _OFFSET_WIDTH * np.ptp(self.displacement)
-        more, less = (Rig(contact_offset=offset).apply(recording).force for offset in (width, -width))
-        return (more - less) / (2 * width)
+        recording = Recording({"time": self.time, "displacement": self.displacement, "force": columns[:, 0]})
+        return _TimedCourse(self, np.column_stack([columns, offset_rate(recording)]))
 
 
 class _TimedCourse:
@@ -226,6 +220,14 @@ class _TimedCourse:
 
     def forces(self, time, displacement, offsets):
         return np.column_stack([self(time, displacement, offset)[0][:, 0] for offset in offsets])
+
+
+def offset_rate(recording: Recording) -> np.ndarray:
+    """d(force)/d(contact offset) of a simulated recording, N/m, shape (n,), by its loading curve and what history has
+    made of it."""
+    width = _OFFSET_WIDTH * np.ptp(recording.displacement)
+    more, less = (Rig(contact_offset=offset).apply(recording).force for offset in (width, -width))
+    return (more - less) / (2 * width)
 
 
 def number_runs(labels: np.ndarray) -> np.ndarray:

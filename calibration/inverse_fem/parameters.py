@@ -46,8 +46,7 @@ class ParameterSpace:
     def of(cls, law: str, campaign: Campaign) -> ParameterSpace:
         """The parameters of a law and those that the campaign's start and fixed add to its material."""
         settings, own = campaign.fit, find_law(law)
-        effects = [name for name in (*settings.start, *settings.fixed) if is_effect(name)]
-        names = (*own.parameters, *dict.fromkeys(effects))
+        names = (*own.parameters, *settings.effects)
         fixed = {name: settings.fixed[name] for name in names if name in settings.fixed}
         free = tuple(name for name in names if name not in fixed)
         bounds = np.array([settings.bounds.get(name, _default_bounds(name, own)) for name in free]).reshape(-1, 2)

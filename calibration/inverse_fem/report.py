@@ -223,6 +223,10 @@ def inverse_assumptions(result: CalibrationResult) -> list[str]:
         lines.append(f"Noise of {noise.test}: {size_of(noise.deviation_N, test)} (standard deviation, {noise.source}), "
                      f"{colour}.")
     for mesh in best.mesh:
+        if mesh.largest_percent is None:
+            lines.append(f"Mesh of {mesh.test}: the accurate mesh does not get through; of the fast mesh's error "
+                         f"{mesh.remainder_percent:.2g} % is carried as covariance.")
+            continue
         lines.append(f"Mesh of {mesh.test}: the accurate mesh differs from the fast one by up to "
                      f"{mesh.largest_percent:.2g} %, which is corrected ({counted(mesh.refreshes, 'time')}); of the "
                      f"accurate mesh's own error {mesh.remainder_percent:.2g} % is carried as covariance.")

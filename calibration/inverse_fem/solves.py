@@ -44,19 +44,21 @@ class Solves:
 
     def __init__(self, folder: Path | None = None):
         self.folder = folder
+        self._shelf = folder
         self._known: dict[str, SimulatedCurve] = {}
         #: (test, resolution) -> simulations that nobody remembered.
         self.counts: Counter[tuple[str, str]] = Counter()
 
     def __getstate__(self):
         # Another process reads what it needs from the folder, and counts its own.
-        return {"folder": self.folder, "_known": {} if self.folder else self._known, "counts": Counter()}
+        return {"folder": self.folder, "_shelf": self._shelf, "_known": {} if self.folder else self._known,
+                "counts": Counter()}
 
     def find(self, key: str) -> SimulatedCurve | None:
         """The curve of a key, None where nobody computed it; a file that cannot be read does not count."""
-        if key not in self._known and self.folder is not None:
+        if key not in self._known and self._shelf is not None:
             with contextlib.suppress(OSError, msgspec.DecodeError, msgspec.ValidationError):
-                self._known[key] = msgspec.msgpack.decode((self.folder / f"{key}.msgpack").read_bytes(),
+                self._known[key] = msgspec.msgpack.decode((self._shelf / f"{key}.msgpack").read_bytes(),
                                                           type=SimulatedCurve)
         return self._known.get(key)
 
@@ -70,10 +72,14 @@ class Solves:
         """Note a simulation that was done."""
         self.counts[test, resolution] += 1
 
+    def read_from(self, folder: Path) -> None:
+        """Look for curves in a folder, without keeping any there yet."""
+        self._shelf = folder
+
     def move_to(self, folder: Path) -> None:
         """Keep everything in a folder from now on."""
         # Another process may stand elsewhere.
-        self.folder = folder.resolve()
+        self.folder = self._shelf = folder.resolve()
         for key, curve in self._known.items():
             self.keep(key, curve)
 

@@ -43,17 +43,17 @@ def leave_out(problem: Problem, theta: np.ndarray, number: int) -> LeftOut:
     names = [other.name for other in rest.tests]
     descent = descend(rest, theta, corrected=True)
     law = problem.space.law
-    answer = _unknown(test.name, law, names, f"no fit to the others: {descent.problem}")
+    answer = unpredicted(test.name, law, names, f"no fit to the others: {descent.problem}")
     if np.isfinite(descent.error):
         try:
             spread = assess_uncertainty(rest, rest.evaluate(descent.theta))
             # What the others do not tell would stay where this test has put it.
             if open_names := not_identifiable(problem.space, spread):
-                answer = _unknown(test.name, law, names, f"the other tests do not determine {', '.join(open_names)}")
+                answer = unpredicted(test.name, law, names, f"the other tests do not determine {', '.join(open_names)}")
             else:
                 answer = predict(problem, test, descent.theta, spread.covariance, names)
         except InfeasibleError as failure:
-            answer = _unknown(test.name, law, names, str(failure))
+            answer = unpredicted(test.name, law, names, str(failure))
     return LeftOut(answer, descent.theta, dict(problem.solves.counts - counted), time.process_time() - began)
 
 
@@ -81,7 +81,7 @@ def predict(problem: Problem, test: SimulatedTest | ClosedTest, theta: np.ndarra
     rmse = float(np.sqrt(squares / samples))
     stressed = test.measured[0].test.specimen is None
     if not np.isfinite(rmse):
-        return _unknown(test.name, problem.space.law, fitted, "the law gives no finite force")
+        return unpredicted(test.name, problem.space.law, fitted, "the law gives no finite force")
     return Prediction(test=test.name, law=problem.space.law, RMSE_N=None if stressed else rmse,
                       RMSE_Pa=rmse if stressed else float(rmse / test.area) if isinstance(test, ClosedTest) else None,
                       percent=100.0 * rmse / largest,
@@ -89,5 +89,6 @@ def predict(problem: Problem, test: SimulatedTest | ClosedTest, theta: np.ndarra
                       parameters=dict(zip(problem.space.free, np.asarray(theta).tolist(), strict=True)))
 
 
-def _unknown(test: str, law: str, fitted: list[str], note: str) -> Prediction:
+def unpredicted(test: str, law: str, fitted: list[str], note: str) -> Prediction:
+    """A prediction that there is none of, and why."""
     return Prediction(test=test, law=law, RMSE_N=None, RMSE_Pa=None, percent=None, fitted=fitted, note=note)

@@ -6,6 +6,7 @@ import hashlib
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,21 +14,21 @@ from msgspec.structs import replace
 
 from calibration.batch import Context
 from calibration.campaign import Campaign
-from calibration.campaign_effects import is_effect
-from calibration.fit import Prediction, SensorStatement
+from calibration.fit import Iteration, Prediction, SensorStatement
 from calibration.inverse_fem.assess import assess
-from calibration.inverse_fem.build import REMAINDERS, build_problem, build_test, remainder
+from calibration.inverse_fem.build import FAST_REMAINDERS, REMAINDERS, build_problem, build_test, remainder
 from calibration.inverse_fem.checks import check_start
+from calibration.inverse_fem.curves import draw_curves
 from calibration.inverse_fem.estimate import Estimate, Stated, settle
-from calibration.inverse_fem.forces import InfeasibleError
+from calibration.inverse_fem.forces import ClosedTest, InfeasibleError, SimulatedTest
 from calibration.inverse_fem.levenberg_marquardt import ENOUGH_OF_A_START, Descent, Listener, descend
 from calibration.inverse_fem.problem import Problem
 from calibration.inverse_fem.profiles import ProfileSide, profile_side
-from calibration.inverse_fem.ranking import rank, ranking_message
+from calibration.inverse_fem.ranking import Fitted, rank, ranking_message
 from calibration.inverse_fem.solves import Solves
 from calibration.inverse_fem.starts import starts
 from calibration.inverse_fem.uncertainty import Uncertainty, assess_uncertainty
-from calibration.inverse_fem.validation import LeftOut, leave_out, predict
+from calibration.inverse_fem.validation import LeftOut, leave_out, predict, unpredicted
 from calibration.measured import MeasuredCurve, read_measured
 from calibration.output_folder import SOLVES
 from calibration.result import CalibrationResult
@@ -43,8 +44,7 @@ class InverseWork:
 
     def __init__(self, campaign: Campaign):
         self.campaign = campaign
-        effects = tuple(name for name in (*campaign.fit.start, *campaign.fit.fixed) if is_effect(name))
-        self.measured: dict[str, tuple[MeasuredCurve, ...]] = read_measured(campaign, effects)
+        self.measured: dict[str, tuple[MeasuredCurve, ...]] = read_measured(campaign)
         self.recordings = [curve for curves in self.measured.values() for curve in curves]
         self.solves = Solves()
         self.extra = _digests(campaign)
@@ -53,8 +53,9 @@ class InverseWork:
         #: Law -> simulations that looking at its start took.
         self.looked: dict[str, int] = {}
 
-    def check(self, context: Context) -> None:
+    def check(self, folder: Path, context: Context) -> None:
         """Refuse a start that the law or the tests do not bear, or a parameter that no test can see."""
+        self.solves.read_from(folder / SOLVES)
         for number, law in enumerate(self.campaign.fit.laws):
             context.say(f"{self.campaign.name}: looking at the start of {law}")
             before = sum(self.solves.counts.values())
@@ -69,7 +70,7 @@ class InverseWork:
         from calibration.inverse_fem.outputs import write_campaign
 
         self.solves.move_to(folder / SOLVES)
-        found = [fitted for fitted in self._fit(context) if fitted is not None]
+        found = self._fit(context)
         if not found:
             raise ConvergenceError(f"{self.campaign.path}: no start of any law has a simulation that gets through "
                                    f"({next(iter(self.left_behind.values()), '')}); state another one in fit.start, or "
@@ -89,45 +90,21 @@ class InverseWork:
         write_campaign(result, curves, self.measured, figures=context.figures)
         return result
 
-    def _fit(self, context: Context) -> list:
-        """Each law: its fit, its predictions, its curves; None of a law without any simulation."""
-        from calibration.inverse_fem.curves import draw_curves
-
-        campaign, laws, tasks = self.campaign, self.campaign.fit.laws, context.tasks
+    def _fit(self, context: Context) -> list[Fitted]:
+        """Each law that has simulations; why the others have none goes into `left_behind`."""
+        campaign, laws = self.campaign, self.campaign.fit.laws
         problems = {law: self._problem(law) for law in laws}
-
-        def listener(law: str) -> Listener:
-            return lambda iteration: context.listen(campaign.name, law, iteration)
-
-        def several(function: Callable, keys: Sequence, arguments: Sequence[tuple], what: str) -> list:
-            """Results of a function with a `listen` keyword, for each key (law first)."""
-            sentence, of = f"{campaign.name}: {what}", len(arguments)
-            context.say(sentence, 0, of)
-            answers = []
-            if not tasks.parallel:
-                for key, own in zip(keys, arguments, strict=True):
-                    answers.append(function(*own, listen=listener(key[0])))
-                    context.say(sentence, len(answers), of)
-                return answers
-
-            def replay(index: int, answer) -> None:
-                for iteration in answer.history:
-                    context.listen(campaign.name, keys[index][0], iteration)
-                answers.append(answer)
-                context.say(sentence, len(answers), of)
-
-            return tasks.run(function, arguments, replay)
-
         keys = [(law, number, theta) for law in laws
                 for number, theta in enumerate(starts(problems[law].space, campaign.fit.starts), 1)]
-        descents = several(run_start, keys, [(problems[law], number, theta) for law, number, theta in keys],
-                           f"{len(keys)} start{'s' if len(keys) > 1 else ''}")
+        descents = self._descend(context, run_start, [law for law, *_ in keys],
+                                 [(problems[law], number, theta) for law, number, theta in keys],
+                                 f"{len(keys)} start{'s' if len(keys) > 1 else ''}")
         grouped: dict[str, list[Descent]] = {law: [d for (own, *_), d in zip(keys, descents, strict=True) if own == law]
                                              for law in laws}
         best = {law: min(own, key=lambda d: d.error) for law, own in grouped.items()}
         usable = [law for law in laws if np.isfinite(best[law].error)]
-        estimates: dict[str, Estimate] = dict(zip(usable, several(
-            run_settle, [(law,) for law in usable],
+        estimates: dict[str, Estimate] = dict(zip(usable, self._descend(
+            context, run_settle, usable,
             [(problems[law], best[law], _stated(campaign, problems[law])) for law in usable],
             "the difference of the accurate mesh"), strict=True))
         usable = [law for law in usable if np.isfinite(estimates[law].error)]
@@ -146,8 +123,9 @@ class InverseWork:
             began, counted = time.process_time(), Counter(self.solves.counts)
             sides, left = sides_of[law], left_of[law]
             fit = assess(estimates[law], spreads[law], grouped[law], sides, campaign)
-            held_out = self._held_out(estimates[law], spreads[law])
-            curves = draw_curves(estimates[law], spreads[law], self._tests_of(estimates[law]))
+            tests = self._tests_of(estimates[law])
+            held_out = self._held_out(estimates[law], spreads[law], tests)
+            curves = draw_curves(estimates[law], spreads[law], tests)
             parts = [*grouped[law], estimates[law], *sides, *left]
             simulations = sum(sum(part.simulations.values()) for part in parts)
             simulations += sum((self.solves.counts - counted).values()) + self.looked.get(law, 0)
@@ -180,43 +158,62 @@ class InverseWork:
             left_of[laws[id(problem)]].append(one)
         return sides_of, left_of
 
-    def _run(self, context: Context, function: Callable, arguments: Sequence[tuple], what: str) -> list:
+    def _descend(self, context: Context, function: Callable, laws: Sequence[str], arguments: Sequence[tuple],
+                 what: str) -> list:
+        """As `_run`, of a function that keeps a history; its solves are told as they come, or with the result."""
+        def tell(law: str, iteration: Iteration) -> None:
+            context.listen(self.campaign.name, law, iteration)
+
+        if not context.tasks.parallel:
+            # In this process even while a task runs; the listener would not travel to another.
+            arguments = [(*own, partial(tell, law)) for law, own in zip(laws, arguments, strict=True)]
+            return self._run(context, function, arguments, what)
+
+        def replay(index: int, answer) -> None:
+            for iteration in answer.history:
+                tell(laws[index], iteration)
+
+        return self._run(context, function, arguments, what, replay)
+
+    def _run(self, context: Context, function: Callable, arguments: Sequence[tuple], what: str,
+             on_done: Callable | None = None) -> list:
+        """Results of a task for each of the arguments; how many are done is said."""
         sentence, done = f"{self.campaign.name}: {what}", []
 
         def note(index: int, answer) -> None:
+            if on_done is not None:
+                on_done(index, answer)
             done.append(index)
             context.say(sentence, len(done), len(arguments))
 
         context.say(sentence, 0, len(arguments))
         return context.tasks.run(function, arguments, note)
 
-    def _tests_of(self, estimate: Estimate) -> list:
-        """All tests of the campaign in its order, those that are held out with a mesh difference of their own."""
-        fitted = {test.name: test for test in estimate.problem.tests}
-        found = []
+    def _tests_of(self, estimate: Estimate) -> list[tuple[SimulatedTest | ClosedTest, float]]:
+        """All tests of the campaign in its order, with the relative error of their mesh; those that are held out have a
+        mesh difference of their own."""
+        problem = estimate.problem
+        found = {test.name: (test, error) for test, error in zip(problem.tests, problem.mesh_error, strict=True)}
         for test in self.campaign.tests:
-            if test.name not in fitted:
-                own = build_test(test, self.measured[test.name], estimate.problem.space,
-                                 estimate.problem.jitter.contact)
+            if test.hold_out:
+                own = build_test(test, self.measured[test.name], problem.space, problem.jitter.contact)
                 try:
-                    own.refine(estimate.problem.space, estimate.theta, self.solves)
+                    own.refine(problem.space, estimate.theta, self.solves)
+                    error = REMAINDERS
                 except InfeasibleError:
-                    own.correction = []
-                fitted[test.name] = own
-            found.append((fitted[test.name], remainder(fitted[test.name], REMAINDERS)))
-        return found
+                    own.correction, error = [], FAST_REMAINDERS
+                found[test.name] = own, remainder(own, error)
+        return [found[test.name] for test in self.campaign.tests]
 
-    def _held_out(self, estimate: Estimate, spread: Uncertainty) -> list[Prediction]:
+    def _held_out(self, estimate: Estimate, spread: Uncertainty, tests: Sequence[tuple]) -> list[Prediction]:
         """Predictions of the tests that the campaign holds out."""
         problem, found = estimate.problem, []
-        held_out = {test.name for test in self.campaign.tests if test.hold_out}
-        for test, _ in self._tests_of(estimate):
-            if test.name in held_out:
+        for (test, _), asked in zip(tests, self.campaign.tests, strict=True):
+            if asked.hold_out:
                 try:
                     found.append(predict(problem, test, estimate.theta, spread.covariance, []))
                 except InfeasibleError as failure:
-                    found.append(Prediction(test=test.name, law=problem.space.law, RMSE_N=None, RMSE_Pa=None,
-                                            percent=None, note=str(failure)))
+                    found.append(unpredicted(test.name, problem.space.law, [], str(failure)))
         return found
 
 
@@ -246,5 +243,3 @@ def _digests(campaign: Campaign) -> tuple[str, ...]:
             found.append(hashlib.sha256(repr((test.setup.rig, None if outline is None else outline.tolist())).encode()
                                         ).hexdigest())
     return tuple(found)
-
-

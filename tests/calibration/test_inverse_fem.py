@@ -3,6 +3,7 @@
 import pickle
 from pathlib import Path
 
+import distributed
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
@@ -81,8 +82,7 @@ def problem_of(folder, text, law="reduced_polynomial_2", solves=None):
     path = folder / "study.toml"
     path.write_text(text, encoding="utf-8")
     campaign = calibration.load_campaign(path)
-    effects = tuple(name for name in (*campaign.fit.start, *campaign.fit.fixed) if "." in name)
-    return campaign, build_problem(law, campaign, calibration.read_measured(campaign, effects), solves or Solves())
+    return campaign, build_problem(law, campaign, calibration.read_measured(campaign), solves or Solves())
 
 
 @pytest.fixture
@@ -462,7 +462,6 @@ class TestWhole:
 
     def test_a_cluster_gives_the_same_numbers(self, plates, tmp_path_factory, monkeypatch):
         """Worker processes of a local dask cluster that stand in another folder."""
-        distributed = pytest.importorskip("distributed", reason="needs the extra: pip install 'tissue-sim[cluster]'")
         (plates / "study.toml").write_text(campaign_text("lubricated"), encoding="utf-8")
         own, = calibration.calibrate([plates / "study.toml"], plates / "own", figures=False)
         elsewhere = tmp_path_factory.mktemp("elsewhere")

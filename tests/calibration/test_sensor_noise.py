@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.sensor_noise import SensorNoise, estimate_sensor_noise, estimate_shared_noise, whiten
+from calibration.sensor_noise import SensorNoise, estimate_shared_noise, whiten
 from tissue_sim.errors import InputError
 from tissue_sim.noise import sensor_noise
 
@@ -14,6 +14,11 @@ WAY = TIME / 40.0
 CURVES = {"none": 0.0 * WAY, "cubic": 8 * (0.4 * WAY + 0.3 * WAY**2 + 0.3 * WAY**3), "sphere": 8 * WAY**1.5,
           "cone": 8 * WAY**2}
 
+
+
+def estimate_sensor_noise(force, time, segment=None, **stated):
+    """The case of one recording."""
+    return estimate_shared_noise([(force, time, segment)], **stated)
 
 def estimates(force, level, tau, trials, time=TIME, segment=None, replicates=1):
     """Deviation in units of the true one, and correlation time, of each trial, shape (trials, 2)."""
