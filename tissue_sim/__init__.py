@@ -21,6 +21,8 @@ _HOMES = {
     "MaterialFile": "material_file", "load_material": "material_file", "read_material_file": "material_file",
     "write_material_file": "material_file",
     "Sensitivities": "differentiation", "sensitivities": "differentiation",
+    "ForceStatus": "tool_force", "Pose": "tool_force", "ToolForce": "tool_force",
+    "Simulator": "simulator", "SimulatorState": "simulator", "DeformedSurface": "deformed_surface",
     "simulate": "simulation", "Fields": "fem.fields",
     "LAWS": "laws", "find_law": "laws", "register": "laws", "check_stability": "laws",
     "ConvergenceError": "errors", "InputError": "errors", "MissingBackendError": "errors",

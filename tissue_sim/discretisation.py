@@ -18,15 +18,15 @@ from tissue_sim.mesh import Mesh, cylinder_mesh, needle_mesh, structured_mesh, t
 
 #: Resolution -> elements and grading along r and z of a cylinder as slender as the study's (radius 40, height 70 mm)
 #: between plates. Bonded compression to 10 mm errs by 0.28 % (fast) and 0.03 % (accurate) at most.
-RESOLUTIONS = {"fast": ((6, 8), (10.0, 4.0)), "accurate": ((16, 20), (50.0, 10.0))}
+RESOLUTIONS = {"realtime": ((6, 8), (10.0, 4.0)), "fast": ((6, 8), (10.0, 4.0)), "accurate": ((16, 20), (50.0, 10.0))}
 _STUDY_SLENDERNESS = 70.0 / 40.0
 #: Resolution -> smallest and largest element in radii of the needle, and growth from one to the next. The study's
 #: needle at 2, 5 and 10 mm errs by 0.7 % (fast) and 0.1 % (accurate) at most.
-NEEDLE_RESOLUTIONS = {"fast": (0.1625, 1.875, 1.8), "accurate": (0.00625, 1.5, 1.5)}
+NEEDLE_RESOLUTIONS = {"realtime": (0.1, 2.25, 2.5), "fast": (0.1625, 1.875, 1.8), "accurate": (0.00625, 1.5, 1.5)}
 #: The same for tips without a flat face, in radii of the contact at the largest depth.
-TIP_RESOLUTIONS = {"fast": (0.25, 2.5, 1.6), "accurate": (0.08, 1.5, 1.35)}
+TIP_RESOLUTIONS = {"realtime": (0.25, 2.5, 1.6), "fast": (0.25, 2.5, 1.6), "accurate": (0.08, 1.5, 1.35)}
 #: Fewest elements in a layer of the material.
-LAYER_ELEMENTS = {"fast": 2, "accurate": 4}
+LAYER_ELEMENTS = {"realtime": 2, "fast": 2, "accurate": 4}
 #: Elements need not be smaller than this share of a rounded edge, nor larger than this share of the specimen.
 _ROUNDING_SHARE, _SPECIMEN_SHARE = 0.25, 0.17
 _HELD = {"bonded": "rz", "frictionless": "z"}

@@ -10,6 +10,7 @@ import numpy as np
 from tissue_sim.errors import InputError, nearest, require_length
 from tissue_sim.material import Material
 from tissue_sim.protocol import Protocol
+from tissue_sim.puncture import Puncture
 from tissue_sim.rig import Rig
 from tissue_sim.tool import Tool
 
@@ -168,6 +169,11 @@ class Model:
     experiment: Experiment
     material: Material
     rig: Rig = field(default_factory=Rig)
+
+    @property
+    def puncture(self) -> Puncture | None:
+        """Puncture of the tissue, where a needle can."""
+        return self.material.puncture if self.experiment.tool.shape != "plate" else None
 
 
 def checked_interface(value: str | float, name: str) -> str | float:

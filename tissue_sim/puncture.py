@@ -29,3 +29,27 @@ class Puncture:
         if not 0 <= self.drop < 1:
             raise InputError(f"{self.drop:g} is outside 0 to 1 (1 excluded); give the share of the force that is lost",
                              field="drop")
+
+
+class PunctureHistory:
+    """Force of a needle whose tip may have passed the depth of puncture.
+
+    Args:
+        puncture: of the material; None: none.
+
+    Attributes:
+        deepest: how deep the needle has been, m.
+    """
+
+    def __init__(self, puncture: Puncture | None):
+        self._depth, self._drop = (puncture.depth, puncture.drop) if puncture else (np.inf, 0.0)
+        self.deepest = -np.inf
+
+    def __call__(self, depth: float, force: float) -> float:
+        """The force (or its derivative) at a depth that is final."""
+        self.deepest = max(self.deepest, depth)
+        return self.at(depth, force)
+
+    def at(self, depth: float, force: float) -> float:
+        """The force (or its derivative) at a depth that is tried."""
+        return force * (1.0 - self._drop) if max(depth, self.deepest) > self._depth else force

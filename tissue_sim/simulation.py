@@ -16,6 +16,7 @@ from tissue_sim.fem.fields import Fields
 from tissue_sim.fem.newton import StepStatus
 from tissue_sim.laws import check_stability
 from tissue_sim.mesh import Mesh
+from tissue_sim.puncture import PunctureHistory
 from tissue_sim.recording import Recording
 from tissue_sim.tilt import tilted
 
@@ -94,7 +95,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Mesh | None = None
 
     if progress:
         progress(0, protocol.displacement.size)
-    dropped, train = _Puncture(model), _LoadTrain(rig.compliance)
+    dropped, train = PunctureHistory(model.puncture), _LoadTrain(rig.compliance)
     places = rig.tool_motion(protocol.displacement)
     waits, first = _from_the_touch(places, protocol.time)
     for sample, (place, dt) in enumerate(zip(places.tolist(), waits.tolist(), strict=True)):
@@ -137,25 +138,6 @@ def _weight_report(experiment: Experiment, solver: AxisymmetricSolver) -> dict:
             "sag_mm": sag(solver) * 1e3, "moulded_height_mm": height * 1e3}
 
 
-class _Puncture:
-    """Force of a needle whose tip may have passed the depth of puncture; see `tissue_sim.Puncture`."""
-
-    def __init__(self, model: Model):
-        puncture = model.material.puncture
-        needle = model.experiment.tool.shape != "plate"
-        self._depth, self._drop = (puncture.depth, puncture.drop) if puncture and needle else (np.inf, 0.0)
-        self._deepest = -np.inf
-
-    def __call__(self, depth: float, force: float) -> float:
-        """The force at a depth that is final."""
-        self._deepest = max(self._deepest, depth)
-        return self.at(depth, force)
-
-    def at(self, depth: float, force: float) -> float:
-        """The force at a depth that is tried."""
-        return force * (1.0 - self._drop) if max(depth, self._deepest) > self._depth else force
-
-
 def _from_the_touch(places: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, int]:
     """Time on the way to each place of the tool, s, and the first sample at which it touches the specimen.
 
@@ -187,7 +169,7 @@ class _LoadTrain:
 
 
 def _sample(solver: AxisymmetricSolver, place: float, dt: float, train: _LoadTrain,
-            dropped: _Puncture) -> Iterator[Step]:
+            dropped: PunctureHistory) -> Iterator[Step]:
     """Steps to one sample; yields each, the last one is that of the sample.
 
     Args:

@@ -35,9 +35,10 @@ def point():
         @ti.kernel
         def evaluate(passes: ti.i32, F: reals, p: ti.f64, coefficients: reals, P: reals, A: reals):
             for _ in range(passes):
-                gradient = ti.Vector([F[0], F[1], F[2], F[3], F[4]])
-                _density, stress, tangent = function(gradient, coefficients)
-                add_volume(gradient, p, stress, tangent)
+                gradient = [F[i] for i in ti.static(range(5))]
+                root = ti.pow((F[0] * F[3] - F[1] * F[2]) * F[4], -1.0 / 3.0)
+                _density, isochoric, rate = function(gradient, root, coefficients)
+                stress, tangent = add_volume(gradient, p, isochoric, rate)
                 for i in ti.static(range(5)):
                     P[i] = stress[i]
                 for i in ti.static(range(15)):

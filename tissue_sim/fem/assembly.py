@@ -1,274 +1,390 @@
-"""Element work of the axisymmetric solid: quadrature, elimination inside the element, assembly.
+"""Elements as Taichi functions: stresses to residual and tangent, static condensation, scatter into the band matrix.
 
-Two-field potential of displacement u and element pressures p:
+Eight elements at a time, one in each lane of the vectors: Taichi keeps the lanes of a vector next to each other, and
+the compiler makes one instruction of them. It can tell so only where the place of a vector is a plain variable
+(``array[i]``, not ``array[i + 1]``) or where the vector stands in a Taichi field; that is why there are so many arrays.
 
-    Pi(u, p) = integral of W(F / J^(1/3)) + p (J - 1) - p^2 / (2 K)
-
-(Sussman and Bathe, Computers & Structures 26 (1987) 357, for U(J) = K/2 (J - 1)^2). The pressure is a Newton unknown
-of its own, eliminated element by element from the linearised equations: slaved to the volume, p = K (v/V - 1), it
-makes the tangent indefinite at the first large step. The interior node is eliminated likewise.
+A discontinuous pressure per element enforces J - 1 = p / K in the mean (one mode: mean dilatation; Simo, Taylor and
+Pister, CMAME 51 (1985) 177, for U(J) = K/2 (J - 1)^2). The pressure is a Newton unknown of its own, eliminated element
+by element from the linearised equations: slaved to the volume, p = K (v/V - 1), it makes the tangent indefinite at the
+first large step. The interior node is eliminated likewise.
 """
 
 from functools import cache
 from typing import NamedTuple
 
-from tissue_sim.fem import band as band_matrix
 from tissue_sim.fem import energy as point
+from tissue_sim.fem.batches import LANES
 from tissue_sim.fem.elements import ELEMENTS
 from tissue_sim.fem.runtime import initialise
 from tissue_sim.laws import KernelEnergy
 
 #: Places in the settings of what happens to the tissue in time.
 FACTOR, INSTANT, LOSS, LOSS_MODULUS, LOSS_SHARE = range(5)
+#: Most nodes, points and pressure modes of an element.
+_NODES, _POINTS, _MODES = 9, 9, 3
+#: Where things of the batch that is worked on stand in the scratch field: motion and forces of nodes, motion still to
+#: come, pressure amplitudes, gaps, rates of the volume, and at each point stress, tangent, dJ/dF, modes, stress rates.
+_sizes = (("UR", _NODES), ("UZ", _NODES), ("FR", _NODES), ("FZ", _NODES), ("SR", _NODES), ("SZ", _NODES),
+          ("PRESSURE", _MODES), ("GAP", _MODES), ("VR", _MODES * _NODES), ("VZ", _MODES * _NODES),
+          ("STRESS", 5 * _POINTS), ("TANGENT", 15 * _POINTS), ("COFACTOR", 5 * _POINTS), ("MODE", _MODES * _POINTS),
+          ("RATE", 10 * _POINTS), ("CENTRE", 4 * _NODES))
+_AT = {name: sum(size for _, size in _sizes[:i]) for i, (name, _) in enumerate(_sizes)}
+_SIZE = sum(size for _, size in _sizes)
 
 
 class ElementFunctions(NamedTuple):
-    """Taichi functions of one element and one family of laws; `vec` is the type of a number per shared node."""
+    """Taichi functions of one element and one family of laws."""
 
-    vec: object
     integrate: object
-    condense_pressure: object
-    condense_centre: object
-    condense_centre_force: object
     add_weight: object
-    add_pending: object
-    scatter: object
+    add_inertia: object
+    stiffen: object
+    scatter_force: object
+    scatter_stiffness: object
+    interior: object
+    update: object
+
+
+@cache
+def scratch():
+    """The Taichi field of a batch that is worked on; one for all solvers of the process."""
+    ti = initialise()
+    return ti.Vector.field(LANES, ti.f64, shape=_SIZE)
 
 
 @cache
 def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctions:
-    """See the functions themselves."""
+    """See the functions themselves; they are to be called in this order for each batch b."""
     ti = initialise()
     element = ELEMENTS[element_name]
-    nb, modes, points = element.boundary_nodes, element.pressure_modes, element.quadrature[1].size
-    has_centre = element.nodes > nb
-    centre = element.nodes - 1
-    vec = ti.types.vector(nb, ti.f64)
-    stress_and_tangent = point.function(energy)
+    nodes, nb, modes = element.nodes, element.boundary_nodes, element.pressure_modes
+    points = element.quadrature[1].size
+    has_centre, centre = nodes > nb, nodes - 1
+    pairs = nb * (nb + 1) // 2
+    vec = ti.types.vector(LANES, ti.f64)
+    s = scratch()
+    with_tangent, without = point.function(energy), point.function(energy, tangents=False)
+    inverse_root = point.inverse_root_function()
     add_volume = point.volume_function()
     soften, relax = point.history_functions()
-    add_entry = band_matrix.add_entry_function()
+    UR, UZ, FR, FZ, SR, SZ = (_AT[name] for name in ("UR", "UZ", "FR", "FZ", "SR", "SZ"))
+    PRESSURE, GAP, VR, VZ, STRESS = (_AT[name] for name in ("PRESSURE", "GAP", "VR", "VZ", "STRESS"))
+    TANGENT, COFACTOR, MODE, RATE, CENTRE = (_AT[name] for name in ("TANGENT", "COFACTOR", "MODE", "RATE", "CENTRE"))
     # The tangent's rows that meet an r freedom (rR, rZ, hoop) and a z freedom (zR, zZ).
-    row = [[point.packed(i, k) for k in range(5)] for i in range(5)]
+    row = point.PLACE
 
     # Throughout, `a = a + b` on arrays: `a += b` is an atomic operation in Taichi, four times slower here.
 
     @ti.func
-    def integrate(e, tangent, kappa, modulus, remembers, x: ti.template(), pressures, connectivity: ti.template(),
-                  gradients: ti.template(), node_gradients: ti.template(), quadrature: ti.template(),
+    def gather(values: ti.template(), places: ti.template(), i):
+        return ti.Vector([values[places[i, l]] for l in ti.static(range(LANES))])
+
+    @ti.func
+    def at_point(b, q, F, J, p, remembers, tangents: ti.template(), elements: ti.template(), weights: ti.template(),
+                 moduli: ti.template(), coefficients: ti.template(), past: ti.template(), inherited: ti.template(),
+                 largest: ti.template(), stresses: ti.template(), energies: ti.template()):
+        """Note stress, tangent and dJ/dF of a point, times its weight."""
+        root = inverse_root(ti.max(J, 1e-6))
+        W, P, A = (with_tangent if ti.static(tangents) else without)(F, root, coefficients)
+        if remembers == 1:
+            f = past[FACTOR]
+            W = f * W
+            for l in ti.static(range(LANES)):
+                energies[elements[b, l], q] = W[l]
+            P1, A1 = [f * P[i] for i in ti.static(range(5))], [f * A[n] for n in ti.static(range(15))]
+            if past[LOSS] != 0.0:
+                most = ti.Vector([largest[elements[b, l], q] for l in ti.static(range(LANES))])
+                P2, A2 = soften(W, most, past[LOSS], past[LOSS_MODULUS], past[LOSS_SHARE], P1, A1)
+                for i in ti.static(range(5)):
+                    P1[i] = P2[i]
+                for n in ti.static(range(15)):
+                    A1[n] = A2[n]
+            h = [ti.Vector([inherited[elements[b, l], q, i] for l in ti.static(range(LANES))])
+                 for i in ti.static(range(4))]
+            S, P3, A3 = relax(F, past[INSTANT], h, P1, A1)
+            for i in ti.static(range(4)):
+                for l in ti.static(range(LANES)):
+                    stresses[elements[b, l], q, i] = S[i][l]
+            for i in ti.static(range(5)):
+                P[i] = P3[i]
+            for n in ti.static(range(15)):
+                A[n] = A3[n]
+        modulus, w = moduli[b], weights[b * points + q]
+        P4, A4 = add_volume(F, p, [modulus * P[i] for i in ti.static(range(5))],
+                            [modulus * A[n] for n in ti.static(range(15))])
+        for i in ti.static(range(5)):
+            s[STRESS + 5 * q + i] = w * P4[i]
+        if ti.static(tangents):
+            for n in ti.static(range(15)):
+                s[TANGENT + 15 * q + n] = w * A4[n]
+        wc = w * F[4]
+        s[COFACTOR + 5 * q], s[COFACTOR + 5 * q + 1] = wc * F[3], -wc * F[2]
+        s[COFACTOR + 5 * q + 2], s[COFACTOR + 5 * q + 3] = -wc * F[1], wc * F[0]
+        s[COFACTOR + 5 * q + 4] = w * (F[0] * F[3] - F[1] * F[2])
+
+    @ti.func
+    def integrate(b, tangent, kappa, penalty, remembers, x: ti.template(), pressures, elements: ti.template(),
+                  dofs: ti.template(), gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template(),
+                  weights: ti.template(), mode_values: ti.template(), moduli: ti.template(),
                   coefficients: ti.template(), past: ti.template(), inherited: ti.template(), largest: ti.template(),
-                  stresses: ti.template(), energies: ti.template(), force: ti.template(), rates: ti.template(),
-                  stiffness: ti.template(), centre_stiffness: ti.template(), volume: ti.template(),
-                  centre_volume: ti.template(), gap: ti.template()):
-        """Element residual, stiffness and volume constraint by quadrature; returns the smallest J.
+                  stresses: ti.template(), energies: ti.template(), volume_r: ti.template(), volume_z: ti.template(),
+                  gap: ti.template()):
+        """Forces of all nodes, with the pressure's share of what the volume still misses; returns the smallest J.
 
-        `modulus` multiplies the law. Where the tissue `remembers`, `past` holds how it does, `inherited` what is left
-        of earlier stresses and `largest` the largest energy of each point; its stress and energy now are written to
-        `stresses` and `energies`.
+        Where the tissue `remembers`, `past` holds how it does, `inherited` what is left of earlier stresses and
+        `largest` the largest energy of each point; its stress and energy now go to `stresses` and `energies`.
         """
-        smallest = 1e30
-        ur, uz = vec(0.0), vec(0.0)
-        for a in ti.static(range(nb)):
-            node = connectivity[e, a]
-            ur[a] = x[2 * node]
-            uz[a] = x[2 * node + 1]
-        cr, cz = 0.0, 0.0
-        if ti.static(has_centre):
-            cr = x[2 * connectivity[e, centre]]
-            cz = x[2 * connectivity[e, centre] + 1]
-        for b in range(element.nodes):
-            for k in ti.static(range(4)):
-                stiffness[b, k] = vec(0.0)
-        for k in ti.static(range(3)):
-            centre_stiffness[k] = 0.0
+        for a in range(nodes):
+            i = b * nodes + a
+            s[UR + a] = gather(x, dofs, i)
+            s[UZ + a] = ti.Vector([x[dofs[i, l] + 1] for l in ti.static(range(LANES))])
+        bulk = kappa * moduli[b]
         for m in range(modes):
-            volume[e, m, 0], volume[e, m, 1] = vec(0.0), vec(0.0)
-            centre_volume[e, m, 0], centre_volume[e, m, 1] = 0.0, 0.0
-            gap[e, m] = -x[pressures + modes * e + m] / kappa
-        fr, fz = vec(0.0), vec(0.0)
-        fcr, fcz = 0.0, 0.0
+            p = ti.Vector([x[pressures + modes * elements[b, l] + m] for l in ti.static(range(LANES))])
+            s[PRESSURE + m], s[GAP + m] = p, -p / bulk
+        least = vec(1e30)
         for q in range(points):
-            w = quadrature[e, q, 0]
-            nx, ny, nr = gradients[e, q, 0], gradients[e, q, 1], gradients[e, q, 2]
-            H = ti.Vector([ur.dot(nx), ur.dot(ny), uz.dot(nx), uz.dot(ny), ur.dot(nr)])
-            cx, cy, ch = 0.0, 0.0, 0.0
-            if ti.static(has_centre):
-                cx, cy, ch = node_gradients[e, q, centre, 0], node_gradients[e, q, centre, 1], node_gradients[
-                    e, q, centre, 2]
-                H += ti.Vector([cr * cx, cr * cy, cz * cx, cz * cy, cr * ch])
-            F = H + ti.Vector([1.0, 0.0, 0.0, 1.0, 1.0])
+            h0, h1, h2, h3, h4 = vec(0.0), vec(0.0), vec(0.0), vec(0.0), vec(0.0)
+            for a in range(nodes):
+                g = (b * points + q) * nodes + a
+                gr, gz, gh, ur, uz = gradient_r[g], gradient_z[g], value_r[g], s[UR + a], s[UZ + a]
+                h0 = h0 + ur * gr
+                h1 = h1 + ur * gz
+                h2 = h2 + uz * gr
+                h3 = h3 + uz * gz
+                h4 = h4 + ur * gh
             # J - 1 from the displacement gradient: nothing is lost to the 1 when K/mu multiplies it.
-            area = H[0] + H[3] + H[0] * H[3] - H[1] * H[2]
-            dilation = area + H[4] + area * H[4]
-            j, J = 1.0 + area, 1.0 + dilation
-            smallest = ti.min(smallest, ti.min(J, F[4]))
-            p = 0.0
-            for m in ti.static(range(modes)):
-                p += quadrature[e, q, 1 + m] * x[pressures + modes * e + m]
-            if J > 0.0 and F[4] > 0.0:
-                W, P, A = stress_and_tangent(F, coefficients)
-                if remembers == 1:
-                    W *= past[FACTOR]
-                    P *= past[FACTOR]
-                    A *= past[FACTOR]
-                    energies[e, q] = W
-                    soften(W, largest[e, q], past[LOSS], past[LOSS_MODULUS], past[LOSS_SHARE], P, A)
-                    h = ti.Vector([inherited[e, q, 0], inherited[e, q, 1], inherited[e, q, 2], inherited[e, q, 3]])
-                    S = relax(F, past[INSTANT], h, P, A)
-                    for i in ti.static(range(4)):
-                        stresses[e, q, i] = S[i]
-                P *= modulus
-                A *= modulus
-                add_volume(F, p, P, A)
-                P *= w
-                fr += P[0] * nx + P[1] * ny + P[4] * nr
-                fz += P[2] * nx + P[3] * ny
-                # dJ/du of each freedom, for the constraint.
-                c = F[4]
-                gr = (c * F[3]) * nx - (c * F[2]) * ny + j * nr
-                gz = (c * F[0]) * ny - (c * F[1]) * nx
-                gcr, gcz = 0.0, 0.0
-                if ti.static(has_centre):
-                    fcr += P[0] * cx + P[1] * cy + P[4] * ch
-                    fcz += P[2] * cx + P[3] * cy
-                    gcr = c * (F[3] * cx - F[2] * cy) + j * ch
-                    gcz = c * (F[0] * cy - F[1] * cx)
-                for m in range(modes):
-                    phi = w * quadrature[e, q, 1 + m]
-                    gap[e, m] = gap[e, m] + phi * dilation
-                    volume[e, m, 0] = volume[e, m, 0] + phi * gr
-                    volume[e, m, 1] = volume[e, m, 1] + phi * gz
-                    if ti.static(has_centre):
-                        centre_volume[e, m, 0] = centre_volume[e, m, 0] + phi * gcr
-                        centre_volume[e, m, 1] = centre_volume[e, m, 1] + phi * gcz
-                if tangent == 1:
-                    A *= w
-                    # Stress rates of an r (0 to 4) and of a z motion (5 to 9) of every shared node at once.
-                    for i in ti.static(range(5)):
-                        rates[i] = (A[ti.static(row[i][0])] * nx + A[ti.static(row[i][1])] * ny
-                                    + A[ti.static(row[i][4])] * nr)
-                        rates[5 + i] = A[ti.static(row[i][2])] * nx + A[ti.static(row[i][3])] * ny
-                    for b in range(nb):
-                        stiffness[b, 0] = stiffness[b, 0] + rates[0][b] * nx + rates[1][b] * ny + rates[4][b] * nr
-                        stiffness[b, 1] = stiffness[b, 1] + rates[2][b] * nx + rates[3][b] * ny
-                        stiffness[b, 2] = stiffness[b, 2] + rates[5][b] * nx + rates[6][b] * ny + rates[9][b] * nr
-                        stiffness[b, 3] = stiffness[b, 3] + rates[7][b] * nx + rates[8][b] * ny
-                    if ti.static(has_centre):
-                        r = ti.Vector([A[ti.static(row[i][0])] * cx + A[ti.static(row[i][1])] * cy
-                                       + A[ti.static(row[i][4])] * ch for i in ti.static(range(5))])
-                        z = ti.Vector([A[ti.static(row[i][2])] * cx + A[ti.static(row[i][3])] * cy
-                                       for i in ti.static(range(5))])
-                        stiffness[centre, 0] = stiffness[centre, 0] + r[0] * nx + r[1] * ny + r[4] * nr
-                        stiffness[centre, 1] = stiffness[centre, 1] + r[2] * nx + r[3] * ny
-                        stiffness[centre, 2] = stiffness[centre, 2] + z[0] * nx + z[1] * ny + z[4] * nr
-                        stiffness[centre, 3] = stiffness[centre, 3] + z[2] * nx + z[3] * ny
-                        centre_stiffness[0] = centre_stiffness[0] + r[0] * cx + r[1] * cy + r[4] * ch
-                        centre_stiffness[1] = centre_stiffness[1] + r[2] * cx + r[3] * cy
-                        centre_stiffness[2] = centre_stiffness[2] + z[2] * cx + z[3] * cy
-        force[0], force[1] = fr, fz
-        force[2] = vec(0.0)
-        force[2][0], force[2][1] = fcr, fcz
-        return smallest
-
-    @ti.func
-    def condense_pressure(e, tangent, kappa, force: ti.template(), stiffness: ti.template(),
-                          centre_stiffness: ti.template(), volume: ti.template(), centre_volume: ti.template(),
-                          gap: ti.template()):
-        """Add K B^T B to the stiffness and K B^T gap to the residual (the pressure modes are orthonormal)."""
-        for m in range(modes):
-            br, bz = volume[e, m, 0], volume[e, m, 1]
-            scaled = kappa * gap[e, m]
-            force[0] = force[0] + scaled * br
-            force[1] = force[1] + scaled * bz
-            if ti.static(has_centre):
-                bcr, bcz = centre_volume[e, m, 0], centre_volume[e, m, 1]
-                force[2][0] = force[2][0] + scaled * bcr
-                force[2][1] = force[2][1] + scaled * bcz
-                stiffness[centre, 0] = stiffness[centre, 0] + (kappa * bcr) * br
-                stiffness[centre, 1] = stiffness[centre, 1] + (kappa * bcr) * bz
-                stiffness[centre, 2] = stiffness[centre, 2] + (kappa * bcz) * br
-                stiffness[centre, 3] = stiffness[centre, 3] + (kappa * bcz) * bz
-                centre_stiffness[0] = centre_stiffness[0] + kappa * bcr * bcr
-                centre_stiffness[1] = centre_stiffness[1] + kappa * bcr * bcz
-                centre_stiffness[2] = centre_stiffness[2] + kappa * bcz * bcz
+            area = h0 + h3 + h0 * h3 - h1 * h2
+            dilation = area + h4 + area * h4
+            least = ti.min(least, ti.min(1.0 + dilation, 1.0 + h4))
+            p = vec(0.0)
+            for m in range(modes):
+                phi = mode_values[(b * points + q) * modes + m]
+                s[MODE + modes * q + m] = phi
+                p = p + phi * s[PRESSURE + m]
+                s[GAP + m] = s[GAP + m] + weights[b * points + q] * phi * dilation
+            F = [1.0 + h0, h1, h2, 1.0 + h3, 1.0 + h4]
             if tangent == 1:
-                for b in range(nb):
-                    kr, kz = kappa * volume[e, m, 0][b], kappa * volume[e, m, 1][b]
-                    stiffness[b, 0] = stiffness[b, 0] + kr * br
-                    stiffness[b, 1] = stiffness[b, 1] + kr * bz
-                    stiffness[b, 2] = stiffness[b, 2] + kz * br
-                    stiffness[b, 3] = stiffness[b, 3] + kz * bz
+                at_point(b, q, F, 1.0 + dilation, p, remembers, True, elements, weights, moduli, coefficients, past,
+                         inherited, largest, stresses, energies)
+            else:
+                at_point(b, q, F, 1.0 + dilation, p, remembers, False, elements, weights, moduli, coefficients, past,
+                         inherited, largest, stresses, energies)
+        for a in range(nodes):
+            fr, fz = vec(0.0), vec(0.0)
+            vr, vz = [vec(0.0) for _m in ti.static(range(modes))], [vec(0.0) for _m in ti.static(range(modes))]
+            for q in range(points):
+                g = (b * points + q) * nodes + a
+                gr, gz, gh = gradient_r[g], gradient_z[g], value_r[g]
+                at = STRESS + 5 * q
+                fr = fr + s[at] * gr + s[at + 1] * gz + s[at + 4] * gh
+                fz = fz + s[at + 2] * gr + s[at + 3] * gz
+                c = COFACTOR + 5 * q
+                jr = s[c] * gr + s[c + 1] * gz + s[c + 4] * gh
+                jz = s[c + 2] * gr + s[c + 3] * gz
+                for m in ti.static(range(modes)):
+                    vr[m] = vr[m] + s[MODE + modes * q + m] * jr
+                    vz[m] = vz[m] + s[MODE + modes * q + m] * jz
+            for m in ti.static(range(modes)):
+                missed = penalty * moduli[b] * s[GAP + m]
+                fr = fr + missed * vr[m]
+                fz = fz + missed * vz[m]
+                s[VR + m * nodes + a], s[VZ + m * nodes + a] = vr[m], vz[m]
+            s[FR + a], s[FZ + a] = fr, fz
+        for i in range(modes * nodes):
+            at = b * modes * nodes + i
+            volume_r[at], volume_z[at] = s[VR + i], s[VZ + i]
+        for m in range(modes):
+            at = b * modes + m
+            gap[at] = s[GAP + m]
+        return least.min()
 
     @ti.func
-    def condense_centre(e, stiffness: ti.template(), centre_stiffness: ti.template(), centre_rows: ti.template(),
-                        centre_inverse: ti.template()):
-        """Eliminate the interior node from the stiffness; returns 0 where its own block is not positive definite.
+    def add_weight(b, weight, volumes: ti.template()):
+        """Subtract the nodal forces of self-weight, which pulls towards -z."""
+        for a in range(nodes):
+            i = b * nodes + a
+            s[FZ + a] = s[FZ + a] + weight * volumes[i]
 
-        Kept are the inverse of its block and centre_rows, its motion for one of the shared nodes, sign turned.
+    @ti.func
+    def add_inertia(b, inertia, density, volumes: ti.template(), dofs: ti.template(), rest: ti.template()):
+        """Inertial force of the interior node: its mass times `inertia` (1/s2) times its way from where it would have
+        gone by itself."""
+        if ti.static(has_centre):
+            i = b * nodes + centre
+            mass = density * inertia * volumes[i]
+            s[FR + centre] = s[FR + centre] + mass * (s[UR + centre] - gather(rest, dofs, i))
+            s[FZ + centre] = s[FZ + centre] + mass * (
+                s[UZ + centre] - ti.Vector([rest[dofs[i, l] + 1] for l in ti.static(range(LANES))]))
+
+    @ti.func
+    def rate_of(c, b, gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template()):
+        """Note the stress rates of an r (0 to 4) and of a z motion (5 to 9) of one node at every point."""
+        for q in range(points):
+            g = (b * points + q) * nodes + c
+            x, y, h = gradient_r[g], gradient_z[g], value_r[g]
+            t, at = TANGENT + 15 * q, RATE + 10 * q
+            for i in ti.static(range(5)):
+                s[at + i] = s[t + ti.static(row[i][0])] * x + s[t + ti.static(row[i][1])] * y + s[
+                    t + ti.static(row[i][4])] * h
+            for i in ti.static(range(4)):
+                s[at + 5 + i] = s[t + ti.static(row[i][2])] * x + s[t + ti.static(row[i][3])] * y
+            s[at + 9] = s[t + ti.static(row[4][2])] * x + s[t + ti.static(row[4][3])] * y
+
+    @ti.func
+    def pair(c, a, b, penalty, moduli: ti.template(), gradient_r: ti.template(), gradient_z: ti.template(),
+             value_r: ti.template()):
+        """Forces on node a, rr, zr, rz, zz, for the motion of node c, whose rates are noted."""
+        k0, k1, k2, k3 = vec(0.0), vec(0.0), vec(0.0), vec(0.0)
+        for q in range(points):
+            g = (b * points + q) * nodes + a
+            x, y, h, at = gradient_r[g], gradient_z[g], value_r[g], RATE + 10 * q
+            k0 = k0 + s[at] * x + s[at + 1] * y + s[at + 4] * h
+            k1 = k1 + s[at + 2] * x + s[at + 3] * y
+            k2 = k2 + s[at + 5] * x + s[at + 6] * y + s[at + 9] * h
+            k3 = k3 + s[at + 7] * x + s[at + 8] * y
+        for m in range(modes):
+            cr, cz = penalty * moduli[b] * s[VR + m * nodes + c], penalty * moduli[b] * s[VZ + m * nodes + c]
+            ar, az = s[VR + m * nodes + a], s[VZ + m * nodes + a]
+            k0 = k0 + cr * ar
+            k1 = k1 + cr * az
+            k2 = k2 + cz * ar
+            k3 = k3 + cz * az
+        return k0, k1, k2, k3
+
+    @ti.func
+    def stiffen(b, penalty, pending, mass, moduli: ti.template(), gradient_r: ti.template(),
+                gradient_z: ti.template(), value_r: ti.template(), dofs: ti.template(), step: ti.template(),
+                volumes: ti.template(), k_rr: ti.template(), k_zr: ti.template(), k_rz: ti.template(),
+                k_zz: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(), rows_zr: ti.template(),
+                rows_zz: ti.template(), inverse_rr: ti.template(), inverse_rz: ti.template(),
+                inverse_zz: ti.template()):
+        """Stiffness of all pairs of shared nodes, the interior node eliminated; returns 0 where that one's own block
+        is not positive definite.
+
+        Where a motion is still to come (`pending`; `step`) its forces are added.
         """
-        a, b, d = centre_stiffness[0], centre_stiffness[1], centre_stiffness[2]
-        determinant = a * d - b * b
-        centre_inverse[e, 0], centre_inverse[e, 1] = d / determinant, -b / determinant
-        centre_inverse[e, 2] = a / determinant
-        kr0, kr1, kz0, kz1 = stiffness[centre, 0], stiffness[centre, 1], stiffness[centre, 2], stiffness[centre, 3]
-        centre_rows[e, 0, 0] = centre_inverse[e, 0] * kr0 + centre_inverse[e, 1] * kz0
-        centre_rows[e, 0, 1] = centre_inverse[e, 0] * kr1 + centre_inverse[e, 1] * kz1
-        centre_rows[e, 1, 0] = centre_inverse[e, 1] * kr0 + centre_inverse[e, 2] * kz0
-        centre_rows[e, 1, 1] = centre_inverse[e, 1] * kr1 + centre_inverse[e, 2] * kz1
-        for n in range(nb):
-            x0, x1 = centre_rows[e, 0, 0][n], centre_rows[e, 1, 0][n]
-            y0, y1 = centre_rows[e, 0, 1][n], centre_rows[e, 1, 1][n]
-            stiffness[n, 0] = stiffness[n, 0] - (x0 * kr0 + x1 * kz0)
-            stiffness[n, 1] = stiffness[n, 1] - (x0 * kr1 + x1 * kz1)
-            stiffness[n, 2] = stiffness[n, 2] - (y0 * kr0 + y1 * kz0)
-            stiffness[n, 3] = stiffness[n, 3] - (y0 * kr1 + y1 * kz1)
-        good = 0
-        if a > 0.0 and determinant > 0.0:
-            good = 1
+        good = 1
+        if ti.static(has_centre):
+            rate_of(centre, b, gradient_r, gradient_z, value_r)
+            for a in range(nodes):
+                k0, k1, k2, k3 = pair(centre, a, b, penalty, moduli, gradient_r, gradient_z, value_r)
+                s[CENTRE + 4 * a], s[CENTRE + 4 * a + 1] = k0, k1
+                s[CENTRE + 4 * a + 2], s[CENTRE + 4 * a + 3] = k2, k3
+            i = b * nodes + centre
+            inertia = mass * volumes[i]
+            rr, rz = s[CENTRE + 4 * centre] + inertia, s[CENTRE + 4 * centre + 1]
+            zz = s[CENTRE + 4 * centre + 3] + inertia
+            determinant = rr * zz - rz * rz
+            if ti.min(rr, determinant).min() <= 0.0:
+                good = 0
+            irr, irz, izz = zz / determinant, -rz / determinant, rr / determinant
+            inverse_rr[b], inverse_rz[b], inverse_zz[b] = irr, irz, izz
+            for a in range(nb):
+                k0, k1 = s[CENTRE + 4 * a], s[CENTRE + 4 * a + 1]
+                k2, k3 = s[CENTRE + 4 * a + 2], s[CENTRE + 4 * a + 3]
+                at = b * nb + a
+                rows_rr[at], rows_rz[at] = irr * k0 + irz * k2, irr * k1 + irz * k3
+                rows_zr[at], rows_zz[at] = irz * k0 + izz * k2, irz * k1 + izz * k3
+        if pending == 1:
+            for a in range(nb):
+                i = b * nodes + a
+                s[SR + a] = gather(step, dofs, i)
+                s[SZ + a] = ti.Vector([step[dofs[i, l] + 1] for l in ti.static(range(LANES))])
+        for c in range(nb):
+            rate_of(c, b, gradient_r, gradient_z, value_r)
+            for a in range(c + 1):
+                k0, k1, k2, k3 = pair(c, a, b, penalty, moduli, gradient_r, gradient_z, value_r)
+                if ti.static(has_centre):
+                    at = b * nb + c
+                    x0, x1, y0, y1 = rows_rr[at], rows_zr[at], rows_rz[at], rows_zz[at]
+                    r0, r1 = s[CENTRE + 4 * a], s[CENTRE + 4 * a + 1]
+                    z0, z1 = s[CENTRE + 4 * a + 2], s[CENTRE + 4 * a + 3]
+                    k0 = k0 - (x0 * r0 + x1 * z0)
+                    k1 = k1 - (x0 * r1 + x1 * z1)
+                    k2 = k2 - (y0 * r0 + y1 * z0)
+                    k3 = k3 - (y0 * r1 + y1 * z1)
+                p = c * (c + 1) // 2 + a
+                k_rr[p], k_zr[p], k_rz[p], k_zz[p] = k0, k1, k2, k3
+                if pending == 1:
+                    s[FR + a] = s[FR + a] + k0 * s[SR + c] + k2 * s[SZ + c]
+                    s[FZ + a] = s[FZ + a] + k1 * s[SR + c] + k3 * s[SZ + c]
+                    if a < c:
+                        s[FR + c] = s[FR + c] + k0 * s[SR + a] + k1 * s[SZ + a]
+                        s[FZ + c] = s[FZ + c] + k2 * s[SR + a] + k3 * s[SZ + a]
         return good
 
     @ti.func
-    def condense_centre_force(e, force: ti.template(), centre_rows: ti.template(), centre_inverse: ti.template(),
-                              centre_force: ti.template()):
-        """Eliminate the interior node from the residual: its motion is -(centre_force + centre_rows . u_shared)."""
-        f0, f1 = force[2][0], force[2][1]
-        centre_force[e, 0] = centre_inverse[e, 0] * f0 + centre_inverse[e, 1] * f1
-        centre_force[e, 1] = centre_inverse[e, 1] * f0 + centre_inverse[e, 2] * f1
-        force[0] = force[0] - (f0 * centre_rows[e, 0, 0] + f1 * centre_rows[e, 1, 0])
-        force[1] = force[1] - (f0 * centre_rows[e, 0, 1] + f1 * centre_rows[e, 1, 1])
-
-    @ti.func
-    def add_weight(e, weight, volumes: ti.template(), centre_volumes: ti.template(), force: ti.template()):
-        """Subtract the nodal forces of self-weight, which pulls towards -z."""
-        force[1] = force[1] + weight * volumes[e]
+    def interior(b, real: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(), rows_zr: ti.template(),
+                 rows_zz: ti.template(), inverse_rr: ti.template(), inverse_rz: ti.template(),
+                 inverse_zz: ti.template(), force_r: ti.template(), force_z: ti.template()):
+        """Eliminate the interior node's forces; returns the sum of their squares."""
+        squares = 0.0
         if ti.static(has_centre):
-            force[2][1] = force[2][1] + weight * centre_volumes[e]
+            f0, f1 = s[FR + centre], s[FZ + centre]
+            squares = (real[b] * (f0 * f0 + f1 * f1)).sum()
+            force_r[b], force_z[b] = inverse_rr[b] * f0 + inverse_rz[b] * f1, inverse_rz[b] * f0 + inverse_zz[b] * f1
+            for a in range(nb):
+                at = b * nb + a
+                s[FR + a] = s[FR + a] - (f0 * rows_rr[at] + f1 * rows_zr[at])
+                s[FZ + a] = s[FZ + a] - (f0 * rows_rz[at] + f1 * rows_zz[at])
+        return squares
 
     @ti.func
-    def add_pending(e, x: ti.template(), free, connectivity: ti.template(), equation: ti.template(),
-                    target: ti.template(), force: ti.template(), stiffness: ti.template()):
-        """Residual of the motion that the tool still has to make in this step, so that the tissue follows it."""
-        for b in range(nb):
-            for k in ti.static(range(2)):
-                dof = 2 * connectivity[e, b] + k
-                if equation[dof] >= free:
-                    step = target[dof] - x[dof]
-                    force[0] = force[0] + step * stiffness[b, 2 * k]
-                    force[1] = force[1] + step * stiffness[b, 2 * k + 1]
-
-    @ti.func
-    def scatter(e, tangent, free, width, connectivity: ti.template(), equation: ti.template(), force: ti.template(),
-                stiffness: ti.template(), entries: ti.template(), residual: ti.template()):
-        """Add an element to the band matrix and to the residual."""
+    def scatter_force(b, equations_r: ti.template(), equations_z: ti.template(), residual: ti.template()):
+        """Add the forces of the shared nodes to the residual."""
         for a in range(nb):
-            for i in ti.static(range(2)):
-                ia = equation[2 * connectivity[e, a] + i]
-                residual[ia] = residual[ia] + force[i][a]
-                if tangent == 1:
-                    for b in range(nb):
-                        for k in ti.static(range(2)):
-                            ib = equation[2 * connectivity[e, b] + k]
-                            add_entry(ia, ib, stiffness[b, 2 * k + i][a], free, width, entries)
+            at = b * nb + a
+            fr, fz = s[FR + a], s[FZ + a]
+            for l in ti.static(range(LANES)):
+                residual[equations_r[at, l]] = residual[equations_r[at, l]] + fr[l]
+                residual[equations_z[at, l]] = residual[equations_z[at, l]] + fz[l]
 
-    return ElementFunctions(vec, integrate, condense_pressure, condense_centre, condense_centre_force, add_weight,
-                            add_pending, scatter)
+    @ti.func
+    def scatter_stiffness(b, places: ti.template(), stiffness: ti.template(), flat: ti.template(),
+                          starts: ti.template(), pulls: ti.template(), factors: ti.template(), pull: ti.template()):
+        """Add the stiffness of a batch to the band matrix, and to the forces of what moves with the tool."""
+        for i in range(4 * pairs * LANES):
+            at = places[b, i]
+            flat[at] = flat[at] + stiffness[i]
+        for i in range(starts[b], starts[b + 1]):
+            at = pulls[i, 0]
+            pull[at] = pull[at] + factors[i] * stiffness[pulls[i, 1]]
+
+    @ti.func
+    def update(b, kappa, x: ti.template(), pressures, step: ti.template(), elements: ti.template(),
+               dofs: ti.template(), real: ti.template(), moduli: ti.template(), volume_r: ti.template(),
+               volume_z: ti.template(), gap: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(),
+               rows_zr: ti.template(), rows_zz: ti.template(), force_r: ti.template(), force_z: ti.template()):
+        """Move what was eliminated, interior nodes and pressures, after the `step` of the shared nodes."""
+        for a in range(nb):
+            i = b * nodes + a
+            s[SR + a] = gather(step, dofs, i)
+            s[SZ + a] = ti.Vector([step[dofs[i, l] + 1] for l in ti.static(range(LANES))])
+        if ti.static(has_centre):
+            cr, cz = -force_r[b], -force_z[b]
+            for a in range(nb):
+                at = b * nb + a
+                cr = cr - (rows_rr[at] * s[SR + a] + rows_rz[at] * s[SZ + a])
+                cz = cz - (rows_zr[at] * s[SR + a] + rows_zz[at] * s[SZ + a])
+            s[SR + centre], s[SZ + centre] = cr, cz
+            i = b * nodes + centre
+            for l in ti.static(range(LANES)):
+                if real[b][l] > 0.0:
+                    x[dofs[i, l]] = x[dofs[i, l]] + cr[l]
+                    x[dofs[i, l] + 1] = x[dofs[i, l] + 1] + cz[l]
+        for m in range(modes):
+            at = b * modes + m
+            change = gap[at]
+            for a in range(nodes):
+                v = (b * modes + m) * nodes + a
+                change = change + volume_r[v] * s[SR + a] + volume_z[v] * s[SZ + a]
+            change = kappa * moduli[b] * change
+            for l in ti.static(range(LANES)):
+                if real[b][l] > 0.0:
+                    i = pressures + modes * elements[b, l] + m
+                    x[i] = x[i] + change[l]
+
+    return ElementFunctions(integrate, add_weight, add_inertia, stiffen, scatter_force, scatter_stiffness, interior,
+                            update)

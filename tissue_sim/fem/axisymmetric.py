@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import prod
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import brentq
 
 from tissue_sim.errors import InputError
 from tissue_sim.fem import band, contact_kernels, newton
 from tissue_sim.fem import contact as contacts
+from tissue_sim.fem.batches import ElementBatches
 from tissue_sim.fem.contact import HOLD, Contact, ContactPoints
 from tissue_sim.fem.launch import BoundKernel
 from tissue_sim.fem.memory import Memory
+from tissue_sim.fem.motion import Motion
 from tissue_sim.fem.newton import StepStatus
 from tissue_sim.fem.runtime import LOCK
+from tissue_sim.fem.touch import bring_down
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.material import BULK_RATIOS, Material, incompressible_ratio
 from tissue_sim.mesh import Mesh
@@ -30,7 +33,10 @@ if TYPE_CHECKING:
 FLOOR_SHARE = 0.1
 
 
-@dataclass(frozen=True)
+_STATUSES = {int(status): status for status in StepStatus}
+
+
+@dataclass(frozen=True, slots=True)
 class Step:
     """One step of the solver.
 
@@ -41,6 +47,7 @@ class Step:
         force: on the tool, N, positive when the tissue pushes back; only meaningful when converged.
         violation: the largest of a contact condition (penetration, or slip of what must not slip), m.
         slipping: how many Gauss points of the surface slip against friction.
+        stiffness: growth of the force with depth within the step, N/m, where it is asked for.
     """
 
     status: StepStatus
@@ -49,6 +56,7 @@ class Step:
     force: float
     violation: float = 0.0
     slipping: int = 0
+    stiffness: float = 0.0
 
 
 class AxisymmetricSolver:
@@ -80,7 +88,7 @@ class AxisymmetricSolver:
         self._connectivity = np.ascontiguousarray(mesh.connectivity, dtype=np.int32)
         self._number_equations(supports, tool)
         self._integrate_reference()
-        elements, nb, modes = len(mesh.connectivity), element.boundary_nodes, element.pressure_modes
+        elements, modes = len(mesh.connectivity), element.pressure_modes
         self.contact, self.surface = contact, ContactPoints(mesh, contact)
         self._band_scratch()
         self.memory = Memory(self.weights.shape)
@@ -89,6 +97,10 @@ class AxisymmetricSolver:
         self._along = np.einsum("eqai,ea->eqi", self.node_gradients[..., :2], self._direction[1::2][mesh.connectivity])
         #: Rates with the parameters of the material, where somebody asked for them.
         self.sensitivity: Sensitivity | None = None
+        #: Equilibria since points last met the tool, left it, stuck or slipped, where stiffness is asked for.
+        self.unchanged, self._touching = 0, (b"", b"")
+        #: Velocities, where somebody asked for inertia.
+        self.motion: Motion | None = None
         states = 2 * len(mesh.nodes) + modes * elements + 2 * self.surface.springs.size
         self.x = np.zeros(states)
         self._history = np.zeros((3, states))
@@ -103,23 +115,19 @@ class AxisymmetricSolver:
         self._largest_force = 0.0
         self._slots = np.array([0, 1, 2], dtype=np.int32)
         self._weights = np.array([1.0, 0.0, 0.0])
-        self._force = np.zeros((3, nb))
-        self._rates = np.zeros((10, nb))
-        self._stiffness = np.zeros((element.nodes, 4, nb))
-        self._centre_stiffness = np.zeros(3)
-        self._volume = np.zeros((elements, modes, 2, nb))
-        self._centre_volume = np.zeros((elements, modes, 2))
-        self._gap = np.zeros((elements, modes))
-        self._centre_rows = np.zeros((elements, 2, 2, nb))
-        self._centre_inverse = np.zeros((elements, 3))
-        self._centre_force = np.zeros((elements, 2))
-        self._report = np.zeros(6)
-        self._settings = np.zeros(11)
-        self._counts = np.array([1, self.free, 0, self.surface.count, 0, 0, 0, 0], dtype=np.int32)
+        self._motion, self._masses, self._rest = np.zeros(freedoms), np.zeros(freedoms), np.zeros(freedoms)
+        self._report = np.zeros(7)
+        self._settings = np.zeros(14)
+        if contact is not None:
+            self._settings[newton.CONTACT_TOLERANCE: newton.PENALTY] = (
+                contact.tolerance, contact.adhesion, contact.adhesion_length)
+        self._counts = np.array([1, self.free, 0, self.surface.count, 0, 0, 0, 0, 0], dtype=np.int32)
         self.set_material(material)
         if start is not None:
             self.memory.restore(start.memory.copy())
-        self._touch()
+        #: z of the tool's deepest point where it first touches, m.
+        self.datum = self._settings[newton.TOUCH] = 0.0 if contact is None else bring_down(
+            mesh, contact, self.surface, self.start.reshape(-1, 2))
 
     def _number_equations(self, supports: dict[str, str], tool: dict[str, str]) -> None:
         """Free freedoms first, then the prescribed ones."""
@@ -144,51 +152,6 @@ class AxisymmetricSolver:
         self._equation, self.half_band = min(numberings, key=lambda numbering: numbering[1])
         self._equation, self._direction = self._equation.ravel(), self._direction.ravel()
 
-    def _touch(self) -> None:
-        """Bring the tool down on the surface as it stands, and bind what meets a body with friction or without slip."""
-        self._datum = 0.0
-        if self.contact is None:
-            return
-        surface = self.surface
-        displacement = self.start.reshape(-1, 2)
-        place = surface.positions(displacement)
-        if surface.moves.any():
-            self._datum = self._touching_height(displacement, place[surface.moves])
-        place[surface.moves, :, 1] -= self._datum
-        if self.contact.level:
-            self._level(displacement, place)
-        tied = surface.tied[:, None]
-        touches = (surface.springs > 0) & (surface.gaps(place) <= 1e-9 * np.ptp(self.mesh.nodes[:, 1]))
-        untouched = touches & (surface.anchors[..., 0] == contact_kernels.FREE)
-        surface.anchors[untouched, 0] = np.where(tied, contact_kernels.HELD, contact_kernels.TOUCHED).repeat(
-            touches.shape[1], axis=1)[untouched]
-        surface.anchors[untouched, 1:] = (place - surface.places)[untouched]
-
-    def _level(self, displacement: np.ndarray, place: np.ndarray) -> None:
-        """Let a plate meet a top that has settled unevenly all at once, as if the top had been cut level as it stands.
-
-        Without it a plate would touch the highest ring first.
-        """
-        surface, top = self.surface, self.mesh.sets["top"]
-        beside = self.mesh.nodes[top, 0]
-        height = (self.mesh.nodes + displacement)[top, 1] - self._datum
-        lift = np.interp(surface.places[..., 0], beside, height)
-        lift[~surface.moves] = 0.0
-        surface.places[..., 1] -= lift
-        place[..., 1] -= lift
-
-    def _touching_height(self, displacement: np.ndarray, points: np.ndarray) -> float:
-        """z of the tool's deepest point where it first touches the nodes of the top or these Gauss points (m, q, 2)."""
-        profiles = [pair.profile for pair in self.contact.pairs if pair.moves]
-        place = np.concatenate([(self.mesh.nodes + displacement)[self.mesh.sets["top"]], points.reshape(-1, 2)])
-
-        def clearance(datum):
-            return min(profile.gap(place - [0.0, datum]).min() for profile in profiles)
-
-        high = place[:, 1].max()
-        low = place[:, 1].min() - np.ptp(self.mesh.nodes[:, 0])
-        return high if clearance(high) <= 0.0 else brentq(clearance, low, high, xtol=1e-15)
-
     def _equations(self, order: np.ndarray, free: np.ndarray, held: np.ndarray) -> tuple[np.ndarray, int]:
         """Equation of every freedom when nodes are taken in this order, and the half band that follows.
 
@@ -207,12 +170,16 @@ class AxisymmetricSolver:
 
     def _band_scratch(self) -> None:
         rows, width = band.block_shape(self.free, self.half_band)
-        self._entries = np.zeros((rows, width, band.BLOCK, band.BLOCK))
+        self.batches.number(self.mesh, self._equation, self.free, self._direction, (rows, width))
+        # What is scattered to nobody goes to the end.
+        self._scattered = np.zeros(rows * width * band.BLOCK**2 + 1)
+        self._entries = self._scattered[:-1].reshape(rows, width, band.BLOCK, band.BLOCK)
         # The upper half, of a tangent of slipping contact.
         self._upper = np.zeros_like(self._entries if self.surface.slips else self._entries[:1])
         self._inverse = np.zeros(rows * band.BLOCK)
         self._right = np.zeros((rows, band.BLOCK))
-        self._residual = np.zeros(max(rows * band.BLOCK, int(self._equation.max()) + 1))
+        self._residual = np.zeros(max(rows * band.BLOCK, int(self._equation.max()) + 1) + 1)
+        self._pull, self._lean = np.zeros(self.free + 1), np.zeros(self.free + 1)
 
     def _integrate_reference(self) -> None:
         """Shape gradients, weights and orthonormal pressure modes at the quadrature points."""
@@ -229,8 +196,6 @@ class AxisymmetricSolver:
             raise InputError("the mesh has an element of no or negative area", field="mesh")
         self.node_gradients = np.ascontiguousarray(
             np.concatenate([gradient, (N / place[..., :1])[..., None]], axis=-1))  # (elements, q, nodes, 3)
-        self._gradients = np.ascontiguousarray(
-            self.node_gradients[:, :, : element.boundary_nodes].transpose(0, 1, 3, 2))
         modes = np.ones((*self.weights.shape, element.pressure_modes))
         if element.pressure_modes == 3:
             modes[..., 1:] = (place - place.mean(axis=1, keepdims=True)) / np.ptp(X, axis=1)[:, None]
@@ -243,9 +208,8 @@ class AxisymmetricSolver:
         # what is seen 13-fold, evenly over gradings from 0.27 mm down to 0.15 um):
         divergence = gradient.copy()
         divergence[..., 0] += N / place[..., :1]
-        volumes = np.einsum("eq,qa->ea", self.weights, N)
-        self._node_volumes = np.ascontiguousarray(volumes[:, : element.boundary_nodes])
-        self._centre_volumes = np.ascontiguousarray(volumes[:, -1])
+        self._volumes = np.einsum("eq,qa->ea", self.weights, N)
+        self.batches = ElementBatches(mesh, self.node_gradients, self.weights, self.pressure_modes, self._volumes)
         constraint = np.einsum("eq,eqm,eqai->emai", self.weights, self.pressure_modes, divergence)
         spacing = np.ptp(X, axis=1).min(axis=1) / element.order
         per_element = np.einsum("emai,emai->e", constraint, constraint) * self.weights.sum(axis=1) / spacing**2
@@ -259,6 +223,7 @@ class AxisymmetricSolver:
         """
         energy: KernelEnergy = material.energy_law.kernel_energy
         coefficients, self.bulk_modulus, factor, self.moduli[:] = self.inputs(material)
+        self.batches.set_moduli(self.moduli)
         ratio = self.bulk_modulus / material.mu0
         low, high = BULK_RATIOS
         if not low <= ratio <= high:
@@ -271,18 +236,28 @@ class AxisymmetricSolver:
         self._counts[newton.REMEMBERS] = memory.works
         with LOCK:
             kernel = newton.step_kernel(self.mesh.element.name, energy, surface.slips)
+        batches, whole = self.batches, self.batches.stiffness
+        quarters = tuple(whole[i * batches.pairs: (i + 1) * batches.pairs] for i in range(4))
         self._kernel = BoundKernel(kernel, (
-            self._counts, self._settings, self._connectivity, self._equation, self._direction, self.start,
-            self._target, self._gradients, self.node_gradients, self._quadrature, self._node_volumes,
-            self._centre_volumes, surface.edges, surface.spans, surface.shapes, surface.places, surface.areas,
-            surface.vertices, surface.rounding, surface.friction, surface.springs, surface.held, surface.ways,
-            surface.met, surface.forces, surface.rates, self._coefficients, self.moduli, memory.past,
-            memory.inherited, memory.largest, memory.stresses, memory.energies, self.x, self._history, self._slots,
-            self._weights, self._entries, self._entries, self._upper, self._upper, self._inverse, self._right,
-            self._residual, self._force, self._rates, self._stiffness, self._centre_stiffness, self._volume,
-            self._centre_volume, self._gap, self._centre_rows, self._centre_inverse, self._centre_force,
-            self._report))
+            self._counts, self._settings, self._equation, self._direction, self.start, self._target, batches.elements,
+            batches.dofs, batches.real, *batches.gradients, batches.weights, batches.modes, batches.volumes,
+            batches.moduli, *batches.equations, batches.places, batches.pull_starts, batches.pulls,
+            batches.pull_factors, *quarters, whole.reshape(-1), *batches.volume, batches.gap, *batches.centre_rows,
+            *batches.centre_inverse, *batches.centre_force, surface.edges, surface.spans, surface.shapes,
+            surface.places, surface.areas, surface.vertices, surface.rounding, surface.friction, surface.springs,
+            surface.held, surface.ways, surface.met, surface.forces, surface.rates, self._coefficients, memory.past,
+            memory.inherited, memory.largest, memory.stresses, memory.energies, self._masses, self._rest, self.x,
+            self._motion, self._history, self._slots, self._weights, self._entries, self._entries,
+            self._scattered[:-1].reshape(-1, band.BLOCK), self._scattered, self._upper, self._upper, self._inverse,
+            self._right, self._residual, self._pull, self._lean, self._report))
+        self._settings[newton.PENALTY] = self.bulk_modulus
         self.surface.set_stiffness(contacts.STIFFNESS * material.mu0)
+        # Displacements are rounded, and so are the forces of what is stiff: per m of depth, and of the places.
+        height = np.ptp(self.mesh.nodes[:, 1])
+        stiff = self.bulk_modulus * float(np.linalg.norm(self._rounding * self.moduli))
+        self._rounding_rate = stiff + self.surface.rounding_rate * HOLD
+        self._rounding_of_places = self.surface.rounding_rate * height
+        self._sag = self.specific_weight * height**2 / (6.0 * material.mu0)
         top = self.mesh.nodes[self.mesh.sets["top"], 0].max()
         # Below this force, N, nothing is loaded: the residual is measured against it instead of the reactions.
         self._floor = 1e-6 * material.mu0 * np.pi * top**2
@@ -305,37 +280,51 @@ class AxisymmetricSolver:
         return material.relaxation(self._contact_radius)
 
     def step(self, depth: float, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
-             predictor_order: int = 2) -> Step:
+             predictor_order: int = 2, inertial: bool = False) -> Step:
         """Move the tool to `depth` and find equilibrium; commits the state only when it converges.
 
         Args:
             depth: tool displacement, m.
-            dt: time since the step before, s; it matters where the material relaxes.
+            dt: time since the step before, s; it matters where the material relaxes, and with inertia.
             tolerance: unbalanced over balanced nodal forces.
             max_iterations: linear solves before giving up.
             predictor_order: highest order of extrapolation in depth from earlier steps (0: none).
+            inertial: whether the mass of the tissue counts; `motion` must have been set, and dt be positive.
         """
         self._predict(depth, predictor_order)
         self.memory.prepare(dt)
+        if self.motion is not None:
+            self._settings[newton.INERTIA] = self.motion.prepare(self._history[self._slots[0]], dt) if inertial else 0.0
         result = self._solve(depth, tolerance, max_iterations)
         if result.status is StepStatus.CONVERGED:
             self._largest_force = max(self._largest_force, abs(result.force))
             if self.sensitivity is not None:
                 self.sensitivity.advance()
+            if self.motion is not None:
+                self.motion.commit(self._history[self._slots[0]], self.x, dt, inertial)
             self._commit(depth)
         return result
 
+    def follow_motion(self, density: float) -> None:
+        """Let the tissue have a mass (kg/m3) from now on, for steps that are inertial."""
+        self.motion = Motion(self._masses, self._rest, density * self._node_masses())
+        self._settings[newton.DENSITY] = density
+
+    def ask_for_stiffness(self) -> None:
+        """Let every step answer how the force grows with depth."""
+        self._counts[newton.LEANS] = 1
+
+    def _node_masses(self) -> np.ndarray:
+        """Volume that each freedom of a shared node stands for, m3, shape (freedoms,)."""
+        shared, volumes = self.mesh.element.boundary_nodes, np.zeros(len(self.mesh.nodes))
+        np.add.at(volumes, self.mesh.connectivity[:, :shared], self._volumes[:, :shared])
+        return np.repeat(volumes, 2)
+
     def _solve(self, depth: float, tolerance: float, max_iterations: int) -> Step:
-        height = np.ptp(self.mesh.nodes[:, 1])
-        reach = abs(depth) + self.specific_weight * height**2 / (6.0 * self.material.mu0)
-        stiff = self.bulk_modulus * float(np.linalg.norm(self._rounding * self.moduli))
-        rounding = (stiff + self.surface.rounding_rate * HOLD) * reach
-        rounding += self.surface.rounding_rate * height
-        self._launch(depth, tolerance, rounding, max_iterations)
-        report = self._report
-        return Step(StepStatus(int(report[newton.STATUS])), int(report[newton.ITERATIONS]),
-                    float(report[newton.RESIDUAL]), float(report[newton.FORCE]), float(report[newton.VIOLATION]),
-                    int(report[newton.SLIPPING]))
+        self._launch(depth, tolerance, self._rounding_rate * (abs(depth) + self._sag) + self._rounding_of_places,
+                     max_iterations)
+        status, iterations, residual, force, violation, slipping, stiffness = self._report.tolist()
+        return Step(_STATUSES[int(status)], int(iterations), residual, force, violation, int(slipping), stiffness)
 
     def _predict(self, depth: float, order: int) -> None:
         """Weights of Lagrange's extrapolation from the latest state through earlier ones.
@@ -343,40 +332,43 @@ class AxisymmetricSolver:
         States that lie closer together than a tenth of the step are left out: extrapolation would magnify their
         rounding, and far away it would be a wild guess.
         """
-        known = self._depths
-        self._weights[:] = 0.0
+        known, weights = self._depths, [0.0, 0.0, 0.0]
         if depth in known:
-            self._weights[known.index(depth)] = 1.0
-            return
-        chosen = [0]
-        for i in range(1, len(known)):
-            apart = min(abs(known[i] - known[j]) for j in chosen)
-            if len(chosen) <= order and apart >= 0.1 * abs(depth - known[0]):
-                chosen.append(i)
-        for i in chosen[: order + 1]:
-            self._weights[i] = np.prod([(depth - known[j]) / (known[i] - known[j]) for j in chosen if j != i])
+            weights[known.index(depth)] = 1.0
+        else:
+            chosen, least = [0], 0.1 * abs(depth - known[0])
+            for i in range(1, len(known)):
+                if len(chosen) <= order and all(abs(known[i] - known[j]) >= least for j in chosen):
+                    chosen.append(i)
+            for i in chosen:
+                weights[i] = prod([(depth - known[j]) / (known[i] - known[j]) for j in chosen if j != i])
+        self._weights[:] = weights
+        self._predicted = sum(weight * place for weight, place in zip(weights, known, strict=False))
 
     def _commit(self, depth: float) -> None:
         if depth in self._depths:
             # Coming back to a known depth: newest first, without a second sample at the same place.
             place = self._depths.index(depth)
             order = [place, *(i for i in range(3) if i != place)]
-            self._slots[:] = self._slots[order]
+            slots = self._slots.tolist()
+            self._slots[:] = [slots[i] for i in order]
             self._depths = [self._depths[i] for i in order if i < len(self._depths)]
         else:
-            self._slots[:] = np.roll(self._slots, 1)
+            self._slots[1], self._slots[2], self._slots[0] = self._slots.tolist()
             self._depths = [depth, *self._depths][:3]
         self._history[self._slots[0]] = self.x
         self.memory.commit()
-        self.surface.anchors[:], self.surface.slipped[:] = self.surface.held, self.surface.ways
+        surface = self.surface
+        surface.anchors[:], surface.slipped[:] = surface.held, surface.ways
+        if self._counts[newton.LEANS]:
+            touching = surface.forces.any(axis=-1).tobytes(), surface.ways.tobytes()
+            self.unchanged = self.unchanged + 1 if touching == self._touching else 0
+            self._touching = touching
 
     def _launch(self, depth: float, tolerance: float, rounding: float, max_iterations: int) -> None:
-        predicted = float(self._weights[: len(self._depths)] @ self._depths)
-        contact = (0.0, 0.0, 1.0) if self.contact is None else (
-            self.contact.tolerance, self.contact.adhesion, self.contact.adhesion_length)
-        self._settings[:] = (depth, predicted, self.bulk_modulus, self.specific_weight, tolerance,
-                             max(self._floor, FLOOR_SHARE * self._largest_force),
-                             rounding, self._datum, *contact)
+        self._settings[: newton.TOUCH] = (
+            depth, self._predicted, self.bulk_modulus, self.specific_weight, tolerance,
+            max(self._floor, FLOOR_SHARE * self._largest_force), rounding)
         self._counts[newton.MAX_ITERATIONS] = max_iterations
         self.surface.held[:], self.surface.ways[:] = self.surface.anchors, self.surface.slipped
         with LOCK:
@@ -386,6 +378,7 @@ class AxisymmetricSolver:
         """Assemble the exact tangent at the equilibrium just found, with the contact as it was in the step, and call
         `launch` there."""
         surface, after = self.surface, self.surface.held.copy()
+        remembered = self.memory.stresses.copy(), self.memory.energies.copy()
         surface.held[:] = surface.anchors
         released = (surface.anchors[..., 0] == contact_kernels.HELD) & (after != surface.anchors).any(axis=-1)
         surface.held[released] = 0.0
@@ -397,21 +390,23 @@ class AxisymmetricSolver:
             launch()
         self._counts[newton.KEEPS] = 0
         surface.held[:] = after
+        # With the tangent they come out rounded otherwise.
+        self.memory.stresses[:], self.memory.energies[:] = remembered
 
     def response_arrays(self) -> tuple[np.ndarray, ...]:
         """The arrays of the solver that `tissue_sim.fem.sensitivity_kernel` works on, in its order."""
-        surface, memory = self.surface, self.memory
-        return (self._counts, self._settings, self._connectivity, self._equation, self._gradients,
-                self.node_gradients, self._quadrature, self._along, surface.edges, surface.spans, surface.shapes,
-                surface.springs, surface.held, surface.ways, surface.rates, self._coefficients, self.moduli,
-                memory.past, memory.inherited, memory.largest, self.x, self._entries, self._entries, self._upper,
-                self._inverse, self._right, self._residual, self._force, self._stiffness, self._centre_stiffness,
-                self._volume, self._centre_volume, self._gap, self._centre_rows, self._centre_inverse,
-                self._centre_force)
+        surface, memory, batches = self.surface, self.memory, self.batches
+        elements, element = len(self.mesh.connectivity), self.mesh.element
+        return (self._counts, self._settings, self._connectivity, self._equation, self.node_gradients,
+                self._quadrature, self._along, surface.edges, surface.spans, surface.shapes, surface.springs,
+                surface.held, surface.ways, surface.rates, self._coefficients, self.moduli, memory.past,
+                memory.inherited, memory.largest, self.x, self._entries, self._entries, self._upper, self._inverse,
+                self._right, self._residual, *batches.volume, *batches.centre_rows, *batches.centre_inverse,
+                np.zeros((elements, element.pressure_modes)), np.zeros((element.nodes, 2)), np.zeros((elements, 2)))
 
     def tangent(self) -> np.ndarray:
         """Condensed tangent at the last committed state: lower band in LAPACK's storage, (half_band + 1, free), N/m."""
-        self._weights[:] = [1.0, 0.0, 0.0]
+        self._weights[:], self._predicted = [1.0, 0.0, 0.0], self.depth
         self.memory.prepare(0.0)
         # No residual is small enough and no iteration is allowed: the matrix stays as it was assembled.
         self._launch(self.depth, -1.0, 0.0, 0)
@@ -421,7 +416,8 @@ class AxisymmetricSolver:
         """All that a committed step leaves behind, for `restore`."""
         surface = self.surface
         return (self._history.copy(), self._slots.copy(), list(self._depths), surface.anchors.copy(),
-                surface.slipped.copy(), self.memory.copy())
+                surface.slipped.copy(), self.memory.copy(), self._largest_force,
+                None if self.motion is None else self.motion.copy(), self.unchanged, self._touching)
 
     def restore(self, saved: tuple) -> None:
         """Go back to where `save` was called."""
@@ -429,6 +425,9 @@ class AxisymmetricSolver:
         self._history[:], self._slots[:], self._depths = saved[0], saved[1], list(saved[2])
         surface.anchors[:], surface.slipped[:] = saved[3], saved[4]
         self.memory.restore(saved[5])
+        self._largest_force, self.unchanged, self._touching = saved[6], saved[8], saved[9]
+        if self.motion is not None and saved[7] is not None:
+            self.motion.restore(saved[7])
 
     @property
     def depth(self) -> float:

@@ -23,7 +23,8 @@ FREE, HELD, TOUCHED = 0.0, 1.0, 2.0
 
 @cache
 def functions(slips: bool):
-    """Taichi functions ``add_contact``, ``add_rates``, ``augment`` and ``hold``; without `slips` nothing ever does."""
+    """Taichi functions ``add_contact``, ``add_rates``, ``add_tool_rates``, ``augment`` and ``hold``; without `slips`
+    nothing ever does."""
     ti = initialise()
     add_entry = add_entry_function()
     _, add_any, _, _ = band_lu.functions()
@@ -212,6 +213,35 @@ def functions(slips: bool):
                                 add_entry(iz, jz, share * kzz, free, width, entries)
 
     @ti.func
+    def add_tool_rates(count, free, edges: ti.template(), spans: ti.template(), shapes: ti.template(),
+                       rates: ti.template(), direction: ti.template(), equation: ti.template(), pull: ti.template(),
+                       lean: ti.template()):
+        """Add the rates of the contact forces with the depth of the tool, the tissue held, to `pull`, and those of the
+        force on the tool with the tissue's motion to `lean`; returns that of the force itself, N/m."""
+        n, stiff = shapes.shape[2], 0.0
+        for m in range(count):
+            for q in range(rates.shape[1]):
+                krz, kzr, kzz = rates[m, q, 1], rates[m, q, 2], rates[m, q, 3]
+                # How the point moves in the frame of its body when only the tool and what follows it does.
+                apart = float(spans[m, MOVES])
+                for a in range(n):
+                    dof = 2 * edges[m, a] + 1
+                    if equation[dof] >= free:
+                        apart += shapes[m, q, a] * direction[dof]
+                if apart != 0.0 and (rates[m, q, 0] != 0.0 or kzz != 0.0):
+                    stiff += apart * apart * kzz
+                    for a in range(n):
+                        ir, iz = equation[2 * edges[m, a]], equation[2 * edges[m, a] + 1]
+                        share = shapes[m, q, a] * apart
+                        if ir < free:
+                            pull[ir] = pull[ir] + share * krz
+                            lean[ir] = lean[ir] + share * kzr
+                        if iz < free:
+                            pull[iz] = pull[iz] + share * kzz
+                            lean[iz] = lean[iz] + share * kzz
+        return stiff
+
+    @ti.func
     def augment(count, multipliers, adhesion, places: ti.template(), areas: ti.template(), spans: ti.template(),
                 vertices: ti.template(), rounding: ti.template(), held: ti.template(), forces: ti.template(),
                 x: ti.template()):
@@ -247,4 +277,4 @@ def functions(slips: bool):
                     for i in ti.static(range(3)):
                         held[m, q, i] = met[m, q, i]
 
-    return add_contact, add_rates, augment, hold
+    return add_contact, add_rates, add_tool_rates, augment, hold

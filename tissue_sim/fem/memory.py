@@ -27,14 +27,14 @@ class Memory:
         self.past = np.zeros(5)
         self.inherited, self.stresses = np.zeros((*points, 4)), np.zeros((*points, 4))
         self.largest, self.energies = np.zeros(points), np.zeros(points)
-        self.before = np.zeros_like(self.stresses)
+        self.before, self._scratch = np.zeros_like(self.stresses), np.zeros_like(self.stresses)
         self.internal = np.zeros((0, *self.stresses.shape))
         self.step = (np.zeros(0), np.zeros(0))
         self.set_material(None, None, 1.0)
 
     def set_material(self, relaxation: Prony | None, softening: Softening | None, factor: float) -> None:
         """Take over what relaxes and softens; `factor` is the instantaneous stress over that of the law."""
-        self._prony = relaxation
+        self._prony, self._known = relaxation, None
         terms = 0 if relaxation is None else len(relaxation.terms)
         if len(self.internal) != terms:
             self.internal = np.zeros((terms, *self.stresses.shape))
@@ -50,10 +50,14 @@ class Memory:
         if self._prony is None:
             self.past[INSTANT] = 1.0
             return
-        self.past[INSTANT], decay, gain = self._prony.increment(dt)
+        if dt != self._known:
+            self._increment, self._known = self._prony.increment(dt), dt
+        self.past[INSTANT], decay, gain = self._increment
         self.step = decay, gain
-        np.einsum("t,teqi->eqi", decay, self.internal, out=self.inherited)
-        self.inherited -= gain.sum() * self.before
+        np.multiply(self.before, -gain.sum(), out=self.inherited)
+        for term, left in zip(self.internal, decay, strict=True):
+            np.multiply(term, left, out=self._scratch)
+            self.inherited += self._scratch
 
     def commit(self) -> None:
         """After a step that converged."""
@@ -61,8 +65,11 @@ class Memory:
             return
         if self._prony is not None:
             decay, gain = self.step
-            self.internal *= decay[:, None, None, None]
-            self.internal += gain[:, None, None, None] * (self.stresses - self.before)
+            np.subtract(self.stresses, self.before, out=self.before)
+            for term, left, more in zip(self.internal, decay, gain, strict=True):
+                term *= left
+                np.multiply(self.before, more, out=self._scratch)
+                term += self._scratch
             self.before[:] = self.stresses
         np.maximum(self.largest, self.energies, out=self.largest)
 

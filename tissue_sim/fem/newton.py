@@ -6,7 +6,7 @@ from functools import cache
 from tissue_sim.fem import band as band_matrix
 from tissue_sim.fem import band_lu, contact_kernels
 from tissue_sim.fem.assembly import element_functions
-from tissue_sim.fem.elements import ELEMENTS
+from tissue_sim.fem.batches import LANES
 from tissue_sim.fem.runtime import initialise
 from tissue_sim.laws import KernelEnergy
 
@@ -33,16 +33,17 @@ class StepStatus(IntEnum):
 
 #: Friction of a point that is no friction, as a share of the least load that residuals are measured against.
 FRICTION_FLOOR = 1e-9
-#: A factor serves again as long as each solve with it takes the residual down to this share.
+#: A factor serves again where each solve with it takes the residual down to this share, or where two more solves that
+#: gain as much as the last one will do.
 REUSE = 1e-3
 #: All points of the surface may change between sticking and slipping at once, until so many iterations did not settle
 #: it: then one point at a time (Murty's least-index rule).
 ALL, CIRCLING = 1_000_000, 8
 #: Places in the kernel's counts, settings and report.
-PASSES, FREE, MAX_ITERATIONS, CONTACTS, REMEMBERS, UNSYMMETRIC, CHANGEABLE, KEEPS = range(8)
+PASSES, FREE, MAX_ITERATIONS, CONTACTS, REMEMBERS, UNSYMMETRIC, CHANGEABLE, KEEPS, LEANS = range(9)
 (DEPTH, PREDICTED, KAPPA, WEIGHT, TOLERANCE, FLOOR, ROUNDING, TOUCH, CONTACT_TOLERANCE, ADHESION,
- ADHESION_LENGTH) = range(11)
-STATUS, ITERATIONS, RESIDUAL, FORCE, VIOLATION, SLIPPING = range(6)
+ ADHESION_LENGTH, PENALTY, INERTIA, DENSITY) = range(14)
+STATUS, ITERATIONS, RESIDUAL, FORCE, VIOLATION, SLIPPING, STIFFNESS = range(7)
 
 
 @cache
@@ -52,21 +53,18 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
     Only where something `slips` against friction it contains the solution of unsymmetric equations.
     """
     ti = initialise()
-    element = ELEMENTS[element_name]
-    modes, has_centre = element.pressure_modes, element.nodes > element.boundary_nodes
     work = element_functions(element_name, energy)
-    vec = work.vec
+    vec = ti.types.vector(LANES, ti.f64)
     block = ti.types.vector(band_matrix.BLOCK, ti.f64)
     B = band_matrix.BLOCK
     real1, real2, real3, real4 = (ti.types.ndarray(dtype=ti.f64, ndim=n) for n in range(1, 5))
     int1, int2 = (ti.types.ndarray(dtype=ti.i32, ndim=n) for n in (1, 2))
-    vector1, vector2, vector3 = (ti.types.ndarray(dtype=vec, ndim=n) for n in (1, 2, 3))
+    vector1 = ti.types.ndarray(dtype=vec, ndim=1)
     block1, block3 = (ti.types.ndarray(dtype=block, ndim=n) for n in (1, 3))
     factorise, solve = band_matrix.functions()
-    add_contact, add_rates, augment, hold = contact_kernels.functions(slips)
+    add_contact, add_rates, add_tool_rates, augment, hold = contact_kernels.functions(slips)
     mirror, _, factorise_lu, solve_lu = band_lu.functions()
     converged, inverted, indefinite, slow, diverged = (float(status) for status in StepStatus)
-    nb, centre = element.boundary_nodes, element.nodes - 1
 
     # Throughout, `a = a + b` on arrays: `a += b` is an atomic operation in Taichi, four times slower here.
 
@@ -78,64 +76,54 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
                     + weights[2] * history[slots[2], i])
 
     @ti.func
-    def update(x: ti.template(), pressures, free, kappa, connectivity: ti.template(), equation: ti.template(),
-               target: ti.template(), right: ti.template(), moduli: ti.template(), volume: ti.template(),
-               centre_volume: ti.template(), gap: ti.template(), centre_rows: ti.template(),
-               centre_force: ti.template()):
-        """Move the state by the solution of the linear equations, eliminated unknowns included."""
-        for e in range(connectivity.shape[0]):
-            dr, dz = vec(0.0), vec(0.0)
-            for a in ti.static(range(nb)):
-                dof = 2 * connectivity[e, a]
-                ir, iz = equation[dof], equation[dof + 1]
-                if ir < free:
-                    dr[a] = -right[ir // B][ir % B]
-                else:
-                    dr[a] = target[dof] - x[dof]
-                if iz < free:
-                    dz[a] = -right[iz // B][iz % B]
-                else:
-                    dz[a] = target[dof + 1] - x[dof + 1]
-            cr, cz = 0.0, 0.0
-            if ti.static(has_centre):
-                cr = -(centre_force[e, 0] + centre_rows[e, 0, 0].dot(dr) + centre_rows[e, 0, 1].dot(dz))
-                cz = -(centre_force[e, 1] + centre_rows[e, 1, 0].dot(dr) + centre_rows[e, 1, 1].dot(dz))
-                x[2 * connectivity[e, centre]] = x[2 * connectivity[e, centre]] + cr
-                x[2 * connectivity[e, centre] + 1] = x[2 * connectivity[e, centre] + 1] + cz
-            for m in range(modes):
-                change = volume[e, m, 0].dot(dr) + volume[e, m, 1].dot(dz)
-                if ti.static(has_centre):
-                    change += centre_volume[e, m, 0] * cr + centre_volume[e, m, 1] * cz
-                at = pressures + modes * e + m
-                x[at] = x[at] + kappa * moduli[e] * (gap[e, m] + change)
-        for dof in range(pressures):
-            i = equation[dof]
-            if i >= free:
-                x[dof] = target[dof]
-            elif i >= 0:
-                x[dof] = x[dof] - right[i // B][i % B]
+    def solve_any(unsymmetric, rows, width, blocks: ti.template(), upper_blocks: ti.template(),
+                  inverse: ti.template(), right: ti.template()):
+        if ti.static(slips):
+            if unsymmetric == 1:
+                solve_lu(blocks, upper_blocks, inverse, right, rows, width)
+        if unsymmetric == 0:
+            solve(blocks, inverse, right, rows, width)
+
+    @ti.func
+    def factorise_any(unsymmetric, free, rows, width, entries: ti.template(), blocks: ti.template(),
+                      upper_blocks: ti.template(), inverse: ti.template()):
+        for i in range(free, rows * B):
+            entries[i // B, width - 1, i % B, i % B] = 1.0
+        definite = 1
+        if ti.static(slips):
+            if unsymmetric == 1:
+                definite = factorise_lu(blocks, upper_blocks, inverse, rows, width)
+        if unsymmetric == 0:
+            definite = factorise(blocks, inverse, rows, width)
+        return definite
 
     @ti.kernel
-    def step(counts: int1, settings: real1, connectivity: int2, equation: int1, direction: real1, start: real1,
-             target: real1, gradients: vector3, node_gradients: real4, quadrature: real3, node_volumes: vector1,
-             centre_volumes: real1, edges: int2, spans: int2, edge_shapes: real3, edge_places: real3, areas: real2,
-             vertices: real2, edge_rounding: real1, friction: real2, springs: real2, held: real3, ways: real2,
-             met: real3, forces: real3, contact_rates: real3, coefficients: real1, moduli: real1, past: real1,
-             inherited: real3, largest: real2, stresses: real3, energies: real2, x: real1, history: real2, slots: int1,
-             weights: real1, entries: real4, blocks: block3, upper: real4, upper_blocks: block3, inverse: real1,
-             right: block1, residual: real1, force: vector1, rates: vector1, stiffness: vector2,
-             centre_stiffness: real1, volume: vector3, centre_volume: real3, gap: real2, centre_rows: vector3,
-             centre_inverse: real2, centre_force: real2, report: real1):
+    def step(counts: int1, settings: real1, equation: int1, direction: real1, start: real1, target: real1,
+             elements: int2, dofs: int2, real: vector1, gradient_r: vector1, gradient_z: vector1, value_r: vector1,
+             point_weights: vector1, mode_values: vector1, volumes: vector1, moduli: vector1, equations_r: int2,
+             equations_z: int2, places: int2, pull_starts: int1, pulls: int2, pull_factors: real1, k_rr: vector1,
+             k_zr: vector1, k_rz: vector1, k_zz: vector1, element_stiffness: real1, volume_r: vector1,
+             volume_z: vector1, gap: vector1, rows_rr: vector1, rows_rz: vector1, rows_zr: vector1, rows_zz: vector1,
+             inverse_rr: vector1, inverse_rz: vector1, inverse_zz: vector1, force_r: vector1, force_z: vector1,
+             edges: int2, spans: int2, edge_shapes: real3, edge_places: real3, areas: real2, vertices: real2,
+             edge_rounding: real1, friction: real2, springs: real2, held: real3, ways: real2, met: real3,
+             forces: real3, contact_rates: real3, coefficients: real1, past: real1, inherited: real3, largest: real2,
+             stresses: real3, energies: real2, masses: real1, rest: real1, x: real1, motion: real1, history: real2,
+             slots: int1, weights: real1, entries: real4, blocks: block3, flat: block1, scattered: real1,
+             upper: real4, upper_blocks: block3, inverse: real1, right: block1, residual: real1, pull: real1,
+             lean: real1, report: real1):
         # One pass of one serial task, started without waking a thread pool; the count is an argument so that the loop
         # is not unrolled into many tasks.
         ti.loop_config(serialize=True)
         for _ in range(counts[PASSES]):
             free, max_iterations = counts[FREE], counts[MAX_ITERATIONS]
             depth, kappa, tolerance = settings[DEPTH], settings[KAPPA], settings[TOLERANCE]
+            penalty, inertia = settings[PENALTY], settings[INERTIA]
             floor, rounding, weight = settings[FLOOR], settings[ROUNDING], settings[WEIGHT]
-            elements, width, rows = connectivity.shape[0], entries.shape[1], entries.shape[0]
+            width, rows = entries.shape[1], entries.shape[0]
+            batches, equations = real.shape[0], residual.shape[0] - 1
             pressures = equation.shape[0]
-            multipliers = pressures + modes * elements
+            multipliers = x.shape[0] - 2 * springs.shape[0] * springs.shape[1]
             if counts[KEEPS] == 0:
                 predict(x, history, slots, weights)
                 counts[CHANGEABLE] = ALL
@@ -145,13 +133,15 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
                 pending = 1
             for dof in range(pressures):
                 target[dof] = start[dof] + depth * direction[dof]
+                motion[dof] = 0.0
                 if equation[dof] >= free:
                     if ti.abs(x[dof] - target[dof]) > 1e-10 * ti.abs(depth):
                         pending = 1
+                        motion[dof] = target[dof] - x[dof]
                     else:
                         x[dof] = target[dof]  # the rounding of the extrapolation
-            report[STATUS] = 0.0
-            iterations, tangent = 0, 1
+            report[STATUS], report[STIFFNESS] = 0.0, 0.0
+            iterations, tangent, factorised = 0, 1, 0
             # Far from equilibrium the surface's curvature would make the tangent indefinite.
             bending = 1.0 if max_iterations == 0 else 0.0
             first_ratio, last_ratio, axial = 0.0, 0.0, 0.0
@@ -163,32 +153,39 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
                 for i in range(residual.shape[0]):
                     residual[i] = 0.0
                 if tangent == 1:
-                    for I in range(rows):
-                        for w in range(width):
-                            for c in range(B):
-                                for r in ti.static(range(B)):
-                                    entries[I, w, c, r] = 0.0
+                    for i in range(flat.shape[0]):
+                        flat[i] = block(0.0)
+                    for i in range(pull.shape[0]):
+                        pull[i] = 0.0
                 interior, smallest, definite = 0.0, 1e30, 1
-                for e in range(elements):
-                    bulk = kappa * moduli[e]
-                    J = work.integrate(e, tangent, bulk, moduli[e], counts[REMEMBERS], x, pressures, connectivity,
-                                       gradients, node_gradients, quadrature, coefficients, past, inherited, largest,
-                                       stresses, energies, force, rates, stiffness, centre_stiffness, volume,
-                                       centre_volume, gap)
+                for b in range(batches):
+                    J = work.integrate(b, tangent, kappa, penalty, counts[REMEMBERS], x, pressures, elements, dofs,
+                                       gradient_r, gradient_z, value_r, point_weights, mode_values, moduli,
+                                       coefficients, past, inherited, largest, stresses, energies, volume_r, volume_z,
+                                       gap)
                     smallest = ti.min(smallest, J)
-                    work.condense_pressure(e, tangent, bulk, force, stiffness, centre_stiffness, volume,
-                                           centre_volume, gap)
                     if weight != 0.0:
-                        work.add_weight(e, weight, node_volumes, centre_volumes, force)
-                    if ti.static(has_centre):
-                        interior += force[2][0] * force[2][0] + force[2][1] * force[2][1]
-                        if tangent == 1:
-                            definite = ti.min(definite, work.condense_centre(e, stiffness, centre_stiffness,
-                                                                             centre_rows, centre_inverse))
-                        work.condense_centre_force(e, force, centre_rows, centre_inverse, centre_force)
-                    if pending == 1:
-                        work.add_pending(e, x, free, connectivity, equation, target, force, stiffness)
-                    work.scatter(e, tangent, free, width, connectivity, equation, force, stiffness, entries, residual)
+                        work.add_weight(b, weight, volumes)
+                    if inertia != 0.0:
+                        work.add_inertia(b, inertia, settings[DENSITY], volumes, dofs, rest)
+                    if tangent == 1:
+                        definite = ti.min(definite, work.stiffen(
+                            b, penalty, pending, inertia * settings[DENSITY], moduli, gradient_r, gradient_z, value_r,
+                            dofs, motion, volumes, k_rr, k_zr, k_rz, k_zz, rows_rr, rows_rz, rows_zr, rows_zz,
+                            inverse_rr, inverse_rz, inverse_zz))
+                        work.scatter_stiffness(b, places, element_stiffness, scattered, pull_starts, pulls,
+                                               pull_factors, pull)
+                    interior += work.interior(b, real, rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr, inverse_rz,
+                                              inverse_zz, force_r, force_z)
+                    work.scatter_force(b, equations_r, equations_z, residual)
+                if inertia != 0.0:
+                    for dof in range(pressures):
+                        i = equation[dof]
+                        if i >= 0:
+                            residual[i] = residual[i] + inertia * masses[dof] * (x[dof] - rest[dof])
+                            if tangent == 1 and i < free:
+                                at = entries[i // B, width - 1, i % B, i % B]
+                                entries[i // B, width - 1, i % B, i % B] = at + inertia * masses[dof]
                 tool = settings[PREDICTED] if pending == 1 else depth
                 # At first what just touches counts as pressed: the tool is about to move, or adhesion pulls.
                 slack = 1e-9 if pending == 1 or (adhesion > 0.0 and iterations == 0) else 0.0
@@ -207,10 +204,11 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
                             mirror(blocks, upper_blocks, rows, width)
                     add_rates(counts[CONTACTS], slipping, free, width, edges, edge_shapes, contact_rates, equation,
                               entries, upper)
+                    factorised = 0
                 unbalanced = interior
                 for i in range(free):
                     unbalanced += residual[i] * residual[i]
-                for i in range(free, residual.shape[0]):
+                for i in range(free, equations):
                     balanced += residual[i] * residual[i]
                 scale = ti.max(ti.sqrt(balanced), floor)
                 ratio = ti.sqrt(unbalanced) / scale
@@ -235,18 +233,14 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
                     report[STATUS] = slow
                 elif iterations > 3 and ratio > 1e3 * first_ratio:
                     report[STATUS] = diverged
-                elif tangent == 0 and ratio > REUSE * last_ratio:
+                elif tangent == 0 and ratio > REUSE * last_ratio and (
+                        ratio * ratio * ratio > goal * last_ratio * last_ratio):
                     tangent = 1
                 else:
-                    if tangent == 1:
-                        for i in range(free, rows * B):
-                            entries[i // B, width - 1, i % B, i % B] = 1.0
-                        if definite == 1:
-                            if ti.static(slips):
-                                if slipping > 0:
-                                    definite = factorise_lu(blocks, upper_blocks, inverse, rows, width)
-                            if slipping == 0:
-                                definite = factorise(blocks, inverse, rows, width)
+                    if tangent == 1 and definite == 1:
+                        definite = factorise_any(counts[UNSYMMETRIC], free, rows, width, entries, blocks,
+                                                 upper_blocks, inverse)
+                        factorised = definite
                     for I in range(rows):
                         for k in ti.static(range(B)):
                             right[I][k] = residual[I * B + k] if I * B + k < free else 0.0
@@ -255,13 +249,18 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
                     elif definite == 0:
                         report[STATUS] = indefinite
                     else:
-                        if ti.static(slips):
-                            if counts[UNSYMMETRIC] == 1:
-                                solve_lu(blocks, upper_blocks, inverse, right, rows, width)
-                        if counts[UNSYMMETRIC] == 0:
-                            solve(blocks, inverse, right, rows, width)
-                        update(x, pressures, free, kappa, connectivity, equation, target, right, moduli, volume,
-                               centre_volume, gap, centre_rows, centre_force)
+                        solve_any(counts[UNSYMMETRIC], rows, width, blocks, upper_blocks, inverse, right)
+                        for dof in range(pressures):
+                            i = equation[dof]
+                            if i >= free:
+                                motion[dof] = target[dof] - x[dof]
+                                x[dof] = target[dof]
+                            elif i >= 0:
+                                motion[dof] = -right[i // B][i % B]
+                                x[dof] = x[dof] + motion[dof]
+                        for b in range(batches):
+                            work.update(b, penalty, x, pressures, motion, elements, dofs, real, moduli, volume_r,
+                                        volume_z, gap, rows_rr, rows_rz, rows_zr, rows_zz, force_r, force_z)
                         # Where the old factor is likely to serve again, only the residual is computed first.
                         tangent = 1 if pending == 1 or ratio > 10.0 else 0
                         last_ratio = ratio
@@ -278,5 +277,26 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
                     total += direction[dof] * residual[i]
             report[FORCE] = total
             report[ITERATIONS] = iterations
+            if counts[LEANS] == 1 and report[STATUS] == converged:
+                good = factorised
+                if good == 0:
+                    good = factorise_any(counts[UNSYMMETRIC], free, rows, width, entries, blocks, upper_blocks,
+                                         inverse)
+                # How the forces, and the force on the tool, change when the tool moves and the tissue does not yet.
+                for i in range(free):
+                    residual[i], lean[i] = pull[i], pull[i]
+                stiff = pull[free] + add_tool_rates(counts[CONTACTS], free, edges, spans, edge_shapes, contact_rates,
+                                                    direction, equation, residual, lean)
+                if inertia != 0.0:
+                    for dof in range(pressures):
+                        if equation[dof] >= free:
+                            stiff += inertia * masses[dof] * direction[dof] * direction[dof]
+                for I in range(rows):
+                    for k in ti.static(range(B)):
+                        right[I][k] = residual[I * B + k] if I * B + k < free else 0.0
+                solve_any(counts[UNSYMMETRIC], rows, width, blocks, upper_blocks, inverse, right)
+                for i in range(free):
+                    stiff -= lean[i] * right[i // B][i % B]
+                report[STIFFNESS] = stiff if good == 1 else 0.0
 
     return step

@@ -12,7 +12,8 @@ import sympy as sp
 from tissue_sim.fem import band as band_matrix
 from tissue_sim.fem import band_lu
 from tissue_sim.fem import energy as point
-from tissue_sim.fem.assembly import FACTOR, INSTANT, LOSS, LOSS_MODULUS, LOSS_SHARE, element_functions
+from tissue_sim.fem.assembly import FACTOR, INSTANT, LOSS, LOSS_MODULUS, LOSS_SHARE
+from tissue_sim.fem.batches import LANES
 from tissue_sim.fem.contact import HOLD, MOVES
 from tissue_sim.fem.contact_kernels import HELD, TOUCHED
 from tissue_sim.fem.elements import ELEMENTS
@@ -44,15 +45,13 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
     """The compiled response of one element and one family of laws; see `tissue_sim.fem.sensitivity`."""
     ti = initialise()
     element = ELEMENTS[element_name]
-    nb, modes, points = element.boundary_nodes, element.pressure_modes, element.quadrature[1].size
-    has_centre, centre = element.nodes > nb, element.nodes - 1
-    work = element_functions(element_name, energy)
-    vec = work.vec
+    nodes, nb, modes = element.nodes, element.boundary_nodes, element.pressure_modes
+    points = element.quadrature[1].size
+    has_centre, centre = nodes > nb, nodes - 1
     block = ti.types.vector(band_matrix.BLOCK, ti.f64)
     B = band_matrix.BLOCK
     real1, real2, real3, real4 = (ti.types.ndarray(dtype=ti.f64, ndim=n) for n in range(1, 5))
     int1, int2 = (ti.types.ndarray(dtype=ti.i32, ndim=n) for n in (1, 2))
-    vector1, vector2, vector3 = (ti.types.ndarray(dtype=vec, ndim=n) for n in (1, 2, 3))
     block1, block3 = (ti.types.ndarray(dtype=block, ndim=n) for n in (1, 3))
     stress_and_tangent = point.function(energy)
     stress_rate = point.function(directional(energy), tangents=False)
@@ -60,7 +59,7 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
     soften, relax = point.history_functions()
     factorise, solve = band_matrix.functions()
     _, _, factorise_lu, solve_lu = band_lu.functions()
-    row = [[point.packed(i, k) for k in range(5)] for i in range(5)]
+    row = point.PLACE
 
     @ti.func
     def pulled_back(F, P):
@@ -85,32 +84,41 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
         return H
 
     @ti.func
+    def root_of(F):
+        return ti.pow((F[0] * F[3] - F[1] * F[2]) * F[4], -1.0 / 3.0)
+
+    @ti.func
     def look(e, q, F, p, modulus, remembers, coefficients: ti.template(), past: ti.template(),
              inherited: ti.template(), largest: ti.template(), law: ti.template()):
         """Note what does not depend on the parameter, in the places that start at `ENERGY` and so on."""
-        W, P, A = stress_and_tangent(F, coefficients)
+        W, P, A = stress_and_tangent(F, root_of(F), coefficients)
         if remembers == 1:
-            W *= past[FACTOR]
-            P *= past[FACTOR]
-            A *= past[FACTOR]
+            W = past[FACTOR] * W
+            for i in ti.static(range(5)):
+                P[i] = past[FACTOR] * P[i]
+            for i in ti.static(range(15)):
+                A[i] = past[FACTOR] * A[i]
         law[e, q, ENERGY] = W
         for i in ti.static(range(5)):
             law[e, q, STRESS + i] = P[i]
         if remembers == 1:
-            soften(W, largest[e, q], past[LOSS], past[LOSS_MODULUS], past[LOSS_SHARE], P, A)
+            P1, A1 = soften(W, largest[e, q], past[LOSS], past[LOSS_MODULUS], past[LOSS_SHARE], P, A)
             for i in ti.static(range(5)):
-                law[e, q, SOFT_STRESS + i] = P[i]
+                law[e, q, SOFT_STRESS + i] = P1[i]
             for i in ti.static(range(15)):
-                law[e, q, SOFT_TANGENT + i] = A[i]
-            h = ti.Vector([inherited[e, q, 0], inherited[e, q, 1], inherited[e, q, 2], inherited[e, q, 3]])
-            relax(F, past[INSTANT], h, P, A)
+                law[e, q, SOFT_TANGENT + i] = A1[i]
+            h = [inherited[e, q, i] for i in ti.static(range(4))]
+            _S, P2, A2 = relax(F, past[INSTANT], h, P1, A1)
+            for i in ti.static(range(5)):
+                P[i] = P2[i]
+            for i in ti.static(range(15)):
+                A[i] = A2[i]
         for i in ti.static(range(5)):
             law[e, q, RELAXED_STRESS + i] = P[i]
-        P *= modulus
-        A *= modulus
-        add_volume(F, p, P, A)
+        _P, A3 = add_volume(F, p, [modulus * P[i] for i in ti.static(range(5))],
+                            [modulus * A[i] for i in ti.static(range(15))])
         for i in ti.static(range(15)):
-            law[e, q, TANGENT + i] = A[i]
+            law[e, q, TANGENT + i] = A3[i]
 
     @ti.func
     def noted(e, q, first, law: ti.template()):
@@ -131,7 +139,8 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
                  past_rates: ti.template(), inherited_rates: ti.template(), largest: ti.template(),
                  largest_rates: ti.template(), law: ti.template()):
         """Rates with F held: of the energy, of the softened stress, of the whole stress but for the pressure."""
-        dW, dP, _unused = stress_rate(F, direction)
+        dW, rate, _unused = stress_rate(F, root_of(F), direction)
+        dP = ti.Vector([rate[i] for i in ti.static(range(5))])
         soft = ti.Vector.zero(ti.f64, 5)
         if remembers == 1:
             f, df = past[FACTOR], past_rates[k, FACTOR] / past[FACTOR]
@@ -179,16 +188,16 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
         return fr, fz
 
     @ti.kernel
-    def respond(which: int1, counts: int1, settings: real1, connectivity: int2, equation: int1, gradients: vector3,
-                node_gradients: real4, quadrature: real3, along: real3, edges: int2, spans: int2, shapes: real3,
-                springs: real2, held: real3, ways: real2, contact_rates: real3, coefficients: real1, moduli: real1,
-                past: real1, inherited: real3, largest: real2, x: real1, entries: real4, blocks: block3,
-                upper_blocks: block3, inverse: real1, right: block1, residual: real1, force: vector1,
-                stiffness: vector2, centre_stiffness: real1, volume: vector3, centre_volume: real3, gap: real2,
-                centre_rows: vector3, centre_inverse: real2, centre_force: real2, kappa_rates: real1,
-                moduli_rates: real2, past_rates: real2, inherited_rates: real4, largest_rates: real3,
-                multiplier_rates: real4, anchor_rates: real4, direction: real1, law: real3, base: real1, dx: real1,
-                stress_rates: real4, energy_rates: real3, point_rates: real4, force_rates: real1):
+    def respond(which: int1, counts: int1, settings: real1, connectivity: int2, equation: int1, node_gradients: real4,
+                quadrature: real3, along: real3, edges: int2, spans: int2, shapes: real3, springs: real2, held: real3,
+                ways: real2, contact_rates: real3, coefficients: real1, moduli: real1, past: real1, inherited: real3,
+                largest: real2, x: real1, entries: real4, blocks: block3, upper_blocks: block3, inverse: real1,
+                right: block1, residual: real1, volume_r: real2, volume_z: real2, rows_rr: real2, rows_rz: real2,
+                rows_zr: real2, rows_zz: real2, inverse_rr: real2, inverse_rz: real2, inverse_zz: real2, gap: real2,
+                forces: real2, centre_force: real2, kappa_rates: real1, moduli_rates: real2, past_rates: real2,
+                inherited_rates: real4, largest_rates: real3, multiplier_rates: real4, anchor_rates: real4,
+                direction: real1, law: real3, base: real1, dx: real1, stress_rates: real4, energy_rates: real3,
+                point_rates: real4, force_rates: real1):
         ti.loop_config(serialize=True)
         for _ in range(1):
             free, width, rows = counts[FREE_EQUATIONS], entries.shape[1], entries.shape[0]
@@ -216,31 +225,41 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
             for i in range(base.shape[0]):
                 base[i] = 0.0
             for e in range(elements):
-                fr, fz, fcr, fcz = vec(0.0), vec(0.0), 0.0, 0.0
                 bulk = settings[KAPPA] * moduli[e]
                 bulk_rate = kappa_rates[k] * moduli[e] + settings[KAPPA] * moduli_rates[k, e]
+                b, l = e // LANES, e % LANES
                 for m in range(modes):
                     gap[e, m] = x[pressures + modes * e + m] / (bulk * bulk) * bulk_rate
+                for a in range(nodes):
+                    forces[a, 0], forces[a, 1] = 0.0, 0.0
+                    for m in range(modes):
+                        v, scaled = (b * modes + m) * nodes + a, bulk * gap[e, m]
+                        forces[a, 0] = forces[a, 0] + scaled * volume_r[v, l]
+                        forces[a, 1] = forces[a, 1] + scaled * volume_z[v, l]
                 for q in range(points):
                     w = quadrature[e, q, 0]
                     F = noted(e, q, GRADIENT, law)
                     _dW, _soft, dP = at_point(k, e, q, F, direction, moduli[e], moduli_rates[k, e], counts[REMEMBERS],
                                               past, past_rates, inherited_rates, largest, largest_rates, law)
-                    dP *= w
-                    nx, ny, nr = gradients[e, q, 0], gradients[e, q, 1], gradients[e, q, 2]
-                    fr += dP[0] * nx + dP[1] * ny + dP[4] * nr
-                    fz += dP[2] * nx + dP[3] * ny
-                    if ti.static(has_centre):
-                        cx, cy, ch = (node_gradients[e, q, centre, 0], node_gradients[e, q, centre, 1],
-                                      node_gradients[e, q, centre, 2])
-                        fcr += dP[0] * cx + dP[1] * cy + dP[4] * ch
-                        fcz += dP[2] * cx + dP[3] * cy
-                force[0], force[1] = fr, fz
-                force[2][0], force[2][1] = fcr, fcz
-                work.condense_pressure(e, 0, bulk, force, stiffness, centre_stiffness, volume, centre_volume, gap)
+                    for a in range(nodes):
+                        nx, ny, nr = node_gradients[e, q, a, 0], node_gradients[e, q, a, 1], node_gradients[e, q, a, 2]
+                        forces[a, 0] = forces[a, 0] + w * (dP[0] * nx + dP[1] * ny + dP[4] * nr)
+                        forces[a, 1] = forces[a, 1] + w * (dP[2] * nx + dP[3] * ny)
+                f0, f1 = 0.0, 0.0
                 if ti.static(has_centre):
-                    work.condense_centre_force(e, force, centre_rows, centre_inverse, centre_force)
-                work.scatter(e, 0, free, width, connectivity, equation, force, stiffness, entries, base)
+                    for a in range(nb, nodes):
+                        f0, f1 = forces[a, 0], forces[a, 1]
+                    centre_force[e, 0] = inverse_rr[b, l] * f0 + inverse_rz[b, l] * f1
+                    centre_force[e, 1] = inverse_rz[b, l] * f0 + inverse_zz[b, l] * f1
+                for a in range(nb):
+                    fr, fz = forces[a, 0], forces[a, 1]
+                    if ti.static(has_centre):
+                        at = b * nb + a
+                        fr -= f0 * rows_rr[at, l] + f1 * rows_zr[at, l]
+                        fz -= f0 * rows_rz[at, l] + f1 * rows_zz[at, l]
+                    ir, iz = equation[2 * connectivity[e, a]], equation[2 * connectivity[e, a] + 1]
+                    base[ir] = base[ir] + fr
+                    base[iz] = base[iz] + fz
             for _round in range(ROUNDS):
                 changed, largest_rate = 0.0, 0.0
                 for i in range(residual.shape[0]):
@@ -287,21 +306,21 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
                     total += float(spans[m, MOVES]) * multiplier_rates[k, m, q, 1]
             for e in range(elements):
                 bulk = settings[KAPPA] * moduli[e]
+                b, l = e // LANES, e % LANES
                 if ti.static(has_centre):
                     cr, cz = centre_force[e, 0], centre_force[e, 1]
                     for a in range(nb):
                         ur, uz = dx[2 * connectivity[e, a]], dx[2 * connectivity[e, a] + 1]
-                        cr += centre_rows[e, 0, 0][a] * ur + centre_rows[e, 0, 1][a] * uz
-                        cz += centre_rows[e, 1, 0][a] * ur + centre_rows[e, 1, 1][a] * uz
+                        at = b * nb + a
+                        cr += rows_rr[at, l] * ur + rows_rz[at, l] * uz
+                        cz += rows_zr[at, l] * ur + rows_zz[at, l] * uz
                     dx[2 * connectivity[e, centre]], dx[2 * connectivity[e, centre] + 1] = -cr, -cz
                 for m in range(modes):
                     change = gap[e, m]
-                    for a in range(nb):
-                        change += (volume[e, m, 0][a] * dx[2 * connectivity[e, a]]
-                                   + volume[e, m, 1][a] * dx[2 * connectivity[e, a] + 1])
-                    if ti.static(has_centre):
-                        change += (centre_volume[e, m, 0] * dx[2 * connectivity[e, centre]]
-                                   + centre_volume[e, m, 1] * dx[2 * connectivity[e, centre] + 1])
+                    for a in range(nodes):
+                        v = (b * modes + m) * nodes + a
+                        change += (volume_r[v, l] * dx[2 * connectivity[e, a]]
+                                   + volume_z[v, l] * dx[2 * connectivity[e, a] + 1])
                     dx[pressures + modes * e + m] = bulk * change
                 for q in range(points):
                     loaded = along[e, q, 0] != 0.0 or along[e, q, 1] != 0.0

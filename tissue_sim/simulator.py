@@ -1,0 +1,256 @@
+"""Real-time stepping: where the tool is, a thousand times a second, to the force on it."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, replace
+
+from tissue_sim.deformed_surface import DeformedSurface, deformed_surface
+from tissue_sim.discretisation import build_mesh, build_solver
+from tissue_sim.errors import InputError
+from tissue_sim.experiment import Model
+from tissue_sim.fem.newton import StepStatus
+from tissue_sim.material import Material
+from tissue_sim.material_parameters import with_parameter
+from tissue_sim.mesh import Mesh
+from tissue_sim.puncture import PunctureHistory
+from tissue_sim.tool_force import ForceStatus, Pose, ToolForce
+
+#: Unbalanced over balanced forces at which an equilibrium is one.
+TOLERANCE = 1e-6
+#: Linear solves that a part of a step may take: after an extrapolation, which is right or leads astray, and without.
+_MOST_SOLVES = {True: 6, False: 16}
+#: A tool that moves further in one step than this share of the contact's radius is followed in parts.
+_LARGEST_PART = 0.0625
+#: A part is cut until it is this share of the largest one.
+_SMALLEST_CUT = 2.0**-8
+#: Tool speed, m/s, from which on the mass of the tissue counts, and for how long (s) after the tool was last so fast.
+INERTIAL_SPEED, _LINGERS = 0.005, 0.1
+#: Of tissue whose density nobody stated, kg/m3: that of water.
+DENSITY = 1000.0
+#: How fast the guess of the time of a linear solve follows one that took longer, or shorter; and what is left of it
+#: after a step that did not try because of it: it may have met the computer in a bad moment.
+_LEARNS, _FORGETS, _DOUBTS = 0.5, 0.1, 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatorState:
+    """Where a simulator stood; see `Simulator.save`."""
+
+    solver: tuple
+    answer: ToolForce
+    equilibrium: tuple[float, float, bool]
+    elastic: float
+    depth: float
+    waiting: float
+    lingers: float
+    share: float
+    touched: bool
+    deepest: float
+
+
+class Simulator:
+    """Force on a tool that goes where it likes, step by step.
+
+    A step finds the equilibrium at the new depth, from the one before, in one kernel; a long way is followed in
+    parts, straight and at even speed. Everything that the model's experiment and material state takes part: friction,
+    relaxation, softening, layers, adhesion, puncture, self-weight. The rig does not: it belongs to the measurement.
+
+    Args:
+        model: experiment, material; of the protocol only the largest depth matters, to the mesh of tools without a
+            flat face.
+        resolution: as in `simulate`.
+        mesh: a mesh of your own instead.
+        budget: wall time of a step, s, after which it answers what it knows (`ForceStatus.LATE`); None: however long
+            it takes, and the same motion gives the same forces bit for bit.
+        inertia: ``"auto"``: the mass of the tissue counts where the tool is faster than `INERTIAL_SPEED`; ``"on"``,
+            ``"off"``.
+        tolerance: unbalanced over balanced nodal forces.
+
+    Raises:
+        InputError: an unknown resolution or inertia, a tilted tool, a bulk response or layers that do not fit.
+        ConvergenceError: the specimen does not stand under its own weight.
+        MissingBackendError: Taichi is not there.
+    """
+
+    def __init__(self, model: Model, *, resolution: str = "realtime", mesh: Mesh | None = None,
+                 budget: float | None = None, inertia: str = "auto", tolerance: float = TOLERANCE):
+        if inertia not in ("auto", "on", "off"):
+            raise InputError(f"{inertia!r} is not a choice of inertia; use 'auto', 'on' or 'off'", field="inertia")
+        if budget is not None and not budget > 0:
+            raise InputError(f"{budget:g} s is not a time to compute in; give a positive one or None", field="budget")
+        if model.experiment.tilt:
+            raise InputError("a tilted tool is a correction of whole recordings and has no place in real time; leave "
+                             "the tilt out", field="tilt")
+        self.model, self.budget, self.inertia, self.tolerance = model, budget, inertia, tolerance
+        layers = model.material.layers
+        self._solver = build_solver(model, mesh or build_mesh(model.experiment, resolution, layers=layers))
+        self._solver.ask_for_stiffness()
+        self.density = model.experiment.specimen.density or model.material.density or DENSITY
+        if inertia != "off":
+            self._solver.follow_motion(self.density)
+        self._largest_part = _LARGEST_PART * model.experiment.contact_radius
+        self._puncture = PunctureHistory(model.puncture)
+        # Wall time of a linear solve with all that belongs to it, s.
+        self._solve_time = 1e-9
+        self._answer = ToolForce(0.0, 0.0, ForceStatus.CONVERGED)
+        # Of the last equilibrium: force, stiffness, whether mass counted; and the last stiffness without it.
+        self._equilibrium, self._elastic = (0.0, 0.0, False), 0.0
+        # Where the tool is said to be; whether it has touched the tissue; time since the last equilibrium, and since
+        # the tool was fast; and the share of the largest part that works.
+        self._depth, self._touched = 0.0, False
+        self._waiting, self._lingers, self._share = 0.0, math.inf, 1.0
+        self._start = self.save()
+
+    @property
+    def mesh(self) -> Mesh:
+        """The undeformed mesh."""
+        return self._solver.mesh
+
+    def warm_up(self) -> None:
+        """Compile what a step needs, or load it from the cache, and leave the state as it is. Takes seconds the first
+        time on a computer."""
+        saved, depth = self.save(), self._solver.depth
+        spent = []
+        for way in (1e-5, 2e-5, 3e-5):
+            started = time.perf_counter()
+            step = self._solver.step(depth + way * self.model.experiment.contact_radius, 1e-3,
+                                     tolerance=self.tolerance)
+            spent.append((time.perf_counter() - started) / (1 + step.iterations))
+            self._elastic = step.stiffness
+        self._solve_time = min(spent)
+        self.restore(replace(saved, elastic=self._elastic))
+        self._start = replace(self._start, elastic=self._elastic)
+
+    def step(self, pose: float | Pose, dt: float) -> ToolForce:
+        """Go where the tool is now.
+
+        Args:
+            pose: depth, m, or a `Pose`, of which an axisymmetric scene takes the depth only.
+            dt: time since the step before, s. A step of no time is a sudden one.
+
+        Returns:
+            The force, and how it came about. What is not a number is refused and changes nothing. Of a step that came
+            late the next one takes over the way and the time that are left.
+        """
+        began = time.perf_counter()
+        depth = pose.depth if isinstance(pose, Pose) else float(pose)
+        if not (math.isfinite(depth) and math.isfinite(dt) and dt >= 0.0):
+            return replace(self._answer, status=ForceStatus.REFUSED, iterations=0,
+                           compute_time=time.perf_counter() - began)
+        before, self._depth = self._depth, depth
+        self._lingers = 0.0 if abs(depth - before) >= INERTIAL_SPEED * dt > 0.0 else self._lingers + dt
+        if not self._touched:
+            if depth < 0.0:
+                # In the air, and the tissue rests as it was.
+                self._answer = ToolForce(0.0, 0.0, ForceStatus.CONVERGED, depth=depth,
+                                         compute_time=time.perf_counter() - began)
+                return self._answer
+            self._touched = True
+            # The way from the touch on.
+            dt *= depth / (depth - before) if before < 0.0 else 1.0
+        self._waiting += dt
+        self._answer = self._follow(depth, began)
+        return self._answer
+
+    def _follow(self, depth: float, began: float) -> ToolForce:
+        solver, status, solves, residual, extrapolates = self._solver, None, 0, self._answer.residual, True
+        inertial = self.inertia == "on" or (self.inertia == "auto" and self._lingers < _LINGERS)
+        while status is None:
+            way, part = depth - solver.depth, self._share * self._largest_part
+            whole = abs(way) <= part
+            share = 1.0 if whole else part / abs(way)
+            started = time.perf_counter()
+            # Across a change of contact extrapolation leads astray.
+            order = min(2, solver.unchanged) if extrapolates else 0
+            most = allowed = _MOST_SOLVES[order > 0]
+            if self.budget is not None:
+                allowed = min(most, int((began + self.budget - started) / self._solve_time) - 1)
+            if allowed < 1:
+                status = ForceStatus.LATE
+                self._solve_time *= _DOUBTS if solves == 0 else 1.0
+                break
+            dt = share * self._waiting
+            step = solver.step(depth if whole else solver.depth + share * way, dt, tolerance=self.tolerance,
+                               max_iterations=allowed, predictor_order=order, inertial=inertial and dt > 0.0)
+            solves, residual = solves + step.iterations, step.residual
+            self._clock((time.perf_counter() - started) / (1 + step.iterations))
+            if step.status is StepStatus.CONVERGED:
+                force, stiffness = self._puncture(solver.depth, step.force), self._puncture.at(solver.depth,
+                                                                                              step.stiffness)
+                if not inertial:
+                    self._elastic = stiffness
+                self._equilibrium = force, stiffness, inertial and dt > 0.0
+                self._waiting = 0.0 if whole else self._waiting - dt
+                self._share, extrapolates = min(1.0, 2.0 * self._share), True
+                if whole:
+                    status = ForceStatus.CONVERGED
+            elif step.status is StepStatus.SLOW and allowed < most:
+                self._share, status = max(self._share / 2.0, _SMALLEST_CUT), ForceStatus.LATE
+            elif order:
+                extrapolates = False
+            else:
+                self._share, extrapolates = self._share / 2.0, True
+                if self._share < _SMALLEST_CUT:
+                    self._share, status = _SMALLEST_CUT, ForceStatus.STOPPED
+        force, stiffness, inertial = self._equilibrium
+        if status is not ForceStatus.CONVERGED:
+            # Mass resists a motion within the step, not one that goes on.
+            stiffness = self._elastic
+            force += stiffness * (depth - solver.depth)
+        return ToolForce(force, stiffness, status, solves, residual, time.perf_counter() - began, inertial,
+                         self._waiting, solver.depth)
+
+    def _clock(self, spent: float) -> None:
+        """Follow how long a linear solve takes, sooner up than down."""
+        more = spent - self._solve_time
+        self._solve_time += (_LEARNS if more > 0.0 else _FORGETS) * more
+
+    def reset(self) -> None:
+        """Back to the specimen that nobody has touched."""
+        self.restore(self._start)
+
+    def save(self) -> SimulatorState:
+        """All that the next step depends on, but for the parameters."""
+        return SimulatorState(self._solver.save(), self._answer, self._equilibrium, self._elastic, self._depth,
+                              self._waiting, self._lingers, self._share, self._touched, self._puncture.deepest)
+
+    def restore(self, state: SimulatorState) -> None:
+        """Go back to where `save` was called, in this simulator or in one of the same model and mesh."""
+        self._solver.restore(state.solver)
+        self._answer, self._equilibrium, self._elastic = state.answer, state.equilibrium, state.elastic
+        self._depth = state.depth
+        self._waiting, self._lingers, self._share = state.waiting, state.lingers, state.share
+        self._touched, self._puncture.deepest = state.touched, state.deepest
+
+    def set_parameters(self, **values: float) -> None:
+        """Change parameters of the material; the state is kept, and the next step finds its equilibrium.
+
+        Args:
+            values: by name, as in `sensitivities`: ``C10``; those of paths through a mapping,
+                ``set_parameters(**{"viscoelastic.terms[0].g": 0.2})``.
+
+        Raises:
+            InputError: no such parameter, or a value that the material refuses; nothing is changed.
+        """
+        material = self.model.material
+        for name, value in values.items():
+            material = with_parameter(material, name, value)
+        check_layers(self.model.material, material)
+        self._solver.set_material(material)
+        self.model = replace(self.model, material=material)
+        deepest = self._puncture.deepest
+        self._puncture = PunctureHistory(self.model.puncture)
+        self._puncture.deepest = deepest
+
+    def surface(self) -> DeformedSurface:
+        """The surface of the tissue at the last equilibrium."""
+        return deformed_surface(self._solver)
+
+
+def check_layers(before: Material, after: Material) -> None:
+    """Raises InputError: the mesh would have to change."""
+    thick = [[layer.thickness for layer in material.layers] for material in (before, after)]
+    if thick[0] != thick[1]:
+        raise InputError("the thickness of a layer is part of the mesh; build another simulator", field="layers")
