@@ -1,0 +1,220 @@
+"""The virtual coupling, and what it asks of the device to stay passive."""
+
+import cmath
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from haptics.coupling import VirtualCoupling
+from tissue_sim import InputError
+from tissue_sim.tool_force import ForceStatus, ToolForce
+
+TICK = 1e-3
+RIGID = 1e12
+
+
+class Load:
+    """Spring, and on request a mass that is stepped implicitly, under the proxy."""
+
+    def __init__(self, stiffness, mass=0.0, says_inertial=True):
+        self.stiffness, self.mass, self.says_inertial = stiffness, mass, says_inertial
+        self.last = self.motion = 0.0
+
+    def step(self, depth, dt):
+        motion = depth - self.last
+        force = self.stiffness * depth + self.mass * (motion - self.motion) / dt**2
+        self.last, self.motion = depth, motion
+        return ToolForce(force, self.stiffness + self.mass / dt**2, ForceStatus.CONVERGED,
+                         inertial=self.says_inertial and self.mass > 0)
+
+
+def free_flight(coupling, load, mass, damping, speed, ticks):
+    """A device let go with a speed: mass and damper, the force held between samples, its motion solved exactly.
+
+    Returns:
+        Kinetic energy at the samples, J.
+    """
+    depth, velocity, answer, energy = 0.0, speed, None, []
+    decay = math.exp(-damping * TICK / mass)
+    for _ in range(ticks):
+        energy.append(mass * velocity**2 / 2)
+        answer = load.step(coupling.step(depth, answer, TICK), TICK)
+        end = -coupling.force / damping
+        depth += end * TICK + (velocity - end) * (1 - decay) * mass / damping
+        velocity = end + (velocity - end) * decay
+    return np.array(energy)
+
+
+stiffnesses, dampings = st.floats(50.0, 5000.0), st.floats(0.0, 5.0)
+
+
+@settings(deadline=None)
+@given(stiffnesses, dampings, st.floats(0.02, 1.0), st.floats(1.0, 3.0), st.sampled_from([RIGID, 2e4, 1500.0, 100.0]))
+def test_energy_does_not_grow_when_the_condition_holds(stiffness, damping, mass, margin, tissue):
+    """The hand gets back at most what it put in, whatever the device's mass and the tissue."""
+    coupling = VirtualCoupling(stiffness, damping)
+    needed = margin * coupling.least_device_damping(TICK)
+    assert coupling.is_passive(needed * 1.0001, TICK)
+    energy = free_flight(coupling, Load(tissue), mass, needed * 1.0001, 0.1, 400)
+    assert energy.max() <= energy[0] * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("stiffness", [500.0, 2000.0, 5000.0])
+def test_energy_grows_when_the_device_has_half_the_damping(stiffness):
+    """A wall without damping: K T/2 is the limit of stability too, for a device much heavier than K T^2."""
+    for part, grows in ((0.5, True), (2.0, False)):
+        coupling = VirtualCoupling(stiffness)
+        damping = part * coupling.least_device_damping(TICK)
+        assert coupling.is_passive(damping, TICK) is not grows
+        energy = free_flight(coupling, Load(RIGID), 0.2, damping, 0.1, 3000)
+        late, early = energy[2000:].max(), energy[:1000].max()
+        assert late > 2 * early if grows else late < early / 2
+
+
+def test_damping_of_the_coupling_is_counted_too():
+    """A light device under strong sampled damping shakes, with a spring that alone would be passive."""
+    coupling = VirtualCoupling(100.0, damping=40.0)
+    damping = 2 * coupling.stiffness * TICK / 2
+    assert not coupling.is_passive(damping, TICK)
+    energy = free_flight(coupling, Load(RIGID), 0.015, damping, 0.1, 40)
+    assert energy[-10:].max() > 10 * energy[0]
+
+
+def needed_damping(impedance, angle, delay=0):
+    """Colgate and Schenkel 1997, eq. for a sampled impedance (force over position) H at z = exp(j angle), N s/m."""
+    z = cmath.exp(1j * angle)
+    return TICK / 2 / (1 - math.cos(angle)) * ((1 - 1 / z) * impedance * z**-delay).real
+
+
+@given(stiffnesses, dampings, st.floats(-3.0, 3.0), st.floats(-4.0, 4.0), st.integers(0, 3))
+def test_condition_covers_every_passive_load_at_every_frequency(stiffness, damping, resistance, reactance, delay):
+    """Loads Z with Re Z >= 0, coupled in series, by the general condition of Colgate and Schenkel."""
+    coupling = VirtualCoupling(stiffness, damping)
+    least = coupling.least_device_damping(TICK, delay)
+    load = 10**resistance + 1j * math.sinh(3 * reactance)
+    for angle in np.linspace(1e-3, math.pi, 200):
+        rate = (1 - cmath.exp(-1j * angle)) / TICK
+        spring = damping + stiffness / rate
+        series = spring * load / (spring + load)
+        assert needed_damping(series * rate, angle, delay) <= least * (1 + 1e-9)
+
+
+@pytest.mark.parametrize(("stiffness", "damping"), [(1000.0, 0.0), (1000.0, 2.0), (200.0, 0.3)])
+def test_condition_is_exact_for_a_proxy_that_stands(stiffness, damping):
+    """K T/2 + |B|, reached at the Nyquist frequency."""
+    needed = [needed_damping(stiffness + damping * (1 - cmath.exp(-1j * angle)) / TICK, angle)
+              for angle in np.linspace(1e-3, math.pi, 500)]
+    assert max(needed) == pytest.approx(stiffness * TICK / 2 + damping)
+    assert VirtualCoupling(stiffness, damping).least_device_damping(TICK) == pytest.approx(max(needed))
+
+
+@pytest.mark.parametrize(("damping", "mass"), [(0.0, 0.0), (2.0, 0.0), (2.0, 0.005)])
+@pytest.mark.parametrize("angle", [0.05, 0.5, 2.0])
+def test_code_is_the_impedance_of_the_condition(damping, mass, angle):
+    """Steady oscillation against a spring: the force is coupling, proxy mass and tissue in series, without a delay."""
+    stiffness, tissue, ticks = 1000.0, 1500.0, 4000
+    coupling, load, answer, force = VirtualCoupling(stiffness, damping, mass), Load(tissue), None, np.empty(ticks)
+    for tick in range(ticks):
+        answer = load.step(coupling.step(1e-3 * math.cos(angle * tick), answer, TICK), TICK)
+        force[tick] = coupling.force
+    rate = (1 - cmath.exp(-1j * angle)) / TICK
+    spring, proxy = stiffness + damping * rate, tissue + mass * rate**2
+    impedance = spring * proxy / (spring + proxy)
+    late = np.arange(ticks // 2, ticks)
+    assert force[late] == pytest.approx((1e-3 * impedance * np.exp(1j * angle * late)).real, abs=1e-6)
+
+
+def test_at_rest_coupling_and_tissue_balance():
+    """A tissue that stiffens, touched with a sudden move: p from K (x - p) = F(p)."""
+    coupling, answer = VirtualCoupling(1000.0, 1.0), None
+    for _ in range(200):
+        depth = coupling.step(5e-3, answer, TICK) if answer else coupling.step(0.0, None, TICK)
+        answer = ToolForce(400 * depth + 1e7 * depth**3, 400 + 3e7 * depth**2, ForceStatus.CONVERGED)
+    assert 1000 * (5e-3 - coupling.depth) == pytest.approx(answer.force, rel=1e-9)
+    assert coupling.force == pytest.approx(answer.force, rel=1e-9)
+
+
+def peak(coupling, load, ticks=500):
+    """Largest depth of the proxy when the device is moved by 1 mm at once."""
+    answer, largest = load.step(coupling.step(0.0, None, TICK), TICK), 0.0
+    for _ in range(ticks):
+        answer = load.step(coupling.step(1e-3, answer, TICK), TICK)
+        largest = max(largest, abs(coupling.depth))
+        if largest > 1.0:
+            break
+    return largest
+
+
+@settings(deadline=None)
+@given(st.floats(100, 1e4), st.floats(0.0, 10.0), st.floats(1.0, 1e4), st.floats(1e-5, 1.0))
+def test_proxy_is_stable_on_a_tissue_with_mass(stiffness, damping, tissue, mass):
+    assert peak(VirtualCoupling(stiffness, damping), Load(tissue, mass)) < 4e-3
+
+
+@pytest.mark.parametrize(("part", "stable"), [(0.97, True), (1.03, False)])
+def test_limit_of_a_proxy_that_does_not_know_of_the_mass(part, stable):
+    """2 mass + B tick + (K + k) tick^2/2, for a load that does not say that it is inertial."""
+    coupling, tissue = VirtualCoupling(1000.0, 1.0, mass=0.5e-3), 1500.0
+    limit = 2 * coupling.mass + coupling.damping * TICK + (coupling.stiffness + tissue) * TICK**2 / 2
+    assert (peak(coupling, Load(tissue, part * limit, says_inertial=False), ticks=2000) < 4e-3) is stable
+
+
+def test_proxy_stays_while_there_is_no_answer():
+    coupling = VirtualCoupling(1000.0, 1.0)
+    # Put at the device first, whatever a tissue said about another place.
+    assert coupling.step(2e-3, ToolForce(1.0, 500.0, ForceStatus.CONVERGED), TICK) == 2e-3
+    assert coupling.step(3e-3, None, TICK) == 2e-3
+    assert coupling.force == pytest.approx(1000 * 1e-3 + 1.0 * 1.0)
+    coupling.step(3e-3, None, TICK)
+    assert coupling.force == pytest.approx(1.0)
+
+
+def test_the_damper_counts_what_it_takes():
+    """1 m/s of slip for 1 ms through 2 N s/m: 2 mJ."""
+    coupling = VirtualCoupling(1000.0, 2.0)
+    coupling.step(0.0, None, TICK)
+    coupling.step(1e-3, None, TICK)
+    assert coupling.dissipated == pytest.approx(2e-3)
+    coupling.reset()
+    assert coupling.dissipated == 0.0 and coupling.step(7e-3, None, TICK) == 7e-3
+
+
+def test_tissue_that_softens_does_not_throw_the_proxy():
+    """A negative stiffness, as at the onset of puncture, smaller than that of the coupling."""
+    coupling, answer = VirtualCoupling(1000.0), ToolForce(0.0, 0.0, ForceStatus.CONVERGED)
+    coupling.step(0.0, None, TICK)
+    for _ in range(400):
+        depth = coupling.step(4e-3, answer, TICK)
+        answer = ToolForce(2.0 - 400 * depth, -400.0, ForceStatus.CONVERGED)
+    assert depth == pytest.approx((4.0 - 2.0) / 600.0)
+
+
+def test_tissue_that_gives_way_faster_than_the_coupling_lets_the_tool_through():
+    """Puncture: from 2 N to nothing in 0.5 mm, 4 times as steep as the coupling."""
+    def tissue(depth):
+        fallen = 2.0 - 4000 * max(depth - 2e-3, 0.0)
+        return ToolForce(max(min(1000 * depth, fallen), 0.0), 1000.0 if depth < 2e-3 else -4000.0 * (fallen > 0),
+                         ForceStatus.CONVERGED)
+
+    coupling, answer, path = VirtualCoupling(1000.0), None, []
+    for tick in range(300):
+        path.append(coupling.step(min(0.05e-3 * tick, 6e-3), answer, TICK))
+        answer = tissue(path[-1])
+    assert all(later >= before for before, later in pairwise(path))
+    assert path[-1] == pytest.approx(6e-3)
+
+
+@pytest.mark.parametrize("values", [(0.0,), (math.nan,), (100.0, -1.0), (100.0, 1.0, math.inf)])
+def test_couplings_that_couple_nothing_are_refused(values):
+    with pytest.raises(InputError, match="give"):
+        VirtualCoupling(*values)
+
+
+def test_condition_of_no_tick_is_refused():
+    with pytest.raises(InputError, match="tick"):
+        VirtualCoupling(100.0).least_device_damping(0.0)
+    assert VirtualCoupling(1000.0, 2.0).least_device_damping(1e-3, delay_ticks=1) == pytest.approx(10.0)

@@ -1,0 +1,174 @@
+"""Energy between hand and tissue."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from haptics.coupling import VirtualCoupling
+from haptics.passivity import PassivityController, PassivityObserver
+from tissue_sim import InputError
+from tissue_sim.tool_force import ForceStatus, ToolForce
+
+TICK = 1e-3
+
+
+def closed_motion(seed, ticks=2000):
+    """A hand's motion that ends where it began, at rest: below 13 Hz, up to 0.12 m/s."""
+    generator = np.random.default_rng(seed)
+    time = np.arange(ticks + 1) / ticks
+    depth = 5e-3 * np.ones(ticks + 1)
+    for cycles in range(1, 25):
+        depth += 4e-3 / cycles * generator.normal() * np.sin(2 * math.pi * cycles * time)
+    window = np.sin(math.pi * time) ** 2
+    return depth * window
+
+
+def stiffening(depth):
+    """A tissue that stiffens and does not pull, N."""
+    return 400.0 * depth + 6e6 * depth**3 if depth > 0 else 0.0
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_elastic_tissue_gives_back_at_most_a_thousandth_more(seed):
+    """Trapezoidal energy out of a closed motion: at most 0.1 % of the energy in."""
+    observer = PassivityObserver()
+    for depth in closed_motion(seed):
+        observer.observe(stiffening(depth), depth)
+    assert observer.energy_in > 1e-3
+    assert abs(observer.energy) <= 1e-3 * observer.energy_in
+    assert not observer.is_active
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_elastic_tissue_behind_a_coupling_gives_back_at_most_a_thousandth_more(seed):
+    """The rendered force; without a damper in the coupling there is nothing to hide behind."""
+    coupling, observer, answer = VirtualCoupling(3000.0), PassivityObserver(), None
+    for depth in closed_motion(seed):
+        proxy = coupling.step(depth, answer, TICK)
+        tangent = 400.0 + 18e6 * proxy**2 if proxy > 0 else 0.0
+        answer = ToolForce(stiffening(proxy), tangent, ForceStatus.CONVERGED)
+        observer.observe(coupling.force, depth)
+    assert -observer.energy <= 1e-3 * observer.energy_in
+    assert not observer.is_active
+
+
+def held_energy(coupling, tissue, path):
+    """Energy put in by the hand, J, with the force held, through a coupling on a spring."""
+    observer, answer = PassivityObserver(held=True), None
+    for depth in path:
+        proxy = coupling.step(depth, answer, TICK)
+        answer = ToolForce(tissue * proxy, tissue, ForceStatus.CONVERGED)
+        observer.observe(coupling.force, depth)
+    return observer.energy
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 10**6), st.floats(200.0, 4000.0), st.floats(0.3, 3.0))
+def test_held_force_gives_back_at_most_what_the_coupling_dissipates(seed, stiffness, ratio):
+    """Above B = K T (K + k)/(2 k) the damper pays for the hold; without it the hold gives energy away."""
+    path, tissue = closed_motion(seed), ratio * stiffness
+    bare = VirtualCoupling(stiffness)
+    leaked = -held_energy(bare, tissue, path)
+    assert leaked > bare.dissipated == 0.0
+    # A hold is half a tick of delay: it gives back k_eff/2 of every step squared.
+    effective = stiffness * tissue / (stiffness + tissue)
+    assert leaked == pytest.approx(effective / 2 * np.sum(np.diff(path) ** 2), rel=0.01)
+    damped = VirtualCoupling(stiffness, 1.2 * stiffness * TICK * (stiffness + tissue) / (2 * tissue))
+    energy = held_energy(damped, tissue, path)
+    assert -energy <= damped.dissipated
+    assert leaked <= damped.dissipated
+    assert energy >= 0.0
+
+
+@given(st.floats(50.0, 3000.0), st.floats(0.1, 20.0))
+def test_trapezoidal_work_of_a_spring_and_a_damper(stiffness, damping):
+    """Pushed in by 10 mm at 0.1 m/s: K d^2/2 and B v d."""
+    observer = PassivityObserver()
+    for depth in np.linspace(0.0, 0.010, 101):
+        observer.observe(stiffness * depth + damping * 0.1, depth)
+    assert observer.energy == pytest.approx(stiffness * 0.010**2 / 2 + damping * 0.1 * 0.010)
+    assert observer.energy_out == 0.0
+
+
+def test_held_force_of_a_spring_is_half_a_step_behind():
+    observer = PassivityObserver(held=True)
+    for depth in (0.0, 1e-3, 2e-3, 1e-3, 0.0):
+        observer.observe(1000.0 * depth, depth)
+    assert observer.energy_in == pytest.approx(1e-3)
+    assert observer.energy_out == pytest.approx(3e-3)
+    assert observer.energy == pytest.approx(-1000.0 / 2 * 4 * 1e-6)
+    assert observer.is_active
+    observer.reset()
+    assert observer.energy == 0.0 and not observer.is_active
+
+
+def test_samples_that_are_no_numbers_are_left_out():
+    observer = PassivityObserver()
+    for force, depth in ((1.0, 0.0), (math.nan, 1e-3), (1.0, math.inf), (1.0, 2e-3)):
+        observer.observe(force, depth)
+    assert observer.energy == pytest.approx(2e-3)
+
+
+def amplitude(controlled, ticks=4000):
+    """Vibration of a device of 50 g with less damping than its sampled wall asks for: 2000 N/m, 0.2 N s/m, m."""
+    observer = PassivityObserver(held=True)
+    controller = PassivityController(observer, damping=2.0)
+    mass, damping, stiffness = 0.05, 0.2, 2000.0
+    decay, depth, velocity, depths = math.exp(-damping * TICK / mass), 0.0, 0.1, []
+    for _ in range(ticks):
+        force = stiffness * depth
+        if controlled:
+            force += controller.force(depth, TICK)
+        observer.observe(force, depth)
+        end = -force / damping
+        depth += end * TICK + (velocity - end) * (1 - decay) * mass / damping
+        velocity = end + (velocity - end) * decay
+        depths.append(abs(depth))
+        if depths[-1] > 1.0:
+            break
+    return max(depths[:200]), max(depths[-200:])
+
+
+def test_controller_stops_a_vibration_that_grows_without_it():
+    early, late = amplitude(controlled=False)
+    assert late > 10 * early
+    early, late = amplitude(controlled=True)
+    assert late < early / 10
+
+
+def test_controller_damps_by_what_has_just_come_out():
+    """1 N held over 1 mm of the way back: 1 mJ, to be taken at 1 m/s in 1 ms: 1 N s/m."""
+    observer = PassivityObserver(held=True)
+    controller = PassivityController(observer, damping=5.0)
+    observer.observe(1.0, 0.0)
+    assert controller.force(-1e-3, TICK) == pytest.approx(-1.0)
+    assert controller.added == pytest.approx(1.0)
+    assert controller.force(1e-3, TICK) == 0.0
+
+
+@given(st.lists(st.tuples(st.floats(-10, 10), st.floats(-0.01, 0.01)), max_size=50), st.floats(0.1, 20.0))
+def test_controller_only_ever_takes_energy(samples, damping):
+    observer = PassivityObserver(held=True)
+    controller = PassivityController(observer, damping)
+    last = None
+    for force, depth in samples:
+        added = controller.force(depth, TICK)
+        assert 0.0 <= controller.added <= damping
+        if last is None:
+            assert added == 0.0
+        else:
+            assert added == pytest.approx(controller.added * (depth - last) / TICK)
+        observer.observe(force + added, depth)
+        last = depth
+
+
+def test_settings_that_mean_nothing_are_refused():
+    with pytest.raises(InputError, match="tolerance"):
+        PassivityObserver(tolerance=math.nan)
+    with pytest.raises(InputError, match="held=True"):
+        PassivityController(PassivityObserver(), 1.0)
+    with pytest.raises(InputError, match="damping"):
+        PassivityController(PassivityObserver(held=True), 0.0)

@@ -1,0 +1,200 @@
+"""One tick of the loop, from the device's depth to the force on the hand."""
+
+import math
+from itertools import pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from haptics.coupling import VirtualCoupling
+from haptics.limits import ForceLimits
+from haptics.local_model import LocalModel, LocalModelBlend
+from haptics.rendering import ForceRendering, RenderFlag
+from haptics.watchdog import Watchdog, WatchdogState
+from tissue_sim.tool_force import ForceStatus, ToolForce
+
+DT = 1e-3
+AWAY = (WatchdogState.FADING, WatchdogState.LOST, WatchdogState.RETURNING)
+
+
+class Spring:
+    """An elastic tissue that keeps the depths at which it was asked."""
+
+    def __init__(self, stiffness=500.0, status=ForceStatus.CONVERGED):
+        self.stiffness, self.status, self.depths = stiffness, status, []
+
+    def step(self, depth, dt):
+        self.depths.append(depth)
+        return ToolForce(self.stiffness * depth, self.stiffness, self.status)
+
+
+def run(rendering, tissue, depths):
+    return [rendering.render(tissue.step(rendering.depth_for(depth, DT), DT), DT) for depth in depths]
+
+
+def generous():
+    return ForceLimits(force=100.0, rate=100.0)
+
+
+def test_without_a_coupling_the_device_is_the_tool():
+    tissue = Spring()
+    rendered = run(ForceRendering(generous()), tissue, [0.0, 1e-3, 2e-3])
+    assert tissue.depths == [0.0, 1e-3, 2e-3]
+    assert [tick.force for tick in rendered] == pytest.approx([0.0, 0.5, 1.0])
+    assert [tick.flags for tick in rendered] == [0, 0, 0]
+    assert rendered[-1].proxy_depth == 2e-3
+    assert rendered[-1].energy == pytest.approx(500 * 4e-6 / 2)
+    assert rendered[-1].held_energy == pytest.approx(0.5 * 1e-3)
+
+
+def test_with_a_coupling_the_hand_feels_both_springs():
+    rendering = ForceRendering(generous(), VirtualCoupling(1500.0, 1.0))
+    rendered = run(rendering, Spring(500.0), [0.0] + [4e-3] * 300)
+    assert rendered[-1].force == pytest.approx(4e-3 * 375.0)
+    assert rendered[-1].proxy_depth == pytest.approx(3e-3)
+
+
+@pytest.mark.parametrize("status", [ForceStatus.LATE, ForceStatus.STOPPED])
+def test_local_models_are_rendered(status):
+    rendered = run(ForceRendering(generous()), Spring(status=status), [2e-3] * 200)
+    assert rendered[-1].force == pytest.approx(1.0)
+    assert not rendered[-1].lost_pose
+
+
+@pytest.mark.parametrize("coupling", [None, VirtualCoupling(1500.0, 1.0)])
+def test_a_pose_that_stays_away_takes_the_force_away(coupling):
+    """None, NaN and a refusal are the same; the force goes within timeout and ramp, in steps of the rate at most."""
+    for missing in (None, math.nan, "refused"):
+        tissue, rate = Spring(), 0.05
+        rendering = ForceRendering(ForceLimits(10.0, rate), coupling, Watchdog(0.050, 0.100))
+        forces, states = [], []
+        for tick in range(1000):
+            lost = 300 <= tick < 600
+            tissue.status = ForceStatus.REFUSED if lost and missing == "refused" else ForceStatus.CONVERGED
+            depth = missing if lost and missing != "refused" else 6e-3
+            rendered, = run(rendering, tissue, [depth])
+            forces.append(rendered.force)
+            states.append(rendered.state)
+            assert rendered.lost_pose == (rendered.state in AWAY)
+        full = forces[299]
+        assert full == pytest.approx(3.0 if coupling is None else 6e-3 * 375.0)
+        assert forces[300:349] == pytest.approx([full] * 49)
+        assert forces[349] < full
+        assert forces[449:600] == [0.0] * 151
+        assert forces[-1] == pytest.approx(full)
+        assert max(abs(b - a) for a, b in pairwise(forces)) <= rate + 1e-12
+        assert states[500] is WatchdogState.LOST and states[650] is WatchdogState.RETURNING
+        assert states[-1] is WatchdogState.TRACKING
+
+
+@pytest.mark.parametrize("coupled", [False, True])
+@pytest.mark.parametrize("bad", [ToolForce(9.0, 500.0, ForceStatus.REFUSED),
+                                 ToolForce(math.nan, 500.0, ForceStatus.CONVERGED),
+                                 ToolForce(9.0, math.inf, ForceStatus.LATE)])
+def test_an_answer_that_cannot_be_believed_changes_nothing(bad, coupled):
+    """Force and proxy stay for as long as the watchdog waits."""
+    rendering = ForceRendering(generous(), VirtualCoupling(1500.0, 1.0) if coupled else None)
+    before = run(rendering, Spring(), [2e-3] * 300)[-1]
+    rendering.depth_for(2e-3, DT)
+    for _ in range(20):
+        rendered = rendering.render(bad, DT)
+        assert (rendered.force, rendered.flags) == (pytest.approx(before.force), 0)
+        assert rendered.state is WatchdogState.MISSING
+        if coupled:
+            assert rendering.depth_for(3e-3, DT) == pytest.approx(before.proxy_depth)
+
+
+depths = st.none() | st.floats(-0.02, 0.02) | st.sampled_from([math.nan, math.inf])
+answers = st.tuples(st.floats(allow_nan=True, allow_infinity=True) | st.floats(-20, 20),
+                    st.floats(allow_nan=True, allow_infinity=True) | st.floats(-1e4, 1e4), st.sampled_from(ForceStatus),
+                    st.booleans())
+ticks = st.sampled_from([DT, DT, DT, 5e-3, 0.0, -1.0, math.nan])
+
+
+@settings(deadline=None)
+@given(st.lists(st.tuples(depths, answers, ticks), max_size=60), st.booleans(), st.none() | st.floats(0.1, 5.0))
+def test_whatever_comes_the_hand_is_safe(path, coupled, damping):
+    """Any pose, any answer, any dt: no exception, no force above the limit, no change above the rate."""
+    rendering = ForceRendering(ForceLimits(5.0, 0.1), VirtualCoupling(2000.0, 1.0, 1e-3) if coupled else None,
+                               controller_damping=damping)
+    last = 0.0
+    for depth, (force, stiffness, status, inertial), dt in path:
+        rendering.depth_for(depth, dt)
+        rendered = rendering.render(ToolForce(force, stiffness, status, inertial=inertial), dt)
+        assert abs(rendered.force) <= 5.0
+        assert abs(rendered.force - last) <= 0.1 + 1e-12
+        last = rendered.force
+
+
+@settings(deadline=None)
+@given(st.lists(st.tuples(depths, answers, ticks), max_size=30), st.booleans())
+def test_a_sound_tissue_is_felt_again_after_anything(path, coupled):
+    rendering = ForceRendering(ForceLimits(5.0, 0.1), VirtualCoupling(2000.0, 1.0) if coupled else None)
+    for depth, (force, stiffness, status, inertial), dt in path:
+        rendering.depth_for(depth, dt)
+        rendering.render(ToolForce(force, stiffness, status, inertial=inertial), dt)
+    rendered = run(rendering, Spring(500.0), [2e-3] * 1500)
+    assert rendered[-1].force == pytest.approx(1.0 if not coupled else 2e-3 * 400.0)
+    assert not rendered[-1].lost_pose and not rendered[-1].limited
+
+
+def test_flags_say_what_happened():
+    rendering, tissue = ForceRendering(ForceLimits(force=1.0, rate=0.6)), Spring()
+    first, second = run(rendering, tissue, [4e-3] * 2)
+    assert RenderFlag(first.flags) == RenderFlag.LIMITED | RenderFlag.RATE_LIMITED
+    assert first.limited and first.rate_limited
+    assert RenderFlag(second.flags) == RenderFlag.LIMITED
+    rendering.depth_for(4e-3, DT)
+    bad = rendering.render(tissue.step(4e-3, DT), math.nan)
+    assert bad.invalid and bad.force == pytest.approx(0.4)
+
+
+def test_active_is_what_the_held_force_does():
+    """An elastic tissue gives back what it took; held over a tick it gives more."""
+    path = [2e-3 * (1 - math.cos(2 * math.pi * 4 * tick * DT)) for tick in range(251)]
+    rendered = run(ForceRendering(generous()), Spring(1000.0), path)[-1]
+    assert rendered.energy == pytest.approx(0.0, abs=1e-12)
+    assert rendered.held_energy < 0 and rendered.active
+
+
+def test_a_tissue_that_gives_more_than_it_took_is_seen_and_can_be_damped():
+    """A spring that answers two ticks late, held for one: 2.5 K step^2 too much in every tick."""
+    stiffness, energies, active = 1000.0, [], []
+    for damping in (None, 20.0):
+        rendering, late, steps, last = ForceRendering(generous(), controller_damping=damping), [0.0, 0.0], 0.0, 0.0
+        for tick in range(1001):
+            depth = 2e-3 * (1 - math.cos(2 * math.pi * 4 * tick * DT))
+            late.append(stiffness * rendering.depth_for(depth, DT))
+            rendered = rendering.render(ToolForce(late.pop(0), stiffness, ForceStatus.LATE), DT)
+            steps, last = steps + (depth - last) ** 2, depth
+        energies.append(rendered.held_energy)
+        active.append(rendered.active)
+    assert energies[0] == pytest.approx(-2.5 * stiffness * steps, rel=0.01)
+    assert active[0]
+    assert abs(energies[1]) < 0.05 * abs(energies[0])
+
+
+def test_nothing_is_felt_before_the_first_pose():
+    tissue = Spring()
+    rendered = run(ForceRendering(generous()), tissue, [None] * 3)
+    assert tissue.depths == [0.0] * 3
+    assert [tick.force for tick in rendered] == [0.0] * 3
+
+
+def test_blend_of_a_slow_solver_is_a_tissue():
+    blend = LocalModelBlend(jump=0.02)
+    blend.publish(LocalModel(1.0, 500.0, 2e-3, time=0.0))
+    rendered = run(ForceRendering(generous()), blend, [2e-3] * 60)
+    assert [tick.force for tick in rendered[:3]] == pytest.approx([0.02, 0.04, 0.06])
+    assert rendered[-1].force == pytest.approx(1.0)
+
+
+def test_reset_and_instances_of_their_own():
+    one, other = (ForceRendering(ForceLimits(5.0, 0.1), VirtualCoupling(1000.0)) for _ in range(2))
+    path = [0.0, 1e-3, 3e-3, None, 2e-3]
+    first = run(one, Spring(), path)
+    assert run(other, Spring(), path) == first
+    assert run(one, Spring(), path) != first
+    one.reset()
+    assert run(one, Spring(), path) == first
