@@ -4,7 +4,7 @@ A command module states `SUMMARY`, `EXAMPLE`, `add_arguments(parser)` and `run(a
 numpy and everything above it inside `run`, so that help is instant.
 """
 
-from scenes.commands import calibrate, demo, doctor, material, simulate
+from scenes.commands import calibrate, demo, doctor, loop, material, serve, simulate
 
 COMMANDS = {
     "demo": demo,
@@ -12,7 +12,9 @@ COMMANDS = {
     "material": material,
     "simulate": simulate,
     "calibrate": calibrate,
+    "loop": loop,
+    "serve": serve,
 }
 
 #: Names that are settled and answered as not available in this version.
-LATER = ("design", "diagnose", "view", "loop", "serve", "record", "devices", "emulate", "reduce")
+LATER = ("design", "diagnose", "view", "record", "devices", "emulate", "reduce")

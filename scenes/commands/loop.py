@@ -1,0 +1,166 @@
+"""`tissue-sim loop`: the 1 kHz loop, and how well this computer keeps its time."""
+
+from __future__ import annotations
+
+import sys
+from functools import partial
+from pathlib import Path
+
+from scenes.console import print_json, progress_console, results_console
+from scenes.experiment_flags import (
+    DEPTH_MM,
+    SCENE_NAMES,
+    add_experiment_flags,
+    build_experiment,
+    build_protocol,
+    check_scene,
+)
+from scenes.parsing import Parser, add_json, at_least, not_negative, positive
+from tissue_sim.errors import InputError
+
+SUMMARY = "run the 1 kHz loop without a device and report how well it keeps its time"
+EXAMPLE = "tissue-sim loop needle_indentation --material m.material.json --seconds 60 --motion random"
+MOTIONS = ("random", "sine", "protocol")
+#: What stops a mistyped motion, not what a device bears, N and N per tick.
+FORCE_LIMIT, FORCE_RATE = 100.0, 1.0
+#: Wall time of a step in a tick of 1000, us: the rest is for rendering, ring and surface.
+BUDGET = 800.0
+INTERRUPTED = 130
+#: Share of the depth by which a random or sine motion lifts off.
+_LIFT = 0.2
+_LOOK_EVERY = 0.25  # s
+
+
+def add_arguments(parser: Parser) -> None:
+    parser.add_argument("scene", metavar="SCENE", nargs="?", default="needle_indentation",
+                        help=f"{' or '.join(SCENE_NAMES)} (default: %(default)s)")
+    parser.add_argument("--material", type=Path, metavar="FILE",
+                        help="NAME.material.json (default: the study's silicone, reduced_polynomial_2)")
+    parser.add_argument("--seconds", type=positive, metavar="N", default=60.0,
+                        help="how long; Ctrl-C ends it earlier (default: 60)")
+    parser.add_argument("--resolution", choices=("realtime", "fast", "accurate"), default="realtime",
+                        help="realtime, fast (force within 1 %%) or accurate (within 0.2 %%) (default: realtime)")
+    source = parser.add_argument_group("source of the motion")
+    source.add_argument("--motion", choices=MOTIONS,
+                        help="random: as of a hand, with lift-offs; sine: up and down; protocol: that of --protocol, "
+                             "repeated where it closes (default: random, or protocol where one is stated)")
+    source.add_argument("--top-speed-mm-s", type=positive, metavar="N", default=200.0,
+                        help="that a random motion never exceeds (default: 200)")
+    source.add_argument("--frequency-hz", type=positive, metavar="N", default=1.0, help="of a sine (default: 1)")
+    source.add_argument("--seed", type=at_least(0), metavar="N", default=0, help="of a random motion (default: 0)")
+    timing = parser.add_argument_group("timing and safety")
+    timing.add_argument("--spin-us", type=not_negative, metavar="N", default=0.0,
+                        help="watch the clock so long before each tick in place of sleeping (default: 0)")
+    timing.add_argument("--budget-us", type=not_negative, metavar="N", default=BUDGET,
+                        help="wall time of a step after which the last equilibrium's force is carried on; 0: however "
+                             f"long it takes (default: {BUDGET:g})")
+    timing.add_argument("--inertia", choices=("auto", "on", "off"), default="auto",
+                        help="the mass of the tissue counts; auto: where the tool is fast (default: auto)")
+    timing.add_argument("--no-real-time", action="store_true",
+                        help="ask the system for nothing: no SCHED_FIFO, no locked memory")
+    timing.add_argument("--force-limit-N", type=positive, metavar="N", default=FORCE_LIMIT,
+                        help=f"largest rendered force (default: {FORCE_LIMIT:g})")
+    timing.add_argument("--force-rate-N", type=positive, metavar="N", default=FORCE_RATE,
+                        help=f"its largest change in a tick (default: {FORCE_RATE:g})")
+    timing.add_argument("--ring", type=Path, metavar="FILE",
+                        help="where viewers and recorders read the ticks (default: a file in memory)")
+    add_experiment_flags(parser)
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments) -> int:
+    check_scene(arguments.scene)
+    motion = arguments.motion or ("protocol" if arguments.protocol else "random")
+    if motion != "protocol" and arguments.protocol:
+        raise InputError(f"a {motion} motion has none; leave it out, or give --motion protocol", field="--protocol")
+
+    from haptics.limits import ForceLimits
+    from haptics.loop import LoopSettings
+    from haptics.loop_process import LoopError, LoopProcess
+    from haptics.rendering import ForceRendering
+    from tissue_sim import Model, Simulator
+
+    material = read_material(arguments.material)
+    protocol = build_protocol(arguments)
+    model = Model(build_experiment(arguments, protocol, material), material)
+    settings = LoopSettings(seconds=arguments.seconds, spin=arguments.spin_us * 1e-6,
+                            real_time=not arguments.no_real_time)
+    build = partial(Simulator, model, resolution=arguments.resolution, inertia=arguments.inertia,
+                    budget=arguments.budget_us * 1e-6 or None)
+    process = LoopProcess(build, build_source(arguments, motion, protocol),
+                          ForceRendering(ForceLimits(arguments.force_limit_N, arguments.force_rate_N)), settings,
+                          ring_path=arguments.ring)
+    try:
+        report, interrupted = follow(process, arguments.seconds, quiet=arguments.json)
+    except LoopError as error:
+        print(f"tissue-sim: {error}", file=sys.stderr)
+        return 1
+    if arguments.json:
+        print_json({"scene": arguments.scene, "motion": motion, "resolution": arguments.resolution,
+                    **report.as_json()})
+    else:
+        from scenes.loop_report import print_report
+
+        print_report(report, results_console())
+    return INTERRUPTED if interrupted else 0
+
+
+def read_material(path: Path | None):
+    """The material of a file, or the study's silicone."""
+    import tissue_sim as ts
+
+    if path is not None:
+        return ts.load_material(path)
+    from scenes.demo import BULK_RATIO, PHANTOM
+
+    return ts.Material("reduced_polynomial_2", PHANTOM, ts.Bulk("bulk_ratio", BULK_RATIO), name="silicone of the study",
+                       density=1040.0)
+
+
+def build_source(arguments, motion: str, protocol):
+    """The source of the motion that the flags ask for.
+
+    Raises:
+        InputError: what the source refuses.
+    """
+    from haptics.motion_source import ProtocolMotion, RandomWalk, SineMotion
+
+    depth = (arguments.depth_mm or DEPTH_MM) * 1e-3
+    if motion == "random":
+        return RandomWalk(arguments.seed, depth, -_LIFT * depth, arguments.top_speed_mm_s * 1e-3)
+    if motion == "sine":
+        return SineMotion(depth, -_LIFT * depth, arguments.frequency_hz)
+    closes = abs(protocol.displacement[-1] - protocol.displacement[0]) < 1e-9
+    return ProtocolMotion(protocol, repeat=bool(closes))
+
+
+def follow(process, seconds: float, *, quiet: bool):
+    """Run the loop to its end, with a live line on a terminal.
+
+    Returns:
+        Its report, and whether Ctrl-C ended it.
+
+    Raises:
+        InputError, LoopError: it ended before its time.
+        KeyboardInterrupt: before its first tick.
+    """
+    from haptics.loop_process import LoopError
+    from scenes.loop_report import LiveLine
+
+    console = progress_console(quiet=quiet)
+    with process, console.status("starting") as status:
+        process.wait_until_ready(progress=status.update)
+        with process.ring() as ring:
+            live = LiveLine(ring, seconds)
+            console.print(f"ring: {process.ring_path}", markup=False, soft_wrap=True)
+            try:
+                while (report := process.wait(_LOOK_EVERY)) is None:
+                    if not console.quiet:
+                        status.update(live.text())
+                return report, False
+            except KeyboardInterrupt:
+                report = process.stop()
+                if report is None:
+                    raise LoopError(f"stopped by Ctrl-C, without a report: {process.message}") from None
+                return report, True

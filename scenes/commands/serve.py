@@ -1,0 +1,171 @@
+"""`tissue-sim serve`: a tissue for programs that are not ours, over UDP."""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from scenes.console import progress_console
+from scenes.experiment_flags import SCENE_NAMES, add_experiment_flags, build_experiment, build_protocol, check_scene
+from scenes.parsing import Parser, add_json, at_least, not_negative
+
+if TYPE_CHECKING:
+    from haptics.server import TissueServer
+    from tissue_sim import Experiment
+
+SUMMARY = "serve forces to a program of your own: poses in, forces out over UDP, configuration as JSON over TCP"
+EXAMPLE = "tissue-sim serve --scene needle_indentation --material m.material.json --port 47700"
+PORT = 47700
+_LAST_PORT = 65535
+#: Of a step at 1 kHz, us; and from one packet of a 1 kHz client to the next, with a margin.
+BUDGET_US, SPIN_US = 800.0, 2000.0
+
+
+def add_arguments(parser: Parser) -> None:
+    parser.add_argument("--scene", metavar="SCENE", default="needle_indentation",
+                        help=f"{' or '.join(SCENE_NAMES)} (default: %(default)s)")
+    parser.add_argument("--material", type=Path, required=True, metavar="FILE", help="NAME.material.json")
+    parser.add_argument("--resolution", choices=("realtime", "fast", "accurate"), default="realtime",
+                        help="realtime, fast (force within 1 %%) or accurate (within 0.2 %%) (default: realtime)")
+    network = parser.add_argument_group("network")
+    network.add_argument("--port", type=at_least(0, _LAST_PORT), metavar="N", default=PORT,
+                         help=f"UDP port of the poses; 0 chooses a free one (default: {PORT})")
+    network.add_argument("--configuration-port", type=at_least(0, _LAST_PORT), metavar="N",
+                         help="TCP port of the configuration; 0 chooses a free one (default: as --port)")
+    network.add_argument("--host", metavar="ADDRESS", default="127.0.0.1",
+                         help="address of the network interface (default: 127.0.0.1, this machine only)")
+    network.add_argument("--expose", action="store_true",
+                         help="allow a --host that other machines can reach: they need no password")
+    timing = parser.add_argument_group("timing")
+    timing.add_argument("--budget-us", type=not_negative, metavar="N",
+                        help="wall time of a step after which the last equilibrium's force is carried on; 0: however "
+                             f"long it takes (default: {BUDGET_US:g}, with --resolution accurate 0)")
+    timing.add_argument("--inertia", choices=("auto", "on", "off"), default="auto",
+                        help="the mass of the tissue counts; auto: where the tool is fast (default: auto)")
+    timing.add_argument("--spin-us", type=not_negative, metavar="N",
+                        help="watch the port so long after a packet before sleeping; takes a processor while a client "
+                             f"is there (default: {SPIN_US:g}; 0 on a single processor and with --real-time)")
+    timing.add_argument("--real-time", action="store_true",
+                        help="ask the system for SCHED_FIFO and locked memory: for machines that are busy otherwise")
+    add_experiment_flags(parser)
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments) -> int:
+    check_scene(arguments.scene)
+
+    import tissue_sim as ts
+    from haptics.real_time import real_time
+    from haptics.server import TissueServer
+    from tissue_sim.material_parameters import parameter_values
+
+    material_file = ts.read_material_file(arguments.material)
+    material = material_file.material
+    experiment = build_experiment(arguments, build_protocol(arguments), material)
+    port = arguments.port if arguments.configuration_port is None else arguments.configuration_port
+    progress = progress_console(quiet=arguments.json)
+    with progress.status("building the mesh"):
+        simulator = ts.Simulator(ts.Model(experiment, material), resolution=arguments.resolution,
+                                 budget=budget(arguments), inertia=arguments.inertia)
+    # The ports come before the compilation: one that is taken should be known at once.
+    with TissueServer(simulator, host=arguments.host, port=arguments.port, configuration_port=port,
+                      description=describe(arguments, experiment, material_file, simulator),
+                      parameters=parameter_values(material), spin=spin(arguments), expose=arguments.expose) as server:
+        with progress.status("loading the solver (a machine's first run compiles it)"):
+            simulator.warm_up()
+        gc.collect()
+        gc.freeze()  # what is there stays, and need not be looked through between two steps
+        with real_time(arguments.real_time) as features, _stopped_by_signals(server):
+            announce(arguments, server, features)
+            server.run()
+    report(server, sys.stderr if arguments.json else sys.stdout)
+    return 0
+
+
+def budget(arguments) -> float | None:
+    """Wall time of a step, s; None: however long it takes."""
+    default = 0.0 if arguments.resolution == "accurate" else BUDGET_US
+    return (default if arguments.budget_us is None else arguments.budget_us) * 1e-6 or None
+
+
+def spin(arguments) -> float:
+    """How long the server watches its port before it sleeps, s."""
+    if arguments.spin_us is not None:
+        return arguments.spin_us * 1e-6
+    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    # Under SCHED_FIFO a server that never sleeps would keep its own client from running.
+    return 0.0 if processors == 1 or arguments.real_time else SPIN_US * 1e-6
+
+
+def describe(arguments, experiment: Experiment, material_file, simulator) -> dict[str, Any]:
+    """What is served, for the command ``describe``; in SI."""
+    from scenes.material_summary import summarise
+
+    specimen, tool = experiment.specimen, experiment.tool
+    return {
+        "scene": arguments.scene,
+        "specimen": {"radius": specimen.radius, "height": specimen.height, "density": specimen.density,
+                     "gravity": specimen.gravity},
+        "tool": {"shape": tool.shape, "radius": tool.radius, "edge_radius": tool.edge_radius,
+                 "half_angle": tool.half_angle, "tip_radius": tool.tip_radius},
+        "interfaces": {name: getattr(experiment, name) for name in ("friction", "friction_base", "friction_wall")},
+        "material_file": arguments.material,
+        "material": summarise(material_file),
+        "resolution": arguments.resolution,
+        "inertia": arguments.inertia,
+        "budget": simulator.budget,
+        "mesh": {"elements": len(simulator.mesh.connectivity), "element": simulator.mesh.element.name},
+    }
+
+
+def announce(arguments, server: TissueServer, features) -> None:
+    """Say that the server is ready, on one line that a program can wait for."""
+    (host, port), (_, configuration_port) = server.address, server.configuration_address
+    if arguments.json:
+        print(json.dumps({"host": host, "port": port, "configuration_port": configuration_port,
+                          "real_time": {feature.name: feature.obtained for feature in features}}), flush=True)
+        return
+    print(f"serving {arguments.scene} on {host}:{port} (UDP), configuration on {host}:{configuration_port} (TCP); "
+          "Ctrl-C stops", flush=True)
+    if arguments.expose:
+        print(f"tissue-sim: warning: every machine that reaches {host} can move the tool, change the parameters and "
+              "read the material, without a password", file=sys.stderr)
+    for feature in features:
+        if feature.message and arguments.real_time:
+            print(f"tissue-sim: warning: {feature.message}", file=sys.stderr)
+
+
+def report(server: TissueServer, stream) -> None:
+    """The counters in two sentences."""
+    counters = server.counters
+    print(f"answered {counters.steps} poses of {counters.clients} clients: {counters.converged} converged, "
+          f"{counters.late} late, {counters.stopped} stopped, {counters.refused} refused", file=stream)
+    print(f"not answered: {counters.skipped} skipped for newer ones, {counters.stale} stale, {counters.malformed} "
+          f"malformed; turned away: {counters.turned_away} of other clients, {counters.other_version} of another "
+          "version", file=stream)
+
+
+@contextmanager
+def _stopped_by_signals(server: TissueServer) -> Iterator[None]:
+    """Ctrl-C and SIGTERM end `run` after the step that it is at; a second one does what it always does."""
+    before = {}
+
+    def stop(number, _) -> None:
+        server.stop()
+        signal.signal(number, before[number])
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        before[number] = signal.signal(number, stop)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,66 @@
+"""What `tissue-sim loop` tells: a line while it runs, a table at its end."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from haptics.ticker import LATE
+from scenes.text_table import print_sentence, text_table
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from haptics.loop import LoopReport
+    from haptics.ring import RingReader
+
+
+class LiveLine:
+    """The state of a loop in one line, from its ring: the loop itself is not asked.
+
+    Args:
+        ring: of the loop.
+        seconds: how long it will run.
+    """
+
+    def __init__(self, ring: RingReader, seconds: float):
+        self._ring, self._seconds, self._number = ring, seconds, 0
+
+    def text(self) -> str:
+        """The line, over the ticks since it was asked for the last time."""
+        ticks = self._ring.since(self._number)
+        self._number, records = ticks.number, ticks.records
+        if not len(records):
+            return "waiting for a tick"
+        newest = records[-1]
+        compute, lateness = (np.quantile(records[name], 0.99) * 1e6 for name in ("compute_time", "lateness"))
+        return (f"{newest['time']:.0f} of {self._seconds:g} s: {newest['tool_depth'] * 1e3:.2f} mm, "
+                f"{newest['force']:.3f} N; p99 compute {compute:.0f}, lateness {lateness:.0f} us; "
+                f"late {newest['late']}, missed {newest['missed']}")
+
+
+def print_report(report: LoopReport, console: Console) -> None:
+    """The report as a table and a few sentences."""
+    from rich.text import Text
+
+    table = text_table("", "p50", "p99", "p99.9", "max")
+    answer = report.as_json()
+    for title, key in (("lateness [us]", "lateness_us"), ("compute time [us]", "compute_us")):
+        # As text: rich reads brackets as markup.
+        table.add_row(Text(title), *(f"{value:.1f}" for value in answer[key].values()))
+    console.print(table)
+    print_sentence(console, f"{report.ticks} ticks in {report.seconds:.4g} s: {report.late} late (more than "
+                            f"{LATE * 1e3:g} ms), {report.missed} missed ({answer['missed_percent']:.3g} %)")
+    for what, counts in (("answers", report.statuses), ("ticks that were", report.flagged)):
+        told = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items() if count)
+        if told:
+            print_sentence(console, f"{what}: {told}")
+    print_sentence(console, f"largest force: {report.largest_force:.4g} N")
+    if report.peak_memory is not None:
+        print_sentence(console, f"peak memory: {answer['peak_memory_MB']:.0f} MB")
+    obtained = [feature.name for feature in report.real_time if feature.obtained]
+    print_sentence(console, f"real time: {', '.join(obtained) if report.real_time else 'not asked for'}")
+    for feature in report.real_time:
+        if not feature.obtained:
+            print_sentence(console, f"real time: {feature.message}")

@@ -1,0 +1,128 @@
+"""Tissues and scripts for test_ring.py and test_loop.py, which another process imports by name."""
+
+import os
+import signal
+import sys
+import time
+from functools import partial
+from types import SimpleNamespace
+
+import numpy as np
+
+from haptics.limits import ForceLimits
+from haptics.loop import LoopSettings
+from haptics.loop_process import LoopProcess
+from haptics.motion_source import SineMotion
+from haptics.rendering import ForceRendering
+from haptics.ring import RingReader, RingWriter
+from haptics.surface_board import SurfaceBoard
+from tissue_sim.errors import InputError
+from tissue_sim.tool_force import ForceStatus, ToolForce
+
+
+class Spring:
+    """F = k d below the surface, k in N/m."""
+
+    def __init__(self, stiffness=200.0):
+        self.stiffness, self.steps, self.warm = stiffness, [], False
+
+    def warm_up(self):
+        self.warm = True
+
+    def step(self, depth, dt):
+        self.steps.append((depth, dt))
+        inside = depth > 0
+        return ToolForce(self.stiffness * depth if inside else 0.0, self.stiffness if inside else 0.0,
+                         ForceStatus.CONVERGED, iterations=1, residual=1e-9, inertial=True)
+
+    def reset(self):
+        self.steps.clear()
+
+    def set_parameters(self, stiffness):
+        if stiffness <= 0:
+            raise InputError(f"{stiffness:g} N/m is no stiffness; give a number above zero", field="stiffness")
+        self.stiffness = stiffness
+
+    def surface(self):
+        return SimpleNamespace(outline=np.array([[0.0, -self.steps[-1][0] if self.steps else 0.0], [0.04, 0.0]]))
+
+
+class Fuse(Spring):
+    """Fails at its tenth step."""
+
+    def step(self, depth, dt):
+        if len(self.steps) == 9:
+            raise ZeroDivisionError("the tenth\nstep")
+        return super().step(depth, dt)
+
+
+def refuse():
+    raise InputError("12 layers are too many; give 1 to 10", field="layers")
+
+
+def die():
+    os.kill(os.getpid(), getattr(signal, "SIGKILL", signal.SIGTERM))
+
+
+def build_slowly(seconds):
+    time.sleep(seconds)
+    return Spring()
+
+
+def rendering():
+    return ForceRendering(ForceLimits(force=10.0, rate=1.0))
+
+
+def loop_process(build=Spring, seconds=None, real_time=False, **options):
+    return LoopProcess(build, SineMotion(4e-3, -1e-3, 5.0), rendering(),
+                       LoopSettings(seconds=seconds, real_time=real_time), **options)
+
+
+def record(n):
+    """A tick whose fields all follow from its number."""
+    return (n, n * 0.5, n + 1.0, n + 2.0, n + 3.0, n + 4.0, n + 5.0, n + 6.0, n + 7.0, n + 8.0, n + 9.0, n, n + 1,
+            n % 4, n % 97, n % 61, n % 2)
+
+
+def write_fast(ring_path, board_path, stop_path):
+    """Fill a small ring and a board as fast as this process can, until a file appears."""
+    with RingWriter(ring_path, 8) as ring, SurfaceBoard(board_path, 500) as board:
+        n = 0
+        print("writing", flush=True)
+        while n % 256 or not stop_path.exists():
+            n += 1
+            ring.append(*record(n))
+            if n % 16 == 0:
+                board.publish(float(n), np.full((400 + n % 100, 2), float(n)))
+
+
+def read_forces(path, count):
+    """The first forces of a ring, as an unrelated process sees them."""
+    with RingReader(path) as reader:
+        number = 0
+        while number < count:
+            ticks = reader.since(number)
+            number = ticks.number
+            time.sleep(0.01)
+        print(number, ticks.lost, reader.latest()["force"])
+
+
+def main():
+    what, *words = sys.argv[1:]
+    if what == "write":
+        from pathlib import Path
+
+        write_fast(*map(Path, words))
+    elif what == "read":
+        read_forces(words[0], int(words[1]))
+    else:  # a parent of a loop, which waits to be killed
+        build = Spring if what == "parent" else partial(build_slowly, 60.0)
+        with loop_process(build, ring_path=words[0]) as loop:
+            if what == "parent":
+                loop.wait_until_ready()
+            print(loop.pid, flush=True)
+            loop.wait()
+
+
+if __name__ == "__main__":
+    main()

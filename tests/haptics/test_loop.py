@@ -1,0 +1,357 @@
+"""The loop: what a tick does, on a clock that the test sets; and the process of its own, killed, commanded and read."""
+
+import importlib
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from haptics.limits import ForceLimits
+from haptics.loop import Loop, LoopSettings, peak_memory
+from haptics.loop_process import LoopError
+from haptics.motion_source import SineMotion
+from haptics.rendering import ForceRendering, RenderFlag
+from haptics.ring import PAUSED, RingReader, RingWriter
+from haptics.surface_board import SurfaceBoard, SurfaceReader
+from tissue_sim.errors import InputError
+from tissue_sim.tool_force import ForceStatus, ToolForce
+
+HERE = Path(__file__).parent
+
+
+@pytest.fixture
+def tissues(monkeypatch):
+    """The module of tissues; the process of the loop inherits the search path and finds it there."""
+    monkeypatch.syspath_prepend(HERE)
+    return importlib.import_module("loop_tissues")
+
+
+class FakeClock:
+    def __init__(self):
+        self.now = 0
+
+    def __call__(self):
+        return self.now
+
+    def sleep(self, seconds):
+        self.now += round(seconds * 1e9)
+
+
+class Ramp:
+    """20 mm/s."""
+
+    def depth(self, time):
+        return 0.02 * time
+
+
+@pytest.fixture
+def run(tmp_path, tissues):
+    """Run a loop on a fake clock: the report, its ticks, its tissue and its surface."""
+    clock = FakeClock()
+
+    def run(tissue, seconds, *, source=None, listen=None, force=10.0, spring=None):
+        settings = LoopSettings(seconds=seconds, real_time=False)
+        rendering = ForceRendering(ForceLimits(force=force, rate=1.0))
+        with RingWriter(tmp_path / "ring") as ring, SurfaceBoard(tmp_path / "surface", 2) as board, \
+                RingReader(tmp_path / "ring") as reader, SurfaceReader(tmp_path / "surface") as surfaces:
+            loop = Loop(tissue, source or Ramp(), rendering, settings, ring, board=board, listen=listen, clock=clock,
+                        sleep=clock.sleep)
+            return loop.run(), reader.since().records, surfaces.latest()
+
+    run.clock = clock
+    return run
+
+
+def test_a_tick_goes_from_pose_to_force(run, tissues):
+    tissue = tissues.Spring(200.0)
+    report, ticks, surface = run(tissue, 0.5)
+    assert (report.ticks, report.late, report.missed, report.ended_by) == (500, 0, 0, "time")
+    assert report.seconds == pytest.approx(0.5) and report.statuses == {"converged": 500, "late": 0, "stopped": 0,
+                                                                        "refused": 0}
+    times = 1e-3 * np.arange(1, 501)
+    np.testing.assert_allclose(ticks["time"], times, rtol=1e-12)
+    np.testing.assert_array_equal(ticks["tick"], np.arange(1, 501))
+    for name in ("device_depth", "tool_depth"):
+        np.testing.assert_allclose(ticks[name], 0.02 * times, rtol=1e-12)
+    np.testing.assert_allclose(ticks["force"], 4.0 * times, rtol=1e-12)
+    np.testing.assert_allclose([dt for _, dt in tissue.steps], 1e-3, rtol=1e-9)
+    assert set(ticks["stiffness"]) == {200.0} and set(ticks["iterations"]) == {1} and set(ticks["inertial"]) == {1}
+    assert report.largest_force == pytest.approx(2.0)
+    # Published at 30 Hz: every 33 ticks from the first one on, the last at tick 496.
+    assert surface.number == 16 and surface.time == pytest.approx(0.496)
+    assert surface.outline[0, 1] == pytest.approx(-0.02 * 0.496)
+
+
+def test_the_tissue_gets_the_time_that_has_passed(run, tissues):
+    """Tick 100 takes 7.4 ms: 6 deadlines pass, and the next step is as long as all of them."""
+    class Slow(tissues.Spring):
+        def step(self, depth, dt):
+            answer = super().step(depth, dt)
+            run.clock.now += 7_400_000 if len(self.steps) == 100 else 250_000
+            return answer
+
+    tissue = Slow()
+    report, ticks, _ = run(tissue, 0.2)
+    assert (report.ticks, report.missed, report.late) == (194, 6, 1)
+    assert list(ticks["tick"][98:102]) == [99, 100, 107, 108] and list(ticks["missed"][98:102]) == [0, 0, 6, 6]
+    assert ticks["lateness"][100] == pytest.approx(6.4e-3) and ticks["time"][100] == pytest.approx(0.1074)
+    steps = [dt for _, dt in tissue.steps]
+    assert steps[100] == pytest.approx(7.4e-3) and steps[101] == pytest.approx(0.6e-3)
+    assert sum(steps) == pytest.approx(0.2), "no time is lost"
+    np.testing.assert_allclose(ticks["tool_depth"], 0.02 * ticks["time"])
+    assert report.compute_time.p50 == pytest.approx(0.25e-3, rel=0.02)
+    assert report.compute_time.maximum == pytest.approx(7.4e-3) == ticks["compute_time"].max()
+    assert report.lateness.maximum == pytest.approx(6.4e-3)
+
+
+def test_statuses_and_limits_are_counted_and_shown(run, tissues):
+    class Doubtful(tissues.Spring):
+        def step(self, depth, dt):
+            answer = super().step(depth, dt)
+            status = ForceStatus.LATE if len(self.steps) % 4 == 0 else ForceStatus.CONVERGED
+            return ToolForce(answer.force, answer.stiffness, status, 3, 1e-3, age=0.25)
+
+    report, ticks, _ = run(Doubtful(), 0.4, force=1.0)
+    assert report.statuses == {"converged": 300, "late": 100, "stopped": 0, "refused": 0}
+    assert (ticks["status"][3::4] == ForceStatus.LATE).all() and set(ticks["age"]) == {0.25}
+    limited = ticks["tissue_force"] > 1.0
+    assert report.flagged["limited"] == limited.sum() == 150 and report.largest_force == 1.0
+    np.testing.assert_array_equal(ticks["flags"] & RenderFlag.LIMITED != 0, limited)
+
+
+def test_a_source_without_a_pose_is_passed_on(run, tissues):
+    class Lost:
+        def depth(self, time):
+            return 5e-3 if time < 0.1 else None
+
+    report, ticks, _ = run(tissues.Spring(), 0.5, source=Lost())
+    assert np.isnan(ticks["device_depth"][100:]).all() and (ticks["tool_depth"] == 5e-3).all()
+    assert ticks["force"][50] == pytest.approx(1.0) and ticks["force"][-1] == 0.0
+    assert report.flagged["lost_pose"] == np.count_nonzero(ticks["flags"] & RenderFlag.LOST_POSE) > 300
+
+
+def test_a_pause_holds_the_motion_and_fades_the_force(run, tissues):
+    def listen(loop):
+        {100: loop.pause, 400: loop.resume}.get(len(tissue.steps), lambda: None)()
+
+    tissue = tissues.Spring()
+    report, ticks, _ = run(tissue, 0.8, listen=listen)
+    paused = ticks["flags"] & PAUSED != 0
+    assert report.flagged["paused"] == paused.sum() == 300
+    np.testing.assert_allclose(ticks["tool_depth"][paused], 2e-3)
+    assert ticks["force"][399] == 0.0 and np.abs(np.diff(ticks["force"])).max() < 0.02
+    np.testing.assert_allclose(ticks["device_depth"][400:], 2e-3 + 0.02e-3 * np.arange(1, 401))
+    assert ticks["force"][-1] == pytest.approx(200 * 10e-3)
+
+
+def test_a_reset_begins_again(run, tissues):
+    def listen(loop):
+        if len(tissue.steps) == 200 and not done:
+            done.append(True)
+            loop.reset()
+
+    tissue, done = tissues.Spring(), []
+    _, ticks, _ = run(tissue, 0.4, listen=listen)
+    np.testing.assert_allclose(ticks["device_depth"], np.tile(0.02e-3 * np.arange(1, 201), 2), rtol=1e-9)
+    assert len(tissue.steps) == 200, "the tissue began again, too"
+
+
+def test_a_tissue_without_the_ability_says_so(run, tissues):
+    class Plain:
+        def step(self, depth, dt):
+            return ToolForce(0.0, 0.0, ForceStatus.CONVERGED)
+
+        surface = tissues.Spring(0.0).surface
+        steps = ()
+
+    with pytest.raises(InputError, match=r"this tissue \(Plain\) has no reset"):
+        run(Plain(), 0.1, listen=lambda loop: loop.reset())
+
+
+@pytest.mark.parametrize(("wrong", "field"), [
+    ({"period": 0.0}, "period"), ({"spin": 2e-3}, "spin"), ({"seconds": 0.0}, "seconds"),
+    ({"seconds": math.inf}, "seconds"), ({"surface_rate": -1.0}, "surface_rate"),
+    ({"surface_rate": math.nan}, "surface_rate"),
+])
+def test_settings_that_make_no_sense_are_refused(wrong, field):
+    with pytest.raises(InputError) as caught:
+        LoopSettings(**wrong)
+    assert caught.value.field == field
+
+
+def test_a_report_is_json(run, tissues):
+    report, *_ = run(tissues.Spring(), 0.1)
+    answer = json.loads(json.dumps(report.as_json(), allow_nan=False))
+    assert answer["ticks"] == 100 and answer["missed_percent"] == 0.0 and answer["period_us"] == 1000.0
+    assert set(answer["lateness_us"]) == set(answer["compute_us"]) == {"p50", "p99", "p99.9", "max"}
+    assert answer["real_time"] == []
+    assert 5 < answer["peak_memory_MB"] < 4000
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
+def test_peak_memory_is_that_of_this_program(tissues):
+    """A process that a large one starts does not begin with the memory of its parent."""
+    ballast = bytearray(os.urandom(1)) * 400_000_000
+    code = "from haptics.loop import peak_memory; print(peak_memory())"
+    done = subprocess.run([sys.executable, "-c", code], env=environment(), capture_output=True, text=True, check=True)
+    assert peak_memory() > len(ballast) > int(done.stdout) > 5e6
+
+
+# ---- the process ----
+
+def environment():
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, [str(HERE.parents[1]), str(HERE)]))}
+
+
+def wait_until(condition, seconds=20.0):
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, f"not within {seconds} s"
+        time.sleep(0.01)
+
+
+def is_running(pid):
+    """Whether a process runs; one that ended but was not waited for does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def test_a_process_ticks_to_its_end(tissues):
+    said = []
+    with tissues.loop_process(seconds=0.5, real_time=True) as loop:
+        loop.wait_until_ready(60, said.append)
+        assert said[-1] == "running"
+        report = loop.wait(60)
+        assert report.ended_by == "time" and report.ticks + report.missed >= 500
+        assert len(report.real_time) == 4 and any(feature.obtained for feature in report.real_time)
+        assert report.statuses["converged"] == report.ticks and report.largest_force == pytest.approx(0.8, rel=0.01)
+        assert not loop.alive and loop.exit_code == 0 and loop.message == "ended"
+    assert not loop.ring_path.exists() and not loop.surface_path.exists()
+
+
+def test_an_unrelated_process_reads_the_ring(tissues):
+    with tissues.loop_process() as loop:
+        loop.wait_until_ready(60)
+        assert loop.alive and loop.exit_code is None and loop.report is None
+        with loop.ring() as ring, loop.surface() as surface:
+            command = [sys.executable, HERE / "loop_tissues.py", "read", loop.ring_path, "100"]
+            read, lost, _ = subprocess.run(command, env=environment(), capture_output=True, text=True,
+                                           check=True).stdout.split()
+            report = loop.stop()
+            ticks, outline = ring.since().records, surface.latest()
+            assert ring.ended and surface.ended
+    assert 100 <= int(read) <= len(ticks) and lost == "0"
+    assert report.ended_by == "stop" and report.ticks == len(ticks)
+    assert ring_is_right(ticks)
+    assert outline.number >= 2 and outline.outline.shape == (2, 2)
+
+
+def ring_is_right(ticks):
+    """Every tick has the force of the spring at the depth of the sine at its time."""
+    depth = np.array([SineMotion(4e-3, -1e-3, 5.0).depth(time) for time in ticks["time"]])
+    np.testing.assert_allclose(ticks["tool_depth"], depth, atol=1e-12)
+    np.testing.assert_allclose(ticks["tissue_force"], 200.0 * np.maximum(depth, 0), atol=1e-12)
+    return (np.diff(ticks["tick"].astype(int)) >= 1).all()
+
+
+def test_commands_work_and_a_refusal_does_not_end_the_loop(tissues):
+    with tissues.loop_process() as loop:
+        with pytest.raises(LoopError, match="not ready"):
+            loop.pause()
+        loop.wait_until_ready(60)
+        with loop.ring() as ring:
+            loop.set_parameters(stiffness=300.0)
+            with pytest.raises(InputError, match="stiffness: -1 N/m is no stiffness"):
+                loop.set_parameters(stiffness=-1.0)
+            loop.pause()
+            written = ring.written
+            wait_until(lambda: ring.written > written + 1)
+            latest = ring.latest()
+            assert latest["flags"] & PAUSED and np.isnan(latest["device_depth"])
+            loop.resume()
+            wait_until(lambda: not np.isnan(ring.latest()["device_depth"]))
+            wait_until(lambda: ring.latest()["stiffness"] == 300.0)
+            time_before = float(ring.latest()["time"])
+            loop.reset()
+            wait_until(lambda: ring.latest()["time"] > time_before)
+            assert loop.alive
+        report = loop.stop()
+    assert report.ended_by == "stop" and report.flagged["paused"] >= 1 and loop.exit_code == 0
+    assert loop.stop() is report and loop.wait() is report
+    with pytest.raises(InputError, match="was started before"):
+        loop.start()
+
+
+def test_an_error_of_the_tissue_arrives_as_one_sentence(tissues, capfd):
+    with tissues.loop_process(tissues.Fuse) as loop, pytest.raises(LoopError, match=r"^ZeroDivisionError: the tenth"):
+        loop.wait(60)
+    assert loop.exit_code == 1 and not loop.alive and loop.message == "ZeroDivisionError: the tenth step"
+    assert "Traceback" in capfd.readouterr().err, "a fault of the program can be found"
+    with tissues.loop_process(tissues.refuse) as loop, pytest.raises(InputError, match="12 layers are too many"):
+        loop.wait_until_ready(60)
+    assert capfd.readouterr().err == "" and loop.stop() is None
+
+
+def test_a_child_that_is_killed_is_seen(tissues):
+    with tissues.loop_process() as loop:
+        loop.wait_until_ready(60)
+        os.kill(loop.pid, getattr(signal, "SIGKILL", signal.SIGTERM))
+        with pytest.raises(LoopError, match="before that: running"):
+            loop.wait(60)
+        assert not loop.alive and loop.exit_code not in (None, 0) and loop.report is None
+        assert not loop.ring_path.exists(), "nothing is left behind"
+        for command in (loop.pause, loop.reset, loop.wait):
+            with pytest.raises(LoopError, match="the process of the loop"):
+                command()
+    with tissues.loop_process(tissues.die) as loop, pytest.raises(LoopError, match="building the tissue"):
+        loop.wait_until_ready(60)
+
+
+def test_a_build_that_takes_long_can_be_stopped(tissues):
+    with tissues.loop_process(partial(tissues.build_slowly, 600.0)) as loop:
+        with pytest.raises(LoopError, match=r"not ready after 0.5 s"):
+            loop.wait_until_ready(0.5)
+        assert loop.alive
+    assert not loop.alive and loop.report is None and not loop.ring_path.exists()
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc")
+@pytest.mark.parametrize("what", ["parent", "building"])
+def test_no_loop_outlives_its_parent(what, tmp_path):
+    ring = tmp_path / "ring"
+    with subprocess.Popen([sys.executable, HERE / "loop_tissues.py", what, ring], env=environment(),
+                          stdout=subprocess.PIPE, text=True) as parent:
+        child = int(parent.stdout.readline())
+        wait_until(ring.exists)
+        assert is_running(child)
+        parent.kill()
+    wait_until(lambda: not is_running(child))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_loop_without_main_guard_is_told_so(tmp_path):
+    script = tmp_path / "unguarded.py"
+    script.write_text("from loop_tissues import loop_process\n"
+                      "with loop_process() as loop:\n    loop.wait_until_ready()\n", encoding="utf-8")
+    ended = subprocess.run([sys.executable, script], env=environment(), capture_output=True, text=True)
+    assert ended.returncode == 1
+    assert "if __name__ == '__main__':" in ended.stderr.splitlines()[-1]
+
+
+def test_what_cannot_be_sent_is_refused(tissues, tmp_path):
+    with pytest.raises(InputError, match="cannot be sent to another process"), \
+            tissues.loop_process(lambda: tissues.Spring()) as loop:
+        loop.wait()
+    (tmp_path / "ring").touch()
+    with pytest.raises(InputError, match="exists already"):
+        tissues.loop_process(ring_path=tmp_path / "ring")

@@ -1,0 +1,221 @@
+"""The ring and the board: what a reader gets is whole, in order, and what it did not get is counted."""
+
+import importlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from haptics.ring import TICK, RingReader, RingWriter
+from haptics.shared_slots import HEAD_SIZE, SlotReader, SlotWriter, runtime_folder, unused_path
+from haptics.surface_board import SurfaceBoard, SurfaceReader
+from tissue_sim.errors import InputError
+
+HERE = Path(__file__).parent
+KIND = b"tsTEST\0\0"
+
+
+@pytest.fixture
+def tissues(monkeypatch):
+    monkeypatch.syspath_prepend(HERE)
+    return importlib.import_module("loop_tissues")
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "ring"
+
+
+def test_a_tick_comes_back_as_it_was_written(path, tissues):
+    with RingWriter(path) as ring, RingReader(path) as reader:
+        assert reader.latest() is None and reader.since().records.shape == (0,)
+        ring.append(*tissues.record(41))
+        ring.append(*tissues.record(42))
+        assert tuple(reader.latest()) == tissues.record(42)
+        assert reader.latest().dtype == TICK
+        assert [tuple(record) for record in reader.since().records] == [tissues.record(41), tissues.record(42)]
+
+
+def test_the_layout_is_the_promised_one(path, tissues):
+    """Byte for byte: a program in another language reads this."""
+    with RingWriter(path, 2) as ring:
+        ring.append(*tissues.record(7))
+        content = path.read_bytes()
+    assert len(content) == 64 + 2 * (16 + 120)
+    assert content[:8] == b"tsTICKS\0" and content[8:32] == np.array([1, 136, 2, 0, os.getpid(), 0], "<u4").tobytes()
+    assert content[32:48] == np.array([1, 0], "<u8").tobytes()  # one written, not ended
+    assert content[64:76] == np.array([7 - 6, 0, 120], "<u4").tobytes()
+    assert content[80:88] == np.array([7], "<u8").tobytes() and content[88:96] == np.array([3.5], "<f8").tobytes()
+
+
+@settings(max_examples=50, deadline=None)
+@given(batches=st.lists(st.integers(0, 25), min_size=1, max_size=8), capacity=st.integers(2, 9))
+def test_every_slot_is_read_or_counted_as_lost(batches, capacity, tmp_path_factory):
+    path = tmp_path_factory.mktemp("slots") / "s"
+    with SlotWriter(path, KIND, capacity, 8) as writer, SlotReader(path, KIND) as reader:
+        number, seen, lost, total = 0, [], 0, 0
+        for batch in batches:
+            for _ in range(batch):
+                total += 1
+                writer.write(total.to_bytes(8, "little"))
+            contents, number, missing = reader.since(number)
+            if not seen and total:  # what went by before the first reading is not lost
+                missing = max(total - capacity, 0)
+            seen += [int.from_bytes(content, "little") for content in contents]
+            lost += missing
+        assert number == total == len(seen) + lost
+        assert seen == sorted(set(seen)) and set(seen[-capacity:]) >= set(range(max(total - capacity, 0) + 1, total))
+
+
+def test_a_reader_that_begins_late_has_lost_nothing(path):
+    with SlotWriter(path, KIND, 4, 8) as writer, SlotReader(path, KIND) as reader:
+        for n in range(10):
+            writer.write(bytes([n]))
+        assert reader.since(0) == ([b"\6", b"\7", b"\10", b"\11"], 10, 0)
+        assert reader.since(3) == ([b"\6", b"\7", b"\10", b"\11"], 10, 3)
+        assert reader.since(10) == ([], 10, 0)
+
+
+@pytest.mark.parametrize("part", range(0, 24, 3))
+def test_a_half_written_slot_is_not_believed(path, part):
+    """A writer that stops after any part of a slot: its old content is gone, its new one is not there."""
+    stride = 16 + 8
+    with SlotWriter(path, KIND, 2, 8) as writer, SlotReader(path, KIND) as reader:
+        for content in (b"11111111", b"22222222"):
+            writer.write(content)
+        whole = path.read_bytes()
+        with SlotWriter(path.with_name("next"), KIND, 2, 8) as other:
+            for content in (b"11111111", b"22222222", b"33333333"):
+                other.write(content)
+            new = other.path.read_bytes()[HEAD_SIZE:HEAD_SIZE + stride]
+        with path.open("r+b") as stream:
+            stream.seek(HEAD_SIZE)
+            stream.write(new[:part] + whole[HEAD_SIZE + part:HEAD_SIZE + stride])
+        assert reader.read(3) is None
+        assert reader.read(1) == (b"11111111" if part == 0 else None)
+        assert reader.latest() == (2, b"22222222")
+        assert reader.since(1) == ([b"22222222"], 2, 0)
+
+
+def test_a_slot_that_has_not_arrived_is_left_for_the_next_time(path):
+    """On a processor that shows writes in another order, the count can be seen before the content."""
+    with SlotWriter(path, KIND, 4, 8) as writer, SlotReader(path, KIND) as reader:
+        writer.write(b"1")
+        writer._numbers[0] = 2
+        assert reader.since(0) == ([b"1"], 1, 0)
+        writer.write(b"2")
+        assert reader.since(1) == ([b"2"], 2, 0)
+
+
+def test_no_torn_record_is_seen_from_a_writer_at_full_speed(tmp_path, tissues):
+    """Another process writes a ring of 8 ticks, and a board, as fast as it can."""
+    ring, board, stop = tmp_path / "ring", tmp_path / "board", tmp_path / "stop"
+    with subprocess.Popen([sys.executable, HERE / "loop_tissues.py", "write", ring, board, stop], env=environment(),
+                          stdout=subprocess.PIPE) as writer:
+        assert writer.stdout.readline() == b"writing" + os.linesep.encode()
+        with RingReader(ring) as ticks, SurfaceReader(board) as surfaces:
+            number = seen = lost = published = 0
+            while number < 100_000:
+                for _ in range(20):
+                    answer = ticks.since(number)
+                    for record in answer.records:
+                        assert tuple(record) == tissues.record(int(record["tick"]))
+                    assert (np.diff(answer.records["tick"].astype(int)) > 0).all()
+                    if number:
+                        seen, lost = seen + len(answer.records), lost + answer.lost
+                        assert len(answer.records) + answer.lost == answer.number - number
+                    number = answer.number
+                    latest = ticks.latest()
+                    assert latest is None or tuple(latest) == tissues.record(int(latest["tick"]))
+                surface = surfaces.latest(after=published)
+                if surface is not None:
+                    assert (surface.outline == surface.time).all()
+                    assert len(surface.outline) == 400 + surface.time % 100 and surface.time == 16 * surface.number
+                    published = surface.number
+            stop.touch()
+            assert writer.wait(20) == 0
+            assert ticks.ended and surfaces.ended and not ring.exists() and not board.exists()
+            assert seen > 0 and lost > 0 and published > 0, "the reader must be lapped for this to mean anything"
+
+
+def environment():
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, [str(HERE.parents[1]), str(HERE)]))}
+
+
+def test_an_outline_comes_back_and_only_a_newer_one(path):
+    outline = np.array([[0.0, -3e-3], [8e-3, -3e-3], [40e-3, 1e-4]])
+    with SurfaceBoard(path, 3) as board, SurfaceReader(path) as reader:
+        assert reader.latest() is None
+        board.publish(0.25, outline)
+        seen = reader.latest()
+        np.testing.assert_array_equal(seen.outline, outline)
+        assert (seen.number, seen.time) == (1, 0.25) and reader.latest(after=1) is None
+        board.publish(0.5, outline[:2])
+        assert reader.latest(after=1).outline.shape == (2, 2)
+        with pytest.raises(InputError, match=r"do not fit"):
+            board.publish(0.75, np.zeros((4, 2)))
+        with pytest.raises(InputError, match=r"shape \(3,\); expected \(n, 2\)"):
+            board.publish(0.75, np.zeros(3))
+
+
+def test_files_that_are_no_ring_are_refused_in_one_sentence(path, tmp_path, tissues):
+    with pytest.raises(InputError, match="cannot be read"):
+        RingReader(path)
+    for content in (b"", b"x", bytes(64), b"tsTICKS\0" + bytes(500)):
+        path.write_bytes(content)
+        with pytest.raises(InputError, match=r"cannot be read|is not a file of kind 'tsTICKS', version 1"):
+            RingReader(path)
+    with pytest.raises(InputError, match="exists already"):
+        RingWriter(path)
+    assert path.read_bytes() == b"tsTICKS\0" + bytes(500), "somebody else's file is kept"
+    with pytest.raises(InputError, match="cannot be shared"):
+        RingWriter(tmp_path / "missing" / "ring")
+    with pytest.raises(InputError, match="at least 2"):
+        RingWriter(tmp_path / "small", 1)
+    with RingWriter(tmp_path / "ring2", 4) as ring:
+        with pytest.raises(InputError, match="kind 'tsSURF'"):
+            SurfaceReader(ring.path)
+        whole = ring.path.read_bytes()
+        path.write_bytes(whole[:-8])
+        with pytest.raises(InputError, match="is not a file of kind"):
+            RingReader(path)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="renamed there")
+def test_a_file_is_whole_when_its_name_appears(path, monkeypatch):
+    """A reader that waits for the name can open it at once."""
+    link = os.link
+
+    def look(source, target, **options):
+        with RingReader(source) as reader:
+            assert (reader.written, reader.capacity, reader.ended) == (0, 4, False)
+        link(source, target, **options)
+        looked.append(target)
+
+    looked = []
+    monkeypatch.setattr(os, "link", look)
+    with RingWriter(path, 4):
+        assert looked == [path] == list(path.parent.iterdir())
+
+
+def test_files_of_a_loop_are_this_users_alone(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    path = unused_path("ring")
+    assert path.parent == runtime_folder() == tmp_path / "tissue_sim" and path != unused_path("ring")
+    with RingWriter(path, 2) as ring:
+        if os.name != "nt":
+            assert path.stat().st_mode & 0o077 == 0 and path.parent.stat().st_mode & 0o077 == 0
+        ring.close()
+        assert not path.exists()
+    blocked = tmp_path / "file"
+    blocked.touch()
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(blocked))
+    with pytest.raises(InputError, match="set XDG_RUNTIME_DIR to a folder of yours"):
+        runtime_folder()
+    monkeypatch.delenv("XDG_RUNTIME_DIR")
+    assert runtime_folder().is_dir()

@@ -1,0 +1,170 @@
+"""`tissue-sim loop`: its flags reach the loop, its report is printed, and a loop that dies is no success."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tissue_sim as ts
+from haptics.loop_process import LoopProcess
+from haptics.motion_source import ProtocolMotion, RandomWalk, SineMotion
+from haptics.ring import RingReader, RingWriter
+from scenes.cli import main
+from scenes.loop_report import LiveLine
+
+ROOT = Path(__file__).resolve().parents[2]
+KEYS = {"scene", "motion", "resolution", "ended_by", "seconds", "period_us", "ticks", "late", "missed",
+        "missed_percent", "lateness_us", "compute_us", "statuses", "flagged", "largest_force_N", "real_time",
+        "peak_memory_MB"}
+
+
+def writer_of(ring, ticks=50, seconds=60.0, alive=lambda: True):
+    """The process that makes a ring, as soon as it has so many ticks."""
+    deadline = time.monotonic() + seconds
+
+    def wait_until(condition):
+        while not condition():
+            assert alive() and time.monotonic() < deadline, "no loop"
+            time.sleep(0.02)
+
+    wait_until(ring.exists)
+    with RingReader(ring) as reader:
+        wait_until(lambda: reader.written >= ticks)
+        return reader.writer
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """What would be started, instead of starting it."""
+    class NotStartedError(Exception):
+        pass
+
+    class Recorded(LoopProcess):
+        def start(self):
+            raise NotStartedError(self._asked, self.ring_path)
+
+    monkeypatch.setattr("haptics.loop_process.LoopProcess", Recorded)
+
+    def asked(*words):
+        with pytest.raises(NotStartedError) as caught:
+            main(["loop", *words])
+        (build, source, rendering, settings), ring = caught.value.args
+        return build, source, rendering, settings, ring
+
+    return asked
+
+
+def test_a_short_loop_answers_in_json(capsys):
+    assert main(["loop", "--seconds", "0.3", "--no-real-time", "--json"]) == 0
+    out, err = capsys.readouterr()
+    answer = json.loads(out)
+    assert err == "" and set(answer) == KEYS
+    assert answer["ticks"] + answer["missed"] >= 300 and answer["seconds"] >= 0.3 and answer["ended_by"] == "time"
+    assert sum(answer["statuses"].values()) == answer["ticks"] and answer["statuses"]["refused"] == 0
+    assert (answer["scene"], answer["motion"], answer["real_time"]) == ("needle_indentation", "random", [])
+
+
+def test_a_short_loop_prints_a_table(capsys):
+    """The needle at 2 mm meets 0.3601 N by the reference curve, which knows no inertia."""
+    assert main(["loop", "--seconds", "0.6", "--protocol", "ramp 2mm @5mm/s; hold 1s", "--budget-us", "0",
+                 "--inertia", "off"]) == 0
+    out = capsys.readouterr().out
+    assert out.splitlines()[0].split() == ["p50", "p99", "p99.9", "max"]
+    for part in ("lateness [us]", "compute time [us]", "ticks in 0.6", "peak memory", "real time: "):
+        assert part in out
+    force = float(out.split("largest force: ")[1].split()[0])
+    assert force == pytest.approx(0.3601, rel=0.02)
+
+
+def test_the_motion_is_the_one_asked_for(asked):
+    _, source, *_ = asked("--depth-mm", "6", "--seed", "3", "--top-speed-mm-s", "100")
+    twin = RandomWalk(3, 6e-3, -1.2e-3, 0.1)
+    assert isinstance(source, RandomWalk)
+    np.testing.assert_allclose([source.depth(t) for t in range(9)], [twin.depth(t) for t in range(9)], rtol=1e-12)
+    _, source, *_ = asked("--motion", "sine", "--depth-mm", "5", "--frequency-hz", "2")
+    assert isinstance(source, SineMotion) and source.depth(0.25) == pytest.approx(5e-3)
+    assert source.depth(0.5) == pytest.approx(-1e-3)
+    _, source, *_ = asked("--protocol", "ramp 4mm @2mm/s; unload")
+    assert isinstance(source, ProtocolMotion) and source.depth(6.0) == pytest.approx(4e-3), "it repeats where it closes"
+    _, source, *_ = asked("--motion", "protocol", "--depth-mm", "3", "--speed-mm-s", "1")
+    assert source.depth(1.0) == pytest.approx(1e-3) and source.depth(9.0) == pytest.approx(3e-3)
+
+
+def test_flags_reach_model_settings_and_limits(asked, tmp_path):
+    build, _, rendering, settings, ring = asked(
+        "lubricated_compression", "--radius-mm", "20", "--spin-us", "50", "--seconds", "2", "--no-real-time",
+        "--force-limit-N", "5", "--force-rate-N", "0.1", "--ring", str(tmp_path / "r"), "--resolution", "accurate",
+        "--budget-us", "500", "--inertia", "off")
+    model, = build.args
+    assert build.func is ts.Simulator
+    assert build.keywords == {"resolution": "accurate", "inertia": "off", "budget": pytest.approx(5e-4)}
+    assert asked("--budget-us", "0")[0].keywords["budget"] is None
+    assert model.experiment.specimen.radius == pytest.approx(0.02) and model.material.parameters["C10"] == 1404.9
+    assert settings.spin == pytest.approx(50e-6) and settings.seconds == 2.0 and not settings.real_time
+    assert (rendering.limits.force, rendering.limits.rate) == (5.0, 0.1) and ring == tmp_path / "r"
+    assert asked("--gravity")[0].args[0].experiment.specimen.density == 1040.0, "the default material has a density"
+
+
+def test_the_live_line_is_read_from_the_ring(tmp_path):
+    with RingWriter(tmp_path / "ring") as ring, RingReader(tmp_path / "ring") as reader:
+        live = LiveLine(reader, 60.0)
+        assert live.text() == "waiting for a tick"
+        for n in range(1, 101):
+            ring.append(n, n * 1e-3, 0.0, 1.5e-3, 0.25, 0.25, 200.0, 0.0, 1e-6 * n, 2e-6 * n, 0.0, 3, 7, 0, 1, 0, 0)
+        assert live.text() == ("0 of 60 s: 1.50 mm, 0.250 N; p99 compute 99, lateness 198 us; late 3, missed 7")
+        assert live.text() == "waiting for a tick", "a line is over the ticks since the one before"
+
+
+@pytest.mark.parametrize(("words", "expected"), [
+    (["needle"], "unknown scene 'needle'"),
+    (["--seconds", "0"], "'0' is not a positive number"),
+    (["--spin-us", "1000"], "spin: 0.001 s; give 0 or more, but less than the period"),
+    (["--motion", "jump"], "'jump'"),
+    (["--motion", "sine", "--protocol", "ramp 2mm"], "--protocol: a sine motion has none"),
+    (["--material", "missing.json"], "missing.json"),
+    (["--depth-mm", "70"], "deeper than the specimen is high"),
+    (["--ring", "taken"], "taken: exists already"),
+])
+def test_bad_words_get_one_sentence(words, expected, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "taken").touch()
+    assert main(["loop", *words]) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and expected in err and err.count("\n") == 1
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
+def test_a_loop_that_is_killed_is_exit_code_1(capsys, tmp_path):
+    ring = tmp_path / "ring"
+
+    def kill():
+        os.kill(writer_of(ring), signal.SIGKILL)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    assert main(["loop", "--ring", str(ring)]) == 1
+    killer.join()
+    out, err = capsys.readouterr()
+    assert out == "" and err == "tissue-sim: the process of the loop was killed by signal 9; before that: running\n"
+    assert not ring.exists()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX signals and process groups")
+def test_ctrl_c_ends_it_with_its_report(tmp_path):
+    ring = tmp_path / "ring"
+    with subprocess.Popen([sys.executable, "-m", "scenes.cli", "loop", "--json", "--ring", ring], cwd=ROOT,
+                          stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
+        writer_of(ring, alive=lambda: process.poll() is None)
+        os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 130 and err == ""
+    answer = json.loads(out)
+    assert answer["ended_by"] == "stop" and answer["ticks"] >= 50 and set(answer) == KEYS
+    assert list(tmp_path.iterdir()) == []
