@@ -1,0 +1,207 @@
+"""The UDP protocol between a simulator that is not ours and the tissue: one request, one reply, fixed layouts.
+
+Little-endian, SI, no padding; docs/wire_protocol.md has the offsets. The frame is that of the scenes (`FRAME`), and
+both packets carry all six degrees of freedom, whatever the scene uses of them.
+"""
+
+from __future__ import annotations
+
+import struct
+from enum import IntEnum, IntFlag
+from itertools import chain
+from typing import NamedTuple
+
+from tissue_sim.tool_force import ForceStatus
+
+#: Raised by every change of a layout, or of what a field means.
+VERSION = 1
+REQUEST_MAGIC, REPLY_MAGIC = b"TSRQ", b"TSRP"
+FRAME = ("origin at the centre of the undeformed top face, z out of the tissue, right-handed; forces and torques are "
+         "those on the tool, so pushing in gives a positive z force; depth = -z; orientation is a unit quaternion "
+         "(w, x, y, z); SI units")
+
+#: magic, version, kind or status, sequence, time: the same in every version, so that any two can tell each other apart.
+_HEAD = struct.Struct("<4sHHQd")
+_REQUEST = struct.Struct("<4sHHQd3d4dII")
+_REPLY = struct.Struct("<4sHHQd3d3d36d4dII4Q")
+REQUEST_SIZE, REPLY_SIZE = _REQUEST.size, _REPLY.size
+
+Vector = tuple[float, float, float]
+Matrix = tuple[tuple[float, ...], ...]
+_NO_VECTOR: Vector = (0.0, 0.0, 0.0)
+_NO_MATRIX: Matrix = ((0.0,) * 6,) * 6
+
+
+class Kind(IntEnum):
+    """What a request asks for."""
+
+    STEP = 1
+    GOODBYE = 2
+
+
+class RequestFlags(IntFlag):
+    """RESET (bit 0): put the tissue back to its undeformed state before this step."""
+
+    NONE = 0
+    RESET = 1
+
+
+class ReplyFlags(IntFlag):
+    """INERTIAL (bit 0): the mass of the tissue was taken into account."""
+
+    NONE = 0
+    INERTIAL = 1
+
+
+class Status(IntEnum):
+    """Below 100: of a step, as `tissue_sim.tool_force.ForceStatus`, with a force; from 100 on: no step was made."""
+
+    CONVERGED = ForceStatus.CONVERGED
+    LATE = ForceStatus.LATE
+    STOPPED = ForceStatus.STOPPED
+    REFUSED = ForceStatus.REFUSED
+    BUSY = 100
+    OTHER_VERSION = 101
+    RELEASED = 102
+
+    @property
+    def message(self) -> str:
+        """What it means, and what to do."""
+        match self:
+            case Status.BUSY:
+                return "another client owns the tissue; try again when it has said goodbye or fallen silent"
+            case Status.OTHER_VERSION:
+                return "the server speaks the version of this reply; use a client of that version"
+            case Status.RELEASED:
+                return "goodbye: the tissue is free for another client"
+            case _:
+                return ForceStatus(self).message
+
+
+class WireError(ValueError):
+    """A packet that is not of this protocol; the text says what is wrong with it."""
+
+
+class OtherVersionError(WireError):
+    """A packet of another version, of which only the head is known.
+
+    Attributes:
+        version, sequence, time: as in the packet.
+    """
+
+    def __init__(self, version: int, sequence: int, time: float):
+        super().__init__(f"a packet of version {version}; this is version {VERSION}")
+        self.version, self.sequence, self.time = version, sequence, time
+
+
+class Request(NamedTuple):
+    """Where the tool is.
+
+    Attributes:
+        sequence: number of the packet, 0 to 2^64 - 1; greater than all before.
+        time: on the client's clock, s; the time step is the difference to that of the last step.
+        position: x, y, z, m.
+        orientation: unit quaternion (w, x, y, z).
+        kind: a step, or goodbye.
+        flags: see `RequestFlags`.
+    """
+
+    sequence: int
+    time: float
+    position: Vector = _NO_VECTOR
+    orientation: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    kind: int = Kind.STEP
+    flags: int = RequestFlags.NONE
+
+
+class Reply(NamedTuple):
+    """The force on the tool, and how far it can be believed.
+
+    Attributes:
+        status: a value of `Status`; later servers may know more.
+        sequence, time: of the request that is answered.
+        force: N. torque: N m, about the tool's tip.
+        stiffness: minus the derivative of (force, torque) with (position, rotation vector), 6 x 6, N/m, N, N m.
+        age: time since the last equilibrium, s; 0 where this is one.
+        compute_time: wall time of the step, s.
+        residual: unbalanced over balanced forces.
+        dt: time step that was used, s.
+        iterations: linear solves of the step.
+        flags: see `ReplyFlags`.
+        malformed, stale, skipped, turned_away: packets since the server started that were no requests; that were not
+            newer than the last; in whose place a newer one was answered; that came from a client without the tissue.
+    """
+
+    status: int
+    sequence: int
+    time: float
+    force: Vector = _NO_VECTOR
+    torque: Vector = _NO_VECTOR
+    stiffness: Matrix = _NO_MATRIX
+    age: float = 0.0
+    compute_time: float = 0.0
+    residual: float = 0.0
+    dt: float = 0.0
+    iterations: int = 0
+    flags: int = ReplyFlags.NONE
+    malformed: int = 0
+    stale: int = 0
+    skipped: int = 0
+    turned_away: int = 0
+
+
+def encode_request(request: Request) -> bytes:
+    """The packet of a request, `REQUEST_SIZE` bytes."""
+    return _REQUEST.pack(REQUEST_MAGIC, VERSION, request.kind, request.sequence, request.time, *request.position,
+                         *request.orientation, request.flags, 0)
+
+
+def decode_request(packet: bytes | bytearray | memoryview) -> Request:
+    """The request in a packet. Its numbers may be NaN: it is not for the wire to say what a pose may be.
+
+    Raises:
+        OtherVersionError: of another version.
+        WireError: not a request; or of this version with another size, kind, flag, or something in the reserved field.
+    """
+    _check(packet, REQUEST_MAGIC, REQUEST_SIZE)
+    (_, _, kind, sequence, time, x, y, z, qw, qx, qy, qz, flags, reserved) = _REQUEST.unpack(packet)
+    if kind not in _KINDS or flags > _ALL_FLAGS or reserved:
+        raise WireError(f"unknown kind {kind}, flags {flags:#x} or reserved {reserved:#x}")
+    return Request(sequence, time, (x, y, z), (qw, qx, qy, qz), kind, flags)
+
+
+def encode_reply(reply: Reply) -> bytes:
+    """The packet of a reply, `REPLY_SIZE` bytes."""
+    (status, sequence, time, force, torque, stiffness, age, compute_time, residual, dt, iterations, flags,
+     malformed, stale, skipped, turned_away) = reply
+    return _REPLY.pack(REPLY_MAGIC, VERSION, status, sequence, time, *force, *torque, *chain.from_iterable(stiffness),
+                       age, compute_time, residual, dt, iterations, flags, malformed, stale, skipped, turned_away)
+
+
+def decode_reply(packet: bytes | bytearray | memoryview) -> Reply:
+    """The reply in a packet.
+
+    Raises:
+        OtherVersionError: of another version.
+        WireError: not a reply, or of this version with another size.
+    """
+    _check(packet, REPLY_MAGIC, REPLY_SIZE)
+    values = _REPLY.unpack(packet)
+    stiffness = tuple(values[start:start + 6] for start in range(11, 47, 6))
+    return Reply(*values[2:5], values[5:8], values[8:11], stiffness, *values[47:])
+
+
+_KINDS = frozenset(map(int, Kind))
+_ALL_FLAGS = int(RequestFlags.RESET)
+
+
+def _check(packet: bytes | bytearray | memoryview, magic: bytes, size: int) -> None:
+    if len(packet) < _HEAD.size:
+        raise WireError(f"{len(packet)} bytes are no packet")
+    found, version, _, sequence, time = _HEAD.unpack_from(packet)
+    if found != magic:
+        raise WireError(f"begins with {found!r}, expected {magic!r}")
+    if version != VERSION:
+        raise OtherVersionError(version, sequence, time)
+    if len(packet) != size:
+        raise WireError(f"{len(packet)} bytes, expected {size}")

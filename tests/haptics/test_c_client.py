@@ -1,0 +1,201 @@
+"""The C client of docs/client: compiled without a warning, and the same forces as stepping in Python."""
+
+import math
+import shutil
+import socket
+import subprocess
+import threading
+from contextlib import contextmanager
+
+import pytest
+
+import tissue_sim as ts
+from haptics.server import TissueServer
+from haptics.wire import Reply, Request, decode_request, encode_reply, encode_request
+from tissue_sim.tool_force import ForceStatus, Pose, ToolForce
+
+COMPILER = shutil.which("gcc") or shutil.which("cc") or shutil.which("clang")
+WARNINGS = ["-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
+#: Time, s, and depth, m: in at 50 mm/s, a pause, irregular motion with uneven time steps, out.
+PATH = [(0.001 * k + 0.0003 * math.sin(k), 0.004 * math.sin(0.03 * k) ** 2 + 1e-4 * math.sin(0.7 * k))
+        for k in range(200)]
+
+pytestmark = pytest.mark.skipif(COMPILER is None, reason="needs a C compiler (Debian: apt-get install gcc libc6-dev)")
+
+
+class Gel:
+    """Stiffening, relaxing, damped: its force depends on every bit of depth and time step."""
+
+    def __init__(self):
+        self.reset()
+
+    def reset(self):
+        self.depth, self.pull = 0.0, 0.0
+
+    def step(self, pose, dt):
+        speed = (pose.depth - self.depth) / dt if dt > 0 else 0.0
+        self.pull = (self.pull + 300.0 * (pose.depth - self.depth)) * math.exp(-dt / 0.05)
+        self.depth = pose.depth
+        force = 800.0 * pose.depth * (1.0 + 40.0 * pose.depth) + self.pull + 0.5 * speed
+        return ToolForce(force, 800.0, ForceStatus.CONVERGED)
+
+
+@contextmanager
+def serving(tissue):
+    with TissueServer(tissue) as server:
+        thread = threading.Thread(target=server.run)
+        thread.start()
+        try:
+            yield server.address[1]
+        finally:
+            server.stop()
+            thread.join(20.0)
+
+
+@pytest.fixture(scope="module")
+def drive_needle(root, tmp_path_factory):
+    """The example, compiled as the strictest user would."""
+    program = tmp_path_factory.mktemp("c") / "drive_needle"
+    done = subprocess.run([COMPILER, "-std=c99", "-O2", *WARNINGS, "-o", str(program),
+                           str(root / "docs" / "client" / "drive_needle.c")], capture_output=True, text=True,
+                          encoding="utf-8")
+    assert done.returncode == 0 and done.stderr == "", done.stderr
+    return program
+
+
+@pytest.fixture
+def path_file(tmp_path):
+    path = tmp_path / "path.txt"
+    path.write_text("".join(f"{time!r} {depth!r}\n" for time, depth in PATH), encoding="utf-8")
+    return path
+
+
+def drive(program, *words):
+    return subprocess.run([str(program), *map(str, words)], capture_output=True, text=True, encoding="utf-8",
+                          timeout=120)
+
+
+def forces(done):
+    """Depth, force and status of each line."""
+    assert done.returncode == 0, done.stderr
+    return [(float(depth), float(force), int(status))
+            for depth, force, status in (line.split() for line in done.stdout.splitlines())]
+
+
+def stepped(tissue):
+    """The same path, stepped in Python."""
+    times = [time for time, _ in PATH]
+    return [tissue.step(Pose((0.0, 0.0, -depth)), time - before)
+            for (time, depth), before in zip(PATH, [times[0], *times], strict=False)]
+
+
+def test_forces_are_those_of_stepping_in_python(drive_needle, path_file):
+    expected = stepped(Gel())
+    with serving(Gel()) as port:
+        for _ in range(2):  # the second run begins with a reset, too
+            answered = forces(drive(drive_needle, port, path_file))
+            assert [depth for depth, _, _ in answered] == [depth for _, depth in PATH]
+            assert [status for _, _, status in answered] == [ForceStatus.CONVERGED] * len(PATH)
+            assert [force for _, force, _ in answered] == pytest.approx([one.force for one in expected], rel=1e-12)
+
+
+def test_forces_of_the_simulator(drive_needle, path_file):
+    """Two simulators of the study's needle: one behind the wire, one in this program; 1e-9 relative."""
+    material = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4),
+                           density=1040.0, viscoelastic=ts.Prony((ts.PronyTerm(0.3, 0.05),)))
+    experiment = ts.Experiment(ts.Specimen(0.04, 0.07), ts.Protocol.ramp(0.005, 21), tool=ts.Tool("flat", radius=0.008))
+    here, served = (ts.Simulator(ts.Model(experiment, material)) for _ in range(2))
+    here.warm_up()
+    served.warm_up()
+    expected = stepped(here)
+    with serving(served) as port:
+        answered = forces(drive(drive_needle, port, path_file))
+    assert [status for _, _, status in answered] == [one.status for one in expected]
+    assert max(one.force for one in expected) > 0.5
+    assert [force for _, force, _ in answered] == pytest.approx([one.force for one in expected], rel=1e-9, abs=1e-12)
+
+
+def test_plain_ramp(drive_needle):
+    with serving(Gel()) as port:
+        answered = forces(drive(drive_needle, port, 0.005, 10))
+    assert [depth for depth, _, _ in answered] == pytest.approx([0.0005 * k for k in range(11)])
+
+
+def test_what_goes_wrong_is_one_sentence(drive_needle, path_file, tmp_path):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as owner, serving(Gel()) as port:
+        assert drive(drive_needle).returncode == 2
+        done = drive(drive_needle, port, tmp_path / "missing.txt")
+        assert done.returncode == 2 and "cannot read" in done.stderr
+        owner.settimeout(20.0)
+        owner.sendto(encode_request(Request(0, 0.0)), ("127.0.0.1", port))
+        owner.recv(500)
+        done = drive(drive_needle, port, path_file)
+        assert done.returncode == 1 and done.stderr == "drive_needle: another client has the tissue\n"
+    done = drive(drive_needle, port, path_file)
+    assert done.returncode == 1 and done.stdout == ""
+    assert done.stderr == "drive_needle: nothing listens on that port; start tissue-sim serve\n"
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_only_the_reply_of_this_version_to_this_request_counts(drive_needle, version):
+    """A server that first sends noise and the reply to an older request."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as server:
+        server.bind(("127.0.0.1", 0))
+        server.settimeout(20.0)
+
+        def answer():
+            for sequence in range(3 if version == 1 else 2):  # the last is the goodbye
+                packet, address = server.recvfrom(200)
+                assert decode_request(packet).sequence == sequence
+                server.sendto(b"noise", address)
+                server.sendto(encode_reply(Reply(0, sequence - 1 & 2**64 - 1, 0.0, (0.0, 0.0, -1.0))), address)
+                reply = bytearray(encode_reply(Reply(0, sequence, 0.0, (0.0, 0.0, 7.0))))
+                reply[4] = version
+                server.sendto(reply, address)
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        done = drive(drive_needle, server.getsockname()[1], 0.001, 1)
+        thread.join(60.0)
+        assert not thread.is_alive()
+    if version == 1:
+        assert [force for _, force, _ in forces(done)] == [7.0, 7.0]
+    else:
+        assert done.returncode == 1
+        assert done.stderr == "drive_needle: the server speaks another version of the protocol\n"
+
+
+def test_refused_pose_reaches_the_program(drive_needle, tmp_path):
+    path = tmp_path / "path.txt"
+    path.write_text("0.0 0.001\n0.1 nan\n-5.0 0.001\n0.2 0.002\n", encoding="utf-8")
+    with serving(Gel()) as port:
+        answered = forces(drive(drive_needle, port, path))
+    assert [status for _, _, status in answered] == [0, 3, 3, 0]
+    assert answered[1][1] == answered[2][1] == answered[0][1]
+
+
+def test_header_is_also_cplusplus(root, tmp_path):
+    compiler = shutil.which("g++") or shutil.which("clang++")
+    if compiler is None:
+        pytest.skip("needs a C++ compiler (Debian: apt-get install g++)")
+    done = subprocess.run([compiler, "-x", "c++", "-std=c++11", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-c", "-o",
+                           str(tmp_path / "client.o"), str(root / "docs" / "client" / "drive_needle.c")],
+                          capture_output=True, text=True, encoding="utf-8")
+    assert done.returncode == 0, done.stderr
+
+
+def test_header_alone_needs_nothing_else(root, tmp_path):
+    """Two files of one program include it; the implementation is in one of them."""
+    (tmp_path / "one.c").write_text('#include "tissue_sim_client.h"\n'
+                                    "const char *busy(void) { return tissue_sim_text(TISSUE_SIM_BUSY); }\n",
+                                    encoding="utf-8")
+    (tmp_path / "two.c").write_text("#define TISSUE_SIM_CLIENT_IMPLEMENTATION\n"
+                                    '#include "tissue_sim_client.h"\n#include <stdio.h>\n'
+                                    "const char *busy(void);\nint main(void) { puts(busy()); return 0; }\n",
+                                    encoding="utf-8")
+    program = tmp_path / "program"
+    done = subprocess.run([COMPILER, "-std=c99", *WARNINGS, f"-I{root / 'docs' / 'client'}", "-o", str(program),
+                           str(tmp_path / "one.c"), str(tmp_path / "two.c")], capture_output=True, text=True,
+                          encoding="utf-8")
+    assert done.returncode == 0, done.stderr
+    assert drive(program).stdout == "another client has the tissue\n"

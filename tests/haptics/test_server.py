@@ -1,0 +1,228 @@
+"""A tissue server on real sockets: poses in, forces out, one client at a time, one thread."""
+
+import socket
+import threading
+from contextlib import contextmanager
+
+import pytest
+
+from haptics.client import TissueClient
+from haptics.server import TissueServer
+from haptics.wire import REPLY_SIZE, VERSION, Request, Status, decode_reply, encode_request
+from tissue_sim.errors import InputError
+from tissue_sim.tool_force import ForceStatus, Pose, ToolForce
+
+
+class MaxwellTissue:
+    """A spring of 1 N/mm beside one that relaxes in 0.1 s; `gate` holds a step until it is opened."""
+
+    def __init__(self):
+        self.threads, self.gate, self.entered = set(), threading.Event(), threading.Event()
+        self.gate.set()
+        self.reset()
+
+    def reset(self):
+        self.threads.add(threading.get_ident())
+        self.pull, self.depth = 0.0, 0.0
+
+    def step(self, pose, dt):
+        self.threads.add(threading.get_ident())
+        self.entered.set()
+        assert self.gate.wait(20.0)
+        self.pull = (self.pull + 500.0 * (pose.depth - self.depth)) * (1.0 - dt / (0.1 + dt))
+        self.depth = pose.depth
+        return ToolForce(1e3 * pose.depth + self.pull, 1.5e3, ForceStatus.CONVERGED, depth=pose.depth)
+
+
+@contextmanager
+def serving(tissue, **options):
+    """A server that runs in a thread of its own."""
+    with TissueServer(tissue, **options) as server:
+        thread = threading.Thread(target=server.run)
+        thread.start()
+        try:
+            yield server
+        finally:
+            server.stop()
+            thread.join(20.0)
+            assert not thread.is_alive()
+
+
+@pytest.fixture(params=[0.0, 1e-3], ids=["sleeping", "spinning"])
+def server(request):
+    with serving(MaxwellTissue(), spin=request.param) as server:
+        yield server
+
+
+def test_forces_are_those_of_the_tissue(server):
+    own, last = MaxwellTissue(), None
+    path = [(0.001 * k, 0.0002 * (k % 7)) for k in range(40)]
+    with TissueClient(server.address[1]) as client:
+        for time, depth in path:
+            reply = client.step(depth, at=time)
+            expected = own.step(Pose((0.0, 0.0, -depth)), 0.0 if last is None else time - last)
+            assert reply.force == expected.force_vector and reply.stiffness == expected.stiffness_matrix
+            last = time
+        assert client.step(Pose((0.001, 0.002, -0.003), (0.0, 1.0, 0.0, 0.0)), at=last).status == Status.CONVERGED
+        assert client.step(0.001, at=last - 5.0).status == Status.REFUSED
+        assert client.step(0.001, at=0.0, reset=True).force == pytest.approx((0.0, 0.0, 1.5))
+    assert server.counters.refused == 1 and server.counters.converged == len(path) + 2
+
+
+def test_client_that_is_faster_than_the_steps_builds_no_queue(server):
+    tissue = server._service.tissue
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+        client.settimeout(20.0)
+        client.connect(server.address)
+        tissue.gate.clear()
+        client.send(encode_request(Request(0, 0.0)))
+        assert tissue.entered.wait(20.0)
+        for sequence in range(1, 11):
+            client.send(encode_request(Request(sequence, sequence * 1e-3)))
+        tissue.gate.set()
+        replies = [decode_reply(client.recv(REPLY_SIZE)) for _ in range(2)]
+    assert [reply.sequence for reply in replies] == [0, 10]
+    assert replies[1].skipped == 9 and replies[1].dt == 0.01
+
+
+def test_second_client_is_told_and_gets_the_tissue_after_goodbye(server):
+    port = server.address[1]
+    with TissueClient(port) as second:
+        with TissueClient(port) as first:
+            assert first.step(0.001).status == Status.CONVERGED
+            assert second.step(0.009).status == Status.BUSY
+            assert first.step(0.001).turned_away == 1
+        assert second.step(0.001).status == Status.CONVERGED
+    assert server.counters.clients == 2
+
+
+def test_silent_client_loses_the_tissue():
+    with serving(MaxwellTissue(), silence=0.05) as server:
+        first, second = TissueClient(server.address[1]), TissueClient(server.address[1])
+        assert first.step(0.001).status == Status.CONVERGED
+        threading.Event().wait(0.1)
+        assert second.step(0.001).status == Status.CONVERGED
+        assert first.step(0.001).status == Status.BUSY
+        second.close()
+        first.close()
+
+
+def test_noise_is_dropped_and_the_server_goes_on(server):
+    with TissueClient(server.address[1]) as client, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        for noise in (b"", b"x", bytes(87), bytes(88), bytes(5000)):
+            stranger.sendto(noise, server.address)
+        good = encode_request(Request(1, 0.0))
+        stranger.sendto(good[:-1], server.address)
+        stranger.sendto(good + b"longer", server.address)
+        assert client.step(0.001).malformed == 7
+
+
+def test_other_version_is_told_ours(server):
+    strange = bytearray(encode_request(Request(3, 1.0)))
+    strange[4:6] = b"\x09\x00"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+        client.settimeout(20.0)
+        client.sendto(strange + bytes(40), server.address)
+        packet = client.recv(REPLY_SIZE)
+    assert packet[4:6] == bytes((VERSION, 0)) and decode_reply(packet).status == Status.OTHER_VERSION
+
+
+def test_client_says_when_the_server_speaks_another_version():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as future:
+        future.bind(("127.0.0.1", 0))
+        client = TissueClient(future.getsockname()[1], timeout=20.0)
+
+        def answer():
+            packet, address = future.recvfrom(200)
+            future.sendto(b"TSRP\x02\x00" + packet[6:24], address)
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        with pytest.raises(InputError, match="speaks version 2 of the protocol, and this client 1"):
+            client.step(0.001)
+        thread.join()
+        client._socket.close()
+
+
+def test_client_passes_over_replies_that_it_gave_up(server):
+    tissue = server._service.tissue
+    client = TissueClient(server.address[1], timeout=0.05)
+    tissue.gate.clear()
+    with pytest.raises(TimeoutError):
+        client.step(0.001, at=0.0)
+    assert tissue.entered.wait(20.0)
+    tissue.gate.set()
+    client._socket.settimeout(20.0)
+    reply = client.step(0.002, at=0.1)
+    assert reply.sequence == 1 and reply.force[2] == pytest.approx(2.5)
+    client.close()
+
+
+def test_polling_client_sleeps_when_the_reply_takes_longer(server):
+    tissue = server._service.tissue
+    with TissueClient(server.address[1], timeout=20.0, polls=3) as client:
+        tissue.gate.clear()
+        threading.Timer(0.1, tissue.gate.set).start()
+        assert client.step(0.001, at=0.0).force[2] == 1.5
+    with TissueClient(server.address[1], timeout=20.0, polls=10**9) as client:
+        assert client.step(0.001, at=0.0, reset=True).force[2] == 1.5
+
+
+def test_client_without_a_server_says_so():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    client = TissueClient(port, timeout=0.2)
+    with pytest.raises(OSError):  # refused, or no reply where the system tells nothing
+        client.step(0.001)
+    client.close()
+
+
+def test_one_thread_touches_the_tissue(server):
+    tissue = server._service.tissue
+    tissue.threads.clear()
+    with TissueClient(server.address[1]) as client:
+        client.step(0.001, reset=True)
+        client.step(0.002)
+    assert len(tissue.threads) == 1 and threading.get_ident() not in tissue.threads
+
+
+def test_stop_before_run_and_twice():
+    with TissueServer(MaxwellTissue()) as server:
+        server.stop()
+        server.stop()
+        server.run()
+
+
+def test_taken_port_is_one_sentence():
+    with (TissueServer(MaxwellTissue(), configuration_port=0) as first,
+          pytest.raises(InputError, match=r"^port: 127\.0\.0\.1:\d+ cannot be used .*another port")):
+        TissueServer(MaxwellTissue(), port=first.address[1])
+    with (TissueServer(MaxwellTissue(), configuration_port=0) as first,
+          pytest.raises(InputError, match=r"^configuration_port: 127\.0\.0\.1:\d+ cannot be used")):
+        TissueServer(MaxwellTissue(), configuration_port=first.configuration_address[1])
+
+
+def test_ports_are_free_after_close():
+    with TissueServer(MaxwellTissue(), configuration_port=0) as first:
+        ports = first.address[1], first.configuration_address[1]
+    with TissueServer(MaxwellTissue(), port=ports[0], configuration_port=ports[1]) as again:
+        assert (again.address[1], again.configuration_address[1]) == ports
+
+
+@pytest.mark.parametrize(("options", "expected"), [
+    ({"host": "0.0.0.0"}, "host: 0.0.0.0 can be reached by other machines"),
+    ({"host": "192.168.1.7"}, "can be reached by other machines"),
+    ({"host": "nowhere"}, "host: 'nowhere' is not an address"),
+    ({"host": "203.0.113.9", "expose": True}, "203.0.113.9:0 cannot be used"),
+    ({"port": 65536}, "port: 65536 is not a port"),
+    ({"configuration_port": -1}, "configuration_port: -1 is not a port"),
+])
+def test_bad_address_is_one_sentence(options, expected):
+    with pytest.raises(InputError, match=expected):
+        TissueServer(MaxwellTissue(), **options)
+
+
+def test_another_interface_needs_expose():
+    with TissueServer(MaxwellTissue(), host="0.0.0.0", expose=True) as server:
+        assert server.address[0] == "0.0.0.0"

@@ -1,0 +1,326 @@
+"""The configuration of a tissue server: lines of JSON over TCP, on real sockets, beside the poses."""
+
+import json
+import selectors
+import socket
+import threading
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from haptics.client import TissueClient
+from haptics.server import TissueServer
+from haptics.server_connections import IDLE, LONGEST_LINE, MOST_CONNECTIONS, STALLED, ConfigurationPort
+from tissue_sim.errors import InputError
+from tissue_sim.tool_force import ForceStatus, ToolForce
+
+DESCRIPTION = {"scene": "needle_indentation", "mesh": {"elements": np.int64(80)}}
+
+
+@dataclass
+class Cap:
+    """A flat top of four points."""
+
+    outline: np.ndarray
+
+    def revolve(self, segments):
+        angle = 2 * np.pi * np.arange(segments) / segments
+        vertices = np.concatenate([[(r * np.cos(a), r * np.sin(a), z) for a in angle] for r, z in self.outline])
+        return vertices, np.arange(3 * segments).reshape(-1, 3)
+
+
+class SettableTissue:
+    """A spring with a set stiffness and a memory of its deepest depth."""
+
+    def __init__(self):
+        self.stiffness, self.deepest, self.threads = 1e3, 0.0, set()
+
+    def step(self, pose, dt):
+        self.threads.add(threading.get_ident())
+        self.deepest = max(self.deepest, pose.depth)
+        return ToolForce(self.stiffness * self.deepest, self.stiffness, ForceStatus.CONVERGED)
+
+    def reset(self):
+        self.threads.add(threading.get_ident())
+        self.deepest = 0.0
+
+    def set_parameters(self, C10):
+        if C10 <= 0:
+            raise InputError(f"{C10:g} is not positive", field="C10")
+        self.stiffness = C10
+
+    def save(self):
+        return self.deepest
+
+    def restore(self, state):
+        self.deepest = state
+
+    def surface(self):
+        return Cap(np.array([[0.0, -self.deepest], [0.01, -0.001], [0.04, 0.0], [0.04, -0.07]]))
+
+
+class Line:
+    """One connection of the configuration."""
+
+    def __init__(self, server):
+        self.socket = socket.create_connection(server.configuration_address, timeout=20.0)
+        self.file = self.socket.makefile("rb")
+
+    def ask(self, command, **more):
+        self.socket.sendall(json.dumps({"command": command, **more}).encode() + b"\n")
+        return self.answer()
+
+    def send(self, content):
+        self.socket.sendall(content)
+
+    def answer(self):
+        return json.loads(self.file.readline())
+
+    def close(self):
+        self.file.close()
+        self.socket.close()
+
+
+@pytest.fixture
+def server():
+    with TissueServer(SettableTissue(), configuration_port=0, description=DESCRIPTION,
+                      parameters={"C10": 1e3}) as server:
+        thread = threading.Thread(target=server.run)
+        thread.start()
+        yield server
+        server.stop()
+        thread.join(20.0)
+        assert not thread.is_alive()
+
+
+@pytest.fixture
+def line(server):
+    line = Line(server)
+    yield line
+    line.close()
+
+
+@pytest.fixture
+def client(server):
+    with TissueClient(server.address[1], timeout=20.0) as client:
+        yield client
+
+
+def test_describe_says_what_is_served(line):
+    answer = line.ask("describe")
+    assert answer["protocol"] == {"version": 1, "request_bytes": 88, "reply_bytes": 432}
+    assert "z out of the tissue" in answer["frame"]
+    assert answer["scene"] == "needle_indentation" and answer["mesh"] == {"elements": 80}
+    assert answer["parameters"] == {"C10": 1e3} and "surface" in answer["commands"]
+
+
+def test_parameters_are_set_between_steps(line, client):
+    assert client.step(0.002).force[2] == 2.0
+    assert line.ask("set_parameters", parameters={"C10": 3000}) == {"command": "set_parameters",
+                                                                    "parameters": {"C10": 3000.0}}
+    assert client.step(0.002).force[2] == 6.0
+    assert line.ask("describe")["parameters"] == {"C10": 3000.0}
+
+
+def test_reset_begins_anew(line, client):
+    client.step(0.004, at=5.0)
+    assert client.step(0.001, at=6.0).force[2] == 4.0
+    assert line.ask("reset") == {"command": "reset"}
+    reply = client.step(0.001, at=7.0)
+    assert reply.force[2] == 1.0 and reply.dt == 0.0
+
+
+def test_states_come_back(line, client):
+    client.step(0.003, at=1.0)
+    assert line.ask("save", name="deep")["states"] == ["deep"]
+    line.ask("set_parameters", parameters={"C10": 10.0})
+    client.step(0.009, at=2.0)
+    assert line.ask("restore", name="deep")["parameters"] == {"C10": 1e3}
+    reply = client.step(0.0, at=3.0)
+    assert reply.force[2] == 3.0 and reply.dt == 0.0
+    assert line.ask("restore", name="dep")["error"] == "name: no state 'dep' was saved; did you mean 'deep'?"
+    for number in range(15):
+        line.ask("save", name=str(number))
+    assert "16 states are kept already" in line.ask("save", name="one more")["error"]
+    assert len(line.ask("save", name="deep")["states"]) == 16, "a name can be used again"
+
+
+def test_surface_is_the_outline_and_on_demand_a_mesh(line, client):
+    client.step(0.005)
+    answer = line.ask("surface")
+    assert answer == {"command": "surface", "outline": [[0.0, -0.005], [0.01, -0.001], [0.04, 0.0], [0.04, -0.07]]}
+    answer = line.ask("surface", segments=200)
+    vertices, triangles = SettableTissue().surface().revolve(200)
+    assert np.array(answer["vertices"]).shape == vertices.shape == (800, 3)
+    np.testing.assert_array_equal(np.array(answer["vertices"])[200:], vertices[200:])
+    np.testing.assert_array_equal(answer["triangles"], triangles)
+    assert "segments" in line.ask("surface", segments=2)["error"]
+    assert "segments" in line.ask("surface", segments=10**9)["error"]
+
+
+def test_statistics_count(line, client):
+    client.step(0.001)
+    answer = line.ask("statistics")
+    assert answer["steps"] == answer["converged"] == answer["clients"] == 1 and answer["malformed"] == 0
+    assert answer["owner"] == f"127.0.0.1:{client._socket.getsockname()[1]}"
+    client.close()
+    assert line.ask("statistics")["owner"] is None
+
+
+@pytest.mark.parametrize(("content", "expected"), [
+    (b"hello", "not JSON"),
+    (b'{"command": "describe"', "not JSON"),
+    (b"\xff\xfe", "not JSON"),
+    (b"[" * 20000, "not JSON"),
+    (b"[]", "command: is missing; give one of describe, "),
+    (b'{"command": 3}', "command: is missing"),
+    (b'{"command": "descibe"}', "command: unknown command 'descibe'; did you mean 'describe'?"),
+    (b'{"command": "surface", "segment": 8}', "segment: unknown key; did you mean 'segments'?"),
+    (b'{"command": "reset", "hard": true}', "hard: unknown key"),
+    (b'{"command": "set_parameters"}', "parameters: is missing"),
+    (b'{"command": "set_parameters", "parameters": {"C1": 5}}',
+     "parameters.C1: unknown parameter; did you mean 'C10'?"),
+    (b'{"command": "set_parameters", "parameters": {"C10": "soft"}}', "parameters"),
+    (b'{"command": "set_parameters", "parameters": {"self": 1}}', "parameters.self: unknown parameter"),
+    (b'{"command": "set_parameters", "parameters": {"C10": -1}}', "C10: -1 is not positive"),
+    (b'{"command": "set_parameters", "parameters": {"C10": 1e999}}', ""),
+    (b'{"command": "save", "name": ""}', "name"),
+    (b'{"command": "restore", "name": "x"}', "name: no state 'x' was saved; none was saved"),
+    (b"x" * (LONGEST_LINE + 1), f"a line of more than {LONGEST_LINE} bytes"),
+    (b"x" * 1_000_000, f"a line of more than {LONGEST_LINE} bytes"),
+], ids=lambda content: content[:40] if isinstance(content, bytes) else "")
+def test_bad_line_is_answered_and_the_connection_stays(line, content, expected):
+    line.send(content + b"\n")
+    answer = line.answer()
+    assert list(answer) == ["error"] and expected in answer["error"] and len(answer["error"]) < 500
+    assert line.ask("describe")["parameters"] == {"C10": 1e3}
+
+
+def test_tissue_that_cannot_is_one_sentence():
+    class Plain:
+        def step(self, pose, dt):
+            return ToolForce(0.0, 0.0, ForceStatus.CONVERGED)
+
+        def reset(self):
+            pass
+
+    with TissueServer(Plain(), configuration_port=0) as server:
+        thread = threading.Thread(target=server.run)
+        thread.start()
+        line = Line(server)
+        assert line.ask("surface")["error"].startswith("command: this tissue cannot surface")
+        assert "none to set" in line.ask("set_parameters", parameters={"C10": 1.0})["error"]
+        line.close()
+        server.stop()
+        thread.join(20.0)
+
+
+def test_lines_may_come_in_pieces_and_in_heaps(line):
+    for piece in (b'{"comm', b'and": "statis', b'tics"}\r\n\n  \n{"command": "reset"}\n{"command": "describe"}\n{"com'):
+        line.send(piece)
+    assert [line.answer()["command"] for _ in range(3)] == ["statistics", "reset", "describe"]
+    line.send(b'mand": "reset"}\n')
+    assert line.answer() == {"command": "reset"}
+
+
+def test_web_page_is_shown_the_door_before_its_body(server, line, client):
+    client.step(0.004)
+    line.send(b'POST / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n{"command": "reset"}\n')
+    assert line.file.read() == b""
+    assert client.step(0.0).force[2] == 4.0, "the reset in the body must not be executed"
+
+
+def test_client_that_does_not_read_stops_nobody(server, line, client):
+    """Hundreds of answers that nobody takes, and steps go on."""
+    line.socket.setblocking(False)
+    asked = b'{"command": "surface", "segments": 256}\n' * 200
+    line.socket.send(asked)
+    for _ in range(200):
+        assert client.step(0.001).status == 0
+    other = Line(server)
+    assert other.ask("describe")["scene"] == "needle_indentation"
+    other.close()
+
+
+def test_client_that_leaves_in_the_middle_of_an_answer_harms_nobody(server, client):
+    for _ in range(20):
+        one = Line(server)
+        one.send(b'{"command": "surface", "segments": 256}\n' * 3)
+        one.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+        one.close()
+    for _ in range(50):
+        assert client.step(0.001).status == 0
+
+
+def test_one_thread_touches_the_tissue(server, line, client):
+    for _ in range(5):
+        client.step(0.001)
+        line.ask("reset")
+    assert len(server._service.tissue.threads) == 1 and threading.get_ident() not in server._service.tissue.threads
+
+
+class Port:
+    """A `ConfigurationPort` that the test drives by hand, on a clock of its own."""
+
+    def __init__(self):
+        self.selector, self.now = selectors.DefaultSelector(), 0.0
+        listener = socket.create_server(("127.0.0.1", 0))
+        self.address = listener.getsockname()
+        self.port = ConfigurationPort(listener, lambda line: iter([line.upper() + b"\n"]), self.selector)
+
+    def connect(self):
+        peer = socket.create_connection(self.address, timeout=20.0)
+        self.turn()
+        return peer
+
+    def turn(self):
+        while events := self.selector.select(0.05):
+            for key, _ in events:
+                if key.fileobj.fileno() >= 0:
+                    key.data(self.now)
+
+    def closed(self, peer):
+        self.turn()
+        peer.settimeout(0.05)
+        try:
+            return peer.recv(1) == b""
+        except TimeoutError:
+            return False
+
+
+@pytest.fixture
+def port():
+    port = Port()
+    yield port
+    port.port.close()
+    port.selector.close()
+
+
+def test_dead_connections_are_closed(port):
+    begun, quiet = port.connect(), port.connect()
+    begun.sendall(b"half a li")
+    port.turn()
+    port.port.close_stalled(STALLED)
+    assert not port.closed(begun) and not port.closed(quiet)
+    port.port.close_stalled(STALLED + 0.1)
+    assert port.closed(begun) and not port.closed(quiet)
+    port.port.close_stalled(IDLE + 0.1)
+    assert port.closed(quiet)
+    begun.close()
+    quiet.close()
+
+
+def test_longest_idle_connection_makes_room(port):
+    peers = []
+    for number in range(MOST_CONNECTIONS):
+        port.now = float(number)
+        peers.append(port.connect())
+    port.now = 20.0
+    peers[0].sendall(b"alive\n")
+    port.turn()
+    assert peers[0].recv(10) == b"ALIVE\n"
+    peers.append(port.connect())
+    assert port.closed(peers[1]) and not any(port.closed(peers[k]) for k in (0, 2, MOST_CONNECTIONS))
+    for peer in peers:
+        peer.close()

@@ -1,0 +1,236 @@
+"""Who owns the tissue, which packets make a step and with which time step: without sockets, on a clock of the test."""
+
+import math
+from itertools import count
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from haptics.server_steps import StepService
+from haptics.wire import Kind, Request, RequestFlags, Status, decode_reply, encode_request
+from tissue_sim.errors import InputError
+from tissue_sim.tool_force import ForceStatus, ToolForce
+
+A, B = ("127.0.0.1", 5001), ("127.0.0.1", 5002)
+
+
+class NotedTissue:
+    """1 N/mm; notes what it is asked."""
+
+    def __init__(self):
+        self.steps, self.resets = [], 0
+
+    def step(self, pose, dt):
+        self.steps.append((pose.depth, dt))
+        return ToolForce(1e3 * pose.depth, 1e3, ForceStatus.CONVERGED, iterations=2, residual=1e-7, inertial=True,
+                         compute_time=3e-4)
+
+    def reset(self):
+        self.resets += 1
+
+
+@pytest.fixture
+def service():
+    return StepService(NotedTissue(), silence=1.0)
+
+
+def packet(sequence, time=None, depth=0.001, **changes):
+    return encode_request(Request(sequence, sequence * 1e-3 if time is None else time, (0.0, 0.0, -depth))
+                          ._replace(**changes))
+
+
+def ask(service, *packets, address=A, now=0.0):
+    """Reply to the last of these packets, all there before the step."""
+    at_once = None
+    for one in packets:
+        at_once = service.take(one, address, now)
+    answer = service.step()
+    if answer is None:
+        return None if at_once is None else decode_reply(at_once)
+    assert answer[1] == address
+    service.answered(now)
+    return decode_reply(answer[0])
+
+
+def test_reply_carries_the_answer_of_the_tissue(service):
+    reply = ask(service, packet(17, depth=0.002))
+    assert (reply.status, reply.sequence, reply.time) == (Status.CONVERGED, 17, 0.017)
+    assert reply.force == (0.0, 0.0, 2.0) and reply.torque == (0.0, 0.0, 0.0)
+    assert [[value for value in row if value] for row in reply.stiffness] == [[], [], [1e3], [], [], []]
+    assert (reply.iterations, reply.residual, reply.flags, reply.compute_time) == (2, 1e-7, 1, 3e-4)
+
+
+def test_time_step_is_the_difference_of_the_clients_times(service):
+    replies = [ask(service, packet(k, time)) for k, time in enumerate((10.0, 10.5, 10.5, 12.0))]
+    assert [reply.dt for reply in replies] == [0.0, 0.5, 0.0, 1.5]
+    assert [dt for _, dt in service.tissue.steps] == [0.0, 0.5, 0.0, 1.5]
+
+
+def test_newest_pose_is_stepped_and_the_time_step_covers_the_skipped(service):
+    ask(service, packet(0, 0.0))
+    reply = ask(service, packet(1, 0.1), packet(2, 0.2), packet(3, 0.3, depth=0.004))
+    assert reply.sequence == 3 and reply.skipped == 2
+    assert service.tissue.steps[1:] == [(0.004, 0.3)]
+
+
+def test_packet_that_is_not_newer_is_dropped_and_counted(service):
+    ask(service, packet(5))
+    assert ask(service, packet(5)) is None and ask(service, packet(4)) is None
+    assert ask(service, packet(6)).stale == 2
+    # Late by the network, in one heap with the newest.
+    assert ask(service, packet(9), packet(8)).sequence == 9
+    assert service.counters.stale == 3 and len(service.tissue.steps) == 3
+
+
+def test_what_is_no_request_is_dropped_and_counted(service):
+    for noise in (b"", b"hello", packet(1)[:-1], packet(1) + b"\0", bytes(88)):
+        assert ask(service, noise) is None
+    assert service.owner is None, "noise must not take the tissue"
+    assert ask(service, packet(1)).malformed == 5
+
+
+@pytest.mark.parametrize("changes", [
+    {"position": (0.0, 0.0, math.nan)}, {"position": (math.inf, 0.0, 0.0)}, {"orientation": (math.nan, 0, 0, 0)},
+    {"orientation": (1.0, 0.1, 0.0, 0.0)}, {"orientation": (0.0, 0.0, 0.0, 0.0)}, {"time": math.nan},
+    {"time": math.inf}, {"time": -0.001},
+], ids=str)
+def test_refused_pose_keeps_the_state_and_the_last_force(service, changes):
+    ask(service, packet(0, 0.0, depth=0.003))
+    reply = ask(service, packet(1, **{"time": 0.1, **changes}))
+    assert reply.status == Status.REFUSED and reply.force == (0.0, 0.0, 3.0) and reply.iterations == 0
+    assert service.tissue.steps == [(0.003, 0.0)]
+    # The next good one goes on from the last good one.
+    assert ask(service, packet(2, 0.25)).dt == 0.25
+
+
+def test_refusal_of_the_tissue_is_passed_on_and_moves_no_time(service):
+    ask(service, packet(0, 0.0))
+    step, service.tissue.step = service.tissue.step, lambda pose, dt: ToolForce(1.0, 2.0, ForceStatus.REFUSED)
+    assert ask(service, packet(1, 0.1)).status == Status.REFUSED
+
+    def refuse(pose, dt):
+        raise InputError("not there")
+
+    service.tissue.step = refuse
+    assert ask(service, packet(2, 0.2)).status == Status.REFUSED
+    service.tissue.step = step
+    assert ask(service, packet(3, 0.3)).dt == 0.3
+    assert service.counters.refused == 2 and service.counters.steps == 4
+
+
+def test_reset_flag_resets_before_the_step_and_is_not_skipped(service):
+    ask(service, packet(0, 5.0))
+    # Time may go back where the tissue starts anew.
+    reply = ask(service, packet(1, 0.0, flags=RequestFlags.RESET))
+    assert service.tissue.resets == 1 and reply.dt == 0.0 and reply.status == Status.CONVERGED
+    reply = ask(service, packet(2, 0.1, flags=RequestFlags.RESET), packet(3, 0.2))
+    assert service.tissue.resets == 2 and reply.sequence == 3 and reply.dt == 0.0
+    reply = ask(service, packet(4, 0.3, flags=RequestFlags.RESET, position=(0.0, 0.0, math.nan)))
+    assert service.tissue.resets == 2 and reply.status == Status.REFUSED
+
+
+def test_reset_holds_where_the_step_after_it_is_refused(service):
+    ask(service, packet(0, 5.0, depth=0.003))
+    step, service.tissue.step = service.tissue.step, lambda pose, dt: ToolForce(1.0, 2.0, ForceStatus.REFUSED)
+    ask(service, packet(1, 6.0, flags=RequestFlags.RESET))
+    service.tissue.step = step
+    assert ask(service, packet(2, math.nan)).force == (0.0, 0.0, 0.0)
+    assert ask(service, packet(3, 7.0)).dt == 0.0
+
+
+def test_first_of_two_in_one_heap_owns_the_tissue(service):
+    assert service.take(packet(0), A, 0.0) is None
+    assert decode_reply(service.take(packet(0), B, 0.0)).status == Status.BUSY
+
+
+def test_first_to_speak_owns_the_tissue(service):
+    ask(service, packet(0), address=A, now=0.0)
+    reply = ask(service, packet(900, 7.0), address=B, now=0.5)
+    assert (reply.status, reply.sequence, reply.time, reply.turned_away) == (Status.BUSY, 900, 7.0, 1)
+    assert reply.force == (0.0, 0.0, 0.0) and len(service.tissue.steps) == 1
+    assert ask(service, packet(901, kind=Kind.GOODBYE), address=B, now=0.5).status == Status.BUSY
+    assert service.owner == A and ask(service, packet(1), address=A, now=0.6).turned_away == 2
+
+
+def test_silent_owner_loses_the_tissue_to_another(service):
+    ask(service, packet(50, 8.0), address=A, now=0.0)
+    assert ask(service, packet(0, 3.0), address=B, now=1.01).dt == 0.0
+    assert service.owner == B and service.counters.clients == 2
+    assert ask(service, packet(51, 9.0), address=A, now=1.02).status == Status.BUSY
+
+
+def test_silence_begins_with_the_reply_not_with_the_packet(service):
+    service.take(packet(0), A, 0.0)
+    service.step()
+    service.answered(5.0)  # a long step
+    assert ask(service, packet(0), address=B, now=5.9).status == Status.BUSY
+
+
+def test_stale_packets_do_not_hold_the_tissue(service):
+    ask(service, packet(9), address=A, now=0.0)
+    service.take(packet(9), A, 0.9)
+    assert ask(service, packet(0), address=B, now=1.1).status == Status.CONVERGED
+
+
+def test_silent_owner_goes_on_or_counts_anew(service):
+    ask(service, packet(5, 1.0), now=0.0)
+    assert ask(service, packet(6, 4.0), now=3.0).dt == 3.0, "a pause is time that passes"
+    assert ask(service, packet(0, 0.0), now=6.0).dt == 0.0, "a program that was started again"
+    assert service.counters.clients == 2
+
+
+def test_goodbye_frees_the_tissue_at_once(service):
+    ask(service, packet(0), address=A)
+    reply = ask(service, packet(1), packet(2, kind=Kind.GOODBYE), address=A)
+    assert (reply.status, reply.sequence) == (Status.RELEASED, 2)
+    assert service.owner is None and service.counters.skipped == 1
+    assert ask(service, packet(0), address=B).status == Status.CONVERGED
+
+
+def test_other_version_is_answered_with_ours(service):
+    strange = bytearray(packet(77, 1.5))
+    strange[4:6] = b"\x02\x00"
+    reply = ask(service, bytes(strange) + b"more of version 2")
+    assert (reply.status, reply.sequence, reply.time) == (Status.OTHER_VERSION, 77, 1.5)
+    assert service.owner is None and service.counters.other_version == 1
+
+
+def test_statuses_are_counted(service):
+    statuses = [ForceStatus.CONVERGED, ForceStatus.LATE, ForceStatus.LATE, ForceStatus.STOPPED, ForceStatus.REFUSED]
+    for number, status in enumerate(statuses):
+        service.tissue.step = lambda pose, dt, status=status: ToolForce(1.0, 2.0, status)
+        assert ask(service, packet(number)).status == status
+    counters = service.counters
+    assert (counters.steps, counters.converged, counters.late, counters.stopped, counters.refused) == (5, 1, 2, 1, 1)
+
+
+@given(st.lists(st.tuples(st.sampled_from(["step", "take A", "take B", "noise", "wait", "bye"]), st.integers(0, 30))))
+def test_every_packet_is_counted_once(events):
+    """Taken packets are stepped, skipped, stale, turned away, malformed or goodbyes."""
+    service, now, taken, goodbyes = StepService(NotedTissue(), silence=1.0), 0.0, 0, 0
+    for what, sequence in events:
+        if what == "step":
+            service.step()
+            service.answered(now)
+        elif what == "wait":
+            now += sequence / 10
+        else:
+            one = {"noise": b"noise", "bye": packet(sequence, kind=Kind.GOODBYE)}.get(what, packet(sequence, 0.0))
+            at_once = service.take(one, B if what == "take B" else A, now)
+            taken += 1
+            goodbyes += at_once is not None and decode_reply(at_once).status == Status.RELEASED
+    service.step()
+    counters = service.counters
+    assert counters.steps == len(service.tissue.steps)
+    assert taken == (counters.steps + counters.skipped + counters.stale + counters.turned_away + counters.malformed
+                     + goodbyes)
+
+
+@given(st.lists(st.integers(0, 2**64 - 1), min_size=1, max_size=30))
+def test_answered_sequences_grow(sequences):
+    service, answered, clock = StepService(NotedTissue(), silence=math.inf), [], count()
+    for sequence in sequences:
+        reply = ask(service, packet(sequence, float(next(clock))))
+        answered += [] if reply is None else [reply.sequence]
+    assert answered == sorted(set(answered)) and answered[0] == sequences[0] and answered[-1] == max(sequences)

@@ -1,0 +1,152 @@
+"""The wire protocol: bytes that stand in docs/wire_protocol.md, and every packet back from its bytes."""
+
+import re
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from haptics.wire import (
+    REPLY_SIZE,
+    REQUEST_SIZE,
+    VERSION,
+    Kind,
+    OtherVersionError,
+    Reply,
+    Request,
+    RequestFlags,
+    Status,
+    WireError,
+    decode_reply,
+    decode_request,
+    encode_reply,
+    encode_request,
+)
+from tissue_sim.tool_force import ForceStatus
+
+U16, U32, U64 = (st.integers(0, 2**bits - 1) for bits in (16, 32, 64))
+REAL = st.floats(allow_nan=False)
+VECTOR = st.tuples(REAL, REAL, REAL)
+REQUESTS = st.builds(Request, U64, REAL, VECTOR, st.tuples(REAL, REAL, REAL, REAL), st.sampled_from([1, 2]),
+                     st.sampled_from([0, 1]))
+REPLIES = st.builds(Reply, U16, U64, REAL, VECTOR, VECTOR, st.tuples(*[st.tuples(*[REAL] * 6)] * 6), REAL, REAL, REAL,
+                    REAL, U32, U32, U64, U64, U64, U64)
+
+#: Written by hand from the table of the page: IEEE 754 of 1, 2, 0.5, -0.25 ... with the low byte first.
+ZERO, ONE, TWO, HALF = bytes(8), bytes.fromhex("000000000000f03f"), bytes.fromhex("0000000000000040"), \
+    bytes.fromhex("000000000000e03f")
+MINUS_QUARTER = bytes.fromhex("000000000000d0bf")
+GOLDEN_REQUEST = (b"TSRQ" + bytes.fromhex("0100" "0100" "0807060504030201") + HALF + ONE + TWO + MINUS_QUARTER
+                  + ONE + ZERO + ZERO + ZERO + bytes.fromhex("01000000" "00000000"))
+
+
+def test_request_has_its_golden_bytes():
+    request = Request(0x0102030405060708, 0.5, (1.0, 2.0, -0.25), flags=RequestFlags.RESET)
+    assert encode_request(request) == GOLDEN_REQUEST
+    assert decode_request(GOLDEN_REQUEST) == request
+    assert len(GOLDEN_REQUEST) == REQUEST_SIZE == 88
+
+
+def test_goodbye_is_a_kind():
+    assert encode_request(Request(0, 0.0, kind=Kind.GOODBYE))[6:8] == b"\x02\x00"
+
+
+def test_reply_has_its_golden_bytes():
+    stiffness = [[0.0] * 6 for _ in range(6)]
+    stiffness[2][2], stiffness[5][0] = 2.0, 1.0
+    reply = Reply(Status.LATE, 7, 1.0, (0.0, 0.0, 2.0), (0.5, 0.0, 0.0), tuple(map(tuple, stiffness)), age=0.5,
+                  compute_time=1.0, residual=2.0, dt=-0.25, iterations=3, flags=1, malformed=4, stale=5, skipped=6,
+                  turned_away=258)
+    golden = (b"TSRP" + bytes.fromhex("0100" "0100" "0700000000000000") + ONE
+              + ZERO + ZERO + TWO                                    # force, from byte 24
+              + HALF + ZERO + ZERO                                   # torque, from byte 48
+              + ZERO * 14 + TWO + ZERO * 15 + ONE + ZERO * 5         # stiffness by rows, from byte 72
+              + HALF + ONE + TWO + MINUS_QUARTER                     # from byte 360
+              + bytes.fromhex("03000000" "01000000")                 # from byte 392
+              + bytes.fromhex("0400000000000000" "0500000000000000" "0600000000000000" "0201000000000000"))
+    assert encode_reply(reply) == golden
+    assert decode_reply(golden) == reply
+    assert len(golden) == REPLY_SIZE == 432
+
+
+@given(REQUESTS)
+def test_every_request_comes_back(request):
+    assert decode_request(encode_request(request)) == request
+
+
+@given(REPLIES)
+def test_every_reply_comes_back(reply):
+    packet = encode_reply(reply)
+    assert len(packet) == REPLY_SIZE and decode_reply(packet) == reply
+
+
+def test_nan_passes_the_wire():
+    request = decode_request(encode_request(Request(1, float("nan"), (float("inf"), 0.0, float("nan")))))
+    assert request.time != request.time and request.position[0] == float("inf")
+
+
+@given(st.binary(max_size=600))
+def test_noise_is_no_packet(noise):
+    for decode in (decode_request, decode_reply):
+        with pytest.raises(WireError):
+            decode(noise)
+
+
+@given(st.binary(min_size=64, max_size=120))
+def test_noise_behind_a_good_head_is_a_request_of_that_size_or_none(noise):
+    packet = GOLDEN_REQUEST[:24] + noise
+    if len(packet) == REQUEST_SIZE and noise[-8:] in (bytes(8), b"\x01" + bytes(7)):
+        assert decode_request(packet).sequence == 0x0102030405060708
+    else:
+        with pytest.raises(WireError):
+            decode_request(packet)
+
+
+@pytest.mark.parametrize(("at", "value"), [(0, b"TSRP"), (6, b"\x03\x00"), (6, b"\x00\x00"), (80, b"\x02\x00\x00\x00"),
+                                           (84, b"\x01\x00\x00\x00")])
+def test_a_wrong_field_is_refused(at, value):
+    packet = bytearray(GOLDEN_REQUEST)
+    packet[at:at + len(value)] = value
+    with pytest.raises(WireError):
+        decode_request(packet)
+
+
+@given(st.integers(0, 2**16 - 1).filter(lambda version: version != VERSION), U64, REAL, st.binary(max_size=200))
+def test_head_of_another_version_is_read_whatever_follows(version, sequence, time, rest):
+    for magic, decode in ((b"TSRQ", decode_request), (b"TSRP", decode_reply)):
+        with pytest.raises(OtherVersionError) as caught:
+            decode(struct.pack("<4sHHQd", magic, version, 9, sequence, time) + rest)
+        assert (caught.value.version, caught.value.sequence, caught.value.time) == (version, sequence, time)
+
+
+def test_statuses_of_a_step_are_those_of_the_tissue():
+    for status in ForceStatus:
+        assert Status(status).message == status.message
+    for status in Status:
+        assert status.message and (status >= 100 or status in list(ForceStatus))
+
+
+def test_page_has_the_layout(root):
+    """The tables of docs/wire_protocol.md: offsets follow from the sizes, and end at the size of the packet."""
+    size = {"char": 1, "uint16": 2, "uint32": 4, "uint64": 8, "float64": 8}
+    text = (root / "docs" / "wire_protocol.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (\d+) \| (\w+)(?: x (\d+))? \| (\w+) \|", text, re.MULTILINE)
+    starts = [k for k, row in enumerate(rows) if row[0] == "0"]
+    assert len(starts) == 2
+    for table, end, kind in ((rows[:starts[1]], REQUEST_SIZE, Request), (rows[starts[1]:], REPLY_SIZE, Reply)):
+        offset = 0
+        for at, number, count, _ in table:
+            assert int(at) == offset
+            offset += size[number] * int(count or 1)
+        assert offset == end
+        assert set(kind._fields) <= {name for *_, name in table}
+
+
+def test_c_header_has_the_same_numbers(root):
+    header = (root / "docs" / "client" / "tissue_sim_client.h").read_text(encoding="utf-8")
+    defined = {name: int(value) for name, value in re.findall(r"TISSUE_SIM_(\w+)(?: =)? (\d+)", header)}
+    assert (defined["VERSION"], defined["REQUEST_SIZE"], defined["REPLY_SIZE"]) == (VERSION, REQUEST_SIZE, REPLY_SIZE)
+    assert defined["RESET"] == RequestFlags.RESET
+    for status in (*ForceStatus, Status.BUSY):
+        assert defined[status.name] == status

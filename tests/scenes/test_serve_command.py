@@ -1,0 +1,171 @@
+"""`tissue-sim serve`: one line when it is ready, forces and configuration while it runs, counters at its end."""
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from haptics.client import TissueClient
+from haptics.wire import Status
+from scenes.cli import main
+
+MEASURES = ["--radius-mm", "40", "--height-mm", "70"]
+
+
+@pytest.fixture(scope="module")
+def material(tmp_path_factory):
+    path = tmp_path_factory.mktemp("material") / "m.material.json"
+    assert main(["material", "new", "--law", "reduced_polynomial_2", "--set", "C10=1404.9", "--set", "C20=699.4",
+                 "--bulk-ratio", "10000", "-o", str(path)]) == 0
+    return str(path)
+
+
+@contextmanager
+def serving(root, material, *words):
+    """The command as a process of its own, from its first line to its end."""
+    process = subprocess.Popen([sys.executable, "-m", "scenes.cli", "serve", "--material", material, "--port", "0",
+                                "--budget-us", "0", *MEASURES, *words], cwd=root, text=True, encoding="utf-8",
+                               stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    try:
+        yield process, process.stdout.readline()
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture(scope="module")
+def served(root, material):
+    """Ports of a running server."""
+    with serving(root, material, "--json") as (_, line):
+        yield json.loads(line)
+
+
+@pytest.fixture
+def ask(served):
+    """Ask the configuration."""
+    with socket.create_connection((served["host"], served["configuration_port"]), timeout=60) as peer:
+        lines = peer.makefile("rb")
+
+        def ask(command, **more):
+            peer.sendall(json.dumps({"command": command, **more}).encode() + b"\n")
+            return json.loads(lines.readline())
+
+        yield ask
+        lines.close()
+
+
+@pytest.fixture
+def client(served):
+    with TissueClient(served["port"], timeout=60) as client:
+        yield client
+
+
+def advance(client, depth):
+    """From rest to a depth at 2.5 mm/s, where mass does not count; the last reply."""
+    for k in range(round(depth / 5e-5) + 1):
+        reply = client.step(5e-5 * k, at=0.02 * k, reset=k == 0)
+        assert reply.status == Status.CONVERGED and reply.age == 0.0 and not reply.flags
+    return reply
+
+
+def test_force_is_that_of_the_reference_curve(client, reference):
+    """Bonded punch at 2 mm: within 1 % of an independent solver."""
+    displacement, force = np.loadtxt(reference / "punch_bonded_face_side_wall_RP.csv", delimiter=",", unpack=True)
+    reply = advance(client, 0.002)
+    assert reply.force[2] == pytest.approx(np.interp(2.0, displacement, force), rel=0.01)
+    assert reply.force[:2] == (0.0, 0.0) and reply.iterations > 0
+    slope = (advance(client, 0.00205).force[2] - advance(client, 0.00195).force[2]) / 1e-4
+    assert reply.stiffness[2][2] == pytest.approx(slope, rel=0.01)
+
+
+def test_fast_tool_feels_the_mass(client):
+    client.step(0.0, at=0.0, reset=True)
+    assert client.step(0.0001, at=0.001).flags == 1
+
+
+def test_describe_says_what_is_served(ask):
+    answer = ask("describe")
+    assert answer["scene"] == "needle_indentation" and answer["protocol"]["version"] == 1
+    assert answer["tool"]["shape"] == "flat" and answer["tool"]["radius"] == 0.008
+    assert answer["specimen"]["radius"] == 0.04 and answer["specimen"]["height"] == 0.07
+    assert answer["interfaces"]["friction"] == "bonded"
+    assert answer["material"]["law"] == "reduced_polynomial_2" and answer["material"]["mu0_Pa"] == pytest.approx(2809.8)
+    assert answer["parameters"] == {"C10": 1404.9, "C20": 699.4, "bulk.bulk_ratio": 1e4}
+    assert answer["mesh"]["elements"] > 10
+
+
+def test_parameters_are_set_without_a_new_start(ask, client):
+    soft = advance(client, 0.001).force[2]
+    assert ask("set_parameters", parameters={"C10": 2809.8, "C20": 1398.8})["parameters"]["C10"] == 2809.8
+    hard = advance(client, 0.001).force[2]
+    assert ask("set_parameters", parameters={"C10": 1404.9, "C20": 699.4})["parameters"]["C10"] == 1404.9
+    assert hard == pytest.approx(2 * soft, rel=1e-4), "K follows mu0"
+    assert "did you mean 'C10'?" in ask("set_parameters", parameters={"C1": 3.0})["error"]
+
+
+def test_surface_follows_the_tool(ask, client):
+    advance(client, 0.003)
+    outline = np.array(ask("surface")["outline"])
+    assert outline[0] == pytest.approx([0.0, -0.003], abs=1e-5), "the tissue is bonded to the tool's face"
+    assert outline[:, 0].max() == pytest.approx(0.04, abs=1e-3) and outline[:, 1].min() == pytest.approx(-0.07)
+    answer = ask("surface", segments=24)
+    vertices, triangles = np.array(answer["vertices"]), np.array(answer["triangles"])
+    assert vertices.shape[1] == triangles.shape[1] == 3 and 0 <= triangles.min() <= triangles.max() < len(vertices)
+    assert np.hypot(vertices[:, 0], vertices[:, 1]).max() == pytest.approx(outline[:, 0].max())
+
+
+def test_states_come_back_with_their_force(ask, client):
+    force = advance(client, 0.002).force[2]
+    assert "at 2 mm" in ask("save", name="at 2 mm")["states"]
+    advance(client, 0.0)
+    assert "error" not in ask("restore", name="at 2 mm")
+    reply = client.step(0.002, at=9.0)
+    assert reply.force[2] == pytest.approx(force, rel=1e-5)
+
+
+def test_ctrl_c_ends_with_counters(root, material):
+    with serving(root, material, "--configuration-port", "0") as (process, line):
+        assert line.startswith("serving needle_indentation on 127.0.0.1:") and line.endswith("Ctrl-C stops\n")
+        port = int(line.split(" (UDP)")[0].rpartition(":")[2])
+        with TissueClient(port, timeout=60) as client:
+            client.step(0.0)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 0 and err == ""
+    assert "answered 1 poses of 1 clients" in out and "0 malformed" in out
+
+
+def test_terminated_with_json_keeps_stdout_to_one_object(root, material):
+    with serving(root, material, "--json") as (process, line):
+        assert set(json.loads(line)) == {"host", "port", "configuration_port", "real_time"}
+        process.send_signal(signal.SIGTERM)
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 0 and out == "" and "answered 0 poses of 0 clients" in err
+
+
+@pytest.mark.parametrize(("words", "expected"), [
+    (["--port", "70000"], "'70000' is too many"),
+    (["--host", "0.0.0.0"], "host: 0.0.0.0 can be reached by other machines"),
+    (["--scene", "needle"], "unknown scene 'needle'"),
+    (["--spin-us", "-1"], "'-1' is not a number of zero or more"),
+])
+def test_bad_input_is_one_sentence(material, capsys, words, expected):
+    capsys.readouterr()
+    assert main(["serve", "--material", material, "--port", "0", *words]) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and err.count("\n") == 1 and expected in err
+
+
+def test_taken_port_is_one_sentence(material, capsys):
+    capsys.readouterr()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        port = str(taken.getsockname()[1])
+        assert main(["serve", "--material", material, "--port", port]) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and err.count("\n") == 1 and f"127.0.0.1:{port} cannot be used" in err
