@@ -77,18 +77,23 @@ class _Clocked(fem.Material):
         super().__init__(law.gradient, hessian)
 
 
-def iterations(repeats: int, peer_repeats: int) -> list[dict]:
+def iteration_meshes() -> dict[str, Mesh]:
+    """Meshes on which an iteration is compared."""
+    return {"80 Q9/P-1, fast": build_mesh(MODEL.experiment, "fast"),
+            "80 Q4/P0, the same grading": build_mesh(MODEL.experiment, "fast", Q4P0),
+            "500 Q4/P0, uniform": uniform_needle_mesh((20, 25), Q4P0),
+            "500 Q9/P-1, uniform": uniform_needle_mesh((20, 25), Q9P1)}
+
+
+def iterations(meshes: dict[str, Mesh], repeats: int, peer_repeats: int) -> list[dict]:
     """One Newton iteration (tangent, factor, solution, next residual) of a bonded punch, ours and FElupe's.
 
     Raises:
         SystemExit: the forces differ.
     """
-    meshes = {"80 Q9/P-1, fast": (build_mesh(MODEL.experiment, "fast"), "P-1"),
-              "80 Q4/P0, the same grading": (build_mesh(MODEL.experiment, "fast", Q4P0), "P0"),
-              "500 Q4/P0, uniform": (uniform_needle_mesh((20, 25), Q4P0), "P0"),
-              "500 Q9/P-1, uniform": (uniform_needle_mesh((20, 25), Q9P1), "P-1")}
     rows = []
-    for name, (mesh, pressure) in meshes.items():
+    for name, mesh in meshes.items():
+        pressure = {Q9P1.name: "P-1", Q4P0.name: "P0"}[mesh.element.name]
         solver = AxisymmetricSolver(mesh, MATERIAL, {"base": "rz"}, {"face": "rz"})
         forces = []
         for depth in PEER_DEPTHS:
@@ -152,7 +157,8 @@ def main() -> None:
     repeats = arguments.repeats
     result = about("needle", ["felupe"]) | {
         "factorisation": factorisation(20 * repeats),
-        "iterations": iterations(20 * repeats, max(1, (repeats + 1) // 2)), "curves": curves(repeats)}
+        "iterations": iterations(iteration_meshes(), 20 * repeats, max(1, (repeats + 1) // 2)),
+        "curves": curves(repeats)}
     show(result, draw, as_json=arguments.json)
 
 

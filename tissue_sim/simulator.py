@@ -10,6 +10,7 @@ from tissue_sim.deformed_surface import DeformedSurface, deformed_surface
 from tissue_sim.discretisation import build_mesh, build_solver
 from tissue_sim.errors import InputError
 from tissue_sim.experiment import Model
+from tissue_sim.fem.axisymmetric import Step
 from tissue_sim.fem.newton import StepStatus
 from tissue_sim.material import Material
 from tissue_sim.material_parameters import with_parameter
@@ -20,7 +21,7 @@ from tissue_sim.tool_force import ForceStatus, Pose, ToolForce
 #: Unbalanced over balanced forces at which an equilibrium is one.
 TOLERANCE = 1e-6
 #: Linear solves that a part of a step may take: after an extrapolation, which is right or leads astray, and without.
-_MOST_SOLVES = {True: 6, False: 16}
+_MOST_SOLVES = {True: 6, False: 30}
 #: A tool that moves further in one step than this share of the contact's radius is followed in parts.
 _LARGEST_PART = 0.0625
 #: A part is cut until it is this share of the largest one.
@@ -29,6 +30,8 @@ _SMALLEST_CUT = 2.0**-8
 INERTIAL_SPEED, _LINGERS = 0.005, 0.1
 #: Of tissue whose density nobody stated, kg/m3: that of water.
 DENSITY = 1000.0
+#: How many steps in a row one iteration may go on, where the budget ends it each time.
+_PATIENCE = 10
 #: How fast the guess of the time of a linear solve follows one that took longer, or shorter; and what is left of it
 #: after a step that did not try because of it: it may have met the computer in a bad moment.
 _LEARNS, _FORGETS, _DOUBTS = 0.5, 0.1, 0.5
@@ -90,6 +93,9 @@ class Simulator:
         self.density = model.experiment.specimen.density or model.material.density or DENSITY
         if inertia != "off":
             self._solver.follow_motion(self.density)
+        # Whether the tool stays on the tissue, and whether the tissue can pull at it.
+        self._bonded = model.experiment.friction == "bonded"
+        self._pulls = self._bonded or model.experiment.adhesion is not None
         self._largest_part = _LARGEST_PART * model.experiment.contact_radius
         self._puncture = PunctureHistory(model.puncture)
         # Wall time of a linear solve with all that belongs to it, s.
@@ -101,6 +107,9 @@ class Simulator:
         # the tool was fast; and the share of the largest part that works.
         self._depth, self._touched = 0.0, False
         self._waiting, self._lingers, self._share = 0.0, math.inf, 1.0
+        # Depth and time step of an iteration that the budget ended, and how often it did.
+        self._attempt: tuple[float, float] | None = None
+        self._resumed = 0
         self._start = self.save()
 
     @property
@@ -155,13 +164,19 @@ class Simulator:
         return self._answer
 
     def _follow(self, depth: float, began: float) -> ToolForce:
-        solver, status, solves, residual, extrapolates = self._solver, None, 0, self._answer.residual, True
+        """Step to a depth in as many parts as it takes."""
+        solver, status, solves, residual = self._solver, None, 0, self._answer.residual
         inertial = self.inertia == "on" or (self.inertia == "auto" and self._lingers < _LINGERS)
+        extrapolates, resumes = True, self._attempt is not None
+        anew = not self._bonded
         while status is None:
-            way, part = depth - solver.depth, self._share * self._largest_part
-            whole = abs(way) <= part
-            share = 1.0 if whole else part / abs(way)
             started = time.perf_counter()
+            way, part = depth - solver.depth, self._share * self._largest_part
+            share = min(1.0, part / abs(way)) if way else 1.0
+            # The last part ends where the tool is, without rounding.
+            target, dt = depth if share == 1.0 else solver.depth + share * way, share * self._waiting
+            if resumes:
+                target, dt = self._attempt
             # Across a change of contact extrapolation leads astray.
             order = min(2, solver.unchanged) if extrapolates else 0
             most = allowed = _MOST_SOLVES[order > 0]
@@ -171,36 +186,49 @@ class Simulator:
                 status = ForceStatus.LATE
                 self._solve_time *= _DOUBTS if solves == 0 else 1.0
                 break
-            dt = share * self._waiting
-            step = solver.step(depth if whole else solver.depth + share * way, dt, tolerance=self.tolerance,
-                               max_iterations=allowed, predictor_order=order, inertial=inertial and dt > 0.0)
+            step = solver.step(target, dt, tolerance=self.tolerance, max_iterations=allowed, predictor_order=order,
+                               inertial=inertial and dt > 0.0, resumes=resumes)
             solves, residual = solves + step.iterations, step.residual
             self._clock((time.perf_counter() - started) / (1 + step.iterations))
             if step.status is StepStatus.CONVERGED:
-                force, stiffness = self._puncture(solver.depth, step.force), self._puncture.at(solver.depth,
-                                                                                              step.stiffness)
-                if not inertial:
-                    self._elastic = stiffness
-                self._equilibrium = force, stiffness, inertial and dt > 0.0
-                self._waiting = 0.0 if whole else self._waiting - dt
-                self._share, extrapolates = min(1.0, 2.0 * self._share), True
-                if whole:
-                    status = ForceStatus.CONVERGED
-            elif step.status is StepStatus.SLOW and allowed < most:
-                self._share, status = max(self._share / 2.0, _SMALLEST_CUT), ForceStatus.LATE
+                self._take(step, inertial and dt > 0.0)
+                self._waiting = max(0.0, self._waiting - dt)
+                self._share, self._attempt, self._resumed = min(1.0, 2.0 * self._share), None, 0
+                extrapolates, resumes = True, False
+                if target == depth and (share == 1.0 or self._waiting == 0.0):
+                    self._waiting, status = 0.0, ForceStatus.CONVERGED
+            elif step.status is StepStatus.SLOW and allowed < most and self._resumed < _PATIENCE:
+                # The next step goes on with this iteration, and with what is left of the way then.
+                self._attempt, self._resumed, status = (target, dt), self._resumed + 1, ForceStatus.LATE
+            elif resumes:
+                self._attempt, self._resumed, resumes = None, 0, False
             elif order:
                 extrapolates = False
             else:
-                self._share, extrapolates = self._share / 2.0, True
-                if self._share < _SMALLEST_CUT:
+                self._share, extrapolates = min(self._share, abs(way) / self._largest_part) / 2.0, True
+                if self._share < _SMALLEST_CUT and anew:
+                    # Press anew from the touch on; what friction remembers begins there.
+                    solver.let_go()
+                    self._share, anew = 1.0, False
+                elif self._share < _SMALLEST_CUT:
                     self._share, status = _SMALLEST_CUT, ForceStatus.STOPPED
         force, stiffness, inertial = self._equilibrium
         if status is not ForceStatus.CONVERGED:
             # Mass resists a motion within the step, not one that goes on.
             stiffness = self._elastic
             force += stiffness * (depth - solver.depth)
+            if not self._pulls:
+                force = max(force, 0.0)
         return ToolForce(force, stiffness, status, solves, residual, time.perf_counter() - began, inertial,
                          self._waiting, solver.depth)
+
+    def _take(self, step: Step, inertial: bool) -> None:
+        """Keep what an equilibrium answers."""
+        depth = self._solver.depth
+        force, stiffness = self._puncture(depth, step.force), self._puncture.at(depth, step.stiffness)
+        self._equilibrium = force, stiffness, inertial
+        if not inertial:
+            self._elastic = stiffness
 
     def _clock(self, spent: float) -> None:
         """Follow how long a linear solve takes, sooner up than down."""
@@ -223,6 +251,7 @@ class Simulator:
         self._depth = state.depth
         self._waiting, self._lingers, self._share = state.waiting, state.lingers, state.share
         self._touched, self._puncture.deepest = state.touched, state.deepest
+        self._attempt, self._resumed = None, 0
 
     def set_parameters(self, **values: float) -> None:
         """Change parameters of the material; the state is kept, and the next step finds its equilibrium.

@@ -8,6 +8,7 @@ from enum import IntEnum
 
 from tissue_sim.errors import InputError
 
+_NONE = (0.0,) * 6
 #: How far the length of a quaternion may be from 1.
 _UNIT = 1e-6
 
@@ -103,4 +104,4 @@ class ToolForce:
 
         A tissue that resists has positive entries on the diagonal; an axisymmetric scene only that of z.
         """
-        return tuple(tuple(self.stiffness if i == k == 2 else 0.0 for k in range(6)) for i in range(6))
+        return (_NONE, _NONE, (0.0, 0.0, self.stiffness, 0.0, 0.0, 0.0), _NONE, _NONE, _NONE)

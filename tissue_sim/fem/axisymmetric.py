@@ -17,6 +17,7 @@ from tissue_sim.fem.launch import BoundKernel
 from tissue_sim.fem.memory import Memory
 from tissue_sim.fem.motion import Motion
 from tissue_sim.fem.newton import StepStatus
+from tissue_sim.fem.numbering import number_equations
 from tissue_sim.fem.runtime import LOCK
 from tissue_sim.fem.touch import bring_down
 from tissue_sim.laws import KernelEnergy
@@ -86,7 +87,7 @@ class AxisymmetricSolver:
         self.mesh, self.specific_weight = mesh, specific_weight
         element = mesh.element
         self._connectivity = np.ascontiguousarray(mesh.connectivity, dtype=np.int32)
-        self._number_equations(supports, tool)
+        self._equation, self._direction, self.free, self.half_band = number_equations(mesh, supports, tool)
         self._integrate_reference()
         elements, modes = len(mesh.connectivity), element.pressure_modes
         self.contact, self.surface = contact, ContactPoints(mesh, contact)
@@ -112,6 +113,7 @@ class AxisymmetricSolver:
         freedoms = 2 * len(mesh.nodes)
         self.start, self._target = self.x[:freedoms].copy(), np.zeros(freedoms)
         self._depths: list[float] = [0.0]
+        self._untouched = self.x.copy()
         self._largest_force = 0.0
         self._slots = np.array([0, 1, 2], dtype=np.int32)
         self._weights = np.array([1.0, 0.0, 0.0])
@@ -128,45 +130,6 @@ class AxisymmetricSolver:
         #: z of the tool's deepest point where it first touches, m.
         self.datum = self._settings[newton.TOUCH] = 0.0 if contact is None else bring_down(
             mesh, contact, self.surface, self.start.reshape(-1, 2))
-
-    def _number_equations(self, supports: dict[str, str], tool: dict[str, str]) -> None:
-        """Free freedoms first, then the prescribed ones."""
-        mesh, nb = self.mesh, self.mesh.element.boundary_nodes
-        prescribed = np.zeros((len(mesh.nodes), 2), dtype=bool)
-        self._direction = np.zeros((len(mesh.nodes), 2))
-        prescribed[mesh.sets["axis"], 0] = True
-        for sets in (supports, tool):
-            for name, components in sets.items():
-                for component in components:
-                    prescribed[mesh.sets[name], "rz".index(component)] = True
-        for name in tool:
-            self._direction[mesh.sets[name], 1] = -1.0
-        shared = np.zeros(len(mesh.nodes), dtype=bool)
-        shared[mesh.connectivity[:, :nb]] = True
-        free = shared[:, None] & ~prescribed
-        held = shared[:, None] & prescribed
-        self.free = int(free.sum())
-        # Row by row or column by column, whichever makes the narrower band; row by row where it is the same.
-        by_rows, by_columns = np.arange(len(mesh.nodes)), np.lexsort(mesh.nodes[:, ::-1].T)
-        numberings = [self._equations(order, free, held) for order in (by_rows, by_columns)]
-        self._equation, self.half_band = min(numberings, key=lambda numbering: numbering[1])
-        self._equation, self._direction = self._equation.ravel(), self._direction.ravel()
-
-    def _equations(self, order: np.ndarray, free: np.ndarray, held: np.ndarray) -> tuple[np.ndarray, int]:
-        """Equation of every freedom when nodes are taken in this order, and the half band that follows.
-
-        Interior nodes have none (-1): they are eliminated inside their element.
-        """
-        equation = np.full(free.shape, -1, dtype=np.int32)
-        for members, first in ((free, 0), (held, self.free)):
-            ordered = np.zeros_like(equation)
-            ordered[order] = np.cumsum(members[order].ravel()).reshape(-1, 2)
-            equation[members] = first + ordered[members] - 1
-        connectivity = self.mesh.connectivity[:, : self.mesh.element.boundary_nodes]
-        numbers = equation[connectivity].reshape(len(connectivity), -1)
-        lowest = np.where(numbers < self.free, numbers, self.free).min(axis=1)
-        highest = np.where(numbers < self.free, numbers, -1).max(axis=1)
-        return equation, int(max(0, (highest - lowest).max()))
 
     def _band_scratch(self) -> None:
         rows, width = band.block_shape(self.free, self.half_band)
@@ -245,8 +208,8 @@ class AxisymmetricSolver:
             batches.pull_factors, *quarters, whole.reshape(-1), *batches.volume, batches.gap, *batches.centre_rows,
             *batches.centre_inverse, *batches.centre_force, surface.edges, surface.spans, surface.shapes,
             surface.places, surface.areas, surface.vertices, surface.rounding, surface.friction, surface.springs,
-            surface.held, surface.ways, surface.met, surface.forces, surface.rates, self._coefficients, memory.past,
-            memory.inherited, memory.largest, memory.stresses, memory.energies, self._masses, self._rest, self.x,
+            surface.held, surface.ways, surface.met, surface.forces, surface.rates, surface.known_rates,
+            self._coefficients, memory.past, memory.inherited, memory.largest, memory.stresses, memory.energies, self._masses, self._rest, self.x,
             self._motion, self._history, self._slots, self._weights, self._entries, self._entries,
             self._scattered[:-1].reshape(-1, band.BLOCK), self._scattered, self._upper, self._upper, self._inverse,
             self._right, self._residual, self._pull, self._lean, self._report))
@@ -280,7 +243,7 @@ class AxisymmetricSolver:
         return material.relaxation(self._contact_radius)
 
     def step(self, depth: float, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
-             predictor_order: int = 2, inertial: bool = False) -> Step:
+             predictor_order: int = 2, inertial: bool = False, resumes: bool = False) -> Step:
         """Move the tool to `depth` and find equilibrium; commits the state only when it converges.
 
         Args:
@@ -290,8 +253,14 @@ class AxisymmetricSolver:
             max_iterations: linear solves before giving up.
             predictor_order: highest order of extrapolation in depth from earlier steps (0: none).
             inertial: whether the mass of the tissue counts; `motion` must have been set, and dt be positive.
+            resumes: go on from where the step before, which did not converge, ended; dt counts from the last one that
+                did.
         """
-        self._predict(depth, predictor_order)
+        if resumes:
+            self._predicted = self._tried
+        else:
+            self._predict(depth, predictor_order)
+        self._tried, self._counts[newton.KEEPS] = depth, 2 * resumes
         self.memory.prepare(dt)
         if self.motion is not None:
             self._settings[newton.INERTIA] = self.motion.prepare(self._history[self._slots[0]], dt) if inertial else 0.0
@@ -370,9 +339,20 @@ class AxisymmetricSolver:
             depth, self._predicted, self.bulk_modulus, self.specific_weight, tolerance,
             max(self._floor, FLOOR_SHARE * self._largest_force), rounding)
         self._counts[newton.MAX_ITERATIONS] = max_iterations
-        self.surface.held[:], self.surface.ways[:] = self.surface.anchors, self.surface.slipped
+        if self._counts[newton.KEEPS] == 0:
+            self.surface.held[:], self.surface.ways[:] = self.surface.anchors, self.surface.slipped
         with LOCK:
             self._kernel()
+
+    def let_go(self) -> None:
+        """Take the tool away at once: the tissue is where it was before the touch, but remembers what it went
+        through. For a tool that is out of the tissue when no way there was found."""
+        surface, moves = self.surface, self.surface.moves
+        self._slots[:], self._depths, self.unchanged = (0, 1, 2), [0.0], 0
+        self._history[0] = self._untouched
+        surface.anchors[moves], surface.slipped[moves] = 0.0, 0.0
+        if self.motion is not None:
+            self.motion.stop()
 
     def respond(self, launch) -> None:
         """Assemble the exact tangent at the equilibrium just found, with the contact as it was in the step, and call
@@ -407,6 +387,7 @@ class AxisymmetricSolver:
     def tangent(self) -> np.ndarray:
         """Condensed tangent at the last committed state: lower band in LAPACK's storage, (half_band + 1, free), N/m."""
         self._weights[:], self._predicted = [1.0, 0.0, 0.0], self.depth
+        self._counts[newton.KEEPS] = 0
         self.memory.prepare(0.0)
         # No residual is small enough and no iteration is allowed: the matrix stays as it was assembled.
         self._launch(self.depth, -1.0, 0.0, 0)

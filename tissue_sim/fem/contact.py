@@ -85,7 +85,8 @@ class ContactPoints:
             of the point in that frame.
         ways, slipped: which way along the surface a point slips, 1, -1 or 0, during a step and at the last equilibrium.
         forces: on the tissue, turned round, N, shape (m, q, 2); rates: with the motion of the points, rr, rz, zr, zz,
-            N/m, then the normal (r, z) and the coefficient of friction there, shape (m, q, 7).
+            N/m, then the normal (r, z) and the coefficient of friction there, shape (m, q, 7); known_rates: those
+            that the matrix holds, (m, q, 4).
     """
 
     def __init__(self, mesh: Mesh, contact: Contact | None):
@@ -136,6 +137,7 @@ class ContactPoints:
         self.held, self.met = np.zeros_like(self.anchors), np.zeros_like(self.anchors)
         self.ways, self.slipped = np.zeros_like(self.springs), np.zeros_like(self.springs)
         self.forces, self.rates = np.zeros((*self.places.shape[:2], 2)), np.zeros((*self.places.shape[:2], 7))
+        self.known_rates = np.zeros((*self.places.shape[:2], 4))
 
     def _merge(self, shares: np.ndarray, at_nodes: np.ndarray) -> None:
         """One point a node and body: the first edge that has it takes the `shares` of the others."""

@@ -11,6 +11,7 @@ slip thus makes the tangent unsymmetric.
 """
 
 from functools import cache
+from typing import NamedTuple
 
 from tissue_sim.fem import band_lu
 from tissue_sim.fem.band import add_entry_function
@@ -21,10 +22,25 @@ from tissue_sim.fem.runtime import initialise
 FREE, HELD, TOUCHED = 0.0, 1.0, 2.0
 
 
+#: A rate has changed if it did by this share of its spring.
+CHANGED = 0.01
+
+
+class ContactFunctions(NamedTuple):
+    """Taichi functions of contact."""
+
+    add_contact: object
+    add_rates: object
+    note_rates: object
+    have_changed: object
+    add_tool_rates: object
+    augment: object
+    hold: object
+
+
 @cache
-def functions(slips: bool):
-    """Taichi functions ``add_contact``, ``add_rates``, ``add_tool_rates``, ``augment`` and ``hold``; without `slips`
-    nothing ever does."""
+def functions(slips: bool) -> ContactFunctions:
+    """See the functions themselves; without `slips` nothing ever does."""
     ti = initialise()
     add_entry = add_entry_function()
     _, add_any, _, _ = band_lu.functions()
@@ -213,6 +229,25 @@ def functions(slips: bool):
                                 add_entry(iz, jz, share * kzz, free, width, entries)
 
     @ti.func
+    def note_rates(count, rates: ti.template(), known: ti.template()):
+        """Remember the rates that the matrix holds."""
+        for m in range(count):
+            for q in range(rates.shape[1]):
+                for i in ti.static(range(4)):
+                    known[m, q, i] = rates[m, q, i]
+
+    @ti.func
+    def have_changed(count, springs: ti.template(), rates: ti.template(), known: ti.template()):
+        """Whether a point has met or left a body, stuck or slipped, since the rates were noted."""
+        changed = 0
+        for m in range(count):
+            for q in range(rates.shape[1]):
+                for i in ti.static(range(4)):
+                    if ti.abs(rates[m, q, i] - known[m, q, i]) > CHANGED * springs[m, q]:
+                        changed = 1
+        return changed
+
+    @ti.func
     def add_tool_rates(count, free, edges: ti.template(), spans: ti.template(), shapes: ti.template(),
                        rates: ti.template(), direction: ti.template(), equation: ti.template(), pull: ti.template(),
                        lean: ti.template()):
@@ -277,4 +312,4 @@ def functions(slips: bool):
                     for i in ti.static(range(3)):
                         held[m, q, i] = met[m, q, i]
 
-    return add_contact, add_rates, add_tool_rates, augment, hold
+    return ContactFunctions(add_contact, add_rates, note_rates, have_changed, add_tool_rates, augment, hold)

@@ -69,6 +69,10 @@ class Motion:
         self._earlier_place[:] = before[:size]
         self.before = dt
 
+    def stop(self) -> None:
+        """Stand still."""
+        self.velocity[:], self.before = 0.0, 0.0
+
     def copy(self) -> tuple:
         """All that a committed step leaves behind."""
         return self.velocity.copy(), self._earlier_place.copy(), self._earlier_velocity.copy(), self.before

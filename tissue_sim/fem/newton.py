@@ -36,10 +36,13 @@ FRICTION_FLOOR = 1e-9
 #: A factor serves again where each solve with it takes the residual down to this share, or where two more solves that
 #: gain as much as the last one will do.
 REUSE = 1e-3
+#: What a step forgets of the forces of points that are held; their springs bring back what is needed.
+LEAK = 0.1
 #: All points of the surface may change between sticking and slipping at once, until so many iterations did not settle
 #: it: then one point at a time (Murty's least-index rule).
 ALL, CIRCLING = 1_000_000, 8
-#: Places in the kernel's counts, settings and report.
+#: Places in the kernel's counts, settings and report. KEEPS: 0 a step begins with an extrapolation, 1 with the state as
+#: it is and nothing may change between sticking and slipping, 2 with the state as it is.
 PASSES, FREE, MAX_ITERATIONS, CONTACTS, REMEMBERS, UNSYMMETRIC, CHANGEABLE, KEEPS, LEANS = range(9)
 (DEPTH, PREDICTED, KAPPA, WEIGHT, TOLERANCE, FLOOR, ROUNDING, TOUCH, CONTACT_TOLERANCE, ADHESION,
  ADHESION_LENGTH, PENALTY, INERTIA, DENSITY) = range(14)
@@ -62,7 +65,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
     vector1 = ti.types.ndarray(dtype=vec, ndim=1)
     block1, block3 = (ti.types.ndarray(dtype=block, ndim=n) for n in (1, 3))
     factorise, solve = band_matrix.functions()
-    add_contact, add_rates, add_tool_rates, augment, hold = contact_kernels.functions(slips)
+    contact = contact_kernels.functions(slips)
     mirror, _, factorise_lu, solve_lu = band_lu.functions()
     converged, inverted, indefinite, slow, diverged = (float(status) for status in StepStatus)
 
@@ -74,6 +77,18 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
         for i in range(x.shape[0]):
             x[i] = (weights[0] * history[slots[0], i] + weights[1] * history[slots[1], i]
                     + weights[2] * history[slots[2], i])
+
+    @ti.func
+    def keep_held(count, share, multipliers, held: ti.template(), x: ti.template(), history: ti.template(),
+                  slots: ti.template()):
+        """Begin with this share of the last forces of points that are held: some combinations of them do nothing, and
+        would grow without bound in an extrapolation."""
+        for m in range(count):
+            for q in range(held.shape[1]):
+                if held[m, q, 0] == contact_kernels.HELD:
+                    at = multipliers + 2 * (m * held.shape[1] + q)
+                    for i in range(at, at + 2):
+                        x[i] = share * history[slots[0], i]
 
     @ti.func
     def solve_any(unsymmetric, rows, width, blocks: ti.template(), upper_blocks: ti.template(),
@@ -107,11 +122,11 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
              inverse_rr: vector1, inverse_rz: vector1, inverse_zz: vector1, force_r: vector1, force_z: vector1,
              edges: int2, spans: int2, edge_shapes: real3, edge_places: real3, areas: real2, vertices: real2,
              edge_rounding: real1, friction: real2, springs: real2, held: real3, ways: real2, met: real3,
-             forces: real3, contact_rates: real3, coefficients: real1, past: real1, inherited: real3, largest: real2,
-             stresses: real3, energies: real2, masses: real1, rest: real1, x: real1, motion: real1, history: real2,
-             slots: int1, weights: real1, entries: real4, blocks: block3, flat: block1, scattered: real1,
-             upper: real4, upper_blocks: block3, inverse: real1, right: block1, residual: real1, pull: real1,
-             lean: real1, report: real1):
+             forces: real3, contact_rates: real3, known_rates: real3, coefficients: real1, past: real1,
+             inherited: real3, largest: real2, stresses: real3, energies: real2, masses: real1, rest: real1,
+             x: real1, motion: real1, history: real2, slots: int1, weights: real1, entries: real4, blocks: block3,
+             flat: block1, scattered: real1, upper: real4, upper_blocks: block3, inverse: real1, right: block1,
+             residual: real1, pull: real1, lean: real1, report: real1):
         # One pass of one serial task, started without waking a thread pool; the count is an argument so that the loop
         # is not unrolled into many tasks.
         ti.loop_config(serialize=True)
@@ -126,6 +141,9 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
             multipliers = x.shape[0] - 2 * springs.shape[0] * springs.shape[1]
             if counts[KEEPS] == 0:
                 predict(x, history, slots, weights)
+                keep_held(counts[CONTACTS], 1.0 if weights[0] == 1.0 else 1.0 - LEAK, multipliers, held, x, history,
+                          slots)
+            if counts[KEEPS] != 1:
                 counts[CHANGEABLE] = ALL
             adhesion, adhesion_length = settings[ADHESION], settings[ADHESION_LENGTH]
             pending = 0
@@ -144,7 +162,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
             iterations, tangent, factorised = 0, 1, 0
             # Far from equilibrium the surface's curvature would make the tangent indefinite.
             bending = 1.0 if max_iterations == 0 else 0.0
-            first_ratio, last_ratio, axial = 0.0, 0.0, 0.0
+            first, first_ratio, last_ratio, axial = 1, 0.0, 0.0, 0.0
             # The status lives in the report: Taichi 1.7.4 loses a local variable that a branch of such a loop sets.
             # Each solve may need one more pass, for a tangent that was skipped.
             for _attempt in range(3 * max_iterations + 3):
@@ -189,7 +207,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
                 tool = settings[PREDICTED] if pending == 1 else depth
                 # At first what just touches counts as pressed: the tool is about to move, or adhesion pulls.
                 slack = 1e-9 if pending == 1 or (adhesion > 0.0 and iterations == 0) else 0.0
-                axial, balanced, violation, slipping = add_contact(
+                axial, balanced, violation, slipping = contact.add_contact(
                     counts[CONTACTS], counts[CHANGEABLE], slack, pending, bending, depth - tool,
                     tool - settings[TOUCH], free, settings[CONTACT_TOLERANCE], FRICTION_FLOOR * floor, adhesion,
                     adhesion_length, multipliers, edges, spans, edge_shapes, edge_places, areas, vertices,
@@ -202,8 +220,9 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
                     if ti.static(slips):
                         if slipping > 0:
                             mirror(blocks, upper_blocks, rows, width)
-                    add_rates(counts[CONTACTS], slipping, free, width, edges, edge_shapes, contact_rates, equation,
-                              entries, upper)
+                    contact.add_rates(counts[CONTACTS], slipping, free, width, edges, edge_shapes, contact_rates,
+                                      equation, entries, upper)
+                    contact.note_rates(counts[CONTACTS], contact_rates, known_rates)
                     factorised = 0
                 unbalanced = interior
                 for i in range(free):
@@ -214,24 +233,28 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
                 ratio = ti.sqrt(unbalanced) / scale
                 # Rounding is allowed for, within reason.
                 goal = tolerance + ti.min(rounding / scale, 1e-5)
-                if iterations == 1:
+                if iterations == first:
                     first_ratio = ratio
                 report[RESIDUAL] = ratio
                 if smallest <= 0.0 or smallest >= 1e30 or ti.math.isnan(smallest):
                     report[STATUS] = inverted
                 elif ti.math.isnan(ratio) or ti.math.isinf(ratio):
                     report[STATUS] = diverged
+                elif pending == 0 and ratio <= goal and tangent == 0 and counts[LEANS] == 1 and contact.have_changed(
+                        counts[CONTACTS], springs, contact_rates, known_rates) == 1:
+                    tangent = 1  # the stiffness needs it
                 elif pending == 0 and ratio <= goal:
-                    released = augment(counts[CONTACTS], multipliers, adhesion, edge_places, areas, spans, vertices,
-                                       edge_rounding, held, forces, x)
+                    released = contact.augment(counts[CONTACTS], multipliers, adhesion, edge_places, areas, spans,
+                                               vertices, edge_rounding, held, forces, x)
                     if released > 0:
-                        tangent = 1
+                        # Another problem from here on.
+                        tangent, first = 1, iterations + 1
                     elif violation <= settings[CONTACT_TOLERANCE]:
-                        hold(counts[CONTACTS], held, met)
+                        contact.hold(counts[CONTACTS], held, met)
                         report[STATUS] = converged
                 elif iterations >= max_iterations:
                     report[STATUS] = slow
-                elif iterations > 3 and ratio > 1e3 * first_ratio:
+                elif iterations > first + 2 and ratio > 1e3 * first_ratio:
                     report[STATUS] = diverged
                 elif tangent == 0 and ratio > REUSE * last_ratio and (
                         ratio * ratio * ratio > goal * last_ratio * last_ratio):
@@ -285,8 +308,8 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
                 # How the forces, and the force on the tool, change when the tool moves and the tissue does not yet.
                 for i in range(free):
                     residual[i], lean[i] = pull[i], pull[i]
-                stiff = pull[free] + add_tool_rates(counts[CONTACTS], free, edges, spans, edge_shapes, contact_rates,
-                                                    direction, equation, residual, lean)
+                stiff = pull[free] + contact.add_tool_rates(counts[CONTACTS], free, edges, spans, edge_shapes,
+                                                            contact_rates, direction, equation, residual, lean)
                 if inertia != 0.0:
                     for dof in range(pressures):
                         if equation[dof] >= free:
