@@ -87,29 +87,30 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
         """Note stress, tangent and dJ/dF of a point, times its weight."""
         root = inverse_root(ti.max(J, 1e-6))
         W, P, A = (with_tangent if ti.static(tangents) else without)(F, root, coefficients)
-        if remembers == 1:
-            f = past[FACTOR]
-            W = f * W
-            for l in ti.static(range(LANES)):
-                energies[elements[b, l], q] = W[l]
-            P1, A1 = [f * P[i] for i in ti.static(range(5))], [f * A[n] for n in ti.static(range(15))]
-            if past[LOSS] != 0.0:
-                most = ti.Vector([largest[elements[b, l], q] for l in ti.static(range(LANES))])
-                P2, A2 = soften(W, most, past[LOSS], past[LOSS_MODULUS], past[LOSS_SHARE], P1, A1)
-                for i in ti.static(range(5)):
-                    P1[i] = P2[i]
-                for n in ti.static(range(15)):
-                    A1[n] = A2[n]
-            h = [ti.Vector([inherited[elements[b, l], q, i] for l in ti.static(range(LANES))])
-                 for i in ti.static(range(4))]
-            S, P3, A3 = relax(F, past[INSTANT], h, P1, A1)
-            for i in ti.static(range(4)):
+        if ti.static(tangents):
+            if remembers == 1:
+                f = past[FACTOR]
+                W = f * W
                 for l in ti.static(range(LANES)):
-                    stresses[elements[b, l], q, i] = S[i][l]
-            for i in ti.static(range(5)):
-                P[i] = P3[i]
-            for n in ti.static(range(15)):
-                A[n] = A3[n]
+                    energies[elements[b, l], q] = W[l]
+                P1, A1 = [f * P[i] for i in ti.static(range(5))], [f * A[n] for n in ti.static(range(15))]
+                if past[LOSS] != 0.0:
+                    most = ti.Vector([largest[elements[b, l], q] for l in ti.static(range(LANES))])
+                    P2, A2 = soften(W, most, past[LOSS], past[LOSS_MODULUS], past[LOSS_SHARE], P1, A1)
+                    for i in ti.static(range(5)):
+                        P1[i] = P2[i]
+                    for n in ti.static(range(15)):
+                        A1[n] = A2[n]
+                h = [ti.Vector([inherited[elements[b, l], q, i] for l in ti.static(range(LANES))])
+                     for i in ti.static(range(4))]
+                S, P3, A3 = relax(F, past[INSTANT], h, P1, A1)
+                for i in ti.static(range(4)):
+                    for l in ti.static(range(LANES)):
+                        stresses[elements[b, l], q, i] = S[i][l]
+                for i in ti.static(range(5)):
+                    P[i] = P3[i]
+                for n in ti.static(range(15)):
+                    A[n] = A3[n]
         modulus, w = moduli[b], weights[b * points + q]
         P4, A4 = add_volume(F, p, [modulus * P[i] for i in ti.static(range(5))],
                             [modulus * A[n] for n in ti.static(range(15))])
@@ -165,7 +166,8 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
                 p = p + phi * s[PRESSURE + m]
                 s[GAP + m] = s[GAP + m] + weights[b * points + q] * phi * dilation
             F = [1.0 + h0, h1, h2, 1.0 + h3, 1.0 + h4]
-            if tangent == 1:
+            # Twice the code is twice the time to compile: what has a history always gets its tangent, too.
+            if tangent == 1 or remembers == 1:
                 at_point(b, q, F, 1.0 + dilation, p, remembers, True, elements, weights, moduli, coefficients, past,
                          inherited, largest, stresses, energies)
             else:
@@ -266,53 +268,54 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
         Where a motion is still to come (`pending`; `step`) its forces are added.
         """
         good = 1
-        if ti.static(has_centre):
-            rate_of(centre, b, gradient_r, gradient_z, value_r)
-            for a in range(nodes):
-                k0, k1, k2, k3 = pair(centre, a, b, penalty, moduli, gradient_r, gradient_z, value_r)
-                s[CENTRE + 4 * a], s[CENTRE + 4 * a + 1] = k0, k1
-                s[CENTRE + 4 * a + 2], s[CENTRE + 4 * a + 3] = k2, k3
-            i = b * nodes + centre
-            inertia = mass * volumes[i]
-            rr, rz = s[CENTRE + 4 * centre] + inertia, s[CENTRE + 4 * centre + 1]
-            zz = s[CENTRE + 4 * centre + 3] + inertia
-            determinant = rr * zz - rz * rz
-            if ti.min(rr, determinant).min() <= 0.0:
-                good = 0
-            irr, irz, izz = zz / determinant, -rz / determinant, rr / determinant
-            inverse_rr[b], inverse_rz[b], inverse_zz[b] = irr, irz, izz
-            for a in range(nb):
-                k0, k1 = s[CENTRE + 4 * a], s[CENTRE + 4 * a + 1]
-                k2, k3 = s[CENTRE + 4 * a + 2], s[CENTRE + 4 * a + 3]
-                at = b * nb + a
-                rows_rr[at], rows_rz[at] = irr * k0 + irz * k2, irr * k1 + irz * k3
-                rows_zr[at], rows_zz[at] = irz * k0 + izz * k2, irz * k1 + izz * k3
         if pending == 1:
             for a in range(nb):
                 i = b * nodes + a
                 s[SR + a] = gather(step, dofs, i)
                 s[SZ + a] = ti.Vector([step[dofs[i, l] + 1] for l in ti.static(range(LANES))])
-        for c in range(nb):
+        # The interior node first, since it is eliminated from the others.
+        for back in range(nodes):
+            c = nodes - 1 - back
             rate_of(c, b, gradient_r, gradient_z, value_r)
             for a in range(c + 1):
                 k0, k1, k2, k3 = pair(c, a, b, penalty, moduli, gradient_r, gradient_z, value_r)
-                if ti.static(has_centre):
-                    at = b * nb + c
-                    x0, x1, y0, y1 = rows_rr[at], rows_zr[at], rows_rz[at], rows_zz[at]
-                    r0, r1 = s[CENTRE + 4 * a], s[CENTRE + 4 * a + 1]
-                    z0, z1 = s[CENTRE + 4 * a + 2], s[CENTRE + 4 * a + 3]
-                    k0 = k0 - (x0 * r0 + x1 * z0)
-                    k1 = k1 - (x0 * r1 + x1 * z1)
-                    k2 = k2 - (y0 * r0 + y1 * z0)
-                    k3 = k3 - (y0 * r1 + y1 * z1)
-                p = c * (c + 1) // 2 + a
-                k_rr[p], k_zr[p], k_rz[p], k_zz[p] = k0, k1, k2, k3
-                if pending == 1:
-                    s[FR + a] = s[FR + a] + k0 * s[SR + c] + k2 * s[SZ + c]
-                    s[FZ + a] = s[FZ + a] + k1 * s[SR + c] + k3 * s[SZ + c]
-                    if a < c:
-                        s[FR + c] = s[FR + c] + k0 * s[SR + a] + k1 * s[SZ + a]
-                        s[FZ + c] = s[FZ + c] + k2 * s[SR + a] + k3 * s[SZ + a]
+                if c >= nb:
+                    s[CENTRE + 4 * a], s[CENTRE + 4 * a + 1] = k0, k1
+                    s[CENTRE + 4 * a + 2], s[CENTRE + 4 * a + 3] = k2, k3
+                else:
+                    if ti.static(has_centre):
+                        at = b * nb + c
+                        x0, x1, y0, y1 = rows_rr[at], rows_zr[at], rows_rz[at], rows_zz[at]
+                        r0, r1 = s[CENTRE + 4 * a], s[CENTRE + 4 * a + 1]
+                        z0, z1 = s[CENTRE + 4 * a + 2], s[CENTRE + 4 * a + 3]
+                        k0 = k0 - (x0 * r0 + x1 * z0)
+                        k1 = k1 - (x0 * r1 + x1 * z1)
+                        k2 = k2 - (y0 * r0 + y1 * z0)
+                        k3 = k3 - (y0 * r1 + y1 * z1)
+                    p = c * (c + 1) // 2 + a
+                    k_rr[p], k_zr[p], k_rz[p], k_zz[p] = k0, k1, k2, k3
+                    if pending == 1:
+                        s[FR + a] = s[FR + a] + k0 * s[SR + c] + k2 * s[SZ + c]
+                        s[FZ + a] = s[FZ + a] + k1 * s[SR + c] + k3 * s[SZ + c]
+                        if a < c:
+                            s[FR + c] = s[FR + c] + k0 * s[SR + a] + k1 * s[SZ + a]
+                            s[FZ + c] = s[FZ + c] + k2 * s[SR + a] + k3 * s[SZ + a]
+            if c >= nb:
+                i = b * nodes + c
+                inertia = mass * volumes[i]
+                rr, rz = s[CENTRE + 4 * c] + inertia, s[CENTRE + 4 * c + 1]
+                zz = s[CENTRE + 4 * c + 3] + inertia
+                determinant = rr * zz - rz * rz
+                if ti.min(rr, determinant).min() <= 0.0:
+                    good = 0
+                irr, irz, izz = zz / determinant, -rz / determinant, rr / determinant
+                inverse_rr[b], inverse_rz[b], inverse_zz[b] = irr, irz, izz
+                for a in range(nb):
+                    k0, k1 = s[CENTRE + 4 * a], s[CENTRE + 4 * a + 1]
+                    k2, k3 = s[CENTRE + 4 * a + 2], s[CENTRE + 4 * a + 3]
+                    at = b * nb + a
+                    rows_rr[at], rows_rz[at] = irr * k0 + irz * k2, irr * k1 + irz * k3
+                    rows_zr[at], rows_zz[at] = irz * k0 + izz * k2, irz * k1 + izz * k3
         return good
 
     @ti.func

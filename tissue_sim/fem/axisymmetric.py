@@ -209,8 +209,9 @@ class AxisymmetricSolver:
             *batches.centre_inverse, *batches.centre_force, surface.edges, surface.spans, surface.shapes,
             surface.places, surface.areas, surface.vertices, surface.rounding, surface.friction, surface.springs,
             surface.held, surface.ways, surface.met, surface.forces, surface.rates, surface.known_rates,
-            self._coefficients, memory.past, memory.inherited, memory.largest, memory.stresses, memory.energies, self._masses, self._rest, self.x,
-            self._motion, self._history, self._slots, self._weights, self._entries, self._entries,
+            self._coefficients, memory.past, memory.inherited, memory.largest, memory.stresses, memory.energies,
+            self._masses, self._rest, self.x, self._motion, self._history, self._slots, self._weights, self._entries,
+            self._entries,
             self._scattered[:-1].reshape(-1, band.BLOCK), self._scattered, self._upper, self._upper, self._inverse,
             self._right, self._residual, self._pull, self._lean, self._report))
         self._settings[newton.PENALTY] = self.bulk_modulus

@@ -90,28 +90,6 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
                     for i in range(at, at + 2):
                         x[i] = share * history[slots[0], i]
 
-    @ti.func
-    def solve_any(unsymmetric, rows, width, blocks: ti.template(), upper_blocks: ti.template(),
-                  inverse: ti.template(), right: ti.template()):
-        if ti.static(slips):
-            if unsymmetric == 1:
-                solve_lu(blocks, upper_blocks, inverse, right, rows, width)
-        if unsymmetric == 0:
-            solve(blocks, inverse, right, rows, width)
-
-    @ti.func
-    def factorise_any(unsymmetric, free, rows, width, entries: ti.template(), blocks: ti.template(),
-                      upper_blocks: ti.template(), inverse: ti.template()):
-        for i in range(free, rows * B):
-            entries[i // B, width - 1, i % B, i % B] = 1.0
-        definite = 1
-        if ti.static(slips):
-            if unsymmetric == 1:
-                definite = factorise_lu(blocks, upper_blocks, inverse, rows, width)
-        if unsymmetric == 0:
-            definite = factorise(blocks, inverse, rows, width)
-        return definite
-
     @ti.kernel
     def step(counts: int1, settings: real1, equation: int1, direction: real1, start: real1, target: real1,
              elements: int2, dofs: int2, real: vector1, gradient_r: vector1, gradient_z: vector1, value_r: vector1,
@@ -224,18 +202,22 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
                                       equation, entries, upper)
                     contact.note_rates(counts[CONTACTS], contact_rates, known_rates)
                     factorised = 0
-                unbalanced = interior
+                unbalanced, total = interior, axial
                 for i in range(free):
                     unbalanced += residual[i] * residual[i]
                 for i in range(free, equations):
                     balanced += residual[i] * residual[i]
+                for dof in range(pressures):
+                    if equation[dof] >= free:
+                        total += direction[dof] * residual[equation[dof]]
                 scale = ti.max(ti.sqrt(balanced), floor)
                 ratio = ti.sqrt(unbalanced) / scale
                 # Rounding is allowed for, within reason.
                 goal = tolerance + ti.min(rounding / scale, 1e-5)
                 if iterations == first:
                     first_ratio = ratio
-                report[RESIDUAL] = ratio
+                report[RESIDUAL], report[FORCE] = ratio, total
+                solves = 0
                 if smallest <= 0.0 or smallest >= 1e30 or ti.math.isnan(smallest):
                     report[STATUS] = inverted
                 elif ti.math.isnan(ratio) or ti.math.isinf(ratio):
@@ -260,19 +242,49 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
                         ratio * ratio * ratio > goal * last_ratio * last_ratio):
                     tangent = 1
                 else:
-                    if tangent == 1 and definite == 1:
-                        definite = factorise_any(counts[UNSYMMETRIC], free, rows, width, entries, blocks,
-                                                 upper_blocks, inverse)
-                        factorised = definite
+                    solves = 1
+                leans = 1 if report[STATUS] == converged and counts[LEANS] == 1 else 0
+                if solves + leans > 0:
+                    stiff = 0.0
+                    if leans == 1:
+                        # How the forces, and the force on the tool, change when the tool moves and the tissue does
+                        # not yet.
+                        for i in range(free):
+                            residual[i], lean[i] = pull[i], pull[i]
+                        stiff = pull[free] + contact.add_tool_rates(
+                            counts[CONTACTS], free, edges, spans, edge_shapes, contact_rates, direction, equation,
+                            residual, lean)
+                        if inertia != 0.0:
+                            for dof in range(pressures):
+                                if equation[dof] >= free:
+                                    stiff += inertia * masses[dof] * direction[dof] * direction[dof]
                     for I in range(rows):
                         for k in ti.static(range(B)):
                             right[I][k] = residual[I * B + k] if I * B + k < free else 0.0
-                    if definite == 0 and bending > 0.0:
+                    if factorised == 0 and definite == 1:
+                        for i in range(free, rows * B):
+                            entries[i // B, width - 1, i % B, i % B] = 1.0
+                        if ti.static(slips):
+                            if counts[UNSYMMETRIC] == 1:
+                                definite = factorise_lu(blocks, upper_blocks, inverse, rows, width)
+                        if counts[UNSYMMETRIC] == 0:
+                            definite = factorise(blocks, inverse, rows, width)
+                        factorised = definite
+                    if definite == 1:
+                        if ti.static(slips):
+                            if counts[UNSYMMETRIC] == 1:
+                                solve_lu(blocks, upper_blocks, inverse, right, rows, width)
+                        if counts[UNSYMMETRIC] == 0:
+                            solve(blocks, inverse, right, rows, width)
+                    if leans == 1 and definite == 1:
+                        for i in range(free):
+                            stiff -= lean[i] * right[i // B][i % B]
+                        report[STIFFNESS] = stiff
+                    elif solves == 1 and definite == 0 and bending > 0.0:
                         bending, last_ratio = 0.0, 0.0
-                    elif definite == 0:
+                    elif solves == 1 and definite == 0:
                         report[STATUS] = indefinite
-                    else:
-                        solve_any(counts[UNSYMMETRIC], rows, width, blocks, upper_blocks, inverse, right)
+                    elif solves == 1:
                         for dof in range(pressures):
                             i = equation[dof]
                             if i >= free:
@@ -293,33 +305,6 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
                         iterations += 1
             if report[STATUS] == 0.0:
                 report[STATUS] = slow
-            total = axial
-            for dof in range(pressures):
-                i = equation[dof]
-                if i >= free:
-                    total += direction[dof] * residual[i]
-            report[FORCE] = total
             report[ITERATIONS] = iterations
-            if counts[LEANS] == 1 and report[STATUS] == converged:
-                good = factorised
-                if good == 0:
-                    good = factorise_any(counts[UNSYMMETRIC], free, rows, width, entries, blocks, upper_blocks,
-                                         inverse)
-                # How the forces, and the force on the tool, change when the tool moves and the tissue does not yet.
-                for i in range(free):
-                    residual[i], lean[i] = pull[i], pull[i]
-                stiff = pull[free] + contact.add_tool_rates(counts[CONTACTS], free, edges, spans, edge_shapes,
-                                                            contact_rates, direction, equation, residual, lean)
-                if inertia != 0.0:
-                    for dof in range(pressures):
-                        if equation[dof] >= free:
-                            stiff += inertia * masses[dof] * direction[dof] * direction[dof]
-                for I in range(rows):
-                    for k in ti.static(range(B)):
-                        right[I][k] = residual[I * B + k] if I * B + k < free else 0.0
-                solve_any(counts[UNSYMMETRIC], rows, width, blocks, upper_blocks, inverse, right)
-                for i in range(free):
-                    stiff -= lean[i] * right[i // B][i % B]
-                report[STIFFNESS] = stiff if good == 1 else 0.0
 
     return step
