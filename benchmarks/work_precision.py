@@ -152,7 +152,7 @@ def plot(found: list[dict], path: Path) -> None:
         panel.text(0.02, 0.02, f"below the reference's own error at 10 mm ({100 * max(own):g} %)",
                    transform=panel.transAxes, color="0.3", fontsize=9)
         panel.set(title=test, xscale="log", yscale="log", xlabel="CPU time per converged step [ms]",
-                  xlim=(0.1, 100), ylim=(0.02, 20))
+                  xlim=(0.03, 100), ylim=(0.02, 20))
         panel.grid(which="major", color="0.8", lw=0.5)
         panel.xaxis.set_major_formatter("{x:g}")
         panel.yaxis.set_major_formatter("{x:g}")
