@@ -5,8 +5,6 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import os
-import signal
-import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -14,6 +12,7 @@ from multiprocessing.context import SpawnContext
 from typing import Any
 
 from calibration.executors import WorkerError
+from tissue_sim.child_process import follow_parent, start_without_ctrl_c
 
 #: One thread per worker: native libraries that each take every core slow each other down.
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS",
@@ -88,7 +87,7 @@ class _Worker:
     def submit(self, function: Callable[..., Any], arguments: tuple) -> Future:
         with _start_conditions():
             if self._ready is None:
-                self._ready = self._executor.submit(_begin)
+                self._ready = self._executor.submit(follow_parent)
             self._task = self._executor.submit(function, *arguments)
         return self._task
 
@@ -118,27 +117,12 @@ def _start_conditions() -> Iterator[None]:
     """What a process inherits when it starts: one native thread, and no part in Ctrl-C, which its parent handles."""
     before = {name: os.environ.get(name) for name in _THREADS}
     os.environ.update(dict.fromkeys(_THREADS, "1"))
-    # Blocked, not ignored: a Ctrl-C in this moment reaches this process afterwards.
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if hasattr(signal, "pthread_sigmask") else None
     try:
-        yield
+        with start_without_ctrl_c():
+            yield
     finally:
         for name, value in before.items():
             if value is None:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
-        if mask is not None:
-            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-
-
-def _begin() -> None:
-    """First task of every worker."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    # A parent that is killed cannot end its workers, which would wait for tasks for ever.
-    multiprocessing.parent_process().join()
-    os._exit(1)

@@ -4,22 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
 
 from tissue_sim.errors import InputError
-from tissue_sim.tool_force import ForceStatus, Pose, ToolForce
-
-
-class Tissue(Protocol):
-    """What answers a tool's motion with a force: a `tissue_sim.Simulator`, a `LocalModelBlend`."""
-
-    def step(self, depth: float | Pose, dt: float) -> ToolForce:
-        """Move the tool to a depth, m, within dt, s."""
-
-
-def depth_of(pose: float | Pose) -> float:
-    """Depth of a pose, or the depth that was given, m."""
-    return pose.depth if isinstance(pose, Pose) else pose
+from tissue_sim.tool_force import ForceStatus, Pose, Tissue, ToolForce, depth_of
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from haptics.local_model import Tissue
 from haptics.motion_source import MotionSource
 from haptics.real_time import RealTimeFeature, real_time
 from haptics.rendering import ForceRendering, RenderFlag
@@ -19,7 +18,7 @@ from haptics.ring import CAPACITY, PAUSED, RingWriter
 from haptics.surface_board import SurfaceBoard
 from haptics.ticker import Quantiles, Ticker, TimeHistogram
 from tissue_sim.errors import InputError
-from tissue_sim.tool_force import ForceStatus
+from tissue_sim.tool_force import ForceStatus, Tissue
 
 #: How often the loop looks for commands, s.
 LISTEN_EVERY = 0.01

@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import signal
 import sys
-import threading
-import time
 import traceback
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
@@ -15,14 +10,15 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from haptics.local_model import Tissue
 from haptics.loop import Loop, LoopReport, LoopSettings
 from haptics.motion_source import MotionSource
 from haptics.rendering import ForceRendering
 from haptics.ring import RingWriter
 from haptics.shared_slots import remove
 from haptics.surface_board import SurfaceBoard
+from tissue_sim.child_process import follow_parent
 from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError
+from tissue_sim.tool_force import Tissue
 
 #: Errors that are a sentence for the user, and no fault of the program.
 _EXPECTED = (InputError, ConvergenceError, MissingBackendError)
@@ -37,8 +33,11 @@ def run_child(connection: Connection, build_tissue: Callable[[], Tissue], source
     The parent is told, as pairs: ``doing`` a sentence; ``ready``; ``answer`` to each command, empty where it is done
     and else the reason why not; at the end ``report``, or ``error`` with a sentence and whether bad input is the cause.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, args=(ring_path, surface_path), daemon=True).start()
+    def remove_files() -> None:
+        for path in (ring_path, surface_path):
+            remove(path)
+
+    follow_parent(_GRACE, remove_files)  # while the tissue is built, nobody listens to the connection
     try:
         report = _loop(connection, build_tissue, source, rendering, settings, ring_path, surface_path)
     except Exception as error:
@@ -59,7 +58,7 @@ def _loop(connection: Connection, build_tissue: Callable[[], Tissue], source: Mo
         _say(connection, "doing", "building the tissue")
         tissue = build_tissue()
         if hasattr(tissue, "warm_up"):
-            _say(connection, "doing", "loading the solver (a machine's first run compiles it, about 10 s)")
+            _say(connection, "doing", "loading the solver (a machine's first run compiles it, about 20 s)")
             tissue.warm_up()
         board = None
         if settings.surface_rate and hasattr(tissue, "surface"):
@@ -86,12 +85,3 @@ def _listen(loop: Loop, connection: Connection) -> None:
 def _say(connection: Connection, kind: str, content: Any = None) -> None:
     with suppress(OSError):  # the parent is gone
         connection.send((kind, content))
-
-
-def _end_with_parent(*files: Path) -> None:
-    # Waits without taking a turn of the interpreter; while the tissue is built, nobody listens to the connection.
-    multiprocessing.parent_process().join()
-    time.sleep(_GRACE)
-    for path in files:
-        remove(path)
-    os._exit(1)

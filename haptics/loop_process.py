@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import multiprocessing
 import pickle
-import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from haptics.local_model import Tissue
 from haptics.loop import LoopReport, LoopSettings
 from haptics.loop_child import run_child
 from haptics.motion_source import MotionSource
@@ -21,7 +19,9 @@ from haptics.rendering import ForceRendering
 from haptics.ring import RingReader
 from haptics.shared_slots import remove, unused_path
 from haptics.surface_board import SurfaceReader
+from tissue_sim.child_process import start_without_ctrl_c
 from tissue_sim.errors import InputError
+from tissue_sim.tool_force import Tissue
 
 #: How long the loop may take to answer a command, or to end, s.
 PATIENCE = 5.0
@@ -82,7 +82,7 @@ class LoopProcess:
         process = context.Process(target=run_child, args=(far_end, *self._asked, self.ring_path, self.surface_path),
                                   name="tissue-sim loop", daemon=True)
         try:
-            with _without_ctrl_c():
+            with start_without_ctrl_c():
                 process.start()
         except (pickle.PicklingError, AttributeError, TypeError) as error:
             raise InputError(f"cannot be sent to another process ({error}); use functions and classes of a module, not "
@@ -263,16 +263,3 @@ class LoopProcess:
     def _remove_files(self) -> None:
         remove(self.ring_path)
         remove(self.surface_path)
-
-
-@contextmanager
-def _without_ctrl_c() -> Iterator[None]:
-    """A process that starts inside takes no part in Ctrl-C, which its parent handles."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)

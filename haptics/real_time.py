@@ -54,8 +54,8 @@ def real_time(wanted: bool = True, priority: int = PRIORITY) -> Iterator[tuple[R
         yield tuple(features)
 
 
-def _fifo(undo: ExitStack, priority: int) -> str:
-    """Run before every ordinary process; returns why not."""
+def claim_fifo(undo: ExitStack, priority: int) -> str:
+    """Run before every ordinary process, until `undo` is closed; returns why not."""
     if not hasattr(os, "sched_setscheduler"):
         return f"not available on {sys.platform}; ticks wait for other processes of an ordinary priority"
     before = os.sched_getscheduler(0), os.sched_getparam(0)
@@ -108,5 +108,5 @@ _FEATURES: dict[str, Callable[[ExitStack, int], str]] = {
     "no garbage collection": _no_collection,
     "locked memory": _locked_memory,
     "timer slack": _timer_slack,
-    "SCHED_FIFO": _fifo,
+    "SCHED_FIFO": claim_fifo,
 }

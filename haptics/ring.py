@@ -76,54 +76,29 @@ class RingWriter(SlotWriter):
         return self.write(self._record)
 
 
-class RingReader:
+class RingReader(SlotReader):
     """Reads the ring of a running loop, from any process, without the loop knowing.
 
     Args:
         path: as `LoopProcess.ring_path` or ``tissue-sim loop`` name it.
+
+    Attributes:
+        count: ticks that the ring keeps; written: ticks so far; ended: whether the loop has, one that was killed has
+            not said so; writer: number of the process that writes.
 
     Raises:
         InputError: no such file, or not a ring of this version.
     """
 
     def __init__(self, path: str | Path):
-        self._slots = SlotReader(path, _KIND)
-
-    @property
-    def written(self) -> int:
-        """Ticks written so far."""
-        return self._slots.written
-
-    @property
-    def capacity(self) -> int:
-        """Ticks that the ring keeps."""
-        return self._slots.count
-
-    @property
-    def writer(self) -> int:
-        """Number of the process that writes."""
-        return self._slots.writer
-
-    @property
-    def ended(self) -> bool:
-        """Whether the loop has ended; one that was killed has not said so."""
-        return self._slots.ended
+        super().__init__(path, _KIND)
 
     def latest(self) -> np.void | None:
         """The newest tick, a record of dtype `TICK`; None before the first."""
-        found = self._slots.latest()
+        found = super().latest()
         return None if found is None else np.frombuffer(found[1], TICK)[0]
 
     def since(self, number: int = 0) -> Ticks:
         """Ticks that were written after a number; with 0 all that the ring still has."""
-        contents, newest, lost = self._slots.since(number)
+        contents, newest, lost = super().since(number)
         return Ticks(np.frombuffer(b"".join(contents), TICK), newest, lost)
-
-    def close(self) -> None:
-        self._slots.close()
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *failure) -> None:
-        self.close()

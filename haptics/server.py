@@ -15,7 +15,7 @@ from typing import Any
 
 from haptics.server_commands import Commands
 from haptics.server_connections import ConfigurationPort
-from haptics.server_steps import SILENCE, Counters, StepService, Tissue
+from haptics.server_steps import SILENCE, Counters, ServedTissue, StepService
 from haptics.wire import REQUEST_SIZE
 from tissue_sim.errors import InputError
 
@@ -46,7 +46,8 @@ class TissueServer:
             can reach without `expose`.
     """
 
-    def __init__(self, tissue: Tissue, *, host: str = LOOPBACK, port: int = 0, configuration_port: int | None = None,
+    def __init__(self, tissue: ServedTissue, *, host: str = LOOPBACK, port: int = 0,
+                 configuration_port: int | None = None,
                  description: Mapping[str, Any] | None = None, parameters: Mapping[str, float] | None = None,
                  silence: float = SILENCE, spin: float = 0.0, expose: bool = False):
         _require_loopback(host, expose)

@@ -19,7 +19,7 @@ from haptics.wire import (
     encode_reply,
 )
 from tissue_sim.errors import InputError
-from tissue_sim.tool_force import ForceStatus, Pose, ToolForce
+from tissue_sim.tool_force import ForceStatus, Pose, Tissue, ToolForce
 
 #: A plain number: flags of an enumeration cost a microsecond to compare.
 _RESET = int(RequestFlags.RESET)
@@ -27,11 +27,8 @@ _RESET = int(RequestFlags.RESET)
 SILENCE = 1.0
 
 
-class Tissue(Protocol):
+class ServedTissue(Tissue, Protocol):
     """What a server needs of a tissue; `tissue_sim.Simulator` is one."""
-
-    def step(self, pose: Pose, dt: float) -> ToolForce:
-        """The force at this pose, `dt` s after the last."""
 
     def reset(self) -> None:
         """Back to the undeformed state."""
@@ -106,7 +103,7 @@ class StepService:
         silence: after which an owner loses the tissue to another client, s.
     """
 
-    def __init__(self, tissue: Tissue, silence: float = SILENCE):
+    def __init__(self, tissue: ServedTissue, silence: float = SILENCE):
         self.tissue, self.silence = tissue, silence
         self.counters = Counters()
         self._owner: _Owner | None = None

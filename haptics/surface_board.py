@@ -58,37 +58,26 @@ class SurfaceBoard(SlotWriter):
         return self.write(_TIME.pack(time) + outline.tobytes())
 
 
-class SurfaceReader:
+class SurfaceReader(SlotReader):
     """Reads the board of a running loop, from any process.
 
     Args:
         path: as `LoopProcess.surface_path` names it.
+
+    Attributes:
+        ended: whether the loop has; one that was killed has not said so.
 
     Raises:
         InputError: no such file, or not a board of this version.
     """
 
     def __init__(self, path: str | Path):
-        self._slots = SlotReader(path, _KIND)
-
-    @property
-    def ended(self) -> bool:
-        """Whether the loop has ended; one that was killed has not said so."""
-        return self._slots.ended
+        super().__init__(path, _KIND)
 
     def latest(self, after: int = 0) -> PublishedSurface | None:
         """The newest surface; None where there is none with a number above `after`."""
-        if self._slots.written <= after:
+        if self.written <= after:
             return None
-        number, content = self._slots.latest()
+        number, content = super().latest()
         return PublishedSurface(number, *_TIME.unpack_from(content),
                                 np.frombuffer(content, "<f8", offset=_TIME.size).reshape(-1, 2))
-
-    def close(self) -> None:
-        self._slots.close()
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *failure) -> None:
-        self.close()

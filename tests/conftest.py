@@ -28,7 +28,8 @@ def data_folder() -> Path:
     """Measured data of others; not part of the repository."""
     folder = Path(os.environ.get("TISSUE_SIM_DATA", ROOT.parent / "shared" / "data"))
     if not folder.is_dir():
-        pytest.skip("needs public recordings of others, which their licences keep out of this repository (their "
-                    "origins: docs/calibration.md, docs/measured_silicones.md, docs/viscoelasticity.md); with a copy, "
-                    f"set TISSUE_SIM_DATA to the folder that holds ecoflex_compression (looked in {folder})")
+        pytest.skip("compares with measurements that other people have published, of which this repository holds no "
+                    f"copy, and there is no folder {folder}; docs/calibration.md, docs/measured_silicones.md and "
+                    "docs/viscoelasticity.md say where they are; set TISSUE_SIM_DATA to the folder that holds "
+                    "ecoflex_compression and the others")
     return folder

@@ -16,7 +16,7 @@ from tissue_sim.material import Material
 from tissue_sim.material_parameters import with_parameter
 from tissue_sim.mesh import Mesh
 from tissue_sim.puncture import PunctureHistory
-from tissue_sim.tool_force import ForceStatus, Pose, ToolForce
+from tissue_sim.tool_force import ForceStatus, Pose, ToolForce, depth_of
 
 #: Unbalanced over balanced forces at which an equilibrium is one.
 TOLERANCE = 1e-6
@@ -144,7 +144,7 @@ class Simulator:
             late the next one takes over the way and the time that are left.
         """
         began = time.perf_counter()
-        depth = pose.depth if isinstance(pose, Pose) else float(pose)
+        depth = depth_of(pose)
         if not (math.isfinite(depth) and math.isfinite(dt) and dt >= 0.0):
             return replace(self._answer, status=ForceStatus.REFUSED, iterations=0,
                            compute_time=time.perf_counter() - began)
@@ -266,7 +266,7 @@ class Simulator:
         material = self.model.material
         for name, value in values.items():
             material = with_parameter(material, name, value)
-        check_layers(self.model.material, material)
+        _require_same_layers(self.model.material, material)
         self._solver.set_material(material)
         self.model = replace(self.model, material=material)
         deepest = self._puncture.deepest
@@ -278,7 +278,7 @@ class Simulator:
         return deformed_surface(self._solver)
 
 
-def check_layers(before: Material, after: Material) -> None:
+def _require_same_layers(before: Material, after: Material) -> None:
     """Raises InputError: the mesh would have to change."""
     thick = [[layer.thickness for layer in material.layers] for material in (before, after)]
     if thick[0] != thick[1]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Protocol
 
 from tissue_sim.errors import InputError
 
@@ -105,3 +106,15 @@ class ToolForce:
         A tissue that resists has positive entries on the diagonal; an axisymmetric scene only that of z.
         """
         return (_NONE, _NONE, (0.0, 0.0, self.stiffness, 0.0, 0.0, 0.0), _NONE, _NONE, _NONE)
+
+
+class Tissue(Protocol):
+    """What answers a tool's motion with a force: a `Simulator`, or what stands in for one."""
+
+    def step(self, pose: float | Pose, dt: float) -> ToolForce:
+        """The force where the tool is now, a depth, m, or a pose, dt s after the last step."""
+
+
+def depth_of(pose: float | Pose) -> float:
+    """Depth of a pose, or the depth that was given, m."""
+    return pose.depth if isinstance(pose, Pose) else float(pose)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack
 
 import numpy as np
 
+from haptics.real_time import PRIORITY, claim_fifo
 from scenes.doctor.check import Check
 
 PERIOD = 1e-3  # s
@@ -17,12 +17,12 @@ SPIN = 0.2e-3  # s
 LATE, VERY_LATE = 0.1e-3, 1e-3  # s
 #: Largest share of very late ticks that a haptic loop can hide.
 TOLERATED = 1e-3
-_PRIORITY = 10
 
 
 def ticks(seconds: float) -> Check:
     """Lateness of the ticks of a 1 kHz clock in this process, under real-time priority where that is allowed."""
-    with _fifo() as scheduler:
+    with ExitStack() as undo:
+        scheduler = "ordinary priority" if claim_fifo(undo, PRIORITY) else "SCHED_FIFO"
         lateness = measure_lateness(seconds)
     late, very_late = float((lateness > LATE).mean()), float((lateness > VERY_LATE).mean())
     p50, p99, longest = (float(x) for x in np.quantile(lateness, (0.5, 0.99, 1.0)) * 1e6)
@@ -61,8 +61,8 @@ def measure_lateness(seconds: float) -> np.ndarray:
 
 def real_time_priority() -> Check:
     """Whether this user may ask for SCHED_FIFO."""
-    with _fifo() as scheduler:
-        allowed = scheduler == "SCHED_FIFO"
+    with ExitStack() as undo:
+        allowed = not claim_fifo(undo, PRIORITY)
     values = {"allowed": allowed}
     if allowed:
         return Check("real-time priority", "ok", "SCHED_FIFO is allowed", values=values)
@@ -72,18 +72,3 @@ def real_time_priority() -> Check:
     return Check("real-time priority", "warn", "SCHED_FIFO is not allowed for this user",
                  "for haptics add 'USER - rtprio 20' to /etc/security/limits.d/rtprio.conf and log in again "
                  "(in a container: --cap-add=SYS_NICE)", values)
-
-
-@contextmanager
-def _fifo() -> Iterator[str]:
-    """SCHED_FIFO while inside, where allowed; yields the name of the scheduler in use."""
-    try:
-        before = os.sched_getscheduler(0), os.sched_getparam(0)
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
-    except (AttributeError, OSError):
-        yield "ordinary priority"
-        return
-    try:
-        yield "SCHED_FIFO"
-    finally:
-        os.sched_setscheduler(0, *before)

@@ -15,12 +15,14 @@ from haptics.wire import Reply, Request, decode_request, encode_reply, encode_re
 from tissue_sim.tool_force import ForceStatus, Pose, ToolForce
 
 COMPILER = shutil.which("gcc") or shutil.which("cc") or shutil.which("clang")
+CPLUSPLUS = shutil.which("g++") or shutil.which("clang++")
 WARNINGS = ["-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
 #: Time, s, and depth, m: in at 50 mm/s, a pause, irregular motion with uneven time steps, out.
 PATH = [(0.001 * k + 0.0003 * math.sin(k), 0.004 * math.sin(0.03 * k) ** 2 + 1e-4 * math.sin(0.7 * k))
         for k in range(200)]
 
-pytestmark = pytest.mark.skipif(COMPILER is None, reason="needs a C compiler (Debian: apt-get install gcc libc6-dev)")
+pytestmark = pytest.mark.skipif(COMPILER is None, reason="compiles the C client and finds no C compiler on this "
+                                "machine (Debian: apt-get install gcc libc6-dev)")
 
 
 class Gel:
@@ -174,12 +176,11 @@ def test_refused_pose_reaches_the_program(drive_needle, tmp_path):
     assert answered[1][1] == answered[2][1] == answered[0][1]
 
 
+@pytest.mark.skipif(CPLUSPLUS is None, reason="compiles the C client's header as C++ and finds no C++ compiler on this "
+                    "machine (Debian: apt-get install g++)")
 def test_header_is_also_cplusplus(root, tmp_path):
-    compiler = shutil.which("g++") or shutil.which("clang++")
-    if compiler is None:
-        pytest.skip("needs a C++ compiler (Debian: apt-get install g++)")
-    done = subprocess.run([compiler, "-x", "c++", "-std=c++11", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-c", "-o",
-                           str(tmp_path / "client.o"), str(root / "docs" / "client" / "drive_needle.c")],
+    done = subprocess.run([CPLUSPLUS, "-x", "c++", "-std=c++11", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-c",
+                           "-o", str(tmp_path / "client.o"), str(root / "docs" / "client" / "drive_needle.c")],
                           capture_output=True, text=True, encoding="utf-8")
     assert done.returncode == 0, done.stderr
 

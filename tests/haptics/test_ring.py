@@ -193,7 +193,7 @@ def test_a_file_is_whole_when_its_name_appears(path, monkeypatch):
 
     def look(source, target, **options):
         with RingReader(source) as reader:
-            assert (reader.written, reader.capacity, reader.ended) == (0, 4, False)
+            assert (reader.written, reader.count, reader.ended) == (0, 4, False)
         link(source, target, **options)
         looked.append(target)
 

@@ -125,7 +125,7 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
         s[COFACTOR + 5 * q + 4] = w * (F[0] * F[3] - F[1] * F[2])
 
     @ti.func
-    def integrate(b, tangent, kappa, penalty, remembers, x: ti.template(), pressures, elements: ti.template(),
+    def integrate(b, tangent, kappa, remembers, x: ti.template(), pressures, elements: ti.template(),
                   dofs: ti.template(), gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template(),
                   weights: ti.template(), mode_values: ti.template(), moduli: ti.template(),
                   coefficients: ti.template(), past: ti.template(), inherited: ti.template(), largest: ti.template(),
@@ -189,7 +189,7 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
                     vr[m] = vr[m] + s[MODE + modes * q + m] * jr
                     vz[m] = vz[m] + s[MODE + modes * q + m] * jz
             for m in ti.static(range(modes)):
-                missed = penalty * moduli[b] * s[GAP + m]
+                missed = kappa * moduli[b] * s[GAP + m]
                 fr = fr + missed * vr[m]
                 fz = fz + missed * vz[m]
                 s[VR + m * nodes + a], s[VZ + m * nodes + a] = vr[m], vz[m]
@@ -235,7 +235,7 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
             s[at + 9] = s[t + ti.static(row[4][2])] * x + s[t + ti.static(row[4][3])] * y
 
     @ti.func
-    def pair(c, a, b, penalty, moduli: ti.template(), gradient_r: ti.template(), gradient_z: ti.template(),
+    def pair(c, a, b, kappa, moduli: ti.template(), gradient_r: ti.template(), gradient_z: ti.template(),
              value_r: ti.template()):
         """Forces on node a, rr, zr, rz, zz, for the motion of node c, whose rates are noted."""
         k0, k1, k2, k3 = vec(0.0), vec(0.0), vec(0.0), vec(0.0)
@@ -247,7 +247,7 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
             k2 = k2 + s[at + 5] * x + s[at + 6] * y + s[at + 9] * h
             k3 = k3 + s[at + 7] * x + s[at + 8] * y
         for m in range(modes):
-            cr, cz = penalty * moduli[b] * s[VR + m * nodes + c], penalty * moduli[b] * s[VZ + m * nodes + c]
+            cr, cz = kappa * moduli[b] * s[VR + m * nodes + c], kappa * moduli[b] * s[VZ + m * nodes + c]
             ar, az = s[VR + m * nodes + a], s[VZ + m * nodes + a]
             k0 = k0 + cr * ar
             k1 = k1 + cr * az
@@ -256,7 +256,7 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
         return k0, k1, k2, k3
 
     @ti.func
-    def stiffen(b, penalty, pending, mass, moduli: ti.template(), gradient_r: ti.template(),
+    def stiffen(b, kappa, pending, mass, moduli: ti.template(), gradient_r: ti.template(),
                 gradient_z: ti.template(), value_r: ti.template(), dofs: ti.template(), step: ti.template(),
                 volumes: ti.template(), k_rr: ti.template(), k_zr: ti.template(), k_rz: ti.template(),
                 k_zz: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(), rows_zr: ti.template(),
@@ -278,7 +278,7 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
             c = nodes - 1 - back
             rate_of(c, b, gradient_r, gradient_z, value_r)
             for a in range(c + 1):
-                k0, k1, k2, k3 = pair(c, a, b, penalty, moduli, gradient_r, gradient_z, value_r)
+                k0, k1, k2, k3 = pair(c, a, b, kappa, moduli, gradient_r, gradient_z, value_r)
                 if c >= nb:
                     s[CENTRE + 4 * a], s[CENTRE + 4 * a + 1] = k0, k1
                     s[CENTRE + 4 * a + 2], s[CENTRE + 4 * a + 3] = k2, k3

@@ -119,9 +119,9 @@ class AxisymmetricSolver:
         self._weights = np.array([1.0, 0.0, 0.0])
         self._motion, self._masses, self._rest = np.zeros(freedoms), np.zeros(freedoms), np.zeros(freedoms)
         self._report = np.zeros(7)
-        self._settings = np.zeros(14)
+        self._settings = np.zeros(13)
         if contact is not None:
-            self._settings[newton.CONTACT_TOLERANCE: newton.PENALTY] = (
+            self._settings[newton.CONTACT_TOLERANCE: newton.INERTIA] = (
                 contact.tolerance, contact.adhesion, contact.adhesion_length)
         self._counts = np.array([1, self.free, 0, self.surface.count, 0, 0, 0, 0, 0], dtype=np.int32)
         self.set_material(material)
@@ -214,7 +214,6 @@ class AxisymmetricSolver:
             self._entries,
             self._scattered[:-1].reshape(-1, band.BLOCK), self._scattered, self._upper, self._upper, self._inverse,
             self._right, self._residual, self._pull, self._lean, self._report))
-        self._settings[newton.PENALTY] = self.bulk_modulus
         self.surface.set_stiffness(contacts.STIFFNESS * material.mu0)
         # Displacements are rounded, and so are the forces of what is stiff: per m of depth, and of the places.
         height = np.ptp(self.mesh.nodes[:, 1])

@@ -45,7 +45,7 @@ ALL, CIRCLING = 1_000_000, 8
 #: it is and nothing may change between sticking and slipping, 2 with the state as it is.
 PASSES, FREE, MAX_ITERATIONS, CONTACTS, REMEMBERS, UNSYMMETRIC, CHANGEABLE, KEEPS, LEANS = range(9)
 (DEPTH, PREDICTED, KAPPA, WEIGHT, TOLERANCE, FLOOR, ROUNDING, TOUCH, CONTACT_TOLERANCE, ADHESION,
- ADHESION_LENGTH, PENALTY, INERTIA, DENSITY) = range(14)
+ ADHESION_LENGTH, INERTIA, DENSITY) = range(13)
 STATUS, ITERATIONS, RESIDUAL, FORCE, VIOLATION, SLIPPING, STIFFNESS = range(7)
 
 
@@ -111,7 +111,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
         for _ in range(counts[PASSES]):
             free, max_iterations = counts[FREE], counts[MAX_ITERATIONS]
             depth, kappa, tolerance = settings[DEPTH], settings[KAPPA], settings[TOLERANCE]
-            penalty, inertia = settings[PENALTY], settings[INERTIA]
+            inertia = settings[INERTIA]
             floor, rounding, weight = settings[FLOOR], settings[ROUNDING], settings[WEIGHT]
             width, rows = entries.shape[1], entries.shape[0]
             batches, equations = real.shape[0], residual.shape[0] - 1
@@ -155,7 +155,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
                         pull[i] = 0.0
                 interior, smallest, definite = 0.0, 1e30, 1
                 for b in range(batches):
-                    J = work.integrate(b, tangent, kappa, penalty, counts[REMEMBERS], x, pressures, elements, dofs,
+                    J = work.integrate(b, tangent, kappa, counts[REMEMBERS], x, pressures, elements, dofs,
                                        gradient_r, gradient_z, value_r, point_weights, mode_values, moduli,
                                        coefficients, past, inherited, largest, stresses, energies, volume_r, volume_z,
                                        gap)
@@ -166,7 +166,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
                         work.add_inertia(b, inertia, settings[DENSITY], volumes, dofs, rest)
                     if tangent == 1:
                         definite = ti.min(definite, work.stiffen(
-                            b, penalty, pending, inertia * settings[DENSITY], moduli, gradient_r, gradient_z, value_r,
+                            b, kappa, pending, inertia * settings[DENSITY], moduli, gradient_r, gradient_z, value_r,
                             dofs, motion, volumes, k_rr, k_zr, k_rz, k_zz, rows_rr, rows_rz, rows_zr, rows_zz,
                             inverse_rr, inverse_rz, inverse_zz))
                         work.scatter_stiffness(b, places, element_stiffness, scattered, pull_starts, pulls,
@@ -294,7 +294,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
                                 motion[dof] = -right[i // B][i % B]
                                 x[dof] = x[dof] + motion[dof]
                         for b in range(batches):
-                            work.update(b, penalty, x, pressures, motion, elements, dofs, real, moduli, volume_r,
+                            work.update(b, kappa, x, pressures, motion, elements, dofs, real, moduli, volume_r,
                                         volume_z, gap, rows_rr, rows_rz, rows_zr, rows_zz, force_r, force_z)
                         # Where the old factor is likely to serve again, only the residual is computed first.
                         tangent = 1 if pending == 1 or ratio > 10.0 else 0
