@@ -11,9 +11,9 @@ _HOMES = {
     "LocalModel": "local_model", "LocalModelBlend": "local_model", "SlowSolver": "local_model",
     "ForceRendering": "rendering", "RenderedForce": "rendering", "RenderFlag": "rendering",
     "MotionSource": "motion_source", "ProtocolMotion": "motion_source", "RandomWalk": "motion_source",
-    "SineMotion": "motion_source",
+    "SineMotion": "motion_source", "HandMotion": "motion_source",
     "LoopProcess": "loop_process", "LoopError": "loop_process", "LoopReport": "loop", "LoopSettings": "loop",
-    "RingReader": "ring", "SurfaceReader": "surface_board",
+    "RingReader": "ring", "SurfaceReader": "surface_board", "SnapshotReader": "snapshot_board",
     "TissueServer": "server", "TissueClient": "client",
 }
 

@@ -15,6 +15,7 @@ from haptics.motion_source import MotionSource
 from haptics.real_time import RealTimeFeature, real_time
 from haptics.rendering import ForceRendering, RenderFlag
 from haptics.ring import CAPACITY, PAUSED, RingWriter
+from haptics.snapshot_board import SnapshotBoard
 from haptics.surface_board import SurfaceBoard
 from haptics.ticker import Quantiles, Ticker, TimeHistogram
 from tissue_sim.errors import InputError
@@ -36,6 +37,7 @@ class LoopSettings:
         seconds: how long it runs; None: until it is stopped.
         real_time: ask the system for what `haptics.real_time` knows.
         surface_rate: how often the deformed surface is published, Hz; 0: never.
+        snapshot_rate: how often the whole tissue is, for viewers that draw fields, Hz; 0: never.
         capacity: ticks that the ring keeps.
 
     Raises:
@@ -47,6 +49,7 @@ class LoopSettings:
     seconds: float | None = None
     real_time: bool = True
     surface_rate: float = 30.0
+    snapshot_rate: float = 0.0
     capacity: int = CAPACITY
 
     def __post_init__(self):
@@ -54,8 +57,13 @@ class LoopSettings:
         if self.seconds is not None and not self.period <= self.seconds < math.inf:
             raise InputError(f"{self.seconds:g} s is no time to run; give at least one period of {self.period:g} s",
                              field="seconds")
-        if not 0 <= self.surface_rate < math.inf:
-            raise InputError(f"{self.surface_rate:g} Hz is not a rate; give 0 or more", field="surface_rate")
+        for name in ("surface_rate", "snapshot_rate"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise InputError(f"{getattr(self, name):g} Hz is not a rate; give 0 or more", field=name)
+
+    def ticks_between(self, rate: float) -> int:
+        """Deadlines from one publication at a rate, Hz, to the next."""
+        return max(round(1 / (rate * self.period)), 1)
 
 
 @dataclass(frozen=True)
@@ -116,21 +124,29 @@ class Loop:
         settings: see there.
         ring: where every tick goes.
         board: where the surface goes; None: nowhere.
+        snapshots: where the whole tissue goes; None: nowhere.
         listen: called between ticks every `LISTEN_EVERY` s, with this loop; it may pause, reset and stop it.
         clock, sleep: as of `Ticker`.
     """
 
     def __init__(self, tissue: Tissue, source: MotionSource, rendering: ForceRendering, settings: LoopSettings,
-                 ring: RingWriter, *, board: SurfaceBoard | None = None, listen: Callable[[Loop], None] | None = None,
-                 clock: Callable[[], int] = time.monotonic_ns, sleep: Callable[[float], None] = time.sleep):
+                 ring: RingWriter, *, board: SurfaceBoard | None = None, snapshots: SnapshotBoard | None = None,
+                 listen: Callable[[Loop], None] | None = None, clock: Callable[[], int] = time.monotonic_ns,
+                 sleep: Callable[[float], None] = time.sleep):
         self._tissue, self._source, self._rendering = tissue, source, rendering
-        self._settings, self._ring, self._board, self._listen = settings, ring, board, listen
+        self._settings, self._ring, self._listen = settings, ring, listen
+        self._publications = [_Publication(settings.ticks_between(rate), publish) for rate, publish in (
+            (settings.surface_rate, board and (lambda now: board.publish(now, tissue.surface().outline))),
+            (settings.snapshot_rate, snapshots and (lambda now: snapshots.publish(now, tissue.snapshot()))),
+        ) if rate and publish]
         self._ticker = Ticker(settings.period, spin=settings.spin, clock=clock, sleep=sleep)
         self._compute_time = TimeHistogram()
         self._statuses = [0] * len(ForceStatus)
         self._flagged = dict.fromkeys(_FLAGS, 0)
         self._largest_force = 0.0
         self._paused = False
+        #: What is left of an advance through a pause, ns.
+        self._advance = 0
         #: Time of the last tick, and of the motion then, ns; the motion stands still while the loop is paused.
         self._now = self._motion = 0
         self._ended_by = ""
@@ -141,19 +157,16 @@ class Loop:
         Raises:
             Exception: what the tissue, the source or the listener raised.
         """
-        settings, ticker, ring, board = self._settings, self._ticker, self._ring, self._board
+        settings, ticker, ring = self._settings, self._ticker, self._ring
         last = math.inf if settings.seconds is None else round(settings.seconds / settings.period)
         listen_every = max(round(LISTEN_EVERY / settings.period), 1)
-        surface_every = max(round(1 / (settings.surface_rate * settings.period)), 1) if settings.surface_rate else 0
-        next_surface = 0
         with real_time(settings.real_time) as features:
             ticker.start()
             while ticker.number < last and not self._ended_by:
                 lateness = ticker.wait()
                 self._tick(lateness * 1e-9, ring)
-                if board is not None and surface_every and ticker.number >= next_surface:
-                    board.publish(self._now * 1e-9, self._tissue.surface().outline)
-                    next_surface = ticker.number + surface_every
+                for publication in self._publications:
+                    publication.at(ticker.number, self._now * 1e-9)
                 if self._listen is not None and ticker.ticks % listen_every == 0:
                     self._listen(self)
             seconds = self._now * 1e-9
@@ -170,7 +183,9 @@ class Loop:
         passed, self._now = now - self._now, now
         dt = passed * 1e-9
         device = None
-        if not self._paused:
+        moves = not self._paused or self._advance > 0
+        if moves:
+            self._advance = max(self._advance - passed, 0)
             self._motion += passed
             device = self._source.depth(self._motion * 1e-9)
         depth = self._rendering.depth_for(device, dt)
@@ -179,7 +194,7 @@ class Loop:
         taken = ticker.elapsed - now
         self._compute_time.add(taken)
         self._statuses[answer.status] += 1
-        flags = rendered.flags | PAUSED * self._paused
+        flags = rendered.flags | PAUSED * (not moves)
         if flags:
             for flag in self._flagged:
                 self._flagged[flag] += flags & flag != 0
@@ -206,6 +221,26 @@ class Loop:
         self._rendering.reset()
         self._motion = 0
 
+    def advance(self, seconds: float) -> None:
+        """Let the motion of a loop that is paused go on for so long."""
+        self._advance += round(seconds * 1e9)
+
+    def follow(self, source: MotionSource) -> None:
+        """Take the motion from another source, from its beginning on."""
+        self._source, self._motion = source, 0
+
+    def aim(self, depth: float) -> None:
+        """Tell the source where to go, m.
+
+        Raises:
+            InputError: a source that goes where it likes, or a depth that is no number.
+        """
+        aim = getattr(self._source, "aim", None)
+        if aim is None:
+            raise InputError(f"this source of motion ({type(self._source).__name__}) cannot be steered; follow a "
+                             "HandMotion first")
+        aim(depth)
+
     def set_parameters(self, **values: float) -> None:
         """Change the tissue while it is felt.
 
@@ -223,6 +258,18 @@ class Loop:
         if method is None:
             raise InputError(f"this tissue ({type(self._tissue).__name__}) has no {name}; use one that has")
         return method
+
+
+class _Publication:
+    """Something that is published every so many deadlines."""
+
+    def __init__(self, every: int, publish: Callable[[float], Any]):
+        self._every, self._publish, self._next = every, publish, 0
+
+    def at(self, number: int, now: float) -> None:
+        if number >= self._next:
+            self._publish(now)
+            self._next = number + self._every
 
 
 def peak_memory() -> int | None:

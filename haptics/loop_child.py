@@ -8,13 +8,14 @@ from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from haptics.loop import Loop, LoopReport, LoopSettings
 from haptics.motion_source import MotionSource
 from haptics.rendering import ForceRendering
 from haptics.ring import RingWriter
 from haptics.shared_slots import remove
+from haptics.snapshot_board import SnapshotBoard
 from haptics.surface_board import SurfaceBoard
 from tissue_sim.child_process import follow_parent
 from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError
@@ -26,20 +27,29 @@ _EXPECTED = (InputError, ConvergenceError, MissingBackendError)
 _GRACE = 0.5
 
 
+class LoopFiles(NamedTuple):
+    """Where other processes read along."""
+
+    ring: Path
+    surface: Path
+    snapshots: Path
+
+
 def run_child(connection: Connection, build_tissue: Callable[[], Tissue], source: MotionSource,
-              rendering: ForceRendering, settings: LoopSettings, ring_path: Path, surface_path: Path) -> None:
+              rendering: ForceRendering, settings: LoopSettings, files: LoopFiles) -> None:
     """Run a loop for the parent at the other end of the connection.
 
-    The parent is told, as pairs: ``doing`` a sentence; ``ready``; ``answer`` to each command, empty where it is done
-    and else the reason why not; at the end ``report``, or ``error`` with a sentence and whether bad input is the cause.
+    The parent is told, as pairs: ``doing`` a sentence; ``pattern`` of the snapshots, where there are any, at first and
+    after each change of the material; ``ready``; ``answer`` to each command, empty where it is done and else the
+    reason why not; at the end ``report``, or ``error`` with a sentence and whether bad input is the cause.
     """
     def remove_files() -> None:
-        for path in (ring_path, surface_path):
+        for path in files:
             remove(path)
 
     follow_parent(_GRACE, remove_files)  # while the tissue is built, nobody listens to the connection
     try:
-        report = _loop(connection, build_tissue, source, rendering, settings, ring_path, surface_path)
+        report = _loop(connection, build_tissue, source, rendering, settings, files)
     except Exception as error:
         expected = isinstance(error, _EXPECTED)
         sentence = " ".join(str(error).split())
@@ -52,29 +62,39 @@ def run_child(connection: Connection, build_tissue: Callable[[], Tissue], source
 
 
 def _loop(connection: Connection, build_tissue: Callable[[], Tissue], source: MotionSource, rendering: ForceRendering,
-          settings: LoopSettings, ring_path: Path, surface_path: Path) -> LoopReport:
-    with ExitStack() as files:
-        ring = files.enter_context(RingWriter(ring_path, settings.capacity))
+          settings: LoopSettings, files: LoopFiles) -> LoopReport:
+    with ExitStack() as stack:
+        ring = stack.enter_context(RingWriter(files.ring, settings.capacity))
         _say(connection, "doing", "building the tissue")
         tissue = build_tissue()
         if hasattr(tissue, "warm_up"):
             _say(connection, "doing", "loading the solver (a machine's first run compiles it, about 20 s)")
             tissue.warm_up()
-        board = None
+        board = snapshots = None
         if settings.surface_rate and hasattr(tissue, "surface"):
-            board = files.enter_context(SurfaceBoard(surface_path, len(tissue.surface().outline)))
+            board = stack.enter_context(SurfaceBoard(files.surface, len(tissue.surface().outline)))
+        if settings.snapshot_rate and hasattr(tissue, "snapshot"):
+            pattern = tissue.snapshot()
+            snapshots = stack.enter_context(SnapshotBoard(files.snapshots, pattern))
+            _say(connection, "pattern", pattern)
         _say(connection, "ready")
-        return Loop(tissue, source, rendering, settings, ring, board=board,
-                    listen=lambda loop: _listen(loop, connection)).run()
+        return Loop(tissue, source, rendering, settings, ring, board=board, snapshots=snapshots,
+                    listen=lambda loop: _listen(loop, connection, tissue if snapshots else None)).run()
 
 
-def _listen(loop: Loop, connection: Connection) -> None:
-    """Do what the parent has asked for."""
+def _listen(loop: Loop, connection: Connection, shown: Tissue | None) -> None:
+    """Do what the parent has asked for.
+
+    Args:
+        shown: the tissue, where snapshots of it are published.
+    """
     try:
         while connection.poll():
             command, values = connection.recv()
             try:
                 getattr(loop, command)(**values)
+                if command == "set_parameters" and shown is not None:
+                    connection.send(("pattern", shown.snapshot()))
                 connection.send(("answer", ""))
             except InputError as error:
                 connection.send(("answer", str(error)))

@@ -13,14 +13,16 @@ from pathlib import Path
 from typing import Any
 
 from haptics.loop import LoopReport, LoopSettings
-from haptics.loop_child import run_child
+from haptics.loop_child import LoopFiles, run_child
 from haptics.motion_source import MotionSource
 from haptics.rendering import ForceRendering
 from haptics.ring import RingReader
 from haptics.shared_slots import remove, unused_path
+from haptics.snapshot_board import SnapshotReader
 from haptics.surface_board import SurfaceReader
 from tissue_sim.child_process import start_without_ctrl_c
 from tissue_sim.errors import InputError
+from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import Tissue
 
 #: How long the loop may take to answer a command, or to end, s.
@@ -45,7 +47,8 @@ class LoopProcess:
         ring_path: file of the ring; None: an unused one in `haptics.shared_slots.runtime_folder`.
 
     Attributes:
-        ring_path, surface_path: files for viewers and recorders, while the process lives.
+        ring_path, surface_path, snapshot_path: files for viewers and recorders, while the process lives.
+        pattern: what its snapshots have in common, of the material as it is now; None where it publishes none.
         message: what the process has last said of itself.
         report: of a loop that has ended; None before, and of one that died.
 
@@ -56,8 +59,10 @@ class LoopProcess:
     def __init__(self, build_tissue: Callable[[], Tissue], source: MotionSource, rendering: ForceRendering,
                  settings: LoopSettings | None = None, *, ring_path: str | Path | None = None):
         self.ring_path = unused_path("ring") if ring_path is None else Path(ring_path)
-        self.surface_path = self.ring_path.with_name(self.ring_path.name + ".surface")
-        for path in (self.ring_path, self.surface_path):
+        self.surface_path, self.snapshot_path = (self.ring_path.with_name(f"{self.ring_path.name}.{ending}")
+                                                 for ending in ("surface", "snapshots"))
+        self._files = LoopFiles(self.ring_path, self.surface_path, self.snapshot_path)
+        for path in self._files:
             if path.exists():
                 raise InputError("exists already; remove it or give another name", file=path)
         self.message, self.report = "not started", None
@@ -68,6 +73,7 @@ class LoopProcess:
         self._ready = False
         self._failure: Exception | None = None
         self._answers: list[str] = []
+        self.pattern: Snapshot | None = None
 
     def start(self) -> None:
         """Start the process and return at once.
@@ -79,7 +85,7 @@ class LoopProcess:
             raise InputError("this loop was started before; make another one")
         context = multiprocessing.get_context("spawn")  # Taichi and threads do not survive a fork
         self._connection, far_end = context.Pipe()
-        process = context.Process(target=run_child, args=(far_end, *self._asked, self.ring_path, self.surface_path),
+        process = context.Process(target=run_child, args=(far_end, *self._asked, self._files),
                                   name="tissue-sim loop", daemon=True)
         try:
             with start_without_ctrl_c():
@@ -104,13 +110,23 @@ class LoopProcess:
         """
         until = None if timeout is None else time.monotonic() + timeout
         told = ""
-        while not self._ready:
-            self._read(0.1)
+        ready = False
+        while not ready:
+            ready = self.poll(0.1)
             if progress is not None and self.message != told:
                 told = self.message
                 progress(told)
-            if until is not None and time.monotonic() > until:
+            if not ready and until is not None and time.monotonic() > until:
                 raise LoopError(f"the loop is not ready after {timeout:g} s: {self.message}")
+
+    def poll(self, timeout: float = 0.0) -> bool:
+        """Take in what the process says within `timeout`, s; whether it has come to its first tick.
+
+        Raises:
+            InputError, LoopError: it has ended without a report, and why.
+        """
+        self._read(timeout)
+        return self._ready
 
     @property
     def alive(self) -> bool:
@@ -135,6 +151,10 @@ class LoopProcess:
         """A reader of the surface of a loop that is ready; None where it publishes none. Close it."""
         return SurfaceReader(self.surface_path) if self.surface_path.exists() else None
 
+    def snapshots(self) -> SnapshotReader | None:
+        """A reader of the snapshots of a loop that is ready; None where it publishes none. Close it."""
+        return None if self.pattern is None else SnapshotReader(self.snapshot_path, self.pattern)
+
     def pause(self) -> None:
         """Let the motion stand still and the force fade; returns when it is so. Raises as `set_parameters`."""
         self._ask("pause")
@@ -146,6 +166,18 @@ class LoopProcess:
     def reset(self) -> None:
         """Begin the motion again, with undeformed tissue. Raises as `set_parameters`."""
         self._ask("reset")
+
+    def advance(self, seconds: float) -> None:
+        """Let the motion of a loop that is paused go on for so long. Raises as `set_parameters`."""
+        self._ask("advance", seconds=seconds)
+
+    def follow(self, source: MotionSource) -> None:
+        """Take the motion from another source, from its beginning on. Raises as `set_parameters`."""
+        self._ask("follow", source=source)
+
+    def aim(self, depth: float) -> None:
+        """Tell a `HandMotion` where to go, m. Raises as `set_parameters`."""
+        self._ask("aim", depth=depth)
 
     def set_parameters(self, **values: float) -> None:
         """Change parameters of the tissue between two ticks.
@@ -232,6 +264,8 @@ class LoopProcess:
             self.message = content
         elif kind == "ready":
             self.message, self._ready = "running", True
+        elif kind == "pattern":
+            self.pattern = content
         elif kind == "answer":
             self._answers.append(content)
         elif kind == "report":
@@ -261,5 +295,5 @@ class LoopProcess:
         self._remove_files()
 
     def _remove_files(self) -> None:
-        remove(self.ring_path)
-        remove(self.surface_path)
+        for path in self._files:
+            remove(path)

@@ -79,6 +79,51 @@ class SineMotion:
         return self._middle - self._amplitude * math.cos(self._rate * time)
 
 
+class HandMotion:
+    """Goes where somebody points, as a critically damped spring follows, and no faster than `speed`.
+
+    Args:
+        start: depth at which it is, m.
+        speed: largest, m/s.
+        response: rad/s of the spring; a target is reached within about 5 / response seconds.
+
+    Raises:
+        InputError: a depth that is no number, or a speed or response that is not positive.
+    """
+
+    def __init__(self, start: float = 0.0, speed: float = 0.1, response: float = 30.0):
+        require_length(speed, "speed")  # m/s and rad/s, but finite and above zero all the same
+        require_length(response, "response")
+        self._speed, self._response = speed, response
+        self._time, self._place, self._velocity = 0.0, start, 0.0
+        self.aim(start)
+
+    def aim(self, depth: float) -> None:
+        """Name the depth to go to, m.
+
+        Raises:
+            InputError: not a finite number.
+        """
+        if not math.isfinite(depth):
+            raise InputError(f"{depth} is not a depth to go to; give a number", field="depth")
+        self._target = depth
+
+    def depth(self, time: float) -> float:
+        dt, self._time = max(time - self._time, 0.0), time
+        if dt == 0.0:
+            return self._place
+        # The exact motion of the spring, so that no time step is too long for it.
+        w, away = self._response, self._place - self._target
+        rate = self._velocity + w * away
+        fade = math.exp(-w * dt)
+        place = self._target + (away + rate * dt) * fade
+        step = min(max(place - self._place, -self._speed * dt), self._speed * dt)
+        slope = (self._velocity - w * rate * dt) * fade
+        self._velocity = min(max(slope, -self._speed), self._speed)
+        self._place += step
+        return self._place
+
+
 class RandomWalk:
     """Irregular motion as of a hand: calm and violent phases, reversals at any depth, lift-offs.
 

@@ -22,6 +22,7 @@ LABELS = {
     "cauchy_rr": ("radial stress [kPa]", 1e-3), "cauchy_zz": ("axial stress [kPa]", 1e-3),
     "cauchy_rz": ("shear stress [kPa]", 1e-3), "cauchy_hoop": ("hoop stress [kPa]", 1e-3),
     "pressure": ("pressure [kPa]", 1e-3), "energy": ("energy density [J/m³]", 1.0), "J": ("volume ratio J", 1.0),
+    "stretch": ("largest stretch", 1.0),
 }
 RIGID = "0.72"
 

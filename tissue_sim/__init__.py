@@ -23,6 +23,7 @@ _HOMES = {
     "Sensitivities": "differentiation", "sensitivities": "differentiation",
     "ForceStatus": "tool_force", "Pose": "tool_force", "ToolForce": "tool_force",
     "Simulator": "simulator", "SimulatorState": "simulator", "DeformedSurface": "deformed_surface",
+    "Snapshot": "snapshot",
     "simulate": "simulation", "Fields": "fem.fields",
     "LAWS": "laws", "find_law": "laws", "register": "laws", "check_stability": "laws",
     "ConvergenceError": "errors", "InputError": "errors", "MissingBackendError": "errors",

@@ -16,6 +16,7 @@ from tissue_sim.material import Material
 from tissue_sim.material_parameters import with_parameter
 from tissue_sim.mesh import Mesh
 from tissue_sim.puncture import PunctureHistory
+from tissue_sim.snapshot import Snapshot, snapshot
 from tissue_sim.tool_force import ForceStatus, Pose, ToolForce, depth_of
 
 #: Unbalanced over balanced forces at which an equilibrium is one.
@@ -276,6 +277,10 @@ class Simulator:
     def surface(self) -> DeformedSurface:
         """The surface of the tissue at the last equilibrium."""
         return deformed_surface(self._solver)
+
+    def snapshot(self) -> Snapshot:
+        """The whole tissue at the last equilibrium, with its fields."""
+        return snapshot(self._solver)
 
 
 def _require_same_layers(before: Material, after: Material) -> None:

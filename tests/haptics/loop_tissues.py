@@ -17,6 +17,8 @@ from haptics.rendering import ForceRendering
 from haptics.ring import RingReader, RingWriter
 from haptics.surface_board import SurfaceBoard
 from tissue_sim.errors import InputError
+from tissue_sim.fem.fields import Fields
+from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import ForceStatus, ToolForce
 
 
@@ -47,6 +49,19 @@ class Spring:
         return SimpleNamespace(outline=np.array([[0.0, -self.steps[-1][0] if self.steps else 0.0], [0.04, 0.0]]))
 
 
+class Gel(Spring):
+    """A spring that shows itself whole: its state is its depth, its material its stiffness."""
+
+    def snapshot(self):
+        depth = self.steps[-1][0] if self.steps else 0.0
+        return Snapshot(depth, 0.0, gel_fields(self.stiffness, [[depth, 2 * depth]]))
+
+
+def gel_fields(material, states, stresses=None):
+    empty = np.zeros(0)
+    return Fields(None, material, 0.0, np.array(states), empty, empty, empty, empty, stresses)
+
+
 class Fuse(Spring):
     """Fails at its tenth step."""
 
@@ -73,9 +88,9 @@ def rendering():
     return ForceRendering(ForceLimits(force=10.0, rate=1.0))
 
 
-def loop_process(build=Spring, seconds=None, real_time=False, **options):
-    return LoopProcess(build, SineMotion(4e-3, -1e-3, 5.0), rendering(),
-                       LoopSettings(seconds=seconds, real_time=real_time), **options)
+def loop_process(build=Spring, seconds=None, real_time=False, snapshot_rate=0.0, **options):
+    settings = LoopSettings(seconds=seconds, real_time=real_time, snapshot_rate=snapshot_rate)
+    return LoopProcess(build, SineMotion(4e-3, -1e-3, 5.0), rendering(), settings, **options)
 
 
 def record(n):

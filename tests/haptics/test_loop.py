@@ -17,7 +17,7 @@ import pytest
 from haptics.limits import ForceLimits
 from haptics.loop import Loop, LoopSettings, peak_memory
 from haptics.loop_process import LoopError
-from haptics.motion_source import SineMotion
+from haptics.motion_source import HandMotion, SineMotion
 from haptics.rendering import ForceRendering, RenderFlag
 from haptics.ring import PAUSED, RingReader, RingWriter
 from haptics.surface_board import SurfaceBoard, SurfaceReader
@@ -164,6 +164,38 @@ def test_a_reset_begins_again(run, tissues):
     assert len(tissue.steps) == 200, "the tissue began again, too"
 
 
+def test_a_paused_motion_can_go_on_for_a_while(run, tissues):
+    def listen(loop):
+        step = len(tissue.steps)
+        if step == 100:
+            loop.pause()
+        elif step == 200:
+            loop.advance(0.03)
+            loop.advance(0.02)
+
+    tissue = tissues.Spring()
+    report, ticks, _ = run(tissue, 0.4, listen=listen)
+    assert report.flagged["paused"] == 250
+    np.testing.assert_allclose(ticks["tool_depth"][[199, 210, 249, 399]], [2e-3, 2.22e-3, 3e-3, 3e-3])
+
+
+def test_another_source_is_followed_and_a_hand_is_steered(run, tissues):
+    def listen(loop):
+        step = len(tissue.steps)
+        if step == 50:
+            with pytest.raises(InputError, match=r"\(Ramp\) cannot be steered; follow a HandMotion first"):
+                loop.aim(1e-3)
+        elif step == 100:
+            loop.follow(HandMotion(2e-3))
+            loop.aim(5e-3)
+
+    tissue = tissues.Spring()
+    _, ticks, _ = run(tissue, 0.6, listen=listen)
+    after = ticks["tool_depth"][99:]
+    assert after[0] == pytest.approx(2e-3) and after[-1] == pytest.approx(5e-3, abs=1e-7)
+    assert (np.diff(after) >= 0).all() and np.diff(after).max() < 0.1e-3
+
+
 def test_a_tissue_without_the_ability_says_so(run, tissues):
     class Plain:
         def step(self, depth, dt):
@@ -179,7 +211,7 @@ def test_a_tissue_without_the_ability_says_so(run, tissues):
 @pytest.mark.parametrize(("wrong", "field"), [
     ({"period": 0.0}, "period"), ({"spin": 2e-3}, "spin"), ({"seconds": 0.0}, "seconds"),
     ({"seconds": math.inf}, "seconds"), ({"surface_rate": -1.0}, "surface_rate"),
-    ({"surface_rate": math.nan}, "surface_rate"),
+    ({"surface_rate": math.nan}, "surface_rate"), ({"snapshot_rate": -1.0}, "snapshot_rate"),
 ])
 def test_settings_that_make_no_sense_are_refused(wrong, field):
     with pytest.raises(InputError) as caught:
@@ -290,6 +322,32 @@ def test_commands_work_and_a_refusal_does_not_end_the_loop(tissues):
     assert loop.stop() is report and loop.wait() is report
     with pytest.raises(InputError, match="was started before"):
         loop.start()
+
+
+def test_snapshots_are_published_and_follow_the_material(tissues):
+    with tissues.loop_process(tissues.Gel, snapshot_rate=200.0) as loop:
+        loop.wait_until_ready(60)
+        with loop.snapshots() as snapshots, loop.ring() as ring:
+            wait_until(lambda: snapshots.written > 3)
+            seen = snapshots.latest()
+            np.testing.assert_array_equal(seen.snapshot.fields.states, [[seen.snapshot.depth, 2 * seen.snapshot.depth]])
+            assert seen.snapshot.fields.material == 200.0 and snapshots.latest(after=10**9) is None
+            loop.set_parameters(stiffness=300.0)
+            assert loop.pattern.fields.material == 300.0
+            loop.follow(HandMotion(0.0))
+            loop.aim(3e-3)
+            wait_until(lambda: abs(ring.latest()["tool_depth"] - 3e-3) < 1e-6)
+            wait_until(lambda: abs(snapshots.latest().snapshot.depth - 3e-3) < 1e-6)
+            loop.pause()
+            loop.advance(0.01)
+        path = loop.snapshot_path
+    assert not path.exists()
+
+
+def test_who_publishes_no_snapshots_has_none(tissues):
+    with tissues.loop_process(seconds=0.05) as loop:
+        loop.wait_until_ready(60)
+        assert loop.snapshots() is None and loop.pattern is None
 
 
 def test_an_error_of_the_tissue_arrives_as_one_sentence(tissues, capfd):

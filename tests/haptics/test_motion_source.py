@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from haptics.motion_source import ProtocolMotion, RandomWalk, SineMotion
+from haptics.motion_source import HandMotion, ProtocolMotion, RandomWalk, SineMotion
 from tissue_sim.errors import InputError
 
 
@@ -40,6 +40,26 @@ def test_a_sine_begins_above_and_at_rest():
     motion = SineMotion(deepest=6e-3, highest=-2e-3, frequency=2.0)
     np.testing.assert_allclose(depths(motion, [0, 0.125, 0.25, 0.5]), [-2e-3, 2e-3, 6e-3, -2e-3], atol=1e-15)
     assert abs(motion.depth(1e-4) - motion.depth(0)) < 1e-8
+
+
+@pytest.mark.parametrize("step", [1e-3, 0.02])
+@pytest.mark.parametrize(("start", "target"), [(0.0, 5e-3), (5e-3, -2e-3)])
+def test_a_hand_comes_to_its_target_smoothly(start, target, step):
+    """As x'' + 2 w x' + w^2 (x - target) = 0 from rest, whatever the time step."""
+    hand = HandMotion(start, speed=10.0, response=30.0)
+    hand.aim(target)
+    times = np.arange(0.0, 0.5, step)
+    away = (start - target) * (1 + 30.0 * times) * np.exp(-30.0 * times)
+    np.testing.assert_allclose(depths(hand, times), target + away, atol=1e-12)
+
+
+def test_a_hand_is_no_faster_than_it_may_be():
+    hand = HandMotion(0.0, speed=0.05)
+    hand.aim(0.02)
+    way = depths(hand, np.arange(0.0, 1.0, 1e-3))
+    assert np.diff(way).max() == pytest.approx(0.05e-3) and way[-1] == pytest.approx(0.02) and way.max() < 0.0201
+    with pytest.raises(InputError, match="nan is not a depth"):
+        hand.aim(math.nan)
 
 
 @settings(max_examples=25, deadline=None)

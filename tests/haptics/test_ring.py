@@ -13,8 +13,10 @@ from hypothesis import strategies as st
 
 from haptics.ring import TICK, RingReader, RingWriter
 from haptics.shared_slots import HEAD_SIZE, SlotReader, SlotWriter, runtime_folder, unused_path
+from haptics.snapshot_board import SnapshotBoard, SnapshotReader
 from haptics.surface_board import SurfaceBoard, SurfaceReader
 from tissue_sim.errors import InputError
+from tissue_sim.snapshot import Snapshot
 
 HERE = Path(__file__).parent
 KIND = b"tsTEST\0\0"
@@ -161,6 +163,22 @@ def test_an_outline_comes_back_and_only_a_newer_one(path):
             board.publish(0.75, np.zeros((4, 2)))
         with pytest.raises(InputError, match=r"shape \(3,\); expected \(n, 2\)"):
             board.publish(0.75, np.zeros(3))
+
+
+def test_a_snapshot_comes_back_with_its_stresses(path, tissues):
+    pattern = Snapshot(0.0, 0.0, tissues.gel_fields(200.0, np.zeros((1, 7)), np.zeros((1, 2, 3, 4))))
+    sent = Snapshot(3e-3, -1e-4, tissues.gel_fields(200.0, np.arange(7.0)[None], np.arange(24.0).reshape(1, 2, 3, 4)))
+    with SnapshotBoard(path, pattern) as board, SnapshotReader(path, pattern) as reader:
+        assert reader.latest() is None
+        board.publish(0.25, sent)
+        seen = reader.latest()
+        assert (seen.number, seen.time, seen.snapshot.depth, seen.snapshot.datum) == (1, 0.25, 3e-3, -1e-4)
+        np.testing.assert_array_equal(seen.snapshot.fields.states, sent.fields.states)
+        np.testing.assert_array_equal(seen.snapshot.fields.stresses, sent.fields.stresses)
+        assert reader.latest(after=1) is None
+        reader.pattern = Snapshot(0.0, 0.0, tissues.gel_fields(200.0, np.zeros((1, 6))))
+        with pytest.raises(InputError, match="holds 31 numbers where the pattern has 6"):
+            reader.latest()
 
 
 def test_files_that_are_no_ring_are_refused_in_one_sentence(path, tmp_path, tissues):

@@ -271,6 +271,28 @@ class TestSurface:
         assert flux + polygon * 0.070 / 3.0 == pytest.approx(polygon * 0.070, rel=1e-9)
 
 
+@pytest.mark.parametrize("name", ["needle", "heavy, layered, softening"])
+def test_a_snapshot_has_the_fields_of_the_offline_simulation(name):
+    options, material = CASES[name]
+    offline = ts.simulate(ts.Model(experiment(depth=1e-3, points=11, **options), material), fields=True).fields
+    sim = simulator(options, material, resolution="fast")
+    for k in range(1, 11):
+        sim.step(k * 1e-4, 0.01)
+    snapshot = sim.snapshot()
+    assert snapshot.depth == pytest.approx(1e-3) and len(snapshot.fields.states) == 1
+    np.testing.assert_allclose(snapshot.place, sim.mesh.nodes + offline.displacement() - [0.0, snapshot.datum],
+                               atol=1e-8)
+    for field in ("von_mises", "pressure", "energy", "stretch"):
+        expected = offline.at_points(field)
+        np.testing.assert_allclose(snapshot.fields.at_points(field), expected, atol=1e-4 * np.abs(expected).max())
+
+
+def test_the_largest_stretch_of_a_free_column():
+    lubricated = experiment(depth=7e-3, points=2, tool=ts.Tool(), friction="frictionless", friction_base="frictionless")
+    fields = ts.simulate(ts.Model(lubricated, MATERIAL), fields=True).fields
+    np.testing.assert_allclose(fields.at_points("stretch"), 0.9**-0.5, rtol=1e-4)
+
+
 def test_pose_and_vectors(sim):
     by_depth = sim.step(1e-3, 1e-3)
     sim.reset()

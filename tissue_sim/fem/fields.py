@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tissue_sim.errors import InputError, nearest
-from tissue_sim.fem.axisymmetric import AxisymmetricSolver
 from tissue_sim.material import Material
 from tissue_sim.mesh import Mesh
 
+if TYPE_CHECKING:
+    from tissue_sim.fem.axisymmetric import AxisymmetricSolver
+
 #: Field -> unit.
 FIELD_UNITS = {"displacement": "m", "von_mises": "Pa", "cauchy_rr": "Pa", "cauchy_zz": "Pa", "cauchy_rz": "Pa",
-               "cauchy_hoop": "Pa", "pressure": "Pa", "energy": "J/m3", "J": "1"}
+               "cauchy_hoop": "Pa", "pressure": "Pa", "energy": "J/m3", "J": "1", "stretch": "1"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +70,7 @@ class Fields:
         Cauchy stress is that of the mixed element: sigma = tau/J + p I, with p the element's pressure and tau the
         isochoric Kirchhoff stress. Where that is left of earlier strains it need not be a deviator; `pressure` is the
         mean stress, turned round, either way. The energy density is that of the law, W + p^2 / (2 K), per undeformed
-        volume.
+        volume. `stretch` is the largest principal stretch.
 
         Raises:
             InputError: no such field.
@@ -90,6 +93,8 @@ class Fields:
         modulus = self.moduli[:, None]
         directions, stretches, _ = np.linalg.svd(in_plane)
         all_stretches = np.concatenate([stretches, F[..., 4:]], axis=-1)
+        if name == "stretch":
+            return all_stretches.max(axis=-1)
         energy, tau = self.material.energy_law.principal_response(all_stretches, self.material.parameters)
         if name == "energy":
             volumetric = p**2 / (2.0 * self.bulk_modulus * modulus)
