@@ -225,8 +225,17 @@ class Loop:
         """Let the motion of a loop that is paused go on for so long."""
         self._advance += round(seconds * 1e9)
 
-    def follow(self, source: MotionSource) -> None:
-        """Take the motion from another source, from its beginning on."""
+    def follow(self, source: MotionSource, anew: bool = False) -> None:
+        """Take the motion from another source, from its beginning on.
+
+        Args:
+            anew: on undeformed tissue, as `reset`.
+
+        Raises:
+            InputError: the tissue cannot be reset.
+        """
+        if anew:
+            self.reset()
         self._source, self._motion = source, 0
 
     def aim(self, depth: float) -> None:

@@ -171,9 +171,10 @@ class LoopProcess:
         """Let the motion of a loop that is paused go on for so long. Raises as `set_parameters`."""
         self._ask("advance", seconds=seconds)
 
-    def follow(self, source: MotionSource) -> None:
-        """Take the motion from another source, from its beginning on. Raises as `set_parameters`."""
-        self._ask("follow", source=source)
+    def follow(self, source: MotionSource, anew: bool = False) -> None:
+        """Take the motion from another source, from its beginning on; `anew`: on undeformed tissue. Raises as
+        `set_parameters`."""
+        self._ask("follow", source=source, anew=anew)
 
     def aim(self, depth: float) -> None:
         """Tell a `HandMotion` where to go, m. Raises as `set_parameters`."""

@@ -4,7 +4,7 @@ A command module states `SUMMARY`, `EXAMPLE`, `add_arguments(parser)` and `run(a
 numpy and everything above it inside `run`, so that help is instant.
 """
 
-from scenes.commands import calibrate, demo, doctor, loop, material, serve, simulate
+from scenes.commands import calibrate, demo, doctor, loop, material, serve, simulate, view
 
 COMMANDS = {
     "demo": demo,
@@ -14,7 +14,8 @@ COMMANDS = {
     "calibrate": calibrate,
     "loop": loop,
     "serve": serve,
+    "view": view,
 }
 
 #: Names that are settled and answered as not available in this version.
-LATER = ("design", "diagnose", "view", "record", "devices", "emulate", "reduce")
+LATER = ("design", "diagnose", "record", "devices", "emulate", "reduce")

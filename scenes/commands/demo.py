@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from scenes.commands.view import add_page_flags, page_options
 from scenes.console import print_json, results_console
 from scenes.parsing import Parser, add_json, add_overwrite, at_least
 
@@ -17,7 +18,10 @@ def add_arguments(parser: Parser) -> None:
                         help=f"folder of the results (default: {FOLDER}, replaced on every run)")
     parser.add_argument("--seed", type=at_least(0), metavar="N", default=0,
                         help="seed of the measurement noise (default: 0)")
+    parser.add_argument("--view", action="store_true",
+                        help="then show the calibrated needle and the measurements on a page in the browser")
     add_overwrite(parser)
+    add_page_flags(parser)
     add_json(parser)
     parser.set_defaults(run=run, resume_hint="run it again with --overwrite")
 
@@ -31,4 +35,20 @@ def run(arguments) -> int:
                       seed=arguments.seed)
     if arguments.json:
         print_json(answer)
+    if arguments.view:
+        return _view(arguments, Path(answer["material_file"]))
     return 0
+
+
+def _view(arguments, material_file: Path) -> int:
+    """Push the needle into the calibrated material, beside what was measured."""
+    import tissue_sim as ts
+    from scenes.demo import DEPTH, SPECIMEN
+    from scenes.needle import NEEDLE
+    from scenes.viewer.run import run_page
+    from scenes.viewer.setup import Setup, read_measurements
+
+    experiment = NEEDLE.experiment(specimen=SPECIMEN, protocol=ts.Protocol.ramp(DEPTH))
+    measured = read_measurements(sorted((arguments.output / "measured").glob("*.csv")), NEEDLE.name)
+    setup = Setup(NEEDLE, experiment, ts.load_material(material_file), material_file.name, measured)
+    return run_page(setup, material_file.parent, page_options(arguments), json=arguments.json)

@@ -196,6 +196,18 @@ def test_another_source_is_followed_and_a_hand_is_steered(run, tissues):
     assert (np.diff(after) >= 0).all() and np.diff(after).max() < 0.1e-3
 
 
+def test_another_source_can_begin_anew(run, tissues):
+    def listen(loop):
+        if len(tissue.steps) == 100 and not done:
+            done.append(True)
+            loop.follow(HandMotion(-1e-3), anew=True)
+
+    tissue, done = tissues.Spring(), []
+    _, ticks, _ = run(tissue, 0.2, listen=listen)
+    np.testing.assert_allclose(ticks["tool_depth"][98:102], [1.98e-3, 2e-3, -1e-3, -1e-3])
+    assert len(tissue.steps) == 100, "the tissue began again, too"
+
+
 def test_a_tissue_without_the_ability_says_so(run, tissues):
     class Plain:
         def step(self, depth, dt):

@@ -1,0 +1,95 @@
+"""`tissue-sim view`: push a needle into tissue in a browser."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from scenes.commands.loop import read_material
+from scenes.console import print_json
+from scenes.experiment_flags import (
+    SCENE_NAMES,
+    add_experiment_flags,
+    build_experiment,
+    build_protocol,
+    check_scene,
+)
+from scenes.parsing import Parser, add_json, at_least, positive
+from tissue_sim.errors import InputError
+
+SUMMARY = "push a needle into tissue on a page in the browser, beside the measurement"
+EXAMPLE = "tissue-sim view needle_indentation --material m.material.json --measured needle_1.csv needle_2.csv"
+PORT = 8080
+
+
+def add_arguments(parser: Parser) -> None:
+    parser.add_argument("scene", metavar="SCENE", nargs="?", default="needle_indentation",
+                        help=f"{' or '.join(SCENE_NAMES)} (default: %(default)s)")
+    parser.add_argument("--material", type=Path, metavar="FILE",
+                        help="NAME.material.json (default: the study's silicone, reduced_polynomial_2)")
+    parser.add_argument("--materials", type=Path, metavar="DIR",
+                        help="folder of the material files to choose from and to save to (default: that of --material, "
+                             "else the current one)")
+    parser.add_argument("--measured", type=Path, nargs="+", metavar="FILE", default=[],
+                        help="recordings to compare with; those whose sidecar names a kind of test go with that scene, "
+                             "the others with SCENE")
+    parser.add_argument("--resolution", choices=("realtime", "fast", "accurate"), default="realtime",
+                        help="of what is felt: realtime, fast (force within 1 %%) or accurate (within 0.2 %%) "
+                             "(default: realtime)")
+    parser.add_argument("--no-real-time", action="store_true",
+                        help="ask the system for nothing: no SCHED_FIFO, no locked memory")
+    add_page_flags(parser)
+    headless = parser.add_argument_group("without a browser")
+    headless.add_argument("--headless", action="store_true", help="show nothing: play the protocol, say what was felt")
+    headless.add_argument("--seconds", type=positive, metavar="N", help="end after so long (default: at Ctrl-C)")
+    add_experiment_flags(parser)
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def add_page_flags(parser: Parser) -> None:
+    """Where the page is served, and how it draws."""
+    page = parser.add_argument_group("page")
+    page.add_argument("--port", type=at_least(0, 65535), metavar="N", default=PORT,
+                      help=f"of the page; 0: any free one (default: {PORT})")
+    page.add_argument("--host", metavar="ADDRESS", default="127.0.0.1",
+                      help="address to serve on (default: 127.0.0.1, this computer only)")
+    page.add_argument("--expose", action="store_true",
+                      help="allow a --host that others reach: they can watch and steer without a password")
+    page.add_argument("--open", action="store_true", help="open the page in the browser of this computer")
+    page.add_argument("--low-graphics", action="store_true",
+                      help="for browsers that draw without a graphics card")
+    page.add_argument("--dark", action="store_true", help="begin with a dark page")
+
+
+def run(arguments) -> int:
+    check_scene(arguments.scene)
+    if arguments.headless and arguments.seconds is None:
+        raise InputError("runs until somebody stops it, and shows nothing; say how long", field="--seconds")
+
+    from scenes.catalogue import SCENES
+    from scenes.viewer.run import run_headless, run_page
+    from scenes.viewer.setup import BUILT_IN, Setup, read_measurements
+
+    material = read_material(arguments.material)
+    experiment = build_experiment(arguments, build_protocol(arguments), material)
+    setup = Setup(SCENES[arguments.scene], experiment, material,
+                  BUILT_IN if arguments.material is None else arguments.material.name,
+                  read_measurements(arguments.measured, arguments.scene))
+    options = {"resolution": arguments.resolution, "real_time": not arguments.no_real_time}
+    if arguments.headless:
+        answer = run_headless(setup, arguments.seconds, protocol=arguments.protocol, **options)
+        if arguments.json:
+            print_json(answer)
+        else:
+            print(f"{answer['frames']} frames in {answer['seconds']:.1f} s; {answer['phase']}; "
+                  f"largest force {answer['largest_force_N']:.3f} N", file=sys.stdout)
+        return 0 if answer["phase"] != "stopped" else 1
+    folder = arguments.materials or (arguments.material.parent if arguments.material else Path())
+    return run_page(setup, folder, page_options(arguments), seconds=arguments.seconds, json=arguments.json, **options)
+
+
+def page_options(arguments) -> dict:
+    """Keyword arguments of `scenes.viewer.run.PageOptions`."""
+    return {"host": arguments.host, "port": arguments.port, "exposed": arguments.expose, "open": arguments.open,
+            "low_graphics": arguments.low_graphics, "dark": arguments.dark}

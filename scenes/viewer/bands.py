@@ -1,0 +1,183 @@
+"""Iso-bands: triangles and lines cut where a field crosses levels, so that every piece has one colour."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """Triangles cut at the levels, each in one band.
+
+    Attributes:
+        points: those that were given, then the crossings of their edges with levels, shape (m, 2).
+        triangles: point numbers, sorted by band, wound as those that were given, shape (k, 3).
+        band: of each triangle, ascending, shape (k,).
+    """
+
+    points: np.ndarray
+    triangles: np.ndarray
+    band: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Triangulation:
+    """Triangles that keep their numbers while their points move and their values change.
+
+    Attributes:
+        triangles: point numbers, shape (t, 3).
+    """
+
+    triangles: np.ndarray
+
+    @cached_property
+    def _edges(self) -> tuple[np.ndarray, np.ndarray]:
+        """Ends of each edge once, shape (e, 2), and the edges of each triangle, shape (t, 3): corners 0-1, 1-2, 2-0."""
+        ends = np.sort(self.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        edges, number = np.unique(ends, axis=0, return_inverse=True)
+        return edges, number.reshape(-1, 3)
+
+    def cut(self, points: np.ndarray, values: np.ndarray, levels: np.ndarray) -> Pieces:
+        """Cut the triangles where the linear interpolation of `values` crosses the levels.
+
+        Args:
+            points: shape (n, 2).
+            values: at the points, shape (n,).
+            levels: ascending, shape (bands + 1,). The first and the last band also take what lies beyond them.
+        """
+        inner = np.asarray(levels, dtype=float)[1:-1]
+        edges, edges_of = self._edges
+        at_ends = values[edges]
+        # Of every point: how many levels lie below it, and how many do not lie above it.
+        below, reached = np.searchsorted(inner, values, "left"), np.searchsorted(inner, values, "right")
+        first = reached[edges].min(axis=1)
+        count = np.maximum(below[edges].max(axis=1) - first, 0)
+        crossed = np.repeat(np.arange(len(edges)), count)
+        start = np.cumsum(count) - count
+        level = inner[first[crossed] + np.arange(crossed.size) - start[crossed]]
+        share = (level - at_ends[crossed, 0]) / (at_ends[crossed, 1] - at_ends[crossed, 0])
+        here, there = points[edges[crossed, 0]], points[edges[crossed, 1]]
+        all_points = np.concatenate([points, here + share[:, None] * (there - here)])
+        # Crossing of edge e with level l is point `of_edge[e] + l`.
+        of_edge = len(points) + start - first
+
+        reached_at = reached[self.triangles]
+        lowest = reached_at.min(axis=1)
+        highest = np.maximum(below[self.triangles].max(axis=1), lowest)
+        whole = lowest == highest
+        split = np.flatnonzero(~whole)
+        pieces, band = self._split(split, values, below, reached, of_edge, edges_of, lowest[split], highest[split])
+        triangles = np.concatenate([self.triangles[whole], pieces])
+        band = np.concatenate([lowest[whole], band])
+        order = np.argsort(band, kind="stable")
+        return Pieces(all_points, triangles[order], band[order])
+
+    def _split(self, split, values, below, reached, of_edge, edges_of, lowest, highest):
+        """The pieces of these triangles, and their bands.
+
+        Seen from its lowest to its highest corner, a triangle lies between its long edge and the two short ones. A band
+        cuts out: long edge at its lower level, short edges there, the middle corner if it is inside, short edges at the
+        upper level, long edge there.
+        """
+        corners = self.triangles[split]
+        order = np.argsort(values[corners], axis=1, kind="stable")
+        rows = np.arange(split.size)[:, None]
+        low, middle, high = corners[rows, order].T
+        odd = (order[:, 1] - order[:, 0]) % 3 == 2
+        # The edge opposite to corner k is number (k + 1) % 3.
+        short_high, long, short_low = edges_of[split][rows, (order + 1) % 3].T
+
+        repeats = highest - lowest + 1
+        of = np.repeat(np.arange(split.size), repeats)
+        band = lowest[of] + np.arange(of.size) - np.repeat(np.cumsum(repeats) - repeats, repeats)
+        low, middle, high, odd = low[of], middle[of], high[of], odd[of]
+        on_long, on_low, on_high = of_edge[long[of]], of_edge[short_low[of]], of_edge[short_high[of]]
+        under, reach = below[middle], reached[middle]
+
+        def on_short(level):
+            return np.where(level < under, on_low + level, np.where(level >= reach, on_high + level, middle))
+
+        bottom, top = band == lowest[of], band == highest[of]
+        long_below, long_above = np.where(bottom, low, on_long + band - 1), np.where(top, high, on_long + band)
+        short_below, short_above = np.where(bottom, low, on_short(band - 1)), np.where(top, high, on_short(band))
+        inside = (bottom | (band - 1 < under)) & (top | (band >= reach))
+        between = np.where(inside, middle, short_below)
+        pieces = np.stack([np.stack([long_below, short_below, between], axis=-1),
+                           np.stack([long_below, between, short_above], axis=-1),
+                           np.stack([long_below, short_above, long_above], axis=-1)], axis=1)
+        pieces[odd] = pieces[odd][..., ::-1]
+        a, b, c = np.moveaxis(pieces, -1, 0)
+        real = (a != b) & (b != c) & (c != a)
+        return pieces[real], np.repeat(band, 3).reshape(-1, 3)[real]
+
+
+def by_band(triangles: np.ndarray, band: np.ndarray, points: int, bands: int) -> tuple[np.ndarray, np.ndarray, list]:
+    """Number the points anew, each band its own.
+
+    Args:
+        triangles: point numbers, sorted by band, shape (k, 3).
+        band: of each triangle, ascending, shape (k,).
+        points: number of points.
+        bands: number of bands.
+
+    Returns:
+        Old numbers of the points of all bands, one band after the other; the triangles in numbers that start at 0 in
+        each band; and of each band the slices of its points and of its triangles.
+    """
+    wanted = triangles + (band * points)[:, None]
+    used = np.zeros(bands * points, dtype=bool)
+    used[wanted] = True
+    kept = np.flatnonzero(used)
+    new = np.cumsum(used) - 1
+    first_point = np.searchsorted(kept, np.arange(bands + 1) * points)
+    first_triangle = np.searchsorted(band, np.arange(bands + 1))
+    slices = [(slice(first_point[k], first_point[k + 1]), slice(first_triangle[k], first_triangle[k + 1]))
+              for k in range(bands)]
+    return kept % points, new[wanted] - first_point[band][:, None], slices
+
+
+def fill_bands(points: np.ndarray, triangles: np.ndarray, values: np.ndarray,
+               levels: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Triangles clipped to each band between two levels.
+
+    Args:
+        points: shape (n, 2).
+        triangles: point numbers, shape (t, 3).
+        values: at the points, shape (n,); linear in every triangle.
+        levels: ascending, shape (bands + 1,). The first and the last band also take what lies beyond them.
+
+    Returns:
+        For each band its vertices (m, 2) and triangles (k, 3), wound as those that were given.
+    """
+    pieces = Triangulation(np.asarray(triangles)).cut(points, values, levels)
+    kept, numbers, slices = by_band(pieces.triangles, pieces.band, len(pieces.points), len(levels) - 1)
+    return [(pieces.points[kept[own]], numbers[cut]) for own, cut in slices]
+
+
+def split_polyline(points: np.ndarray, values: np.ndarray, levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A polyline with a point wherever its values, linear along each line, cross a level.
+
+    Args:
+        points: shape (n, 2).
+        values: at the points, shape (n,).
+        levels: ascending, shape (bands + 1,). The first and the last band also take what lies beyond them.
+
+    Returns:
+        The points in order, shape (m, 2), and the band of each line between two of them, shape (m - 1,).
+    """
+    inner = np.asarray(levels, dtype=float)[1:-1]
+    low, high = np.minimum(values[:-1], values[1:]), np.maximum(values[:-1], values[1:])
+    first = np.searchsorted(inner, low, "right")
+    count = np.maximum(np.searchsorted(inner, high, "left") - first, 0)
+    line = np.repeat(np.arange(count.size), count)
+    step = np.arange(line.size) - np.repeat(np.cumsum(count) - count, count)
+    falls = values[1:] < values[:-1]
+    crossed = first[line] + np.where(falls[line], count[line] - 1 - step, step)
+    share = (inner[crossed] - values[line]) / (values[line + 1] - values[line])
+    crossings = points[line] + share[:, None] * (points[line + 1] - points[line])
+    all_points = np.insert(points, line + 1, crossings, axis=0)
+    all_values = np.insert(values, line + 1, inner[crossed])
+    return all_points, np.searchsorted(inner, np.minimum(all_values[:-1], all_values[1:]), "right")

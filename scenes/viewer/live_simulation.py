@@ -1,0 +1,162 @@
+"""The simulation that is felt: its loop, what it says of itself, and what it publishes."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from contextlib import ExitStack
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+import tissue_sim as ts
+from haptics.limits import ForceLimits
+from haptics.loop import LoopSettings
+from haptics.loop_process import LoopError, LoopProcess
+from haptics.motion_source import MotionSource
+from haptics.rendering import ForceRendering
+from haptics.ring import PAUSED
+from scenes.viewer.frame import Phase, Readouts
+from tissue_sim.snapshot import Snapshot
+from tissue_sim.tool_force import ForceStatus
+
+#: Wall time of a step in a tick of 1000, s: the rest is for ring and snapshots.
+BUDGET = 0.8e-3
+#: Over which time read-outs are taken, and rates are counted, s.
+_LOOK_BACK, _COUNT_OVER = 0.5, 2.0
+#: N, and N per tick: nobody feels these forces, the tissue's own are shown.
+_LIMITS = 1e3, 1e3
+
+
+class LiveSimulation:
+    """A loop process, seen without ever waiting for it. Close it.
+
+    Args:
+        model: what is simulated.
+        source: of the motion.
+        resolution: of the `Simulator`.
+        snapshot_rate: how often the tissue is published, Hz.
+        real_time: ask the system for real-time scheduling.
+
+    Attributes:
+        phase, message: what it does, or why it ended.
+        snapshot: newest; None before the first.
+        readouts: None before the first tick.
+    """
+
+    def __init__(self, model: ts.Model, source: MotionSource, *, resolution: str = "realtime",
+                 snapshot_rate: float = 30.0, real_time: bool = True):
+        self._loop = LoopProcess(
+            partial(ts.Simulator, model, resolution=resolution, budget=BUDGET), source,
+            ForceRendering(ForceLimits(*_LIMITS)),
+            LoopSettings(surface_rate=0.0, snapshot_rate=snapshot_rate, real_time=real_time))
+        self._files = ExitStack()
+        self._ring = self._snapshots = None
+        self._number, self._published = 0, 0
+        self._pattern: Snapshot | None = None
+        self._recent: deque[tuple[float, int]] = deque()
+        self._paused = False
+        self.phase, self.message = Phase.STARTING, "starting"
+        self.snapshot: Snapshot | None = None
+        self.readouts: Readouts | None = None
+        self._loop.start()
+
+    @property
+    def process(self) -> LoopProcess:
+        """The process, for those who measure it."""
+        return self._loop
+
+    def poll(self) -> np.ndarray | None:
+        """Take in what is new.
+
+        Returns:
+            The ticks since the last time, dtype `haptics.ring.TICK`; None before the first and after the last.
+        """
+        if self.phase is Phase.DIED:
+            return None
+        try:
+            ready = self._loop.poll()
+        except (LoopError, ts.InputError) as error:
+            self._die(str(error))
+            return None
+        self.message = self._loop.message
+        if not ready:
+            return None
+        if self._loop.report is not None:
+            self._die(f"the loop has ended ({self._loop.report.ended_by})")
+            return None
+        if self._ring is None:
+            self._ring = self._files.enter_context(self._loop.ring())
+            self._snapshots = self._files.enter_context(self._loop.snapshots())
+        self.phase = Phase.PAUSED if self._paused else Phase.RUNNING
+        ticks = self._ring.since(self._number)
+        self._number = ticks.number
+        if self._pattern is not self._loop.pattern:
+            self._take_pattern(self._loop.pattern)
+        published = self._snapshots.latest(after=self._published)
+        if published is not None:
+            self._published, self.snapshot = published.number, published.snapshot
+        if len(ticks.records):
+            self._read_out(ticks.records)
+        return ticks.records
+
+    def ask(self, command: str, **values: Any) -> None:
+        """Ask the loop for something and wait until it has done so, some milliseconds.
+
+        Raises:
+            InputError: what it refuses, or it is not running.
+        """
+        if self.phase not in (Phase.RUNNING, Phase.PAUSED):
+            raise ts.InputError(f"the simulation is not running ({self.message})")
+        try:
+            getattr(self._loop, command)(**values)
+        except LoopError as error:
+            self._die(str(error))
+            raise ts.InputError(str(error)) from error
+        if command in ("pause", "resume"):
+            self._paused = command == "pause"
+            self.phase = Phase.PAUSED if self._paused else Phase.RUNNING
+
+    def close(self) -> None:
+        """End the process."""
+        self._files.close()
+        self._loop.stop()
+
+    def forget(self) -> None:
+        """Leave out the ticks that nobody has polled yet."""
+        if self._ring is not None:
+            self._number = self._ring.written
+
+    def _take_pattern(self, pattern: Snapshot) -> None:
+        """Of a changed material; the mesh stays the same object, so that pictures need not look at it again."""
+        mesh = pattern.fields.mesh if self._pattern is None else self._snapshots.pattern.fields.mesh
+        self._pattern = pattern
+        self._snapshots.pattern = replace(pattern, fields=replace(pattern.fields, mesh=mesh))
+
+    def _die(self, reason: str) -> None:
+        self.phase, self.message = Phase.DIED, reason
+
+    def _read_out(self, records: np.ndarray) -> None:
+        now, last = time.monotonic(), records[-1]
+        self._recent.append((now, self._number))
+        while now - self._recent[0][0] > _COUNT_OVER:
+            self._recent.popleft()
+        (then, before) = self._recent[0]
+        rate = (self._number - before) / (now - then) if now > then else 0.0
+        recent = records[records["time"] > last["time"] - _LOOK_BACK]
+        deadlines = last["tick"]
+        self.readouts = Readouts(
+            float(last["time"]), float(last["tool_depth"]), float(last["tissue_force"]), float(last["stiffness"]),
+            float(np.median(recent["compute_time"])), float(recent["iterations"].mean()), rate,
+            float((last["late"] + last["missed"]) / max(deadlines, 1)), _in_words(int(recent["status"].max()), last))
+
+
+def _in_words(status: int, last: np.void) -> str:
+    """The worst status of a while."""
+    if status == ForceStatus.CONVERGED:
+        return "paused" if last["flags"] & PAUSED else "in equilibrium"
+    return {ForceStatus.LATE: "late: carried on from the last equilibrium",
+            ForceStatus.STOPPED: "no equilibrium on this way: go back or reset",
+            ForceStatus.REFUSED: "pose refused"}[ForceStatus(status)]

@@ -1,0 +1,198 @@
+"""Materials on the page: found in a folder, uploaded, changed by sliders, saved as new files."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from tissue_sim.errors import InputError
+from tissue_sim.material import BULK_RATIOS, Material
+from tissue_sim.material_file import MaterialFile, read_material_file, write_material_file
+from tissue_sim.material_parameters import parameter_values, with_parameter
+
+SUFFIX = ".material.json"
+#: Largest upload, bytes; a material file has some thousands.
+LARGEST_UPLOAD = 1_000_000
+#: A slider reaches so many times the value; and where zero is refused, down to one part in so many.
+REACH = 5.0
+#: A parameter of the law that is smaller than this share of the shear modulus is about zero.
+_NEAR_ZERO = 1e-3
+#: No slider alone makes a material softer than this share of what it is.
+_SOFTEST = 0.01
+#: Steps of a slider, about.
+_STEPS = 500
+#: Last part of a parameter's name -> (unit on the page, factor from the unit of the name).
+_SHOWN = {"K_Pa": ("kPa", 1e-3), "modulus_Pa": ("kPa", 1e-3), "D1_per_Pa": ("1/MPa", 1e6), "tau_s": ("s", 1.0),
+          "thickness_mm": ("mm", 1.0), "depth_mm": ("mm", 1.0), "diffusivity_mm2_per_s": ("mm²/s", 1.0)}
+
+
+@dataclass(frozen=True)
+class SliderRange:
+    """A linear slider for a parameter; `low`, `high` and `step` are in the unit of the page.
+
+    Attributes:
+        low, high: multiples of `step`, with the value between them.
+        unit: on the page; ``""`` of a ratio.
+        factor: number on the page over the parameter's value in `parameter_values`.
+    """
+
+    low: float
+    high: float
+    step: float
+    unit: str
+    factor: float
+
+
+def list_materials(folder: str | Path) -> list[Path]:
+    """The ``*.material.json`` of a folder, sorted by name.
+
+    Raises:
+        InputError: no such folder.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise InputError("is not a folder; name the one with the *.material.json files", file=folder)
+    return sorted((path for path in folder.glob(f"*{SUFFIX}") if path.is_file()), key=lambda path: path.name)
+
+
+def read_upload(name: str, content: bytes) -> Material:
+    """The material in an uploaded file.
+
+    Args:
+        name: of the file on the user's machine, for messages.
+        content: its bytes.
+
+    Raises:
+        InputError: more than `LARGEST_UPLOAD`, or what `tissue_sim.read_material_file` refuses, with the field's path.
+    """
+    if len(content) > LARGEST_UPLOAD:
+        raise InputError(f"has {len(content) / 1e6:.1f} MB, expected a material file of at most "
+                         f"{LARGEST_UPLOAD / 1e6:g} MB; upload NAME{SUFFIX}", file=name)
+    with tempfile.TemporaryDirectory(prefix="tissue_sim_") as folder:
+        path = Path(folder) / f"upload{SUFFIX}"
+        path.write_bytes(content)
+        try:
+            return read_material_file(path).material
+        except InputError as error:
+            raise InputError(error.problem, file=name, line=error.line, field=error.field) from None
+
+
+def parameter_ranges(material: Material) -> dict[str, SliderRange]:
+    """A slider for every parameter that the material has, by its name in `tissue_sim.material_parameters`.
+
+    From 0, or from 1/`REACH` of the value where the material refuses zero, to `REACH` times the value, shortened to
+    what the material accepts, and the finite elements are checked for, while its other parameters stay; mirrored for a
+    negative value. Around zero the slider reaches as far as the shear modulus (of an exponent or a ratio: 1) at either
+    side. The numbers on it are round.
+    """
+    return {name: _range(material, name, value) for name, value in parameter_values(material).items()}
+
+
+def _range(material: Material, name: str, value: float) -> SliderRange:
+    unit, factor = _shown(material, name)
+    size = material.mu0 if unit == "kPa" else 1.0
+    if value == 0 or (name in material.parameters and abs(value) < _NEAR_ZERO * size):
+        ends = [_accepted(material, name, value, -size), _accepted(material, name, value, size)]
+    else:
+        inner = 0.0 if _accepts(material, name, 0.0) else value / REACH
+        ends = sorted([_accepted(material, name, value, inner), _accepted(material, name, value, REACH * value)])
+    low, high = (factor * end for end in ends)
+    shown = factor * value
+    step = 10.0 ** math.floor(math.log10(max(high - low, 1e-3 * abs(shown), 1e-12) / _STEPS))
+    step *= max(n for n in (1, 2, 5) if n * step <= max((high - low) / _STEPS, step))
+    # Rounded inwards to what is accepted, yet never past the value itself.
+    low, high = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    low += not _accepts(material, name, _tidy(low * step) / factor)
+    high -= not _accepts(material, name, _tidy(high * step) / factor)
+    return SliderRange(min(_tidy(low * step), shown), max(_tidy(high * step), shown), step, unit, factor)
+
+
+def _tidy(number: float) -> float:
+    """Without the dust of binary multiples of a decimal step."""
+    return float(f"{number:.12g}")
+
+
+def _shown(material: Material, name: str) -> tuple[str, float]:
+    if name in material.parameters:
+        return ("kPa", 1e-3) if material.energy_law.units[name] == "Pa" else ("", 1.0)
+    return _SHOWN.get(name.rsplit(".", 1)[1], ("", 1.0))
+
+
+def _accepts(material: Material, name: str, value: float) -> bool:
+    """Whether the material takes the value and stays one that can be simulated."""
+    try:
+        changed = with_parameter(material, name, value)
+    except InputError:
+        return False
+    if changed.mu0 < _SOFTEST * material.mu0:
+        return False
+    low, high = BULK_RATIOS
+    return math.isinf(changed.bulk_modulus) or low <= changed.bulk_modulus / changed.mu0 <= high
+
+
+def _accepted(material: Material, name: str, value: float, wanted: float) -> float:
+    """`wanted`, or the number nearest to it on the way from `value` that the material accepts."""
+    if _accepts(material, name, wanted):
+        return wanted
+    good, bad = value, wanted
+    for _ in range(40):
+        middle = 0.5 * (good + bad)
+        good, bad = (middle, bad) if _accepts(material, name, middle) else (good, middle)
+    return good
+
+
+def edited(material: Material, values: Mapping[str, float]) -> Material:
+    """The material with some parameters changed.
+
+    Args:
+        material: the one before.
+        values: name of `tissue_sim.material_parameters` -> value in the unit of the name, the law's in SI.
+
+    Raises:
+        InputError: an unknown name, or what the material refuses.
+    """
+    left = dict(values)
+    while left:
+        refused = None
+        for name, value in list(left.items()):
+            try:
+                material = with_parameter(material, name, value)
+                del left[name]
+            except InputError as error:
+                # It may fit once the others are changed, as one g does when another was lowered.
+                refused = refused or (error, len(left))
+        if refused and refused[1] == len(left):
+            raise refused[0]
+    return material
+
+
+def save_edited(material: Material, folder: str | Path, name: str, *, source: str) -> Path:
+    """Write a material that was changed by hand as a new file.
+
+    Standard errors, covariance, residual and valid range stay behind: they belong to the values that were fitted.
+
+    Args:
+        material: as it is to be.
+        folder: where the file goes; it is made where it is missing.
+        name: of the material, and of the file without ``.material.json``.
+        source: the material that was changed, such as the name of its file; it stands in the provenance.
+
+    Returns:
+        The file.
+
+    Raises:
+        InputError: a name that cannot be a file's, a file that is there already, a place that cannot be written.
+    """
+    name = name.strip().removesuffix(SUFFIX)
+    if not name or name.startswith(".") or not name.isprintable() or set(name) & set('/\\:*?"<>|') or len(name) > 100:
+        raise InputError(f"{name!r} is no name of a file; give up to 100 letters, digits, blanks or - _ .",
+                         field="name")
+    path = Path(folder) / f"{name}{SUFFIX}"
+    if path.exists():
+        raise InputError("is there already and is not replaced; give another name", file=path)
+    provenance = {"method": "edited by hand", "settings": {"edited_from": source}}
+    write_material_file(MaterialFile.of(replace(material, name=name), provenance=provenance), path)
+    return path

@@ -1,0 +1,71 @@
+"""Curves of whole tests, computed in a process of their own: the newest wish counts."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future
+
+import tissue_sim as ts
+from calibration.process_pool import ProcessPool
+from tissue_sim.errors import ConvergenceError, InputError
+
+
+class ModelCurve:
+    """Computes `simulate(model)` again and again as the model changes. Close it.
+
+    Attributes:
+        recording: of the last model that was computed; None before.
+        problem: why the newest model has no curve; empty where it has, or will have.
+        number: grows with each answer.
+    """
+
+    def __init__(self, resolution: str = "fast"):
+        self._resolution = resolution
+        self._pool = ProcessPool(1)
+        self._wanted: ts.Model | None = None
+        self._computed: Future | None = None
+        self.recording: ts.Recording | None = None
+        self.problem, self.number = "", 0
+
+    @property
+    def busy(self) -> bool:
+        """Whether the newest wish is still to be computed."""
+        return self._computed is not None or self._wanted is not None
+
+    def ask(self, model: ts.Model) -> None:
+        """Wish for the curve of a model; a wish that nobody has begun with is forgotten."""
+        self._wanted = model
+
+    def forget(self) -> None:
+        """What was computed belongs to another test now."""
+        self.recording, self.problem, self._wanted, self.number = None, "", None, self.number + 1
+
+    def poll(self) -> None:
+        """Take an answer, and begin with the next wish.
+
+        Raises:
+            WorkerError: processes end before they can begin.
+        """
+        if self._computed is not None and self._computed.done():
+            self._take(self._computed)
+            self._computed = None
+        if self._computed is None and self._wanted is not None:
+            self._computed = self._pool.submit(simulate_test, (self._wanted, self._resolution))
+            self._wanted = None
+
+    def _take(self, computed: Future) -> None:
+        self.number += 1
+        try:
+            self.recording, self.problem = computed.result(), ""
+        except (ConvergenceError, InputError) as error:
+            self.recording, self.problem = getattr(error, "recording", None), str(error)
+        except self._pool.death:
+            self.problem = "the process that computes the curve has died; it begins anew with the next change"
+
+    def close(self) -> None:
+        """End the process, whatever it does."""
+        self._pool.stop()
+
+
+def simulate_test(model: ts.Model, resolution: str) -> ts.Recording:
+    """The whole test, in the worker."""
+    return ts.simulate(model, resolution=resolution)

@@ -1,0 +1,83 @@
+"""Controls of the picture: field, cut, lines, camera."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import viser
+
+from scenes.figures import LABELS
+from scenes.viewer.camera import FIELD_OF_VIEW, PRESETS, camera_pose
+from scenes.viewer.frame import Frame
+from scenes.viewer.page.solid import Look
+from scenes.viewer.tool_picture import picture_height
+
+#: Fields that say most, first.
+FIELDS = ("von_mises", "energy", "pressure", "displacement", "stretch", "cauchy_zz", "cauchy_rr", "cauchy_hoop",
+          "cauchy_rz", "J")
+
+
+class LookControls:
+    """The tab with what the picture shows; the same for everybody but for the camera.
+
+    Attributes:
+        look: as it is now.
+    """
+
+    def __init__(self, server: viser.ViserServer, frame: Frame, scale: float):
+        gui = server.gui
+        self.look, self._frame, self._scale = Look(), frame, scale
+        fields = {LABELS[name][0]: name for name in FIELDS}
+        field = gui.add_dropdown("colour", tuple(fields), initial_value=LABELS[self.look.field][0])
+        hold = gui.add_checkbox("hold the colours' range", False)
+        cut = gui.add_slider("cut-away [°]", min=0, max=180, step=5, initial_value=round(self.look.cut))
+        mesh_lines = gui.add_checkbox("mesh lines", self.look.mesh_lines)
+        outline = gui.add_checkbox("undeformed outline", self.look.outline)
+        camera = gui.add_button_group("camera", tuple(name.capitalize() for name in PRESETS))
+        dark = gui.add_checkbox("dark page", False)
+
+        def change(_: viser.GuiEvent) -> None:
+            self.look = Look(fields[field.value], float(cut.value), mesh_lines.value, outline.value, hold.value)
+
+        for handle in (field, hold, cut, mesh_lines, outline):
+            handle.on_update(change)
+
+        @camera.on_click
+        def _(event: viser.GuiEvent) -> None:
+            self.place_camera(event.client, camera.value.lower())
+
+        self.on_dark: Callable[[bool], None] = lambda _: None
+
+        @dark.on_update
+        def _(_: viser.GuiEvent) -> None:
+            self.on_dark(dark.value)
+
+        self._dark = dark
+        pose = self._pose("iso", 1.0)
+        first = server.initial_camera
+        first.up, first.fov = (0.0, 0.0, 1.0), FIELD_OF_VIEW
+        first.position, first.look_at = pose
+
+    def set_dark(self, dark: bool) -> None:
+        """Make the page dark or light."""
+        self._dark.value = dark
+        self.on_dark(dark)
+
+    def show(self, frame: Frame) -> None:
+        """Remember what there is to look at."""
+        self._frame = frame
+
+    def place_camera(self, client: viser.ClientHandle, preset: str) -> None:
+        """Let one browser look from a preset."""
+        position, look_at = self._pose(preset, client.camera.aspect)
+        with client.atomic():
+            client.camera.fov = FIELD_OF_VIEW
+            client.camera.up_direction = (0.0, 0.0, 1.0)
+            client.camera.position, client.camera.look_at = position, look_at
+
+    def _pose(self, preset: str, aspect: float):
+        experiment, snapshot = self._frame.setup.experiment, self._frame.snapshot
+        depth = 0.0 if snapshot is None else snapshot.depth
+        above = picture_height(experiment.tool, experiment.specimen)
+        pose = camera_pose(preset, experiment.specimen, experiment.tool, depth, above, aspect)
+        return pose.position * self._scale, pose.look_at * self._scale

@@ -1,0 +1,123 @@
+"""Controls of the material: choose, upload, edit, save."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import viser
+
+import tissue_sim as ts
+from scenes.viewer.frame import Commands, Frame
+from scenes.viewer.material_files import SUFFIX, list_materials, parameter_ranges, read_upload
+from scenes.viewer.page.notices import answer_to, tell
+from tissue_sim.material_parameters import parameter_values
+
+_NONE = "(no file)"
+
+
+class MaterialControls:
+    """The tab with the material's file and its parameters.
+
+    Args:
+        folder: where the files to choose from are, and where new ones go.
+    """
+
+    def __init__(self, server: viser.ViserServer, session: Commands, frame: Frame, folder: Path):
+        self._gui, self._session, self._folder = server.gui, session, folder
+        gui = server.gui
+        self._file = gui.add_dropdown("file", (_NONE,), initial_value=_NONE, hint=f"*{SUFFIX} in {folder}")
+        self._upload = gui.add_upload_button("Upload material", icon=viser.Icon.UPLOAD, mime_type="application/json")
+        self._law = gui.add_markdown("")
+        self._parameters = gui.add_folder("parameters")
+        self._sliders: dict[str, viser.GuiSliderHandle] = {}
+        self._factors: dict[str, float] = {}
+        self._shown: ts.Material | None = None
+        self._structure: tuple = ()
+        with gui.add_folder("save as a new file"):
+            self._name = gui.add_text("name", "edited", hint=f"without {SUFFIX}")
+            self._save = gui.add_button("Save material", icon=viser.Icon.DEVICE_FLOPPY)
+        self._list()
+        self.show(frame)
+
+        @self._file.on_update
+        def _(event: viser.GuiEvent) -> None:
+            if event.client is not None and self._file.value != _NONE:
+                self._use(self._folder / self._file.value, event)
+
+        @self._upload.on_upload
+        def _(event: viser.GuiEvent) -> None:
+            file = self._upload.value
+            try:
+                material = read_upload(file.name, file.content)
+            except ts.InputError as error:
+                answer_to(event)(f"{error} The material stays as it was.")
+                return
+            session.post("use_material", reply=answer_to(event, f"{file.name} is shown"), material=material,
+                         source=file.name)
+
+        @self._save.on_click
+        def _(event: viser.GuiEvent) -> None:
+            name = self._name.value
+
+            def reply(problem: str | None) -> None:
+                answer_to(event, f"saved as {name}{SUFFIX} in {folder}")(problem)
+                if problem is None:
+                    self._list()
+                    event.client.send_file_download(f"{name}{SUFFIX}", (folder / f"{name}{SUFFIX}").read_bytes())
+
+            session.post("save_material", reply=reply, folder=folder, name=name)
+
+    def _use(self, path: Path, event: viser.GuiEvent) -> None:
+        try:
+            material = ts.load_material(path)
+        except ts.InputError as error:
+            tell(event.client, "That did not work", f"{error} The material stays as it was.", "red")
+            return
+        self._session.post("use_material", reply=answer_to(event), material=material, source=path.name)
+
+    def _list(self) -> None:
+        names = tuple(path.name for path in list_materials(self._folder))
+        if self._file.options != (_NONE, *names):
+            self._file.options = (_NONE, *names)
+
+    def show(self, frame: Frame) -> None:
+        """Follow a material that somebody else has changed."""
+        material = frame.setup.material
+        if material is self._shown:
+            return
+        self._shown = material
+        source = frame.setup.source
+        self._file.value = source if source in self._file.options else _NONE
+        self._law.content = f"**{material.energy_law.title}**, from {source}"
+        values = parameter_values(material)
+        structure = (material.law, tuple(values), source)
+        if structure != self._structure:
+            self._structure = structure
+            self._make_sliders(material)
+        for name, slider in self._sliders.items():
+            value = values[name] * self._factors[name]
+            if abs(slider.value - value) > 0.51 * slider.step:
+                slider.value = min(max(value, slider.min), slider.max)
+
+    def _make_sliders(self, material: ts.Material) -> None:
+        for slider in self._sliders.values():
+            slider.remove()
+        self._sliders, self._factors = {}, {}
+        values = parameter_values(material)
+        with self._parameters:
+            for name, reach in parameter_ranges(material).items():
+                if reach.high <= reach.low:
+                    continue
+                unit = f" [{reach.unit}]" if reach.unit else ""
+                slider = self._gui.add_slider(f"{name}{unit}", min=reach.low, max=reach.high, step=reach.step,
+                                              initial_value=values[name] * reach.factor)
+                self._sliders[name], self._factors[name] = slider, reach.factor
+                slider.on_update(self._edit(name))
+
+    def _edit(self, name: str):
+        def edit(event: viser.GuiEvent) -> None:
+            if event.client is not None:
+                value = self._sliders[name].value / self._factors[name]
+                self._session.post("set_parameters", reply=answer_to(event), values={name: value})
+
+        return edit

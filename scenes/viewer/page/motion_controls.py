@@ -1,0 +1,86 @@
+"""Controls of the motion: where the tool goes, and whether it goes."""
+
+from __future__ import annotations
+
+import viser
+
+from scenes.viewer.frame import Commands, Frame, Phase
+from scenes.viewer.page.notices import answer_to
+from scenes.viewer.session import CLEARANCE
+
+#: Ready-made protocols by what they are called; {depth} is the setup's largest, in mm.
+PROTOCOLS = {
+    "press and release": "approach 2mm; ramp {depth}mm; hold 1s; unload; retract 2mm",
+    "three cycles": "repeat 3 (ramp {depth}mm; unload)",
+    "step and hold": "ramp {depth}mm @100mm/s; hold 5s; unload",
+    "study, 0.248 mm/s": "ramp {depth}mm @0.248mm/s; hold 10s; unload @0.248mm/s",
+}
+
+
+class MotionControls:
+    """The tab with depth, play, pause, reset, step, and the protocol."""
+
+    def __init__(self, server: viser.ViserServer, session: Commands, frame: Frame):
+        gui, deepest = server.gui, frame.setup.deepest
+        self._session, self._paused = session, False
+        self._depth = gui.add_slider("depth [mm]", min=-CLEARANCE * 1e3, max=deepest * 1e3, step=0.01,
+                                     initial_value=0.0, hint="or drag the tool in the picture")
+        self._buttons = gui.add_button_group("run", ("Play", "Pause", "Step", "Reset"))
+        self._source = gui.add_dropdown("motion", self._sources(frame), initial_value="protocol")
+        depth = f"{deepest * 1e3:g}"
+        self._named = gui.add_dropdown("example", tuple(PROTOCOLS), initial_value="press and release")
+        self._text = gui.add_text("protocol", PROTOCOLS["press and release"].format(depth=depth),
+                                  hint="approach 2mm; ramp 10mm @5mm/s; hold 60s; unload; repeat 3 (ramp 5mm; unload)")
+        self._speed = gui.add_number("speed [mm/s]", 5.0, min=0.01, max=200.0, step=0.01,
+                                     hint="where the protocol states none")
+        self._repeat = gui.add_checkbox("repeat", False)
+        self._faster = gui.add_number("times as fast", 10.0, min=0.1, max=1000.0, step=0.1, visible=False,
+                                      hint="tissue that relaxes answers otherwise when it is pressed faster")
+
+        @self._depth.on_update
+        def _(event: viser.GuiEvent) -> None:
+            if event.client is not None:  # not what the program has written itself
+                session.post("aim", depth=self._depth.value * 1e-3)
+
+        @self._buttons.on_click
+        def _(event: viser.GuiEvent) -> None:
+            self._press(self._buttons.value, event)
+
+        @self._named.on_update
+        def _(event: viser.GuiEvent) -> None:
+            if event.client is not None:
+                self._text.value = PROTOCOLS[self._named.value].format(depth=depth)
+
+        @self._source.on_update
+        def _(_: viser.GuiEvent) -> None:
+            measured = self._source.value != "protocol"
+            for handle in (self._named, self._text, self._speed, self._repeat):
+                handle.visible = not measured
+            self._faster.visible = measured
+
+    @staticmethod
+    def _sources(frame: Frame) -> tuple[str, ...]:
+        return ("protocol",) if frame.setup.measurement is None else ("protocol", "measured motion")
+
+    def _press(self, button: str, event: viser.GuiEvent) -> None:
+        reply = answer_to(event)
+        if button == "Play" and self._paused:
+            self._session.post("resume", reply=reply)
+        elif button == "Play" and self._source.value == "protocol":
+            self._session.post("play", reply=reply, text=self._text.value, speed=self._speed.value * 1e-3,
+                               repeat=self._repeat.value)
+        elif button == "Play":
+            self._session.post("replay", reply=reply, speed=self._faster.value)
+        else:
+            self._session.post(button.lower(), reply=reply)
+
+    def show(self, frame: Frame) -> None:
+        """Follow a tool that somebody else moves."""
+        self._paused = frame.phase is Phase.PAUSED
+        sources = self._sources(frame)
+        if self._source.options != sources:
+            self._source.options = sources
+        depth = frame.target if frame.motion == "hand" or frame.readouts is None else frame.readouts.depth
+        depth = round(depth * 1e3, 2)
+        if abs(depth - self._depth.value) >= 0.01:
+            self._depth.value = depth

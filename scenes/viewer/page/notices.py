@@ -1,0 +1,27 @@
+"""Answers to the one who asked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import viser
+
+
+def answer_to(event: viser.GuiEvent, done: str = "") -> Callable[[str | None], None]:
+    """A reply for a command: its problem, or `done` where there is something to say, in the browser that asked."""
+    client = event.client
+
+    def reply(problem: str | None) -> None:
+        if client is None:
+            return
+        if problem is not None:
+            tell(client, "That did not work", problem, "red")
+        elif done:
+            tell(client, "Done", done, "teal")
+
+    return reply
+
+
+def tell(client: viser.ClientHandle, title: str, sentence: str, colour: str) -> None:
+    """Show a sentence in a corner of one browser for a while."""
+    client.add_notification(title, sentence, color=colour, auto_close_seconds=12.0)

@@ -1,0 +1,130 @@
+"""Files from the page: the curve, the picture, the run."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import viser
+
+from scenes.figures import LABELS
+from scenes.viewer.frame import Frame
+from scenes.viewer.measurement import branches_on_grid
+from scenes.viewer.page.look_controls import LookControls
+from scenes.viewer.page.notices import answer_to, tell
+from scenes.viewer.page.solid import Solid
+from scenes.viewer.picture_file import Curve, compose_png
+from scenes.viewer.plots import LIGHT, depth_grid
+from scenes.viewer.trace import recording_csv
+
+#: Most that a browser may take to draw the picture that is saved, s.
+_PATIENCE = 30.0
+#: Most pixels of a saved picture, along a side.
+_LARGEST = 1600
+#: Longest replay, s: at 30 frames a second one of a minute has some 100 MB.
+LONGEST_REPLAY = 60.0
+
+
+class Saving:
+    """The tab with what can be saved.
+
+    Args:
+        later: runs a function in the thread that shows frames, where the trace stands still.
+    """
+
+    def __init__(self, server: viser.ViserServer, solid: Solid, look: LookControls,
+                 later: Callable[[Callable[[], None]], None]):
+        gui = server.gui
+        self._server, self._solid, self._look = server, solid, look
+        self._frame: Frame | None = None
+        self._recorder, self._recorded, self._last = None, 0.0, 0.0
+        curve = gui.add_button("Save curve (CSV)", icon=viser.Icon.DOWNLOAD)
+        picture = gui.add_button("Save picture (PNG)", icon=viser.Icon.PHOTO)
+        self._replay = gui.add_button("Record replay", icon=viser.Icon.PLAYER_RECORD,
+                                      hint="a page of its own that plays the picture without a server")
+
+        @curve.on_click
+        def _(event: viser.GuiEvent) -> None:
+            later(lambda: self._save_curve(event))
+
+        @picture.on_click
+        def _(event: viser.GuiEvent) -> None:
+            self._save_picture(event)
+
+        @self._replay.on_click
+        def _(event: viser.GuiEvent) -> None:
+            later(lambda: self._toggle_replay(event))
+
+    def show(self, frame: Frame) -> None:
+        """Remember what there is to save, and go on with a replay."""
+        self._frame = frame
+        if self._recorder is None:
+            return
+        now = time.monotonic()
+        self._recorder.insert_sleep(now - self._last)
+        self._recorded, self._last = self._recorded + now - self._last, now
+        self._replay.label = f"Save replay ({self._recorded:.0f} s)"
+
+    @property
+    def full(self) -> bool:
+        """Whether a replay has come to its greatest length; it goes no further."""
+        return self._recorded >= LONGEST_REPLAY
+
+    def _save_curve(self, event: viser.GuiEvent) -> None:
+        trace = self._frame.curves.trace
+        if trace is None or len(trace) < 5:
+            answer_to(event)("nothing was felt yet; move the tool first")
+            return
+        setup = self._frame.setup
+        recording = trace.recording({"name": setup.scene.name, "kind": setup.scene.name, "material": setup.source,
+                                     "simulated": True})
+        event.client.send_file_download(f"{setup.scene.name}.csv", recording_csv(recording))
+
+    def _save_picture(self, event: viser.GuiEvent) -> None:
+        frame, camera = self._frame, event.client.camera
+        width, height = (min(size, _LARGEST) for size in (camera.image_width, camera.image_height))
+        try:
+            render = event.client.get_render(height, width, transport_format="png", timeout=_PATIENCE)
+        except (TimeoutError, RuntimeError) as error:
+            tell(event.client, "That did not work", f"the browser drew no picture ({error}); try again", "red")
+            return
+        setup, now = frame.setup, frame.readouts
+        caption = [f"{setup.scene.title}, {setup.material.energy_law.title} ({setup.source})"]
+        if now is not None:
+            caption.append(f"{now.force:.3f} N at {now.depth * 1e3:.2f} mm")
+        label, _ = LABELS[self._look.look.field]
+        content = compose_png(render, self._solid.levels, np.array(self._solid.colours, dtype=np.uint8), label, caption,
+                              now=None if now is None else (now.depth, now.force), **_drawn_curves(frame))
+        event.client.send_file_download(f"{setup.scene.name}.png", content)
+
+    def _toggle_replay(self, event: viser.GuiEvent) -> None:
+        if self._recorder is None:
+            self._recorder = self._server.get_scene_serializer()
+            self._recorded, self._last = 0.0, time.monotonic()
+            return
+        recorder, self._recorder = self._recorder, None
+        self._replay.label = "Record replay"
+        event.client.send_file_download("replay.html", recorder.as_html().encode())
+
+
+def _drawn_curves(frame: Frame) -> dict[str, Any]:
+    """Model, measurement and what was felt, for `compose_png`."""
+    curves, measured, band = frame.curves, frame.curves.measurement, None
+    grid = depth_grid(frame.setup.deepest)
+    pairs = []
+    if measured is not None:
+        band = (measured.depth, measured.load.low, measured.load.high)
+        pairs.append(("measured", "measured", measured.depth,
+                      (measured.load.mean, None if measured.unload is None else measured.unload.mean)))
+    if curves.before is not None:
+        pairs.append(("before", curves.before[0], grid, branches_on_grid(curves.before[1], grid)))
+    if curves.model is not None:
+        pairs.append(("model", "model", grid, branches_on_grid(curves.model, grid)))
+    if curves.trace is not None and len(curves.trace):
+        pairs.append(("live", "live", grid, curves.trace.newest_passes(grid)))
+    shown = [Curve(depth, force, name if force is branches[0] else "", LIGHT[role], dashed=force is not branches[0])
+             for role, name, depth, branches in pairs for force in branches
+             if force is not None and np.isfinite(force).any()]
+    return {"curves": shown, "band": band}

@@ -1,0 +1,210 @@
+"""The 3D picture: the specimen in iso-bands, the tool, its force, where they touch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import viser
+
+from scenes.figures import LABELS
+from scenes.viewer.colours import PALETTE, field_range, steady_levels
+from scenes.viewer.cut_away import CutAway
+from scenes.viewer.frame import Frame
+from scenes.viewer.revolution import Opening, Surface
+from scenes.viewer.setup import Setup
+from scenes.viewer.tone import seen_colour, surface_colour
+from scenes.viewer.tool_picture import Arrow, base_plate, contact_picture, force_arrow, tool_mesh
+from tissue_sim.discretisation import build_mesh
+from tissue_sim.mesh import Mesh
+from tissue_sim.snapshot import Snapshot
+
+#: Longest side of the specimen in the unit of the browser, whose camera has near and far planes.
+SIZE = 2.0
+#: RGB.
+METAL, BASE, ARROW, CONTACT = (176, 184, 194), (120, 126, 134), (213, 94, 0), (230, 20, 110)
+MESH_LINES, OUTLINE = (255, 255, 255), (128, 128, 128)
+#: Light from all sides in which a surface has its own colour, and a light that shows its shape, from where the cut
+#: opens: it falls on both section faces alike.
+_FULL, _KEY, _KEY_DIRECTION = np.pi, 1.1, np.array([0.0, -0.8, 0.6])
+#: Forces that an arrow of full length stands for, times powers of ten.
+_ROUND = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
+
+
+@dataclass(frozen=True)
+class Look:
+    """How the specimen is shown.
+
+    Attributes:
+        field: a name in `scenes.figures.LABELS`.
+        cut: angle of the wedge that is left out, degrees.
+        mesh_lines, outline: whether to show the element edges, and the undeformed specimen.
+        hold: keep the colours' levels as they are.
+    """
+
+    field: str = "von_mises"
+    cut: float = 120.0
+    mesh_lines: bool = False
+    outline: bool = True
+    hold: bool = False
+
+
+class Solid:
+    """The scene nodes and what they show; writes what has changed and nothing else.
+
+    Attributes:
+        levels: of the colours, in the unit of the label; None before the first picture.
+        scale: units of the browser in a metre.
+    """
+
+    def __init__(self, server: viser.ViserServer, setup: Setup, *, low_graphics: bool):
+        self._scene = server.scene
+        self._light(low_graphics)
+        self.levels: np.ndarray | None = None
+        specimen = setup.experiment.specimen
+        self.scale = SIZE / max(2.0 * specimen.radius, specimen.height)
+        self._shadow = not low_graphics
+        nothing = np.zeros((1, 3), np.float32)
+        surface_colours = [surface_colour(colour) for colour in PALETTE]
+        #: As they are seen, for the colour bar.
+        self.colours = [seen_colour(colour) for colour in surface_colours]
+        self._bands = [self._mesh(f"/tissue/band_{k}", colour) for k, colour in enumerate(surface_colours)]
+        self._tool = self._mesh("/tool/body", METAL)
+        self._arrow = self._mesh("/tool/force", ARROW)
+        self._base = self._mesh("/base", BASE)
+        self._force = self._scene.add_label("/tool/force_label", "", anchor="bottom-left", visible=False)
+        lines = np.zeros((1, 2, 3), np.float32)
+        self._mesh_lines = self._scene.add_line_segments("/tissue/mesh", lines, MESH_LINES, line_width=1.0)
+        self._outline = self._scene.add_line_segments("/undeformed", lines, OUTLINE, line_width=1.5)
+        self._contact = self._scene.add_line_segments("/contact", lines, CONTACT, line_width=4.0)
+        self._nothing = nothing
+        self._drawn: tuple | None = None
+        self._standing: tuple | None = None
+        self._cut_away: CutAway | None = None
+        self._full_force = 1.0
+
+    def on_drag(self, aim: Callable[[float], None]) -> None:
+        """Call `aim` with the depth, m, to which somebody drags the tool."""
+        grabbed = {}
+
+        async def drag(event) -> None:  # a coroutine: its phases come in order
+            if event.phase == "start":
+                grabbed[event.client_id] = event.start_position[2] - self._tool.position[2]
+            if event.phase == "end":
+                grabbed.pop(event.client_id, None)
+            elif event.client_id in grabbed:
+                aim(-(event.end_position[2] - grabbed[event.client_id]) / self.scale)
+
+        self._tool.on_drag("left")(drag)
+
+    def show(self, frame: Frame, look: Look) -> bool:
+        """Write what has changed since the last time; whether anything has."""
+        snapshot = frame.snapshot
+        opening = Opening(np.radians(look.cut))
+        stands = (frame.setup.experiment, look.cut, look.outline)
+        changed = stands != self._standing
+        if snapshot is None:
+            if changed:
+                self._wait(frame.setup, opening, look)
+                self._standing = stands
+            return changed
+        if changed:
+            self._take_mesh(snapshot.fields.mesh)
+            self._stand(frame.setup, opening, look)
+            self._standing = stands
+        seen = (snapshot.depth, snapshot.fields.material, look)
+        if changed or seen != self._drawn or not np.array_equal(snapshot.fields.states, self._state):
+            self._draw(snapshot, frame.setup, opening, look)
+            self._drawn, self._state, changed = seen, snapshot.fields.states, True
+        force = frame.readouts.force if frame.readouts else 0.0
+        return self._push(force, frame.setup) or changed
+
+    def _draw(self, snapshot: Snapshot, setup: Setup, opening: Opening, look: Look) -> None:
+        fields = snapshot.fields
+        self._take_mesh(fields.mesh)
+        _, factor = LABELS[look.field]
+        values = fields.at_nodes(look.field) * factor
+        if not (look.hold and self.levels is not None and look.field == self._drawn[2].field):
+            previous = self.levels if self._drawn and look.field == self._drawn[2].field else None
+            self.levels = steady_levels(previous, *field_range(fields, look.field, factor))
+        place = snapshot.place
+        for handle, surface in zip(self._bands, self._cut_away.bands(place, values, self.levels, opening),
+                                   strict=True):
+            self._fill(handle, surface)
+        self._tool.position = self._arrow.position = (0.0, 0.0, -snapshot.depth * self.scale)
+        contact = contact_picture(self._cut_away.top_line(place), setup.experiment.tool, snapshot.depth, opening)
+        self._lines(self._contact, None if contact is None else contact.lines)
+        self._lines(self._mesh_lines, self._cut_away.mesh_lines(place, opening) if look.mesh_lines else None)
+
+    def _take_mesh(self, mesh: Mesh) -> None:
+        if self._cut_away is None or self._cut_away.mesh is not mesh:
+            self._cut_away, self._drawn = CutAway.of(mesh), None
+
+    def _wait(self, setup: Setup, opening: Opening, look: Look) -> None:
+        """The specimen that nobody has touched, while the simulation of it begins."""
+        self._take_mesh(build_mesh(setup.experiment, "realtime", layers=setup.material.layers))
+        place = self._cut_away.mesh.nodes
+        surfaces = self._cut_away.bands(place, np.zeros(len(place)), np.arange(len(self._bands) + 1.0), opening)
+        for handle, surface in zip(self._bands, surfaces, strict=True):
+            self._fill(handle, surface)
+        for handle in (self._contact, self._mesh_lines, self._arrow, self._force):
+            handle.visible = False
+        self._tool.position = (0.0, 0.0, 0.0)
+        self._stand(setup, opening, look)
+
+    def _stand(self, setup: Setup, opening: Opening, look: Look) -> None:
+        """What does not move with the tissue."""
+        specimen, tool = setup.experiment.specimen, setup.experiment.tool
+        if opening.faces:
+            # The section faces get the light in which a surface has just its own colour, that of the bar.
+            faces_it = max(0.0, float(_KEY_DIRECTION[:2] @ opening.faces[0][1]))
+            self._ambient.intensity = _FULL - _KEY * faces_it
+        self._fill(self._tool, tool_mesh(tool, specimen, opening))
+        self._fill(self._base, base_plate(specimen, opening))
+        self._lines(self._outline, self._cut_away.undeformed_outline(opening) if look.outline else None)
+
+    def _push(self, force: float, setup: Setup) -> bool:
+        """The arrow of the force; whether it has changed."""
+        while force > self._full_force:
+            self._full_force = _next_round(self._full_force)
+        text = f"{force:.2f} N"
+        if text == self._force.text:
+            return False
+        arrow: Arrow | None = force_arrow(force, self._full_force, setup.experiment.tool, setup.experiment.specimen)
+        self._force.text = text
+        self._force.visible = arrow is not None
+        self._fill(self._arrow, arrow.surface if arrow else Surface(self._nothing[:0], np.zeros((0, 3), np.uint32)))
+        if arrow:
+            tip = arrow.tip * self.scale
+            self._force.position = tuple(tip + np.asarray(self._arrow.position))
+        return True
+
+    def _mesh(self, name: str, colour: tuple[int, int, int]) -> viser.MeshHandle:
+        empty = np.zeros((3, 3), np.float32)
+        return self._scene.add_mesh_simple(name, empty, np.array([[0, 1, 2]], np.uint32), color=colour, side="double",
+                                           cast_shadow=False, receive_shadow=False, visible=False)
+
+    def _fill(self, handle: viser.MeshHandle, surface: Surface) -> None:
+        if len(surface.faces):
+            handle.vertices = np.ascontiguousarray(surface.vertices * np.float32(self.scale))
+            handle.faces = surface.faces
+        handle.visible = bool(len(surface.faces))
+
+    def _lines(self, handle: viser.LineSegmentsHandle, lines: np.ndarray | None) -> None:
+        if lines is not None and len(lines):
+            handle.points = np.asarray(lines * self.scale, np.float32)
+        handle.visible = lines is not None and len(lines) > 0
+
+    def _light(self, low_graphics: bool) -> None:
+        scene = self._scene
+        scene.configure_environment_map(hdri=None)
+        scene.configure_default_lights(enabled=False)
+        self._ambient = scene.add_light_ambient("/light/ambient", intensity=_FULL)
+        scene.add_light_directional("/light/key", intensity=_KEY, position=tuple(_KEY_DIRECTION))
+
+
+def _next_round(number: float) -> float:
+    """The next round one."""
+    decade = 10.0 ** np.floor(np.log10(number) + 1e-9)
+    return next(float(step * decade) for step in (*_ROUND, 10.0) if step * decade > number * (1 + 1e-9))

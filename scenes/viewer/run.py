@@ -1,0 +1,109 @@
+"""Run a viewer until somebody stops it."""
+
+from __future__ import annotations
+
+import json as json_format
+import signal
+import sys
+import threading
+import webbrowser
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from scenes.viewer.frame import NullViewer, Phase
+from scenes.viewer.session import Session
+from scenes.viewer.setup import Setup
+from scenes.viewer.web_server import exposure
+
+
+def run_page(setup: Setup, materials: Path, page: dict[str, Any], *, seconds: float | None = None, json: bool = False,
+             **options: Any) -> int:
+    """Serve the page until Ctrl-C, SIGTERM or the end of the time.
+
+    Args:
+        setup: what to look at.
+        materials: folder of material files.
+        page: ``host``, ``port``, ``exposed``, ``open``, ``low_graphics``, ``dark``.
+        seconds: None: until it is stopped.
+        json: say the address as an object.
+        options: of `Session`.
+
+    Returns:
+        Exit code.
+
+    Raises:
+        InputError: what the page refuses; nothing runs then.
+    """
+    from scenes.viewer.page import Page
+
+    page = dict(page)
+    opens = page.pop("open")
+    session = Session(setup, **options)
+    try:
+        viewer = Page(session, session.frame(), materials, **page)
+        try:
+            if json:
+                print(json_format.dumps({"url": viewer.url}), flush=True)
+            else:
+                print(f"{viewer.url}   (Ctrl-C stops)", flush=True)
+            if page["exposed"]:
+                print(f"tissue-sim: warning: {exposure(page['host'], viewer.server.get_port())}", file=sys.stderr)
+            if opens:
+                webbrowser.open(viewer.url)
+            with _stopped_by_signals() as stop:
+                session.run(viewer, stop, seconds)
+        finally:
+            viewer.close()
+    finally:
+        session.close()
+    return 0
+
+
+def run_headless(setup: Setup, seconds: float, *, protocol: str | None = None, **options: Any) -> dict[str, Any]:
+    """Play a protocol without a screen, and say what was felt.
+
+    Args:
+        seconds: from the first tick on; the solver may have to be compiled before it.
+        protocol: to play; None: the tool stays at the touch.
+        options: of `Session`.
+    """
+    session, viewer = Session(setup, **options), NullViewer()
+    try:
+        with _stopped_by_signals() as stop:
+            while not stop.is_set() and session.frame().phase is Phase.STARTING:
+                stop.wait(0.05)
+            if protocol is not None:
+                session.post("play", text=protocol)
+            session.run(viewer, stop, seconds)
+        frame = viewer.latest
+        trace = frame.curves.trace
+        now = frame.readouts
+        return {
+            "frames": viewer.frames, "seconds": seconds, "phase": frame.phase.value, "message": frame.message,
+            "time_s": trace.time.tolist(), "displacement_mm": (trace.depth * 1e3).tolist(),
+            "force_N": trace.force.tolist(), "largest_force_N": float(trace.force.max(initial=0.0)),
+            "rate_Hz": None if now is None else now.rate, "late_percent": None if now is None else 100 * now.late,
+            "RMSE_N": None if frame.curves.residual is None else frame.curves.residual.rmse,
+        }
+    finally:
+        session.close()
+
+
+@contextmanager
+def _stopped_by_signals() -> Iterator[threading.Event]:
+    """An event that Ctrl-C and SIGTERM set; a second one does what it always does."""
+    stop, before = threading.Event(), {}
+
+    def set_it(number, _) -> None:
+        stop.set()
+        signal.signal(number, before[number])
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        before[number] = signal.signal(number, set_it)
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,291 @@
+"""What a viewer shows and what it may ask for; no browser in it."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import tissue_sim as ts
+from haptics.motion_source import HandMotion, MotionSource, ProtocolMotion
+from scenes.viewer.frame import Curves, Frame, Phase, Viewer
+from scenes.viewer.live_simulation import LiveSimulation
+from scenes.viewer.material_files import edited, save_edited
+from scenes.viewer.measurement import Measurement, Residual, motion, residual
+from scenes.viewer.model_curve import ModelCurve
+from scenes.viewer.setup import Setup
+from scenes.viewer.trace import Trace
+from tissue_sim.errors import InputError
+
+#: Frames a second, and how many of them until the plots are drawn anew.
+FRAME_RATE, PLOT_EVERY = 30.0, 3
+#: How far the motion goes on in a single step, s.
+STEP_TIME = 1.0 / FRAME_RATE
+#: Largest speed of a tool that follows the mouse, m/s.
+HAND_SPEED = 0.1
+#: How far above the touch a tool may be lifted, m.
+CLEARANCE = 5e-3
+#: Points of a segment of a protocol.
+_POINTS = 21
+
+
+class Session:
+    """Owns the simulation, the curve of the whole test and what was felt. Close it.
+
+    Commands come from any thread through `post` and are obeyed, in their order, in the thread that asks for frames.
+
+    Args:
+        setup: what to look at first.
+        resolution: of the loop's simulator.
+        curve_resolution: of the whole test's curve.
+        real_time: ask the system for real-time scheduling of the loop.
+    """
+
+    def __init__(self, setup: Setup, *, resolution: str = "realtime", curve_resolution: str = "fast",
+                 real_time: bool = True):
+        self.setup = setup
+        self._resolution, self._real_time = resolution, real_time
+        self._wishes: queue.SimpleQueue[tuple[str, Callable | None, dict[str, Any]]] = queue.SimpleQueue()
+        self._curve = ModelCurve(curve_resolution)
+        self._curves, self._trace, self._frames = Curves(), Trace(), 0
+        #: Grows with every point of the trace, and where it begins anew.
+        self._felt = 0
+        self._motion, self._target = "hand", 0.0
+        self._simulation: LiveSimulation | None = None
+        self._begin()
+
+    @property
+    def simulation(self) -> LiveSimulation:
+        """The simulation that runs now."""
+        return self._simulation
+
+    def post(self, command: str, *, reply: Callable[[str | None], None] | None = None, **values: Any) -> None:
+        """Ask for one of the commands below, from any thread.
+
+        Args:
+            command: name of a method in `COMMANDS`.
+            reply: called with None when it is done, or with a sentence that says why not.
+            values: arguments of the command.
+        """
+        if command not in COMMANDS:
+            raise ValueError(f"no command {command!r}")
+        self._wishes.put((command, reply, values))
+
+    def frame(self) -> Frame:
+        """Obey what was asked for and look at the simulation."""
+        self._obey()
+        simulation = self._simulation
+        records = simulation.poll()
+        if records is not None and len(records):
+            self._felt += self._trace.append(records)
+        self._curve.poll()
+        if self._frames % PLOT_EVERY == 0:
+            self._draw_curves()
+        self._frames += 1
+        message = simulation.message
+        if simulation.phase is Phase.DIED:
+            message = f"The simulation has stopped: {message}. Press Restart to begin again."
+        elif self._curve.problem:
+            message = self._curve.problem
+        return Frame(simulation.phase, message, self.setup, simulation.snapshot, simulation.readouts, self._curves,
+                     self._motion, self._target)
+
+    def run(self, viewer: Viewer, stop: threading.Event, seconds: float | None = None) -> None:
+        """Show frames until `stop` is set, or for so long."""
+        began = due = time.monotonic()
+        while not stop.is_set() and (seconds is None or time.monotonic() - began < seconds):
+            viewer.show(self.frame())
+            # A frame that took too long is not caught up with.
+            due = max(due + 1.0 / FRAME_RATE, time.monotonic())
+            stop.wait(due - time.monotonic())
+
+    def aim(self, depth: float) -> None:
+        """Let the tool go to a depth, m, as a hand would."""
+        depth = min(max(depth, -CLEARANCE), self.setup.deepest)
+        if self._motion != "hand":
+            readouts = self._simulation.readouts
+            here = readouts.depth if readouts else 0.0
+            self._simulation.ask("follow", source=HandMotion(here, HAND_SPEED))
+            self._motion = "hand"
+        self._target = depth
+        self._simulation.ask("aim", depth=depth)
+
+    def play(self, text: str, speed: float = 5e-3, repeat: bool = False) -> None:
+        """Play a protocol from its beginning, on tissue that nobody has touched.
+
+        Args:
+            text: as in `tissue_sim.Protocol.parse`.
+            speed: where the protocol states none, m/s.
+            repeat: begin again at its end.
+
+        Raises:
+            InputError: a fault in the protocol, or one that goes deeper than the setup.
+        """
+        protocol = ts.Protocol.parse(text, _POINTS, speed)
+        deepest = float(protocol.displacement.max())
+        if deepest > self.setup.deepest * (1 + 1e-9):
+            raise InputError(f"goes to {deepest * 1e3:g} mm, and the mesh is made for {self.setup.deepest * 1e3:g} mm; "
+                             "start the viewer with a larger --depth-mm", field="protocol")
+        self._follow("protocol", ProtocolMotion(protocol, repeat=repeat))
+
+    def replay(self, speed: float = 1.0) -> None:
+        """Repeat the measured motion, so many times as fast.
+
+        Raises:
+            InputError: nothing was measured in this scene.
+        """
+        if self.setup.measurement is None:
+            raise InputError("nothing was measured in this scene; start the viewer with --measured FILE")
+        measured = motion(self.setup.measurement)
+        self._follow("recording", ProtocolMotion(ts.Protocol(measured.time / speed, measured.displacement)))
+
+    def pause(self) -> None:
+        """Let the motion stand still."""
+        self._simulation.ask("pause")
+
+    def resume(self) -> None:
+        """Let the motion go on."""
+        self._simulation.ask("resume")
+
+    def step(self) -> None:
+        """Stand still, but go on for the time of one frame."""
+        if self._simulation.phase is not Phase.PAUSED:
+            self.pause()
+        self._simulation.ask("advance", seconds=STEP_TIME)
+
+    def reset(self) -> None:
+        """Lift the tool to the touch, from tissue that nobody has touched."""
+        self._follow("hand", HandMotion(0.0, HAND_SPEED))
+        self._target = 0.0
+
+    def set_parameters(self, values: dict[str, float]) -> None:
+        """Change the material while it is felt.
+
+        Raises:
+            InputError: what the material or the simulation refuses; nothing is changed.
+        """
+        material = edited(self.setup.material, values)
+        if self._simulation.phase is not Phase.STARTING:
+            self._simulation.ask("set_parameters", **values)
+            self.setup = replace(self.setup, material=material)
+            self._curve.ask(self._test())
+        else:
+            self._change(replace(self.setup, material=material))
+
+    def use_material(self, material: ts.Material, source: str) -> None:
+        """Look at another material."""
+        self._change(replace(self.setup, material=material, source=source))
+
+    def save_material(self, folder: Path, name: str) -> None:
+        """Write the material as it is now into a new file.
+
+        Raises:
+            InputError: a name that is taken, or none.
+        """
+        path = save_edited(self.setup.material, folder, name, source=self.setup.source)
+        self.setup = replace(self.setup, source=path.name)
+
+    def use_scene(self, name: str, tool: ts.Tool | None = None, friction: str | float | None = None) -> None:
+        """Look at another scene, tool or interface.
+
+        Raises:
+            InputError: what does not fit.
+        """
+        self._change(self.setup.with_scene(name, tool=tool, friction=friction))
+
+    def keep_curve(self, name: str = "") -> None:
+        """Keep the model's curve as it is now, to compare later ones with it; without a name forget the one kept."""
+        kept = (name, self._curve.recording) if name and self._curve.recording is not None else None
+        self._curves = replace(self._curves, before=kept)
+
+    def restart(self) -> None:
+        """Begin again with a new process."""
+        self._begin()
+
+    def close(self) -> None:
+        """End the processes."""
+        if self._simulation is not None:
+            self._simulation.close()
+        self._curve.close()
+
+    def _obey(self) -> None:
+        wishes = []
+        while not self._wishes.empty():
+            wishes.append(self._wishes.get())
+        for number, (command, reply, values) in enumerate(wishes):
+            if command == "aim" and any(later[0] == "aim" for later in wishes[number + 1:]):
+                continue  # of a hand's wishes only the newest counts
+            problem = None
+            try:
+                getattr(self, command)(**values)
+            except InputError as error:
+                problem = str(error)
+            if reply is not None:
+                reply(problem)
+
+    def _change(self, setup: Setup) -> None:
+        """Look at something else; what it refuses is refused before anything is changed."""
+        other = setup.scene is not self.setup.scene
+        self.setup = setup
+        if other:
+            self._curves = Curves()
+            self._curve.forget()
+        self._begin()
+
+    def _begin(self) -> None:
+        if self._simulation is not None:
+            self._simulation.close()
+        self._motion, self._target = "hand", 0.0
+        self._forget_trace()
+        self._simulation = LiveSimulation(self.setup.model, HandMotion(0.0, HAND_SPEED), resolution=self._resolution,
+                                          real_time=self._real_time)
+        self._curve.ask(self._test())
+
+    def _follow(self, kind: str, source: MotionSource) -> None:
+        simulation = self._simulation
+        if simulation.phase is Phase.PAUSED:
+            simulation.ask("resume")
+        # In one command: between two the tool would be drawn out of tissue that it is bonded to.
+        simulation.ask("follow", source=source, anew=True)
+        simulation.forget()
+        self._forget_trace()
+        self._motion = kind
+
+    def _forget_trace(self) -> None:
+        self._trace.clear()
+        self._felt += 1
+
+    def _test(self) -> ts.Model:
+        """The whole test whose curve is computed: with the measured motion, where there is one."""
+        model, measurement = self.setup.model, self.setup.measurement
+        if measurement is None:
+            return model
+        return replace(model, experiment=replace(model.experiment, protocol=motion(measurement)))
+
+    def _draw_curves(self) -> None:
+        curves, trace, measurement = self._curves, self._trace, self.setup.measurement
+        recording = self._curve.recording
+        if recording is not curves.model or measurement is not curves.measurement:
+            curves = replace(curves, model=recording, measurement=measurement, residual=_gap(recording, measurement))
+        if self._felt != curves.number or curves.trace is None:
+            curves = replace(curves, trace=trace, number=self._felt)
+        self._curves = curves
+
+
+def _gap(model: ts.Recording | None, measured: Measurement | None) -> Residual | None:
+    """Model minus measurement; None where there is nothing to compare, as of a model that stopped at once."""
+    if model is None or measured is None:
+        return None
+    try:
+        return residual(model, measured)
+    except InputError:
+        return None
+
+
+#: What a viewer may ask a session for.
+COMMANDS = ("aim", "play", "replay", "pause", "resume", "step", "reset", "set_parameters", "use_material",
+            "save_material", "use_scene", "keep_curve", "restart")

@@ -1,0 +1,98 @@
+"""The saved view: pixel for pixel in the picture, with the colours of the bar beside it."""
+
+import io
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+from matplotlib.image import imread
+
+import tissue_sim as ts
+from scenes.viewer.picture_file import Curve, compose_png
+
+LEVELS = [0.0, 0.5, 1.0, 2.0]
+COLOURS = ["#440154", "#21918c", "#fde725"]
+CAPTION = ["Needle indentation", "phantom: C10 1.40 kPa", "depth 8.00 mm, force 1.23 N"]
+
+
+def opened(png: bytes) -> np.ndarray:
+    """Shape (h, w, 3), uint8."""
+    assert png.startswith(b"\x89PNG")
+    return np.round(imread(io.BytesIO(png), format="png")[:, :, :3] * 255).astype(np.uint8)
+
+
+def render(height=360, width=480, channels=4):
+    """Noise in the middle, transparent (or black) around it."""
+    picture = np.zeros((height, width, channels), np.uint8)
+    picture[60:-60, 80:-80, :3] = np.random.default_rng(0).integers(0, 256, (height - 120, width - 160, 3))
+    picture[60:-60, 80:-80, 3:] = 255
+    return picture
+
+
+def find(picture, part):
+    """Rows and columns where a part begins in the picture."""
+    high, wide = part.shape[:2]
+    corners = np.argwhere((picture == part[0, 0]).all(axis=2))
+    return [(i, j) for i, j in corners if np.array_equal(picture[i:i + high, j:j + wide], part)]
+
+
+@pytest.mark.parametrize("curves", [(), (Curve(np.arange(5) * 1e-3, np.arange(5.0), "model", "#0072B2"),)])
+def test_view_is_in_the_picture_pixel_for_pixel(curves):
+    view = render()
+    picture = opened(compose_png(view, LEVELS, COLOURS, "von Mises stress [kPa]", CAPTION, curves=curves))
+    (place,) = find(picture, view[60:-60, 80:-80, :3])
+    around = picture[place[0] - 50:place[0] - 1, place[1] - 70:place[1] + 300]
+    assert (around == 255).all()  # what was transparent is white
+
+
+def test_half_transparent_pixels_lie_on_white():
+    view = np.zeros((300, 300, 4), np.uint8)
+    view[:] = [200, 100, 0, 102]
+    picture = opened(compose_png(view, LEVELS, COLOURS, "J", ["x"]))
+    expected = np.round(np.array([200, 100, 0]) * 0.4 + 255 * 0.6).astype(np.uint8)
+    assert (picture == expected).all(axis=2).sum() >= 300 * 300
+
+
+def test_bar_has_the_bands_in_order_from_below():
+    picture = opened(compose_png(render(), LEVELS, COLOURS, "von Mises stress [kPa]", CAPTION))
+    rows = [np.argwhere((picture == np.round(np.array(to_rgb(colour)) * 255)).all(axis=2)) for colour in COLOURS]
+    heights = [np.unique(found[:, 0]) for found in rows]
+    assert heights[0].min() > heights[1].max() > heights[1].min() > heights[2].max()
+    sizes = [each.size for each in heights]
+    assert max(sizes) - min(sizes) <= 4
+    # The same colours as rows of numbers.
+    numbers = np.array([to_rgb(colour) for colour in COLOURS])
+    for same in (numbers, np.round(255 * numbers).astype(np.uint8)):
+        assert np.array_equal(opened(compose_png(render(), LEVELS, same, "von Mises stress [kPa]", CAPTION)), picture)
+
+
+def test_curve_goes_to_the_right_in_its_colour():
+    depth = np.linspace(0, 10e-3, 20)
+    band = (depth, 180 * depth, 220 * depth)
+    curves = (Curve(depth, 200 * depth, "model", "#0072B2"), Curve(depth, 150 * depth, "", "#0072B2", dashed=True),
+              Curve(depth, np.full(20, np.nan), "live", "#D55E00"))
+    with_curve = opened(compose_png(render(), LEVELS, COLOURS, "J", CAPTION, curves=curves, band=band, now=(5e-3, 1.0)))
+    without = opened(compose_png(render(), LEVELS, COLOURS, "J", CAPTION))
+    assert with_curve.shape[1] == without.shape[1] + 600 and with_curve.shape[0] == without.shape[0]
+    blue = np.argwhere((with_curve == [0x00, 0x72, 0xB2]).all(axis=2))
+    assert blue.shape[0] > 500 and blue[:, 1].min() > without.shape[1] - 60
+
+
+def test_long_captions_are_wrapped_and_formulas_are_text():
+    short = opened(compose_png(render(), LEVELS, COLOURS, "J", ["x"]))
+    long = opened(compose_png(render(), LEVELS, COLOURS, "J", ["x", "a $\\frac{ material " * 20]))
+    assert long.shape[1] == short.shape[1] and long.shape[0] > short.shape[0] + 100
+    assert (long[:, -15:] == 255).all()
+
+
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"render": np.zeros((4, 4), np.uint8)}, r"^render: has shape \(4, 4\)"),
+    ({"render": np.zeros((4, 4, 3))}, r"^render: .*float64, expected"),
+    ({"levels": [0.0, 1.0]}, "^colours: 3 colours for 1 bands"),
+    ({"levels": [0.0, 1.0, 1.0, 2.0]}, "^levels: expected two or more numbers that ascend"),
+    ({"levels": [0.0, np.nan, 1.0, 2.0]}, "^levels: "),
+])
+def test_what_is_no_picture_is_refused(changes, message):
+    asked = {"render": render(), "levels": LEVELS, "colours": COLOURS, "label": "J", "caption": CAPTION} | changes
+    with pytest.raises(ts.InputError, match=message):
+        compose_png(**asked)

@@ -1,0 +1,201 @@
+"""The columns of the live plots: ascending, of one length, where the curves are, and ranges that hold them."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import tissue_sim as ts
+from scenes.viewer.measurement import measurement, residual
+from scenes.viewer.plots import (
+    PARTS,
+    SECONDS,
+    depth_grid,
+    force_depth,
+    force_depth_options,
+    force_time,
+    force_time_options,
+    legend_html,
+    plot_scales,
+    residual_depth,
+    residual_depth_options,
+    settled_range,
+)
+
+
+def there_and_back(factor=1.0, deepest=8e-3, **metadata):
+    """200 N/m in, 150 N/m out, after a sample at the turn that holds."""
+    there = np.linspace(0, deepest, 81)
+    depth = np.concatenate([there, there[::-1]])
+    force = factor * np.concatenate([200 * there, 150 * there[::-1]])
+    return ts.Recording({"time": np.arange(162) * 0.1, "displacement": depth, "force": force},
+                        {"segment": ["ramp"] * 81 + ["unload"] * 81}, metadata)
+
+
+@pytest.fixture(scope="module")
+def measured():
+    return measurement([there_and_back(factor) for factor in (0.9, 1.0, 1.1)])
+
+
+def names(options):
+    return [series["label"] for series in options["series"]]
+
+
+def columns(data, options):
+    """Label of the series -> column."""
+    assert len(data) == len(options["series"])
+    assert len({column.shape for column in data}) == 1 and all(column.dtype == float for column in data)
+    assert (np.diff(data[0]) > 0).all()
+    return dict(zip(names(options), data, strict=True))
+
+
+def test_force_over_depth(measured):
+    grid = depth_grid(10e-3)
+    load = np.where(grid <= 5e-3, 210 * grid, np.nan)
+    data, extent = force_depth(grid, measured=measured, model=(200 * grid, 150 * grid), live=(load, 140 * grid),
+                               now=(3.33e-3, 0.7))
+    found = columns(data, force_depth_options((0, 10), extent))
+    x = found["depth [mm]"]
+    assert x.size == 202 and (x[0], x[-1]) == (0, 10)
+    inside = x < 7.99
+    np.testing.assert_allclose(found["measured load"][inside], 0.2 * x[inside], atol=1e-9)
+    np.testing.assert_allclose(found["measured unload"][inside], 0.15 * x[inside], atol=1e-9)
+    np.testing.assert_allclose(found["measured load, lowest"][inside], 0.18 * x[inside], atol=1e-9)
+    np.testing.assert_allclose(found["measured load, highest"][inside], 0.22 * x[inside], atol=1e-9)
+    np.testing.assert_allclose(found["measured unload, highest"][inside], 0.165 * x[inside], atol=1e-9)
+    np.testing.assert_allclose(found["model load"], 0.2 * x, atol=1e-9)
+    np.testing.assert_allclose(found["model unload"], 0.15 * x, atol=1e-9)
+    np.testing.assert_allclose(found["live load"][x <= 5], 0.21 * x[x <= 5], atol=1e-9)
+    assert np.isnan(found["live load"][x > 5.01]).all() and np.isnan(found["measured load"][x > 8.01]).all()
+    assert np.isnan(found["before load"]).all()
+    point = np.isfinite(found["now"])
+    assert (x[point], found["now"][point]) == (pytest.approx(3.33), 0.7)
+    assert extent == pytest.approx((0, 2.0))
+
+
+def test_band_has_no_width_where_there_are_no_replicates(measured):
+    """uPlot fills on beyond a NaN, so the edges of a band have none."""
+    grid = depth_grid(10e-3)
+    data, extent = force_depth(grid, measured=measured)
+    found = columns(data, force_depth_options((0, 10), extent))
+    for way in ("load", "unload"):
+        low, high = found[f"measured {way}, lowest"], found[f"measured {way}, highest"]
+        assert np.isfinite(low).all() and np.isfinite(high).all()
+        assert (high - low)[grid > 8.01e-3].max() == 0 and (high - low)[150] > 0.1
+
+
+@pytest.mark.parametrize("depth", [-1e-3, 12e-3])
+def test_now_outside_the_plot_is_left_out(depth):
+    grid = depth_grid(10e-3)
+    data, _ = force_depth(grid, now=(depth, 0.3))
+    assert data[0].size == grid.size and np.isnan(data[-1]).all()
+
+
+@given(st.floats(0, 10e-3), st.floats(-5, 5))
+def test_now_is_where_it_is(depth, force):
+    grid = depth_grid(10e-3)
+    data, (low, high) = force_depth(grid, model=(100 * grid, 100 * grid), now=(depth, force))
+    point = np.flatnonzero(np.isfinite(data[-1]))
+    assert (data[0][point[0]], data[-1][point[0]]) == (depth * 1e3, force) and point.size == 1
+    assert (np.diff(data[0]) >= 0).all() and low <= force <= high
+    np.testing.assert_allclose(data[7], 0.1 * data[0], atol=1e-12)
+
+
+def test_residual_over_depth(measured):
+    grid = depth_grid(10e-3)
+    data, extent = residual_depth(residual(there_and_back(1.05), measured), measured, grid)
+    found = columns(data, residual_depth_options((0, 10), extent))
+    x = found["depth [mm]"]
+    inside = x < 7.99
+    np.testing.assert_allclose(found["load"][inside], 0.01 * x[inside], atol=1e-9)
+    np.testing.assert_allclose(found["unload"][inside], 0.0075 * x[inside], atol=1e-9)
+    np.testing.assert_allclose(found["lowest"][inside], -0.02 * x[inside], atol=1e-9)
+    np.testing.assert_allclose(found["highest"][inside], 0.02 * x[inside], atol=1e-9)
+    assert (found["zero"] == 0).all() and np.isnan(found["load"][x > 8.01]).all()
+    assert (found["highest"][x > 8.01] == 0).all()
+    assert extent == pytest.approx((-0.16, 0.16))
+
+
+def test_plots_of_nothing_have_a_range():
+    grid = depth_grid(10e-3)
+    for data, extent in (force_depth(grid), residual_depth(None, None, grid), force_time(np.empty(0), np.empty(0), 3)):
+        assert extent == (0, 0) and (np.diff(data[0]) > 0).all()
+    assert settled_range((0, 0)) == (0, 1) and settled_range((0, 0), about_zero=True) == (-1, 1)
+
+
+def test_last_seconds_keep_every_peak():
+    time = np.arange(0, 60, 5e-3) + 1.3e-3  # so that none falls on the edge of a part
+    force, now = np.random.default_rng(0).normal(size=time.size), 60.0
+    data, extent = force_time(time, force, now)
+    x, _, live = columns(data, force_time_options(extent)).values()
+    assert (x[0], x[-1], x.size) == (-SECONDS, 0, 2 * PARTS)
+    assert extent == (force[time >= 40].min(), force[time >= 40].max())
+    for i in range(PARTS):
+        part = force[(time >= 40 + 0.1 * i) & (time < 40.1 + 0.1 * i)]
+        assert sorted(live[2 * i:2 * i + 2]) == [part.min(), part.max()]
+
+
+def test_slow_force_is_where_it_was():
+    time = np.arange(0, 12, 0.1)
+    data, _ = force_time(time, 0.3 * time, 12.0, measured=(time, 0.2 * time))
+    x, measured, live = data
+    known = x + 12 > 0.1
+    np.testing.assert_allclose(live[known & (x < -0.2)], 0.3 * (x + 12)[known & (x < -0.2)], atol=0.3 * SECONDS / PARTS)
+    np.testing.assert_allclose(measured[known & (x < -0.2)], 0.2 * (x + 12)[known & (x < -0.2)], atol=1e-9)
+    assert np.isnan(live[x + 12 < -0.2]).all() and np.isnan(measured[x > -0.05]).all()
+
+
+extents = st.tuples(st.floats(-1e3, 0), st.floats(0, 1e3))
+
+
+@settings(max_examples=300)
+@given(extents, st.booleans())
+def test_range_holds_what_it_shows_and_little_more(extent, about_zero):
+    low, high = settled_range(extent, about_zero=about_zero)
+    largest = max(extent[1], -extent[0])
+    assert low - 1e-9 <= extent[0] <= extent[1] <= high + 1e-9 and low < high
+    assert (low == -high) if about_zero else low <= 0 <= high
+    if largest > 1e-9:
+        assert max(high, -low) <= 1.05 * 1.34 * largest
+
+
+@settings(max_examples=200)
+@given(st.floats(1e-6, 1e3), st.floats(0.6, 1.0))
+def test_range_stays_while_it_fits(force, share):
+    before = settled_range((0, force))
+    assert settled_range((0, share * force), before) == before
+
+
+def test_range_grows_at_once_and_shrinks_when_nearly_empty():
+    assert settled_range((0, 1.9)) == (0, 2)
+    assert settled_range((0, 1.0), (0, 2)) == (0, 2)
+    assert settled_range((0, 2.1), (0, 2)) == (0, 2.5)
+    assert settled_range((0, 0.7), (0, 2)) == (0, 0.8)
+    assert settled_range((-0.3, 0.7), about_zero=True) == (-0.8, 0.8)
+
+
+def test_options_are_what_viser_takes(measured):
+    """Made by viser itself, with the data: it refuses lengths and types that do not fit."""
+    viser = pytest.importorskip("viser")
+    grid = depth_grid(10e-3)
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    try:
+        for (data, extent), make, x in (
+                (force_depth(grid, measured=measured), force_depth_options, [(0, 10)]),
+                (residual_depth(None, measured, grid), residual_depth_options, [(0, 10)]),
+                (force_time(np.arange(9.0), np.arange(9.0), 9.0), force_time_options, [])):
+            options = make(*x, settled_range(extent), dark=True)
+            handle = server.gui.add_uplot(data, **options)
+            assert len(handle.data) == len(handle.series)
+            for low, high in [each["series"] for each in options["bands"] or ()]:
+                assert "highest" in options["series"][low]["label"] and "lowest" in options["series"][high]["label"]
+            handle.scales = plot_scales((0, 12), (0, 3))
+    finally:
+        server.stop()
+
+
+def test_legend_names_what_is_drawn():
+    everything = legend_html(measured=3, before="<friction>")
+    assert "measured, 3 replicates" in everything and "&lt;friction&gt;" in everything and "live" in everything
+    assert "replicates" not in legend_html(measured=1) and "measured" not in legend_html()
+    assert legend_html() != legend_html(dark=True)

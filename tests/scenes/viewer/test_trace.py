@@ -1,0 +1,204 @@
+"""What has been felt: which ticks are kept, where the motion turns, and the recording of it."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import tissue_sim as ts
+from haptics.ring import PAUSED, TICK
+from scenes.viewer.trace import DEPTH_STEP, HYSTERESIS, LONGEST, SHORTEST, Trace, on_grid, one_way, recording_csv
+
+
+def ticks(time, depth, force=None, flags=0):
+    """Ring records of a motion; without a force, a spring of 200 N/m."""
+    records = np.zeros(len(time), TICK)
+    records["time"], records["tool_depth"], records["flags"] = time, depth, flags
+    records["tissue_force"] = 200.0 * np.asarray(depth) if force is None else force
+    return records
+
+
+def played(corners, seconds, *, noise=0.0, seed=0):
+    """Ticks at 1 kHz of straight lines between (time, depth) corners, up to `seconds`."""
+    time = np.arange(0.0, seconds, 1e-3)
+    depth = np.interp(time, *np.transpose(corners)) + noise * np.random.default_rng(seed).uniform(-1, 1, time.size)
+    return ticks(time, depth)
+
+
+def fed(records, catch=40, **options):
+    """A trace that was given the ticks by so many at a time."""
+    trace = Trace(**options)
+    for first in range(0, len(records), catch):
+        trace.append(records[first:first + catch])
+    return trace
+
+
+CYCLE = [(0, 0), (5, 10e-3), (8, 10e-3), (13, 0), (14, 0)]
+
+
+def test_kept_points_are_apart_and_close_enough_to_draw():
+    records = played(CYCLE, 14)
+    records["tissue_force"] = 0.0
+    trace = fed(records)
+    step, way = np.diff(trace.time), np.abs(np.diff(trace.depth))
+    # The times are of 1 kHz ticks: a kept one may come a tick after it is due.
+    assert step.min() >= SHORTEST - 1.1e-3
+    assert step.max() <= LONGEST + SHORTEST + 1e-3
+    assert (way[step < LONGEST - 1e-9] >= DEPTH_STEP - 1e-12).all()
+    assert way.max() < 2 * DEPTH_STEP
+    assert len(trace) < 1300 < 14_000
+
+
+def test_a_force_that_changes_at_rest_is_kept():
+    time = np.arange(0, 1, 1e-3)
+    trace = fed(ticks(time, np.full(time.size, 5e-3), np.exp(-time / 0.05)))
+    early = trace.time < 0.08
+    assert early.sum() > 10 and np.diff(trace.time[~early]).max() > 0.9 * LONGEST
+
+
+def test_a_catch_of_any_size_keeps_the_same_points():
+    records = played(CYCLE, 14)
+    points = [(each.time.tolist(), each.depth.tolist(), each.force.tolist())
+              for each in (fed(records, catch) for catch in (1, 7, 40, 14_000))]
+    assert points[0] == points[1] == points[2] == points[3]
+
+
+def test_paused_ticks_and_those_without_a_number_are_left_out():
+    records = played(CYCLE, 14)
+    records["flags"][2000:3000] = PAUSED
+    records["tool_depth"][4000:4500] = np.nan
+    records["tissue_force"][6000:6500] = np.inf
+    trace = fed(records)
+    for begin, end in ((2, 3), (4, 4.5), (6, 6.5)):
+        assert not ((trace.time >= begin) & (trace.time < end - 1e-9)).any()
+    assert np.isfinite(trace.depth).all() and np.isfinite(trace.force).all()
+    assert Trace().append(records[2000:3000]) == 0
+
+
+def test_memory_is_bounded_and_the_oldest_points_go():
+    records = played([(0, 0), *((i + 1, 5e-3 * ((i + 1) % 2)) for i in range(20))], 20)
+    whole, short = fed(records), fed(records, most=500)
+    assert len(short) == 500 < len(whole)
+    for name in ("time", "depth", "force"):
+        assert getattr(short, name).tolist() == getattr(whole, name)[-500:].tolist()
+    assert short._points.shape == (3, 1000)
+    for mine, full in zip(short.branches(), whole.branches(), strict=True):
+        assert mine.time.tolist() == full.time.tolist()
+
+
+def test_another_loop_begins_another_trace():
+    trace = fed(played(CYCLE, 14))
+    trace.append(played([(0, 1e-3), (1, 2e-3)], 1))
+    assert trace.time[-1] < 1.0 and trace.depth.min() == pytest.approx(1e-3)
+    trace.clear()
+    assert len(trace) == 0 and trace.branches() == (None, None)
+
+
+def test_newest_branches_of_two_cycles():
+    trace = fed(played([(0, 0), (4, 8e-3), (8, 2e-3), (12, 10e-3), (14, 6e-3)], 14))
+    load, unload = trace.branches()
+    assert (load.depth.min(), load.depth.max()) == pytest.approx((2e-3, 10e-3), abs=2 * DEPTH_STEP)
+    assert (unload.depth.min(), unload.depth.max()) == pytest.approx((6e-3, 10e-3), abs=2 * DEPTH_STEP)
+    assert load.time[0] == pytest.approx(8, abs=0.03) and unload.time[0] == pytest.approx(12, abs=0.03)
+    assert load.time[-1] == unload.time[0]
+
+
+def test_a_way_back_counts_where_it_is_longer_than_the_hysteresis():
+    for back, branches in ((0.8 * HYSTERESIS, 1), (1.6 * HYSTERESIS, 3)):
+        trace = fed(played([(0, 0), (2, 5e-3), (2.1, 5e-3 - back), (4, 9e-3)], 4))
+        assert len(trace._branches()) == branches
+
+
+def test_trembling_of_a_hand_is_no_reversal():
+    trace = fed(played(CYCLE, 14, noise=0.45 * HYSTERESIS))
+    assert [direction for direction, *_ in trace._branches()] == [1, -1]
+
+
+def test_a_small_step_back_leaves_what_was_felt_above_it():
+    trace = fed(played([(0, 0), (4, 8e-3), (4.2, 7e-3), (5, 9e-3)], 5))
+    grid = np.linspace(0, 10e-3, 101)
+    load, unload = trace.newest_passes(grid)
+    felt = grid <= 8.9e-3
+    np.testing.assert_allclose(load[felt], 200 * grid[felt], atol=1e-9)
+    assert np.isnan(load[grid > 9.05e-3]).all()
+    assert np.isfinite(unload[(grid > 7.05e-3) & (grid < 7.95e-3)]).all()
+    assert np.isnan(unload[(grid < 6.9e-3) | (grid > 8.05e-3)]).all()
+    newest, _ = trace.branches()
+    assert newest.depth.min() > 6.9e-3  # what the newest branch alone would show
+
+
+def test_the_newest_pass_is_the_one_that_counts():
+    records = played([(0, 0), (4, 8e-3), (8, 0), (12, 6e-3)], 12)
+    records["tissue_force"] *= np.where(records["time"] > 8, 0.5, 1.0)
+    load, _ = fed(records).newest_passes(np.array([2e-3, 7e-3]))
+    np.testing.assert_allclose(load, [0.5 * 0.4, 1.4], atol=2e-3)
+
+
+def test_recording_has_segments_and_cycles():
+    record = fed(played([*CYCLE, (19, 10e-3), (24, 0)], 24)).recording({"name": "felt", "kind": "needle_indentation"})
+    assert record.name == "felt" and record.time[0] == 0
+    segment, cycle = record.labels["segment"], record.labels["cycle"]
+    middles = {2: ("ramp", 1), 6.5: ("hold", 1), 10: ("unload", 1), 16: ("reload", 2), 21: ("unload", 2)}
+    for time, expected in middles.items():
+        i = int(np.searchsorted(record.time, time))
+        assert (segment[i], cycle[i]) == expected
+    changes = np.flatnonzero(segment[1:] != segment[:-1]) + 1
+    # A hold begins and ends within the hysteresis of where the tool stood, at 2 mm/s.
+    np.testing.assert_allclose(record.time[changes], [5, 8, 13, 14, 19], atol=0.12)
+    assert list(segment[changes]) == ["hold", "unload", "hold", "reload", "unload"]
+
+
+def test_recording_reads_back_equal(tmp_path):
+    record = fed(played(CYCLE, 14, noise=0.01e-3)).recording({"name": "felt", "kind": "needle_indentation"})
+    (tmp_path / "felt.csv").write_bytes(recording_csv(record))
+    again = ts.read_recording(tmp_path / "felt.csv", kind="needle_indentation")
+    assert set(again.channels) == set(record.channels) == {"time", "displacement", "force"}
+    for name in record.channels:  # mm in the file: the last digit of a metre may change
+        np.testing.assert_allclose(again.channel(name), record.channel(name), rtol=4e-16, atol=0)
+    for name in ("segment", "cycle"):
+        assert again.labels[name].tolist() == record.labels[name].tolist()
+
+
+def test_nothing_felt_is_no_recording():
+    with pytest.raises(ts.InputError, match="nothing has been felt yet"):
+        Trace().recording({})
+
+
+depths = st.lists(st.floats(0.0, 0.02), min_size=2, max_size=30)
+
+
+@settings(max_examples=200, deadline=None)
+@given(depths)
+def test_monotone_motion_comes_back_as_it_is(steps):
+    depth = np.cumsum(np.abs(steps) + 1e-6)
+    force = np.random.default_rng(len(steps)).normal(size=depth.size)
+    assert one_way(depth, 1).tolist() == one_way(depth[::-1], -1).tolist() == list(range(depth.size))
+    assert on_grid(depth, force, 1, depth).tolist() == force.tolist()
+    assert on_grid(depth[::-1], force[::-1], -1, depth).tolist() == force.tolist()
+
+
+@settings(max_examples=300, deadline=None)
+@given(depths, st.sampled_from([1, -1]))
+def test_one_way_is_strictly_monotone_and_reaches_both_ends(depth, direction):
+    way = direction * np.array(depth)
+    kept = one_way(np.array(depth), direction)
+    assert (np.diff(way[kept]) > 0).all() and (np.diff(kept) > 0).all()
+    assert way[kept].max() == way.max()
+
+
+def test_standing_still_at_both_ends_drops_out():
+    depth = np.array([0, 0, 0, 1, 2, 3, 3, 3]) * 1e-3
+    assert one_way(depth, 1).tolist() == [2, 3, 4, 5]
+    assert one_way(depth[::-1], -1).tolist() == [2, 3, 4, 5]
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.floats(0.001, 0.03), min_size=1, max_size=12), st.integers(0, 2**16))
+def test_reversals_are_counted_whatever_the_noise(ways, seed):
+    corners = np.concatenate([[0.0], np.cumsum(np.array(ways) * np.resize([1, -1], len(ways)))])
+    depth = np.concatenate([np.linspace(a, b, 50) for a, b in pairwise(corners)])
+    depth += 0.4 * HYSTERESIS * np.random.default_rng(seed).uniform(-1, 1, depth.size)
+    trace = fed(ticks(np.arange(depth.size) * 0.2, depth), 1000)
+    assert [direction for direction, *_ in trace._branches()] == np.resize([1, -1], len(ways)).tolist()

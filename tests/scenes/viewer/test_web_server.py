@@ -1,0 +1,332 @@
+"""The viewer's server on real sockets: who is answered, what is not offered, what a taken port says."""
+
+import http.client
+import platform
+import re
+import socket
+import subprocess
+import sys
+import threading
+from types import FunctionType
+
+import msgspec
+import pytest
+import viser
+from hypothesis import given
+from hypothesis import strategies as st
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
+from scenes.viewer.web_server import VISER_VERSION, ViewerServer, exposure, open_server, refuse
+from tissue_sim.errors import InputError, MissingBackendError
+
+PROTOCOL = f"viser-v{VISER_VERSION}"
+NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
+
+
+@pytest.fixture(scope="module")
+def server():
+    with open_server(port=0, title="needle & <tissue>") as running:
+        yield running
+
+
+def ask(port, *headers, path="/", address="127.0.0.1"):
+    """Status, body and headers of one request with exactly these headers."""
+    connection = http.client.HTTPConnection(address, port, timeout=10)
+    connection.putrequest("GET", path, skip_host=True, skip_accept_encoding=True)
+    for name, value in headers:
+        connection.putheader(name, value)
+    connection.endheaders()
+    reply = connection.getresponse()
+    answer = reply.status, reply.read().decode("utf-8"), dict(reply.getheaders())
+    connection.close()
+    return answer
+
+
+def websocket(port, name="127.0.0.1", **options):
+    """A client that names the server `name`, wherever that is."""
+    stream = socket.create_connection(("127.0.0.1", port), timeout=10)
+    try:
+        return connect(f"ws://{name}:{port}/", sock=stream, subprotocols=[PROTOCOL], compression=None, **options)
+    except BaseException:
+        stream.close()
+        raise
+
+
+def is_answered(port, **options):
+    """Whether viser speaks to a client, or the status that refuses it."""
+    try:
+        with websocket(port, **options) as client:
+            return isinstance(client.recv(timeout=10), bytes)
+    except InvalidStatus as refused:
+        return refused.response.status_code
+
+
+def is_open(port):
+    with socket.socket() as probe:
+        probe.settimeout(10)
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+def test_own_page_is_answered_and_named(server):
+    for name in ("localhost", "127.0.0.1", "LocalHost.", "[::1]"):
+        status, page, _ = ask(server.get_port(), ("Host", f"{name}:{server.get_port()}"))
+        assert (status, "<title>needle &amp; &lt;tissue&gt;</title>" in page) == (200, True), name
+    assert server.url == f"http://127.0.0.1:{server.get_port()}"
+
+
+def test_page_is_framed_by_nobody_and_fetches_nothing_from_elsewhere(server):
+    headers = ask(server.get_port(), ("Host", f"localhost:{server.get_port()}"), ("Accept-Encoding", "gzip"))[2]
+    policy = dict(part.strip().split(" ", 1) for part in headers["Content-Security-Policy"].split(";"))
+    assert (headers["X-Frame-Options"], policy["frame-ancestors"]) == ("DENY", "'none'")
+    assert policy["connect-src"] == f"'self' ws://localhost:{server.get_port()} blob: data:"
+    assert not re.search(r"https?:|\*", headers["Content-Security-Policy"])
+
+
+@pytest.mark.parametrize("hosts", [["rebound.example:{port}"], ["localhost:1"], ["localhost"], [],
+                                   ["localhost:{port}", "localhost:{port}"], ["localhost:{port}@rebound.example"]],
+                         ids=["foreign", "other port", "no port", "none", "two", "with a user"])
+def test_request_for_another_server_is_refused(server, hosts):
+    port = server.get_port()
+    status, sentence, headers = ask(port, *(("Host", host.format(port=port)) for host in hosts))
+    assert (status, sentence) == (403, f"This server answers to http://localhost:{port} and its own addresses only.\n")
+    assert headers["Content-Type"].startswith("text/plain")
+
+
+@pytest.mark.parametrize("origins", [["http://other.example"], ["null"], ["https://localhost:{port}"],
+                                     ["http://127.0.0.1:{port}"], ["http://localhost:1"], [""],
+                                     ["http://localhost:{port}", "http://localhost:{port}"]],
+                         ids=["foreign", "null", "https", "other name", "other port", "empty", "two"])
+def test_page_of_another_site_cannot_fetch(server, origins):
+    port = server.get_port()
+    status, sentence, _ = ask(port, ("Host", f"localhost:{port}"),
+                              *(("Origin", origin.format(port=port)) for origin in origins))
+    assert (status, sentence) == (403, "This server answers its own page only, not a page of another site.\n")
+
+
+@pytest.mark.parametrize(("origin", "answer"), [
+    ("http://127.0.0.1:{port}", True), (None, True), ("http://other.example", 403), ("null", 403),
+    ("http://127.0.0.1:{port}.other.example", 403), ("http://localhost:{port}", 403)])
+def test_handshake_comes_from_the_own_page(server, origin, answer):
+    port = server.get_port()
+    assert is_answered(port, origin=origin and origin.format(port=port)) == answer
+
+
+def test_handshake_under_a_foreign_name_is_refused(server):
+    assert is_answered(server.get_port(), name="rebound.example") == 403
+    port = server.get_port()
+    assert is_answered(port, name="rebound.example", origin=f"http://rebound.example:{port}") == 403
+
+
+@given(name=st.sampled_from(["localhost", "127.0.0.1", "[::1]", "[0:0:0:0:0:0:0:1]", "[::ffff:127.0.0.1]"]),
+       upper=st.booleans(), dot=st.sampled_from(["", "."]), port=st.integers(1, 65535), shift=st.integers(-3, 3))
+def test_one_name_in_its_spellings(name, upper, dot, port, shift):
+    place = f"{name.upper() if upper else name}{'' if name[0] == '[' else dot}:{port + shift}"
+    accepted = shift == 0
+    assert (refuse([place], [], NAMES, port) is None) == accepted
+    assert (refuse([place], [f"http://{place}"], NAMES, port) is None) == accepted
+    assert refuse([place], [f"https://{place}"], NAMES, port) is not None
+    if accepted and port != 80:
+        assert refuse([place.rpartition(":")[0]], [], NAMES, port) is not None
+
+
+@given(st.text() | st.from_regex(r"(localhost|127\.0\.0\.1|\[::1\]|[a-z.]+)[.@:/ ,\\#?%]*(80)?[^\n]?", fullmatch=True))
+def test_nothing_else_is_a_name(text):
+    known = {f"{name}{dot}{port}" for name in ("localhost", "127.0.0.1") for dot in ("", ".") for port in ("", ":80")}
+    known |= {"[::1]", "[::1]:80"}
+    assert (refuse([text], [], NAMES, 80) is None) == (text.lower() in known)
+    own = {f"http://{place}" for place in ("localhost", "localhost.", "localhost:80", "localhost.:80")}
+    for origin in (text, f"http://{text}"):
+        assert (refuse(["localhost"], [origin], NAMES, 80) is None) == (origin.lower() in own)
+
+
+def requests_of_sharing(server):
+    """Which of the two sharing messages of a client reach a function of the server."""
+    arrived, last = set(), threading.Event()
+    server.request_share_url = lambda: arrived.add("ShareUrlRequest")
+    server.disconnect_share_url = lambda: arrived.add("ShareUrlDisconnect")
+    server._websock_server.register_handler(viser._messages.GuiUpdateMessage, lambda *_: last.set())
+    with websocket(server.get_port()) as client:
+        for message in ({"type": "ShareUrlRequest"}, {"type": "ShareUrlDisconnect"},
+                        {"type": "GuiUpdateMessage", "uuid": "nothing", "updates": {}}):
+            client.send(msgspec.msgpack.encode(message))
+        assert last.wait(20)
+    server._thread_executor.shutdown()  # what the first two have asked for has run
+    return arrived
+
+
+def test_no_client_can_have_a_tunnel_opened(server):
+    with open_server(port=0) as own:
+        assert requests_of_sharing(own) == set()
+
+
+def test_plain_viser_would_open_one(capfd):
+    plain = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    assert requests_of_sharing(plain) == {"ShareUrlRequest", "ShareUrlDisconnect"}
+    plain.stop()
+
+
+def test_page_offers_neither_logo_nor_sharing(monkeypatch):
+    themes = []
+    monkeypatch.setattr(viser.GuiApi, "configure_theme", lambda self, **theme: themes.append(theme))
+    with open_server(port=0) as own:
+        own.set_theme(dark_mode=True)
+    assert themes == [{"show_logo": False, "show_share_button": False},
+                      {"dark_mode": True, "show_logo": False, "show_share_button": False}]
+
+
+def test_taken_port_is_named_and_left_alone(server):
+    port = server.get_port()
+    with pytest.raises(InputError, match=rf"^port: port {port} of 127\.0\.0\.1 is taken by another program; close "
+                                         r"that, or give another with --port, or 0 for any free one$"):
+        open_server(port=port)
+    assert ask(port, ("Host", f"localhost:{port}"))[0] == 200
+
+
+def test_port_that_is_bound_but_silent_is_taken_too():
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        with pytest.raises(InputError, match="is taken by another program"):
+            open_server(port=other.getsockname()[1])
+
+
+def test_two_servers_find_two_ports(server):
+    with open_server(port=0) as second:
+        assert second.get_port() not in (0, server.get_port())
+        assert ask(second.get_port(), ("Host", f"127.0.0.1:{server.get_port()}"))[0] == 403
+
+
+@pytest.mark.parametrize(("host", "port", "message"), [
+    ("127.0.0.1", 65536, "port: 65536 is not a port"), ("127.0.0.1", -1, "port: -1 is not a port"),
+    ("nowhere", 0, "host: 'nowhere' is not an address; give one such as 127.0.0.1"), ("", 0, "host: '' is not an ad"),
+    ("192.0.2.1", 0, r"host: 192\.0\.2\.1, port 0 cannot be used \(.+\); give an address of this computer")])
+def test_bad_address_is_named(host, port, message):
+    with pytest.raises(InputError, match=message):
+        open_server(host, port, exposed=True)
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.1.7"])
+def test_other_computers_need_the_word(host):
+    with pytest.raises(InputError, match=r"^host: anybody who reaches .* at port 8080 can .*move the tool.* without a "
+                                         "password; say --expose if that is meant"):
+        open_server(host)
+
+
+def test_what_is_exposed_is_said():
+    assert exposure("0.0.0.0", 8080).startswith("anybody who reaches any address of this computer at port 8080 can ")
+    assert exposure("10.0.0.7", 0).startswith("anybody who reaches 10.0.0.7 at the port that is chosen can ")
+    assert exposure("127.0.0.1", 8080) == "127.0.0.1 is reached by programs of this computer only"
+
+
+def test_exposed_server_still_knows_its_names():
+    with open_server("0.0.0.0", 0, exposed=True) as own:
+        port = own.get_port()
+        assert own.url == f"http://127.0.0.1:{port}"
+        for name, status in (("localhost", 200), (platform.node(), 200), (platform.node().upper(), 200),
+                             ("rebound.example", 403), ("0.0.0.1", 403)):
+            assert ask(port, ("Host", f"{name}:{port}"))[0] == status, name
+        assert is_answered(port, origin="http://other.example") == 403
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have one loopback address only")
+def test_exposed_server_answers_to_the_address_that_was_reached():
+    with open_server("0.0.0.0", 0, exposed=True) as own:
+        port = own.get_port()
+        assert ask(port, ("Host", f"127.0.0.2:{port}"), address="127.0.0.2")[0] == 200
+        assert ask(port, ("Host", f"127.0.0.3:{port}"), address="127.0.0.2")[0] == 403
+
+
+def test_version_6_address():
+    try:
+        own = open_server("::1", 0)
+    except InputError as error:
+        pytest.skip(f"this computer has no IPv6: {error}")
+    with own:
+        port = own.get_port()
+        assert own.url == f"http://[::1]:{port}"
+        assert ask(port, ("Host", f"[::1]:{port}"), address="::1")[0] == 200
+        assert ask(port, ("Host", f"[::2]:{port}"), address="::1")[0] == 403
+
+
+def test_nobody_is_let_in_before_the_server_is_ready(monkeypatch):
+    seen = []
+    monkeypatch.setattr(ViewerServer, "set_theme", lambda self: seen.append(is_open(self.get_port())))
+    with open_server(port=0) as own:
+        assert (seen, is_open(own.get_port())) == ([False], True)
+    assert not is_open(own.get_port())
+
+
+def test_other_version_of_viser_is_not_served(monkeypatch):
+    monkeypatch.setattr(viser, "__version__", "1.2.0")
+    with pytest.raises(MissingBackendError, match=r"and this is 1\.2\.0; python -m pip install viser==1\.1\.1"):
+        open_server(port=0)
+
+
+def test_viser_without_the_known_handlers_is_not_served(monkeypatch):
+    register, ports = viser.infra.WebsockServer.register_handler, []
+
+    def forget_sharing(self, message, callback):
+        if not message.__name__.startswith("ShareUrl"):
+            register(self, message, callback)
+        ports.append(self._port)
+
+    monkeypatch.setattr(viser.infra.WebsockServer, "register_handler", forget_sharing)
+    with pytest.raises(MissingBackendError, match="it has no handler of ShareUrlRequest to take away"):
+        open_server(port=0)
+    assert not is_open(ports[-1])
+
+
+def test_viser_that_starts_in_another_way_is_not_served(monkeypatch):
+    """Its worker does not look where the check stands."""
+    infra, servers = viser.infra._infra, []
+    elsewhere = FunctionType(infra.WebsockServer._background_worker.__code__, dict(vars(infra)))
+
+    def worker(self, ready):
+        servers.append(self)
+        elsewhere(self, ready)
+
+    monkeypatch.setattr(infra.WebsockServer, "_background_worker", worker)
+    with pytest.raises(MissingBackendError, match="does not start the websocket server that it is known for"):
+        open_server(port=0)
+    assert not is_open(servers[0]._port)
+
+
+def test_installed_viser_is_the_one_whose_private_parts_are_known(root):
+    """Raise the pin only together with VISER_VERSION, after a look at what web_server.py touches."""
+    assert viser.__version__ == VISER_VERSION
+    assert f'"viser=={VISER_VERSION}"' in (root / "pyproject.toml").read_text(encoding="utf-8")
+
+
+def test_server_prints_nothing():
+    """Start, noise, a client of another version, stop; and a second server that the interpreter's end stops."""
+    code = """
+import socket
+from websockets.sync.client import connect
+from scenes.viewer.web_server import open_server
+from tissue_sim.errors import InputError
+
+first, second = open_server(port=0), open_server(port=0)
+place = "127.0.0.1", first.get_port()
+try:
+    open_server(port=first.get_port())
+except InputError:
+    pass
+for noise in (b"", b"\\x16\\x03\\x01\\r\\n\\r\\n", b"POST / HTTP/1.1\\r\\nHost: localhost\\r\\n\\r\\n"):
+    with socket.create_connection(place) as stream:
+        stream.sendall(noise)
+        stream.shutdown(socket.SHUT_WR)
+        while stream.recv(4096):
+            pass
+with connect("ws://%s:%d" % place, subprotocols=["viser-v0.1"]) as client:
+    try:
+        client.recv()
+    except Exception as closed:
+        assert "Version mismatch. Client: 0.1" in str(closed), closed
+with connect("ws://%s:%d" % place, subprotocols=["viser-v1.1.1"]) as client:
+    client.recv()
+first.stop()
+first.stop()
+"""
+    done = subprocess.run([sys.executable, "-W", "error::DeprecationWarning", "-c", code], capture_output=True,
+                          text=True, encoding="utf-8", timeout=120)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
