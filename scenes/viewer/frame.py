@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any, Protocol
 
+import numpy as np
+
 import tissue_sim as ts
 from scenes.viewer.measurement import Measurement, Residual
 from scenes.viewer.setup import Setup
@@ -58,6 +60,7 @@ class Curves:
         measurement: None where nothing was measured in this scene.
         residual: model minus measurement.
         trace: what was felt since the last reset.
+        replayed: time of the loop (s) and force (N) of the recording whose motion is repeated; None where none is.
         number: grows with the trace.
     """
 
@@ -66,6 +69,7 @@ class Curves:
     measurement: Measurement | None = None
     residual: Residual | None = None
     trace: Trace | None = None
+    replayed: tuple[np.ndarray, np.ndarray] | None = None
     number: int = 0
 
 

@@ -251,7 +251,7 @@ def motion(measured: Measurement, *, samples: int = MOTION_SAMPLES, speed: float
     Raises:
         InputError: a speed that is not positive.
     """
-    typical, (load, unload) = _typical(measured)
+    typical, (load, unload) = typical(measured)
     end = int(unload[-1] if unload.size else load[-1]) + 1
     depth = typical.displacement[:end]
     time = typical.time[:end] if "time" in typical else _time(depth, typical, speed)
@@ -267,7 +267,7 @@ def motion(measured: Measurement, *, samples: int = MOTION_SAMPLES, speed: float
     return Protocol(time[chosen], depth[chosen], **labels)
 
 
-def _typical(measured: Measurement) -> tuple[Recording, tuple[np.ndarray, np.ndarray]]:
+def typical(measured: Measurement) -> tuple[Recording, tuple[np.ndarray, np.ndarray]]:
     """The replicate whose loading is nearest to the mean, and its ways."""
     def distance(pair) -> float:
         recording, (way, _) = pair

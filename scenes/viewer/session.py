@@ -15,7 +15,7 @@ from haptics.motion_source import HandMotion, MotionSource, ProtocolMotion
 from scenes.viewer.frame import Curves, Frame, Phase, Viewer
 from scenes.viewer.live_simulation import LiveSimulation
 from scenes.viewer.material_files import edited, save_edited
-from scenes.viewer.measurement import Measurement, Residual, motion, residual
+from scenes.viewer.measurement import Measurement, Residual, motion, residual, typical
 from scenes.viewer.model_curve import ModelCurve
 from scenes.viewer.setup import Setup
 from scenes.viewer.trace import Trace
@@ -52,6 +52,8 @@ class Session:
         self._wishes: queue.SimpleQueue[tuple[str, Callable | None, dict[str, Any]]] = queue.SimpleQueue()
         self._curve = ModelCurve(curve_resolution)
         self._curves, self._trace, self._frames = Curves(), Trace(), 0
+        #: Time from the beginning of a replay, and force, of the recording.
+        self._replayed: tuple | None = None
         #: Grows with every point of the trace, and where it begins anew.
         self._felt = 0
         self._motion, self._target = "hand", 0.0
@@ -140,8 +142,10 @@ class Session:
         """
         if self.setup.measurement is None:
             raise InputError("nothing was measured in this scene; start the viewer with --measured FILE")
-        measured = motion(self.setup.measurement)
+        measured, recording = motion(self.setup.measurement), typical(self.setup.measurement)
         self._follow("recording", ProtocolMotion(ts.Protocol(measured.time / speed, measured.displacement)))
+        if "time" in recording:
+            self._replayed = ((recording.time - measured.time[0]) / speed, recording.force)
 
     def pause(self) -> None:
         """Let the motion stand still."""
@@ -257,6 +261,7 @@ class Session:
 
     def _forget_trace(self) -> None:
         self._trace.clear()
+        self._replayed = None
         self._felt += 1
 
     def _test(self) -> ts.Model:
@@ -272,7 +277,11 @@ class Session:
         if recording is not curves.model or measurement is not curves.measurement:
             curves = replace(curves, model=recording, measurement=measurement, residual=_gap(recording, measurement))
         if self._felt != curves.number or curves.trace is None:
-            curves = replace(curves, trace=trace, number=self._felt)
+            replayed = None
+            if self._replayed is not None and len(trace):
+                time, force = self._replayed
+                replayed = (trace.time[0] + time, force)
+            curves = replace(curves, trace=trace, replayed=replayed, number=self._felt)
         self._curves = curves
 
 

@@ -18,8 +18,9 @@ PLATE_RADIUS, PLATE_THICKNESS = 1.2, 0.06
 #: How far a drawn tool stays inside its outline, which the tissue shares, in radii, and its section faces behind those
 #: of the tissue, whose curved edges reach into it by the error of the mesh, in radii of the specimen.
 INSET, RECESS = 1e-3, 1e-3
-#: Length of the arrow of a full force in heights of the specimen; its shaft's radius, its head's radius and length.
-ARROW, ARROW_SHAFT, HEAD_RADIUS, HEAD_LENGTH = 0.25, 0.012, 0.032, 0.085
+#: Length of the arrow of a full force in heights of the specimen; its shaft's radius, its head's radius and length;
+#: and the largest share of its length that its head has.
+ARROW, ARROW_SHAFT, HEAD_RADIUS, HEAD_LENGTH, LARGEST_HEAD = 0.25, 0.012, 0.032, 0.085, 0.5
 #: Forces below this share of the full scale have no arrow.
 LEAST_FORCE = 5e-3
 #: What is nearer than this, in radii of the tool, touches; lines of it lie so far in front of the tissue, in its radii.
@@ -123,12 +124,10 @@ def force_arrow(force: float, full_scale: float, tool: Tool, specimen: Specimen)
     size = specimen.height
     bottom = float(tool_outline(tool, specimen)[:, 1].max()) + INSET * size
     length = share * ARROW * size
-    head = min(HEAD_LENGTH * size, length)
     # The head of a short arrow is smaller, not blunter.
-    wide, narrow = (width * size * head / (HEAD_LENGTH * size) for width in (HEAD_RADIUS, ARROW_SHAFT))
+    head = min(HEAD_LENGTH * size, LARGEST_HEAD * length)
+    wide, narrow = (width / HEAD_LENGTH * head for width in (HEAD_RADIUS, ARROW_SHAFT))
     outline = np.array([[0.0, 0.0], [narrow, 0.0], [narrow, length - head], [wide, length - head], [0.0, length]])
-    if head == length:
-        outline = outline[[0, 3, 4]]
     ends = np.array([[0.0, 0.0, bottom], [0.0, 0.0, bottom + length]])
     if force < 0:
         outline = (outline * [1.0, -1.0] + [0.0, length])[::-1]

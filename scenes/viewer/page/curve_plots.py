@@ -81,7 +81,7 @@ class CurvePlots:
                     lambda y: residual_depth_options(x, y, dark=self._dark))
         if trace is not None and len(trace):
             now = readouts.time if readouts else float(trace.time[-1])
-            columns, extent = force_time(trace.time, trace.force, now)
+            columns, extent = force_time(trace.time, trace.force, now, measured=curves.replayed)
             self._write(self._time, columns, ("time", x, settled_range(extent, self._ranges.get("time"))),
                         lambda y: force_time_options(y, dark=self._dark))
         _set(self._legend, "content", legend_html(

@@ -9,7 +9,7 @@ import viser
 import tissue_sim as ts
 from scenes.viewer.frame import Commands, Frame
 from scenes.viewer.material_files import SUFFIX, list_materials, parameter_ranges, read_upload
-from scenes.viewer.page.notices import answer_to, tell
+from scenes.viewer.page.notices import answer_to, send_file, tell
 from tissue_sim.material_parameters import parameter_values
 
 _NONE = "(no file)"
@@ -63,7 +63,7 @@ class MaterialControls:
                 answer_to(event, f"saved as {name}{SUFFIX} in {folder}")(problem)
                 if problem is None:
                     self._list()
-                    event.client.send_file_download(f"{name}{SUFFIX}", (folder / f"{name}{SUFFIX}").read_bytes())
+                    send_file(event.client, f"{name}{SUFFIX}", (folder / f"{name}{SUFFIX}").read_bytes())
 
             session.post("save_material", reply=reply, folder=folder, name=name)
 
@@ -95,9 +95,9 @@ class MaterialControls:
             self._structure = structure
             self._make_sliders(material)
         for name, slider in self._sliders.items():
-            value = values[name] * self._factors[name]
-            if abs(slider.value - value) > 0.51 * slider.step:
-                slider.value = min(max(value, slider.min), slider.max)
+            value = _on_slider(values[name] * self._factors[name], slider.min, slider.max, slider.step)
+            if abs(slider.value - value) > 0.01 * slider.step:
+                slider.value = value
 
     def _make_sliders(self, material: ts.Material) -> None:
         for slider in self._sliders.values():
@@ -110,7 +110,8 @@ class MaterialControls:
                     continue
                 unit = f" [{reach.unit}]" if reach.unit else ""
                 slider = self._gui.add_slider(f"{name}{unit}", min=reach.low, max=reach.high, step=reach.step,
-                                              initial_value=values[name] * reach.factor)
+                                              initial_value=_on_slider(values[name] * reach.factor, reach.low,
+                                                                       reach.high, reach.step))
                 self._sliders[name], self._factors[name] = slider, reach.factor
                 slider.on_update(self._edit(name))
 
@@ -121,3 +122,8 @@ class MaterialControls:
                 self._session.post("set_parameters", reply=answer_to(event), values={name: value})
 
         return edit
+
+
+def _on_slider(value: float, low: float, high: float, step: float) -> float:
+    """The place of the slider that is nearest to a value; the material keeps the value itself."""
+    return min(max(float(f"{round(value / step) * step:.9g}"), low), high)

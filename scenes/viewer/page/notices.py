@@ -25,3 +25,8 @@ def answer_to(event: viser.GuiEvent, done: str = "") -> Callable[[str | None], N
 def tell(client: viser.ClientHandle, title: str, sentence: str, colour: str) -> None:
     """Show a sentence in a corner of one browser for a while."""
     client.add_notification(title, sentence, color=colour, auto_close_seconds=12.0)
+
+
+def send_file(client: viser.ClientHandle, name: str, content: bytes) -> None:
+    """Let one browser save a file at once."""
+    client.send_file_download(name, content, save_immediately=True)

@@ -13,7 +13,7 @@ from scenes.figures import LABELS
 from scenes.viewer.frame import Frame
 from scenes.viewer.measurement import branches_on_grid
 from scenes.viewer.page.look_controls import LookControls
-from scenes.viewer.page.notices import answer_to, tell
+from scenes.viewer.page.notices import answer_to, send_file, tell
 from scenes.viewer.page.solid import Solid
 from scenes.viewer.picture_file import Curve, compose_png
 from scenes.viewer.plots import LIGHT, depth_grid
@@ -23,7 +23,7 @@ from scenes.viewer.trace import recording_csv
 _PATIENCE = 30.0
 #: Most pixels of a saved picture, along a side.
 _LARGEST = 1600
-#: Longest replay, s: at 30 frames a second one of a minute has some 100 MB.
+#: Longest replay, s; a minute of motion has some 15 MB.
 LONGEST_REPLAY = 60.0
 
 
@@ -40,6 +40,8 @@ class Saving:
         self._server, self._solid, self._look = server, solid, look
         self._frame: Frame | None = None
         self._recorder, self._recorded, self._last = None, 0.0, 0.0
+        #: A replay that waits to be fetched.
+        self._finished: bytes | None = None
         curve = gui.add_button("Save curve (CSV)", icon=viser.Icon.DOWNLOAD)
         picture = gui.add_button("Save picture (PNG)", icon=viser.Icon.PHOTO)
         self._replay = gui.add_button("Record replay", icon=viser.Icon.PLAYER_RECORD,
@@ -58,19 +60,18 @@ class Saving:
             later(lambda: self._toggle_replay(event))
 
     def show(self, frame: Frame) -> None:
-        """Remember what there is to save, and go on with a replay."""
+        """Remember what there is to save, and go on with a replay; a long one ends by itself."""
         self._frame = frame
         if self._recorder is None:
             return
         now = time.monotonic()
         self._recorder.insert_sleep(now - self._last)
         self._recorded, self._last = self._recorded + now - self._last, now
-        self._replay.label = f"Save replay ({self._recorded:.0f} s)"
-
-    @property
-    def full(self) -> bool:
-        """Whether a replay has come to its greatest length; it goes no further."""
-        return self._recorded >= LONGEST_REPLAY
+        if self._recorded >= LONGEST_REPLAY:
+            self._finish_replay()
+        label = f"Save replay ({self._recorded:.0f} s)"
+        if self._replay.label != label:
+            self._replay.label = label
 
     def _save_curve(self, event: viser.GuiEvent) -> None:
         trace = self._frame.curves.trace
@@ -80,7 +81,7 @@ class Saving:
         setup = self._frame.setup
         recording = trace.recording({"name": setup.scene.name, "kind": setup.scene.name, "material": setup.source,
                                      "simulated": True})
-        event.client.send_file_download(f"{setup.scene.name}.csv", recording_csv(recording))
+        send_file(event.client, f"{setup.scene.name}.csv", recording_csv(recording))
 
     def _save_picture(self, event: viser.GuiEvent) -> None:
         frame, camera = self._frame, event.client.camera
@@ -97,16 +98,20 @@ class Saving:
         label, _ = LABELS[self._look.look.field]
         content = compose_png(render, self._solid.levels, np.array(self._solid.colours, dtype=np.uint8), label, caption,
                               now=None if now is None else (now.depth, now.force), **_drawn_curves(frame))
-        event.client.send_file_download(f"{setup.scene.name}.png", content)
+        send_file(event.client, f"{setup.scene.name}.png", content)
 
     def _toggle_replay(self, event: viser.GuiEvent) -> None:
-        if self._recorder is None:
+        if self._recorder is None and self._finished is None:
             self._recorder = self._server.get_scene_serializer()
             self._recorded, self._last = 0.0, time.monotonic()
             return
-        recorder, self._recorder = self._recorder, None
-        self._replay.label = "Record replay"
-        event.client.send_file_download("replay.html", recorder.as_html().encode())
+        if self._recorder is not None:
+            self._finish_replay()
+        send_file(event.client, "replay.html", self._finished)
+        self._finished, self._replay.label = None, "Record replay"
+
+    def _finish_replay(self) -> None:
+        self._finished, self._recorder = self._recorder.as_html(dark_mode=False).encode(), None
 
 
 def _drawn_curves(frame: Frame) -> dict[str, Any]:
