@@ -251,10 +251,10 @@ def motion(measured: Measurement, *, samples: int = MOTION_SAMPLES, speed: float
     Raises:
         InputError: a speed that is not positive.
     """
-    typical, (load, unload) = typical(measured)
+    recording, (load, unload) = typical(measured)
     end = int(unload[-1] if unload.size else load[-1]) + 1
-    depth = typical.displacement[:end]
-    time = typical.time[:end] if "time" in typical else _time(depth, typical, speed)
+    depth = recording.displacement[:end]
+    time = recording.time[:end] if "time" in recording else _time(depth, recording, speed)
     # Time that stands still is no step of a motion; the first of such samples stays.
     later = np.concatenate([[True], np.diff(np.maximum.accumulate(time)) > 0])
     kept = np.flatnonzero(later)
@@ -262,13 +262,13 @@ def motion(measured: Measurement, *, samples: int = MOTION_SAMPLES, speed: float
     corners = [0, load[0], load[-1], *([unload[0], unload[-1]] if unload.size else [])]
     corners = np.unique(np.minimum(np.searchsorted(kept, corners), kept.size - 1))
     chosen = np.union1d(corners, _spread(time, depth, corners, max(samples - corners.size, 2)))
-    labels = {name: values[:end][kept][chosen] for name, values in typical.labels.items()
+    labels = {name: values[:end][kept][chosen] for name, values in recording.labels.items()
               if values.dtype.kind in {"segment": "U", "cycle": "iu"}[name]}
     return Protocol(time[chosen], depth[chosen], **labels)
 
 
 def typical(measured: Measurement) -> tuple[Recording, tuple[np.ndarray, np.ndarray]]:
-    """The replicate whose loading is nearest to the mean, and its ways."""
+    """The replicate whose loading is nearest to the mean, and its `Measurement.ways`."""
     def distance(pair) -> float:
         recording, (way, _) = pair
         away = on_grid(recording.displacement[way], recording.force[way], 1, measured.depth) - measured.load.mean

@@ -142,7 +142,7 @@ class Session:
         """
         if self.setup.measurement is None:
             raise InputError("nothing was measured in this scene; start the viewer with --measured FILE")
-        measured, recording = motion(self.setup.measurement), typical(self.setup.measurement)
+        measured, (recording, _) = motion(self.setup.measurement), typical(self.setup.measurement)
         self._follow("recording", ProtocolMotion(ts.Protocol(measured.time / speed, measured.displacement)))
         if "time" in recording:
             self._replayed = ((recording.time - measured.time[0]) / speed, recording.force)
