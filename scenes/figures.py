@@ -144,7 +144,7 @@ def _paint(axes, fields: Fields, name: str, sample: int, sides: tuple[int, ...])
     mesh = fields.mesh
     place = (mesh.nodes + fields.displacement(sample)) * 1e3
     values = fields.at_nodes(name, sample) * factor
-    low, high = _volume_range(fields.at_points(name, sample) * factor, fields.weights)
+    low, high = volume_range(fields.at_points(name, sample) * factor, fields.weights)
     triangles = _triangles(mesh)
     edges = _outlines(mesh, place)
     least = 1e-6 * fields.material.mu0 * factor if FIELD_UNITS[name] == "Pa" else 0.0
@@ -193,11 +193,18 @@ def save(figure, path: Path) -> None:
     write_bytes(Path(path), buffer.getvalue())
 
 
-def _volume_range(values: np.ndarray, weights: np.ndarray) -> tuple[float, float]:
-    """Values at 1 % and 99 % of the volume."""
+def volume_range(values: np.ndarray, weights: np.ndarray, left_out: float = 0.01) -> tuple[float, float]:
+    """Range of a field without a share of the volume at either end, since edges are singular.
+
+    Args:
+        values: at the quadrature points, any shape.
+        weights: volumes of the points, m3, of the same shape.
+        left_out: share of the volume.
+    """
     order = np.argsort(values, axis=None)
-    share = np.cumsum(weights.ravel()[order])
-    return tuple(np.interp(np.array([0.01, 0.99]) * share[-1], share, values.ravel()[order]))
+    share = np.cumsum(np.ravel(weights)[order])
+    low, high = np.interp(np.array([left_out, 1.0 - left_out]) * share[-1], share, np.ravel(values)[order])
+    return float(low), float(high)
 
 
 def _triangles(mesh: Mesh) -> np.ndarray:

@@ -5,6 +5,7 @@ import importlib
 import subprocess
 import sys
 import zipfile
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -28,10 +29,16 @@ def place(path: Path) -> str:
     return path.relative_to(ROOT).as_posix()
 
 
-def imported(tree: ast.AST) -> set[str]:
+@cache
+def parsed(path: Path) -> ast.AST:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@cache
+def imported(path: Path) -> set[str]:
     """Top-level names of all modules that a source imports, wherever in it."""
     names = set()
-    for node in ast.walk(tree):
+    for node in ast.walk(parsed(path)):
         if isinstance(node, ast.Import):
             names.update(alias.name.split(".")[0] for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
@@ -75,7 +82,7 @@ def test_import_contracts_hold():
 @pytest.mark.parametrize("package", IMPORTERS)
 def test_outside_package_is_imported_where_it_belongs(package):
     strangers = [place(path) for path in SOURCES
-                 if package in imported(ast.parse(path.read_text(encoding="utf-8")))
+                 if package in imported(path)
                  and not place(path).startswith(IMPORTERS[package])]
     assert not strangers, f"{package} is imported in {strangers}; it belongs to {IMPORTERS[package]}"
 
@@ -83,11 +90,11 @@ def test_outside_package_is_imported_where_it_belongs(package):
 def test_siblings_do_not_meet():
     for one, other in (("calibration", "haptics"), ("haptics", "calibration")):
         for path in (ROOT / one).rglob("*.py"):
-            assert other not in imported(ast.parse(path.read_text(encoding="utf-8"))), place(path)
+            assert other not in imported(path), place(path)
 
 
 def test_text_files_are_opened_with_an_encoding():
-    found = {place(path): unencoded(ast.parse(path.read_text(encoding="utf-8"))) for path in SOURCES}
+    found = {place(path): unencoded(parsed(path)) for path in SOURCES}
     assert not {name: lines for name, lines in found.items() if lines}
 
 

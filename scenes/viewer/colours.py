@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from scenes.figures import volume_range
 from tissue_sim.errors import InputError
 from tissue_sim.fem.fields import FIELD_UNITS
 
@@ -21,36 +22,26 @@ PALETTE = (
 )
 #: Steps between levels, in powers of ten; the ratio of two neighbours is the share of the bands that may stay unused.
 ROUND = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0)
-#: A range narrower than this share of its values, or of the shear modulus, is rounding.
-NARROWEST = 1e-6
+#: A range narrower than this share of its values is rounding; of stresses, narrower than this share of the shear
+#: modulus is what the solver leaves unbalanced.
+NARROWEST, NARROWEST_STRESS = 1e-6, 1e-4
+#: Share of the volume that colours leave out at either end: less than in a printed section, since one may go near.
+LEFT_OUT = 0.003
 #: Levels that were good are kept until they span this many times what is needed.
 TOO_WIDE = 2.0
 
 
-def volume_range(values: np.ndarray, weights: np.ndarray) -> tuple[float, float]:
-    """Values at 1 % and 99 % of the volume: edges, where fields are singular, are left out.
-
-    Args:
-        values: at the quadrature points, any shape.
-        weights: volumes of the points, m3, of the same shape.
-    """
-    order = np.argsort(values, axis=None)
-    share = np.cumsum(np.ravel(weights)[order])
-    low, high = np.interp(np.array([0.01, 0.99]) * share[-1], share, np.ravel(values)[order])
-    return float(low), float(high)
-
-
-def field_range(fields: Fields, name: str, factor: float = 1.0, sample: int = -1) -> tuple[float, float]:
+def field_range(values: np.ndarray, fields: Fields, name: str, factor: float = 1.0) -> tuple[float, float]:
     """Ends of a field's colours: its `volume_range`, without what is rounding.
 
     Args:
+        values: of the field at the quadrature points, in the unit of the colours, shape (elements, q).
         fields: of the simulation.
         name: of the field.
         factor: from SI to the unit of the colours.
-        sample: which one.
     """
-    low, high = volume_range(fields.at_points(name, sample) * factor, fields.weights)
-    least = NARROWEST * fields.material.mu0 * factor if FIELD_UNITS[name] == "Pa" else 0.0
+    low, high = volume_range(values, fields.weights, LEFT_OUT)
+    least = NARROWEST_STRESS * fields.material.mu0 * factor if FIELD_UNITS[name] == "Pa" else 0.0
     if max(abs(low), abs(high)) <= least:
         return 0.0, 0.0
     if high - low <= least:

@@ -139,8 +139,6 @@ class CutAway:
         """
         return SurfaceLine(place[self.surface], self.watched @ place)
 
-    top_line = surface_line
-
     @property
     def radius(self) -> float:
         """Of the undeformed specimen, m."""

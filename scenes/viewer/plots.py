@@ -77,12 +77,12 @@ def force_depth_options(x_range: tuple[float, float], y_range: tuple[float, floa
     for way, dash in (("load", ()), ("unload", _DASH)):
         series += [_hidden(f"measured {way}, lowest"), _hidden(f"measured {way}, highest"),
                    _line(f"measured {way}", colours["measured"], 1.5, dash)]
-    for role, width in (("model", 2.0), ("before", 1.5), ("live", 2.0)):
+    for role, width in (("model", 3.5), ("before", 2.0), ("live", 1.5)):
         series += [_line(f"{role} {way}", colours[role], width, dash) for way, dash in (("load", ()),
                                                                                         ("unload", _DASH))]
     series.append({"label": "now", "stroke": colours["live"], "width": 0,
                    "points": {"show": True, "size": 9, "fill": colours["live"], "stroke": colours["live"]}})
-    return _options(series, x_range, y_range, "depth [mm]", "force [N]", height=270,
+    return _options(series, x_range, y_range, "depth [mm]", "force [N]", height=250,
                     bands=({"series": (2, 1), "fill": _BAND}, {"series": (5, 4), "fill": _BAND}))
 
 
@@ -116,7 +116,7 @@ def residual_depth_options(x_range: tuple[float, float], y_range: tuple[float, f
     series = [{"label": "depth [mm]"}, _hidden("lowest"), _hidden("highest"),
               _line("zero", (DARK if dark else LIGHT)["measured"], 1.0), _line("load", colour, 2.0),
               _line("unload", colour, 2.0, _DASH)]
-    return _options(series, x_range, y_range, "depth [mm]", "residual [N]", height=170,
+    return _options(series, x_range, y_range, "depth [mm]", "residual [N]", height=150,
                     bands=({"series": (2, 1), "fill": _BAND},))
 
 
@@ -146,7 +146,7 @@ def force_time_options(y_range: tuple[float, float], *, seconds: float = SECONDS
     """Keyword arguments of `add_uplot` beside the data of `force_time`."""
     colours = DARK if dark else LIGHT
     series = [{"label": "time [s]"}, _line("measured", colours["measured"], 1.5), _line("live", colours["live"], 2.0)]
-    return _options(series, (-seconds, 0.0), y_range, "time before now [s]", "force [N]", height=180)
+    return _options(series, (-seconds, 0.0), y_range, "time before now [s]", "force [N]", height=150)
 
 
 def plot_scales(x_range: tuple[float, float], y_range: tuple[float, float]) -> dict[str, Any]:

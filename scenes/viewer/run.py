@@ -51,7 +51,7 @@ def run_page(setup: Setup, materials: Path, page: dict[str, Any], *, seconds: fl
             if page["exposed"]:
                 print(f"tissue-sim: warning: {exposure(page['host'], viewer.server.get_port())}", file=sys.stderr)
             if opens:
-                webbrowser.open(viewer.url)
+                webbrowser.open_new_tab(viewer.url)
             with _stopped_by_signals() as stop:
                 session.run(viewer, stop, seconds)
         finally:

@@ -91,7 +91,7 @@ class ViewerServer(viser.ViserServer):
                 raise door.failure
             self._unregister_sharing()
             self.set_theme()
-            door.open()
+            door.listen()
         except OSError as error:
             self.stop()
             raise _unusable(host, port, error) from None
@@ -130,7 +130,7 @@ class ViewerServer(viser.ViserServer):
 
 
 class _Door:
-    """Takes the place of `websockets.asyncio.server.serve` while viser starts: binds, but listens only when opened."""
+    """Takes the place of `websockets.asyncio.server.serve` while viser starts: binds, and listens only when told."""
 
     def __init__(self, host: str, port: int, title: str):
         self.host, self.port, self.title = host, port, title
@@ -176,7 +176,7 @@ class _Door:
             self._server.close()
             await self._server.wait_closed()
 
-    def open(self) -> None:
+    def listen(self) -> None:
         """Listen. Raises OSError where another program has come to listen there in the meantime."""
         loop = self._server.get_loop()
         asyncio.run_coroutine_threadsafe(self._server.start_serving(), loop).result(_START_S)

@@ -30,9 +30,9 @@ def status_html(frame: Frame) -> str:
 def readouts_html(frame: Frame) -> str:
     """Force and depth large, the rest in a small table."""
     now = frame.readouts
-    large = [("force", "force", "–" if now is None else f"{now.force:.3f}", "N"),
-             ("depth", "depth", "–" if now is None else f"{now.depth * 1e3:.2f}", "mm")]
-    small = [("stiffness", "stiffness", "–" if now is None else f"{now.stiffness * 1e-3:.3f} N/mm"),
+    large = [("force", "force", "–" if now is None else _number(now.force, 3), "N"),
+             ("depth", "depth", "–" if now is None else _number(now.depth * 1e3, 2), "mm")]
+    small = [("stiffness", "stiffness", "–" if now is None else f"{_number(now.stiffness * 1e-3, 3)} N/mm"),
              ("step-time", "step", "–" if now is None else f"{now.step_time * 1e3:.2f} ms"),
              ("iterations", "iterations", "–" if now is None else f"{now.iterations:.1f} per tick"),
              ("rate", "loop", "–" if now is None else f"{now.rate:.0f} Hz"),
@@ -64,3 +64,8 @@ def agreement_html(frame: Frame) -> str:
         return f'<div style="padding:0.2em 0.75em" data-testid="agreement">{words}</div>'
     return (f'<div style="padding:0.2em 0.75em;font-size:0.85em;opacity:0.8" data-testid="agreement">{escape(words)}'
             "</div>")
+
+
+def _number(value: float, decimals: int) -> str:
+    """Without the sign of a zero."""
+    return f"{round(value, decimals) + 0.0:.{decimals}f}"

@@ -17,6 +17,7 @@ from scenes.viewer.setup import Setup
 from scenes.viewer.tone import seen_colour, surface_colour
 from scenes.viewer.tool_picture import Arrow, base_plate, contact_picture, force_arrow, tool_mesh
 from tissue_sim.discretisation import build_mesh
+from tissue_sim.fem.fields import extrapolate
 from tissue_sim.mesh import Mesh
 from tissue_sim.snapshot import Snapshot
 
@@ -124,16 +125,20 @@ class Solid:
         fields = snapshot.fields
         self._take_mesh(fields.mesh)
         _, factor = LABELS[look.field]
-        values = fields.at_nodes(look.field) * factor
+        at_points = fields.at_points(look.field) * factor
+        values = fields.at_nodes(look.field) * factor if look.field == "displacement" else extrapolate(fields.mesh,
+                                                                                                       at_points)
         if not (look.hold and self.levels is not None and look.field == self._drawn[2].field):
             previous = self.levels if self._drawn and look.field == self._drawn[2].field else None
-            self.levels = steady_levels(previous, *field_range(fields, look.field, factor))
+            self.levels = steady_levels(previous, *field_range(at_points, fields, look.field, factor))
         place = snapshot.place
         for handle, surface in zip(self._bands, self._cut_away.bands(place, values, self.levels, opening),
                                    strict=True):
             self._fill(handle, surface)
         self._tool.position = self._arrow.position = (0.0, 0.0, -snapshot.depth * self.scale)
-        contact = contact_picture(self._cut_away.top_line(place), setup.experiment.tool, snapshot.depth, opening)
+        # Where a specimen has sagged under its own weight, the tool touches it lower.
+        self._base.position = self._outline.position = (0.0, 0.0, -snapshot.datum * self.scale)
+        contact = contact_picture(self._cut_away.surface_line(place), setup.experiment.tool, snapshot.depth, opening)
         self._lines(self._contact, None if contact is None else contact.lines)
         self._lines(self._mesh_lines, self._cut_away.mesh_lines(place, opening) if look.mesh_lines else None)
 
@@ -168,7 +173,7 @@ class Solid:
         """The arrow of the force; whether it has changed."""
         while force > self._full_force:
             self._full_force = _next_round(self._full_force)
-        text = f"{force:.2f} N"
+        text = f"{round(force, 2) + 0.0:.2f} N"
         if text == self._force.text:
             return False
         arrow: Arrow | None = force_arrow(force, self._full_force, setup.experiment.tool, setup.experiment.specimen)

@@ -1,0 +1,121 @@
+"""Take the screenshots of the viewer again: python docs/screenshots.py [NAME ...]
+
+Needs Chromium (Debian: apt install chromium fonts-dejavu-core) and Playwright, which tissue-sim[test] has. What the
+pictures show as measured is a simulation of another material with the noise of a sensor.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import chromium
+
+import tissue_sim as ts
+from scenes import SCENES
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+PICTURES = Path(__file__).parent / "pictures"
+#: The specimen that was "measured"; the viewer starts with the softer material of the study.
+MEASURED = ts.Material("reduced_polynomial_2", {"C10": 1550.0, "C20": 650.0}, ts.Bulk("bulk_ratio", 1e4))
+REPLICATES, NOISE = 3, 0.02
+DEPTH = 0.010
+_PHASE = "[data-testid=phase][data-phase={}]"
+
+
+@dataclass(frozen=True)
+class Screenshot:
+    """A state of the page: the tool has been pressed in, has come back to `depth`, mm, and waits there.
+
+    Attributes:
+        scene: as `tissue-sim view` names it.
+        flags: of `tissue-sim view`.
+        tab: of the controls that are shown.
+        size: of the page, pixels.
+    """
+
+    scene: str
+    flags: tuple[str, ...] = ()
+    depth: float = 7.0
+    tab: str = "Motion"
+    size: tuple[int, int] = (1400, 860)
+
+
+NEEDLE = Screenshot("needle_indentation")
+SCREENSHOTS = {"viewer_needle": NEEDLE,
+               "viewer_needle_dark": replace(NEEDLE, flags=("--dark",), tab="Material"),
+               "viewer_compression": Screenshot("bonded_compression", tab="View")}
+
+
+def main(names: list[str]) -> None:
+    with tempfile.TemporaryDirectory() as folder, chromium.chromium() as browser:
+        for name in names or SCREENSHOTS:
+            take(browser, SCREENSHOTS[name], Path(folder), PICTURES / f"{name}.png")
+            print(PICTURES / f"{name}.png")
+
+
+def take(browser: Browser, shot: Screenshot, folder: Path, path: Path) -> None:
+    """Start a viewer, press the tool in, let it come back, and save what the page shows then."""
+    with viewer(shot.scene, "--measured", *measure(shot.scene, folder), *shot.flags) as url:
+        width, height = shot.size
+        page = browser.new_page(viewport={"width": width, "height": height},
+                                color_scheme="dark" if "--dark" in shot.flags else "light")
+        chromium.open_viewer(page, url, pixel_ratio=1.0)
+        page.locator(_PHASE.format("running")).wait_for(timeout=120e3)
+        page.get_by_test_id("rmse").wait_for(timeout=120e3)
+        press(page, shot)
+        page.get_by_role("tab", name=shot.tab).click()
+        chromium.save_picture(page, path)
+        page.close()
+
+
+def press(page: Page, shot: Screenshot) -> None:
+    """Play a protocol that ends where the tool shall wait, and pause it there."""
+    protocol = f"ramp {DEPTH * 1e3:g}mm; hold 3s; unload {shot.depth:g}mm; hold 600s"
+    chromium.text_field(page, "protocol").fill(protocol)
+    page.get_by_role("button", name="Play").click()
+    depth = page.get_by_test_id("depth")
+    depth.filter(has_text=f"{DEPTH * 1e3:.2f}").wait_for(timeout=120e3)
+    depth.filter(has_text=f"{shot.depth:.2f}").wait_for(timeout=120e3)
+    page.get_by_role("button", name="Pause").click()
+    page.locator(_PHASE.format("paused")).wait_for()
+
+
+def measure(scene: str, folder: Path) -> list[str]:
+    """Files of the virtual measurements of a scene."""
+    experiment = SCENES[scene].experiment(specimen=ts.Specimen(0.040, 0.070),
+                                          protocol=ts.Protocol.ramp(depth=DEPTH, points=81))
+    files = [folder / f"{scene}_{number + 1}.csv" for number in range(REPLICATES)]
+    for number, file in enumerate(files):
+        if not file.exists():
+            model = ts.Model(experiment, MEASURED, ts.Rig(force_noise=NOISE, seed=number))
+            ts.write_recording(ts.simulate(model), file)
+    return [str(file) for file in files]
+
+
+@contextmanager
+def viewer(scene: str, *flags: str) -> Iterator[str]:
+    """A viewer in a process of its own, for a browser that draws in software: its address."""
+    command = [sys.executable, "-m", "scenes.cli", "view", scene, "--depth-mm", f"{DEPTH * 1e3:g}", "--port", "0",
+               "--json", "--low-graphics", *flags]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, encoding="utf-8") as process:
+        try:
+            line = process.stdout.readline()
+            if not line:
+                raise SystemExit(f"{' '.join(command)} ended with {process.wait()}")
+            yield json.loads(line)["url"]
+        finally:
+            process.terminate()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
