@@ -77,7 +77,7 @@ def force_depth_options(x_range: tuple[float, float], y_range: tuple[float, floa
     for way, dash in (("load", ()), ("unload", _DASH)):
         series += [_hidden(f"measured {way}, lowest"), _hidden(f"measured {way}, highest"),
                    _line(f"measured {way}", colours["measured"], 1.5, dash)]
-    for role, width in (("model", 3.5), ("before", 2.0), ("live", 1.5)):
+    for role, width in (("model", 3.0), ("before", 2.0), ("live", 1.5)):
         series += [_line(f"{role} {way}", colours[role], width, dash) for way, dash in (("load", ()),
                                                                                         ("unload", _DASH))]
     series.append({"label": "now", "stroke": colours["live"], "width": 0,

@@ -20,6 +20,7 @@ from scenes.viewer.model_curve import ModelCurve
 from scenes.viewer.setup import Setup
 from scenes.viewer.trace import Trace
 from tissue_sim.errors import InputError
+from tissue_sim.material_parameters import parameter_values
 
 #: Frames a second, and how many of them until the plots are drawn anew.
 FRAME_RATE, PLOT_EVERY = 30.0, 3
@@ -172,17 +173,25 @@ class Session:
         Raises:
             InputError: what the material or the simulation refuses; nothing is changed.
         """
-        material = edited(self.setup.material, values)
-        if self._simulation.phase is not Phase.STARTING:
-            self._simulation.ask("set_parameters", **values)
-            self.setup = replace(self.setup, material=material)
-            self._curve.ask(self._test())
-        else:
-            self._change(replace(self.setup, material=material))
+        self._take_material(edited(self.setup.material, values), self.setup.source)
 
     def use_material(self, material: ts.Material, source: str) -> None:
-        """Look at another material."""
-        self._change(replace(self.setup, material=material, source=source))
+        """Look at another material; one that differs in its parameters only is felt at once.
+
+        Raises:
+            InputError: what the simulation refuses; nothing is changed.
+        """
+        self._take_material(material, source)
+
+    def _take_material(self, material: ts.Material, source: str) -> None:
+        setup = replace(self.setup, material=material, source=source)
+        if (self._simulation.phase not in (Phase.RUNNING, Phase.PAUSED)
+                or not _differ_in_parameters_only(self.setup.material, material)):
+            self._change(setup)
+            return
+        self._simulation.ask("set_parameters", **parameter_values(material))
+        self.setup = setup
+        self._curve.ask(self._test())
 
     def save_material(self, folder: Path, name: str) -> None:
         """Write the material as it is now into a new file.
@@ -283,6 +292,16 @@ class Session:
                 replayed = (trace.time[0] + time, force)
             curves = replace(curves, trace=trace, replayed=replayed, number=self._felt)
         self._curves = curves
+
+
+def _differ_in_parameters_only(a: ts.Material, b: ts.Material) -> bool:
+    values = parameter_values(b)
+    if parameter_values(a).keys() != values.keys():
+        return False
+    try:
+        return replace(edited(a, values), name=b.name) == b
+    except InputError:  # on the way from one to the other
+        return False
 
 
 def _gap(model: ts.Recording | None, measured: Measurement | None) -> Residual | None:

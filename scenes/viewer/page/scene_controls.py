@@ -39,8 +39,14 @@ class SceneControls:
         self._shown: Setup | None = None
         self.show(frame)
 
-        for handle in (self._scene, self._shape, self._interface):
+        for handle in (self._shape, self._interface):
             handle.on_update(lambda event: self._offer())
+
+        @self._scene.on_update
+        def _(event: viser.GuiEvent) -> None:
+            if event.client is not None:
+                self._hold(SCENES[self._titles[self._scene.value]].friction)
+            self._offer()
 
         @self._apply.on_click
         def _(event: viser.GuiEvent) -> None:
@@ -86,7 +92,11 @@ class SceneControls:
             self._edge.value = tool.edge_radius * 1e3
             if tool.half_angle:
                 self._angle.value = degrees(tool.half_angle)
+        self._hold(friction)
+        self._offer()
+
+    def _hold(self, friction: str | float) -> None:
+        """Show how the tool's face holds the tissue."""
         self._interface.value = friction if isinstance(friction, str) else "friction"
         if not isinstance(friction, str):
             self._friction.value = friction
-        self._offer()
