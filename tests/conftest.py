@@ -1,14 +1,27 @@
-"""Folders that tests share."""
+"""Folders that tests share, and the order of the tests."""
 
+import gc
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 # Before numpy comes: threads help no matrix as small as ours, and on a busy machine they wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# The libraries leave so many objects that looking through them after every 700 new ones took a tenth of the time.
+gc.set_threshold(50_000)
 
 ROOT = Path(__file__).resolve().parents[1]
+#: Tests that use no finite elements, but for those of the calibration that do; they take more than a minute.
+WITHOUT_KERNELS = (
+    "tests/calibration/", "tests/scenes/test_calibrate_command", "tests/scenes/test_material_command",
+    "tests/tissue_sim/test_column", "tests/tissue_sim/test_formats", "tests/tissue_sim/test_laws",
+    "tests/tissue_sim/test_material_file", "tests/tissue_sim/test_protocol", "tests/tissue_sim/test_recording",
+    "tests/tissue_sim/test_viscoelasticity")
+BUT = ("tests/calibration/test_coverage_small", "tests/calibration/test_inverse_fem",
+       "tests/calibration/test_inverse_measured")
 
 
 @pytest.fixture(scope="session")
@@ -33,3 +46,42 @@ def data_folder() -> Path:
                     "docs/viscoelasticity.md say where they are; set TISSUE_SIM_DATA to the folder that holds "
                     "ecoflex_compression and the others")
     return folder
+
+
+class Compilation:
+    """A process that compiles kernels while tests run that need none. A machine's first run spends two minutes on
+    that, and each of the processes that tests start would compile the same kernels again."""
+
+    def __init__(self):
+        self._process: subprocess.Popen | None = None
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_modifyitems(self, config: pytest.Config, items: list[pytest.Item]) -> None:
+        from tissue_sim.fem.runtime import cache_folder
+
+        items.sort(key=may_use_kernels)
+        both_kinds = {may_use_kernels(item) for item in items} == {False, True}
+        if both_kinds and not config.option.collectonly and not any(cache_folder().glob("*.tic")):
+            path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+            # Where it fails, the tests compile what they need, as with any other kernel.
+            self._process = subprocess.Popen([sys.executable, Path(__file__).with_name("compile_kernels.py")],
+                                             env={**os.environ, "PYTHONPATH": path}, stdin=subprocess.DEVNULL,
+                                             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+    def pytest_runtest_setup(self, item: pytest.Item) -> None:
+        # Taichi looks for kept kernels once, when it starts in this process.
+        if self._process is not None and may_use_kernels(item):
+            self._process.wait()
+
+    def pytest_unconfigure(self) -> None:
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+
+
+def may_use_kernels(item: pytest.Item) -> bool:
+    return item.nodeid.startswith(BUT) or not item.nodeid.startswith(WITHOUT_KERNELS)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.pluginmanager.register(Compilation())

@@ -1,5 +1,6 @@
 """`tissue-sim loop`: its flags reach the loop, its report is printed, and a loop that dies is no success."""
 
+import importlib
 import json
 import os
 import signal
@@ -61,26 +62,40 @@ def asked(monkeypatch):
     return asked
 
 
+@pytest.fixture
+def of_springs(monkeypatch):
+    """Loops whose tissue is a spring of 200 N/m: their processes begin without kernels, four seconds earlier."""
+    monkeypatch.syspath_prepend(ROOT / "tests" / "haptics")  # the process of the loop inherits it
+    spring = importlib.import_module("loop_tissues").Spring
+
+    class OfSpring(LoopProcess):
+        def __init__(self, build, *others, **options):
+            super().__init__(spring, *others, **options)
+
+    monkeypatch.setattr("haptics.loop_process.LoopProcess", OfSpring)
+
+
 def test_a_short_loop_answers_in_json(capsys):
-    assert main(["loop", "--seconds", "0.3", "--no-real-time", "--json"]) == 0
+    """The needle at 2 mm meets 0.3601 N by the reference curve, which knows no inertia."""
+    assert main(["loop", "--seconds", "0.6", "--protocol", "ramp 2mm @5mm/s; hold 1s", "--budget-us", "0",
+                 "--inertia", "off", "--no-real-time", "--json"]) == 0
     out, err = capsys.readouterr()
     answer = json.loads(out)
     assert err == "" and set(answer) == KEYS
-    assert answer["ticks"] + answer["missed"] >= 300 and answer["seconds"] >= 0.3 and answer["ended_by"] == "time"
+    assert answer["ticks"] + answer["missed"] >= 600 and answer["seconds"] >= 0.6 and answer["ended_by"] == "time"
     assert sum(answer["statuses"].values()) == answer["ticks"] and answer["statuses"]["refused"] == 0
-    assert (answer["scene"], answer["motion"], answer["real_time"]) == ("needle_indentation", "random", [])
+    assert (answer["scene"], answer["motion"], answer["real_time"]) == ("needle_indentation", "protocol", [])
+    assert answer["largest_force_N"] == pytest.approx(0.3601, rel=0.02)
 
 
-def test_a_short_loop_prints_a_table(capsys):
-    """The needle at 2 mm meets 0.3601 N by the reference curve, which knows no inertia."""
-    assert main(["loop", "--seconds", "0.6", "--protocol", "ramp 2mm @5mm/s; hold 1s", "--budget-us", "0",
-                 "--inertia", "off"]) == 0
+def test_a_short_loop_prints_a_table(of_springs, capsys):
+    assert main(["loop", "--seconds", "0.6", "--protocol", "ramp 2mm @5mm/s; hold 1s"]) == 0
     out = capsys.readouterr().out
     assert out.splitlines()[0].split() == ["p50", "p99", "p99.9", "max"]
     for part in ("lateness [us]", "compute time [us]", "ticks in 0.6", "peak memory", "real time: "):
         assert part in out
     force = float(out.split("largest force: ")[1].split()[0])
-    assert force == pytest.approx(0.3601, rel=0.02)
+    assert force == pytest.approx(200 * 2e-3, rel=0.02)
 
 
 def test_the_motion_is_the_one_asked_for(asked):
@@ -141,7 +156,7 @@ def test_bad_words_get_one_sentence(words, expected, capsys, tmp_path, monkeypat
 
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
-def test_a_loop_that_is_killed_is_exit_code_1(capsys, tmp_path):
+def test_a_loop_that_is_killed_is_exit_code_1(of_springs, capsys, tmp_path):
     ring = tmp_path / "ring"
 
     def kill():
@@ -158,6 +173,7 @@ def test_a_loop_that_is_killed_is_exit_code_1(capsys, tmp_path):
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals and process groups")
 def test_ctrl_c_ends_it_with_its_report(tmp_path):
+    """A random motion, as without any flag."""
     ring = tmp_path / "ring"
     with subprocess.Popen([sys.executable, "-m", "scenes.cli", "loop", "--json", "--ring", ring], cwd=ROOT,
                           stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
@@ -167,4 +183,6 @@ def test_ctrl_c_ends_it_with_its_report(tmp_path):
     assert process.returncode == 130 and err == ""
     answer = json.loads(out)
     assert answer["ended_by"] == "stop" and answer["ticks"] >= 50 and set(answer) == KEYS
+    assert sum(answer["statuses"].values()) == answer["ticks"] and answer["statuses"]["refused"] == 0
+    assert (answer["scene"], answer["motion"]) == ("needle_indentation", "random")
     assert list(tmp_path.iterdir()) == []

@@ -82,8 +82,7 @@ class Fields:
             u = np.einsum("qa,eai->eqi", shapes, self.displacement(sample)[self.mesh.connectivity])
             return np.linalg.norm(u, axis=-1)
         F = self.deformation_gradient(sample)
-        in_plane = F[..., :4].reshape(*F.shape[:-1], 2, 2)
-        J = np.linalg.det(in_plane) * F[..., 4]
+        J = (F[..., 0] * F[..., 3] - F[..., 1] * F[..., 2]) * F[..., 4]
         elements, _, modes = self.pressure_modes.shape
         first = 2 * len(self.mesh.nodes)
         amplitudes = self.states[sample, first : first + modes * elements].reshape(elements, modes)
@@ -91,8 +90,8 @@ class Fields:
         if name == "J":
             return J
         modulus = self.moduli[:, None]
-        directions, stretches, _ = np.linalg.svd(in_plane)
-        all_stretches = np.concatenate([stretches, F[..., 4:]], axis=-1)
+        angle, stretches = _principal(F)
+        all_stretches = np.stack([*stretches, F[..., 4]], axis=-1)
         if name == "stretch":
             return all_stretches.max(axis=-1)
         energy, tau = self.material.energy_law.principal_response(all_stretches, self.material.parameters)
@@ -100,9 +99,11 @@ class Fields:
             volumetric = p**2 / (2.0 * self.bulk_modulus * modulus)
             return modulus * self.material.instantaneous_factor * energy + volumetric
         if self.stresses is None:
-            tensor = np.einsum("eqik,eqk,eqjk->eqij", directions, tau[..., :2], directions)
-            hoop = tau[..., 2]
+            mean, half, hoop = 0.5 * (tau[..., 0] + tau[..., 1]), 0.5 * (tau[..., 0] - tau[..., 1]), tau[..., 2]
+            across, along = half * np.sin(2.0 * angle), half * np.cos(2.0 * angle)
+            tensor = np.stack([mean + along, across, across, mean - along], axis=-1).reshape(*F.shape[:-1], 2, 2)
         else:
+            in_plane = F[..., :4].reshape(*F.shape[:-1], 2, 2)
             S = self.stresses[sample]
             tensor = np.einsum("eqik,eqkl,eqjl->eqij", in_plane, S[..., [[0, 1], [1, 2]]], in_plane)
             hoop = F[..., 4] ** 2 * S[..., 3]
@@ -122,6 +123,20 @@ class Fields:
         if name == "displacement":
             return np.linalg.norm(self.displacement(sample), axis=1)
         return extrapolate(self.mesh, self.at_points(name, sample))
+
+
+def _principal(F: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Singular values of the in-plane part of deformation gradients (..., 5), and the angle from r at which the larger
+    one stretches, in the deformed state.
+
+    A 2 x 2 matrix is a turn with a stretch, E and H, and a mirrored one, F and G (Blinn, IEEE Computer Graphics and
+    Applications 16 (1996) 82).
+    """
+    rR, rZ, zR, zZ = (F[..., k] for k in range(4))
+    turned = np.hypot(rR + zZ, zR - rZ)
+    mirrored = np.hypot(rR - zZ, zR + rZ)
+    angle = 0.5 * (np.arctan2(zR - rZ, rR + zZ) + np.arctan2(zR + rZ, rR - zZ))
+    return angle, (0.5 * (turned + mirrored), 0.5 * (turned - mirrored))
 
 
 def extrapolate(mesh: Mesh, values: np.ndarray) -> np.ndarray:
