@@ -185,8 +185,9 @@ class Loop:
         device = None
         moves = not self._paused or self._advance > 0
         if moves:
-            self._advance = max(self._advance - passed, 0)
-            self._motion += passed
+            going = min(passed, self._advance) if self._paused else passed
+            self._advance = self._advance - going if self._paused else 0
+            self._motion += going
             device = self._source.depth(self._motion * 1e-9)
         depth = self._rendering.depth_for(device, dt)
         answer = self._tissue.step(depth, dt)

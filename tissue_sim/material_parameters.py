@@ -7,7 +7,7 @@ Names are those of the law and, for the rest, the paths of the material file: ``
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from tissue_sim.errors import InputError, nearest
@@ -68,6 +68,27 @@ def with_parameter(material: Material, name: str, value: float) -> Material:
             return replace(material, layers=_changed(material.layers, int(index[1]), change))
         case _:
             return replace(material, **{path: change(getattr(material, path))})
+
+
+def with_parameters(material: Material, values: Mapping[str, float]) -> Material:
+    """The material with several parameters changed, by name.
+
+    Raises:
+        InputError: an unknown name, or what the material refuses.
+    """
+    left = dict(values)
+    while left:
+        refused = None
+        for name, value in list(left.items()):
+            try:
+                material = with_parameter(material, name, value)
+                del left[name]
+            except InputError as error:
+                # It may fit once the others are changed, as one g does when another was lowered.
+                refused = refused or (error, len(left))
+        if refused and refused[1] == len(left):
+            raise refused[0]
+    return material
 
 
 def _changed(parts: tuple, index: int, change: Callable) -> tuple:

@@ -13,7 +13,7 @@ from tissue_sim.experiment import Model
 from tissue_sim.fem.axisymmetric import Step
 from tissue_sim.fem.newton import StepStatus
 from tissue_sim.material import Material
-from tissue_sim.material_parameters import with_parameter
+from tissue_sim.material_parameters import with_parameters
 from tissue_sim.mesh import Mesh
 from tissue_sim.puncture import PunctureHistory
 from tissue_sim.snapshot import Snapshot, snapshot
@@ -264,9 +264,7 @@ class Simulator:
         Raises:
             InputError: no such parameter, or a value that the material refuses; nothing is changed.
         """
-        material = self.model.material
-        for name, value in values.items():
-            material = with_parameter(material, name, value)
+        material = with_parameters(self.model.material, values)
         _require_same_layers(self.model.material, material)
         self._solver.set_material(material)
         self.model = replace(self.model, material=material)

@@ -66,6 +66,9 @@ def run(arguments) -> int:
     check_scene(arguments.scene)
     if arguments.headless and arguments.seconds is None:
         raise InputError("runs until somebody stops it, and shows nothing; say how long", field="--seconds")
+    if arguments.tilt_mm is not None:
+        raise InputError("a tilted tool is a correction of whole recordings and has no place in real time; leave it "
+                         "out", field="--tilt-mm")
 
     from scenes.catalogue import SCENES
     from scenes.viewer.run import run_headless, run_page
@@ -78,9 +81,12 @@ def run(arguments) -> int:
                   read_measurements(arguments.measured, arguments.scene))
     options = {"resolution": arguments.resolution, "real_time": not arguments.no_real_time}
     if arguments.headless:
-        answer = run_headless(setup, arguments.seconds, protocol=arguments.protocol, **options)
+        answer = run_headless(setup, arguments.seconds, protocol=arguments.protocol,
+                              speed=arguments.speed_mm_s * 1e-3, **options)
         if arguments.json:
             print_json(answer)
+        elif answer["phase"] == "stopped":
+            print(f"tissue-sim: {answer['message']}", file=sys.stderr)
         else:
             print(f"{answer['frames']} frames in {answer['seconds']:.1f} s; {answer['phase']}; "
                   f"largest force {answer['largest_force_N']:.3f} N", file=sys.stdout)
@@ -90,6 +96,6 @@ def run(arguments) -> int:
 
 
 def page_options(arguments) -> dict:
-    """Keyword arguments of `scenes.viewer.run.PageOptions`."""
+    """The dictionary `page` of `scenes.viewer.run.run_page`."""
     return {"host": arguments.host, "port": arguments.port, "exposed": arguments.expose, "open": arguments.open,
             "low_graphics": arguments.low_graphics, "dark": arguments.dark}

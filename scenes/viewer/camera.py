@@ -7,7 +7,7 @@ from math import cos, radians, sin, tan
 
 import numpy as np
 
-from scenes.viewer.tool_picture import PLATE_RADIUS, PLATE_THICKNESS
+from scenes.viewer.tool_picture import PLATE_RADIUS, plate_thickness
 from tissue_sim.experiment import Specimen
 from tissue_sim.tool import Tool
 
@@ -45,12 +45,13 @@ def camera_pose(preset: str, specimen: Specimen, tool: Tool, depth: float, above
         width = 1.6 * (tool.radius or specimen.radius)
         radius, bottom, top = width, -depth - 0.9 * width, -depth + 0.7 * width
     else:
-        radius, bottom, top = PLATE_RADIUS * specimen.radius, -(1.0 + PLATE_THICKNESS) * specimen.height, above
+        thickness = plate_thickness(specimen)
+        radius, bottom, top = PLATE_RADIUS * specimen.radius, -specimen.height - thickness, above
     centre = np.array([0.0, 0.0, 0.5 * (bottom + top)])
     angles = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     # Narrow at the top, where the arrow is, unless the view is of the contact.
-    rings = ((radius, bottom), (radius, 0.0 if preset != "contact" else top), (0.3 * radius, top))
+    rings = ((radius, bottom), (radius, thickness if preset != "contact" else top), (0.3 * radius, top))
     points = np.concatenate([np.column_stack([r * ring, np.full(len(ring), z)]) for r, z in rings]) - centre
     half = tan(0.5 * FIELD_OF_VIEW)
     # So far that every point is within the view: |across| <= half (distance - nearness).

@@ -17,7 +17,7 @@ from haptics.loop import LoopSettings
 from haptics.loop_process import LoopError, LoopProcess
 from haptics.motion_source import MotionSource
 from haptics.rendering import ForceRendering
-from haptics.ring import PAUSED
+from haptics.ring import PAUSED, TICK
 from scenes.viewer.frame import Phase, Readouts
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import ForceStatus
@@ -57,6 +57,8 @@ class LiveSimulation:
         self._number, self._published = 0, 0
         self._pattern: Snapshot | None = None
         self._recent: deque[tuple[float, int]] = deque()
+        #: Ticks of the last `_LOOK_BACK` s.
+        self._felt = np.empty(0, TICK)
         self._paused = False
         self.phase, self.message = Phase.STARTING, "starting"
         self.snapshot: Snapshot | None = None
@@ -67,6 +69,12 @@ class LiveSimulation:
     def process(self) -> LoopProcess:
         """The process, for those who measure it."""
         return self._loop
+
+    @property
+    def tool_depth(self) -> float:
+        """Where the tool is now, m; where it has not been seen yet, the touch."""
+        last = None if self._ring is None else self._ring.latest()
+        return 0.0 if last is None else float(last["tool_depth"])
 
     def poll(self) -> np.ndarray | None:
         """Take in what is new.
@@ -128,6 +136,7 @@ class LiveSimulation:
         """Leave out the ticks that nobody has polled yet."""
         if self._ring is not None:
             self._number = self._ring.written
+        self._felt = self._felt[:0]
 
     def _take_pattern(self, pattern: Snapshot) -> None:
         """Of a changed material; the mesh stays the same object, so that pictures need not look at it again."""
@@ -145,7 +154,8 @@ class LiveSimulation:
             self._recent.popleft()
         (then, before) = self._recent[0]
         rate = (self._number - before) / (now - then) if now > then else 0.0
-        recent = records[records["time"] > last["time"] - _LOOK_BACK]
+        felt = np.concatenate([self._felt, records])
+        self._felt = recent = felt[felt["time"] > last["time"] - _LOOK_BACK]
         deadlines = last["tick"]
         self.readouts = Readouts(
             float(last["time"]), float(last["tool_depth"]), float(last["tissue_force"]), float(last["stiffness"]),

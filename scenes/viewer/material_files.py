@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -142,31 +141,6 @@ def _accepted(material: Material, name: str, value: float, wanted: float) -> flo
         middle = 0.5 * (good + bad)
         good, bad = (middle, bad) if _accepts(material, name, middle) else (good, middle)
     return good
-
-
-def edited(material: Material, values: Mapping[str, float]) -> Material:
-    """The material with some parameters changed.
-
-    Args:
-        material: the one before.
-        values: name of `tissue_sim.material_parameters` -> value in the unit of the name, the law's in SI.
-
-    Raises:
-        InputError: an unknown name, or what the material refuses.
-    """
-    left = dict(values)
-    while left:
-        refused = None
-        for name, value in list(left.items()):
-            try:
-                material = with_parameter(material, name, value)
-                del left[name]
-            except InputError as error:
-                # It may fit once the others are changed, as one g does when another was lowered.
-                refused = refused or (error, len(left))
-        if refused and refused[1] == len(left):
-            raise refused[0]
-    return material
 
 
 def save_edited(material: Material, folder: str | Path, name: str, *, source: str) -> Path:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from concurrent.futures import Future
 
 import tissue_sim as ts
+from calibration.executors import WorkerError
 from calibration.process_pool import ProcessPool
-from tissue_sim.errors import ConvergenceError, InputError
+from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError
 
 
 class ModelCurve:
@@ -23,6 +24,7 @@ class ModelCurve:
         self._pool = ProcessPool(1)
         self._wanted: ts.Model | None = None
         self._computed: Future | None = None
+        self._stale = False
         self.recording: ts.Recording | None = None
         self.problem, self.number = "", 0
 
@@ -38,25 +40,27 @@ class ModelCurve:
     def forget(self) -> None:
         """What was computed belongs to another test now."""
         self.recording, self.problem, self._wanted, self.number = None, "", None, self.number + 1
+        self._stale = self._computed is not None
 
     def poll(self) -> None:
-        """Take an answer, and begin with the next wish.
-
-        Raises:
-            WorkerError: processes end before they can begin.
-        """
+        """Take an answer, and begin with the next wish."""
         if self._computed is not None and self._computed.done():
-            self._take(self._computed)
-            self._computed = None
+            computed, stale = self._computed, self._stale
+            self._computed, self._stale = None, False
+            if not stale:
+                self._take(computed)
         if self._computed is None and self._wanted is not None:
-            self._computed = self._pool.submit(simulate_test, (self._wanted, self._resolution))
-            self._wanted = None
+            wanted, self._wanted = self._wanted, None
+            try:
+                self._computed = self._pool.submit(simulate_test, (wanted, self._resolution))
+            except WorkerError as error:
+                self.problem, self.number = str(error), self.number + 1
 
     def _take(self, computed: Future) -> None:
         self.number += 1
         try:
             self.recording, self.problem = computed.result(), ""
-        except (ConvergenceError, InputError) as error:
+        except (ConvergenceError, InputError, MissingBackendError) as error:
             self.recording, self.problem = getattr(error, "recording", None), str(error)
         except self._pool.death:
             self.problem = "the process that computes the curve has died; it begins anew with the next change"

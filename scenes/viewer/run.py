@@ -16,6 +16,8 @@ from scenes.viewer.frame import NullViewer, Phase
 from scenes.viewer.session import Session
 from scenes.viewer.setup import Setup
 from scenes.viewer.web_server import exposure
+from tissue_sim.errors import InputError
+from tissue_sim.protocol import STUDY_SPEED
 
 
 def run_page(setup: Setup, materials: Path, page: dict[str, Any], *, seconds: float | None = None, json: bool = False,
@@ -61,23 +63,34 @@ def run_page(setup: Setup, materials: Path, page: dict[str, Any], *, seconds: fl
     return 0
 
 
-def run_headless(setup: Setup, seconds: float, *, protocol: str | None = None, **options: Any) -> dict[str, Any]:
+def run_headless(setup: Setup, seconds: float, *, protocol: str | None = None, speed: float = STUDY_SPEED,
+                 **options: Any) -> dict[str, Any]:
     """Play a protocol without a screen, and say what was felt.
 
     Args:
         seconds: from the first tick on; the solver may have to be compiled before it.
         protocol: to play; None: the tool stays at the touch.
+        speed: where the protocol states none, m/s.
         options: of `Session`.
+
+    Raises:
+        InputError: a protocol that is refused.
     """
     session, viewer = Session(setup, **options), NullViewer()
     try:
         with _stopped_by_signals() as stop:
             while not stop.is_set() and session.frame().phase is Phase.STARTING:
                 stop.wait(0.05)
+            refused = []
             if protocol is not None:
-                session.post("play", text=protocol)
+                session.post("play", text=protocol, speed=speed, reply=refused.append)
             session.run(viewer, stop, seconds)
-        frame = viewer.latest
+            while session.waits_for_curve and not stop.is_set():
+                viewer.show(session.frame())
+                stop.wait(0.05)
+        frame = viewer.latest or session.frame()  # stopped before its time
+        if any(refused) and frame.phase is not Phase.DIED:
+            raise InputError(refused[0])
         trace = frame.curves.trace
         now = frame.readouts
         return {

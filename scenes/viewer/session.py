@@ -14,13 +14,13 @@ import tissue_sim as ts
 from haptics.motion_source import HandMotion, MotionSource, ProtocolMotion
 from scenes.viewer.frame import Curves, Frame, Phase, Viewer
 from scenes.viewer.live_simulation import LiveSimulation
-from scenes.viewer.material_files import edited, save_edited
+from scenes.viewer.material_files import save_edited
 from scenes.viewer.measurement import Measurement, Residual, motion, residual, typical
 from scenes.viewer.model_curve import ModelCurve
 from scenes.viewer.setup import Setup
 from scenes.viewer.trace import Trace
 from tissue_sim.errors import InputError
-from tissue_sim.material_parameters import parameter_values
+from tissue_sim.material_parameters import parameter_values, with_parameters
 
 #: Frames a second, and how many of them until the plots are drawn anew.
 FRAME_RATE, PLOT_EVERY = 30.0, 3
@@ -59,6 +59,8 @@ class Session:
         self._felt = 0
         self._motion, self._target = "hand", 0.0
         self._simulation: LiveSimulation | None = None
+        #: Whether the material was changed before the simulation could be told.
+        self._owed = False
         self._begin()
 
     @property
@@ -83,6 +85,9 @@ class Session:
         self._obey()
         simulation = self._simulation
         records = simulation.poll()
+        if self._owed and simulation.phase is Phase.RUNNING:
+            self._owed = False
+            simulation.ask("set_parameters", **parameter_values(self.setup.material))
         if records is not None and len(records):
             self._felt += self._trace.append(records)
         self._curve.poll()
@@ -110,12 +115,10 @@ class Session:
         """Let the tool go to a depth, m, as a hand would."""
         depth = min(max(depth, -CLEARANCE), self.setup.deepest)
         if self._motion != "hand":
-            readouts = self._simulation.readouts
-            here = readouts.depth if readouts else 0.0
-            self._simulation.ask("follow", source=HandMotion(here, HAND_SPEED))
-            self._motion = "hand"
-        self._target = depth
+            self._simulation.ask("follow", source=HandMotion(self._simulation.tool_depth, HAND_SPEED))
+            self._motion, self._target = "hand", self._simulation.tool_depth
         self._simulation.ask("aim", depth=depth)
+        self._target = depth
 
     def play(self, text: str, speed: float = 5e-3, repeat: bool = False) -> None:
         """Play a protocol from its beginning, on tissue that nobody has touched.
@@ -129,21 +132,19 @@ class Session:
             InputError: a fault in the protocol, or one that goes deeper than the setup.
         """
         protocol = ts.Protocol.parse(text, _POINTS, speed)
-        deepest = float(protocol.displacement.max())
-        if deepest > self.setup.deepest * (1 + 1e-9):
-            raise InputError(f"goes to {deepest * 1e3:g} mm, and the mesh is made for {self.setup.deepest * 1e3:g} mm; "
-                             "start the viewer with a larger --depth-mm", field="protocol")
+        self._require_depth(protocol, "protocol")
         self._follow("protocol", ProtocolMotion(protocol, repeat=repeat))
 
     def replay(self, speed: float = 1.0) -> None:
         """Repeat the measured motion, so many times as fast.
 
         Raises:
-            InputError: nothing was measured in this scene.
+            InputError: nothing was measured in this scene, or deeper than the setup goes.
         """
         if self.setup.measurement is None:
             raise InputError("nothing was measured in this scene; start the viewer with --measured FILE")
         measured, (recording, _) = motion(self.setup.measurement), typical(self.setup.measurement)
+        self._require_depth(measured, "recording")
         self._follow("recording", ProtocolMotion(ts.Protocol(measured.time / speed, measured.displacement)))
         if "time" in recording:
             self._replayed = ((recording.time - measured.time[0]) / speed, recording.force)
@@ -173,7 +174,7 @@ class Session:
         Raises:
             InputError: what the material or the simulation refuses; nothing is changed.
         """
-        self._take_material(edited(self.setup.material, values), self.setup.source)
+        self._take_material(with_parameters(self.setup.material, values), self.setup.source)
 
     def use_material(self, material: ts.Material, source: str) -> None:
         """Look at another material; one that differs in its parameters only is felt at once.
@@ -185,11 +186,13 @@ class Session:
 
     def _take_material(self, material: ts.Material, source: str) -> None:
         setup = replace(self.setup, material=material, source=source)
-        if (self._simulation.phase not in (Phase.RUNNING, Phase.PAUSED)
-                or not _differ_in_parameters_only(self.setup.material, material)):
+        if not _differ_in_parameters_only(self.setup.material, material):
             self._change(setup)
             return
-        self._simulation.ask("set_parameters", **parameter_values(material))
+        if self._simulation.phase in (Phase.RUNNING, Phase.PAUSED):
+            self._simulation.ask("set_parameters", **parameter_values(material))
+        # Another simulation would begin with it; one that is about to run gets it then.
+        self._owed = self._simulation.phase is Phase.STARTING
         self.setup = setup
         self._curve.ask(self._test())
 
@@ -219,6 +222,11 @@ class Session:
         """Begin again with a new process."""
         self._begin()
 
+    @property
+    def waits_for_curve(self) -> bool:
+        """Whether the curve of the newest model is still to come, or to be drawn."""
+        return self._curve.busy or self._curve.recording is not self._curves.model
+
     def close(self) -> None:
         """End the processes."""
         if self._simulation is not None:
@@ -230,11 +238,10 @@ class Session:
         while not self._wishes.empty():
             wishes.append(self._wishes.get())
         for number, (command, reply, values) in enumerate(wishes):
-            if command == "aim" and any(later[0] == "aim" for later in wishes[number + 1:]):
-                continue  # of a hand's wishes only the newest counts
             problem = None
             try:
-                getattr(self, command)(**values)
+                if not _overtaken(command, values, wishes[number + 1:]):
+                    getattr(self, command)(**values)
             except InputError as error:
                 problem = str(error)
             if reply is not None:
@@ -254,6 +261,7 @@ class Session:
             self._simulation.close()
         self._motion, self._target = "hand", 0.0
         self._forget_trace()
+        self._owed = False
         self._simulation = LiveSimulation(self.setup.model, HandMotion(0.0, HAND_SPEED), resolution=self._resolution,
                                           real_time=self._real_time)
         self._curve.ask(self._test())
@@ -267,6 +275,13 @@ class Session:
         simulation.forget()
         self._forget_trace()
         self._motion = kind
+
+    def _require_depth(self, protocol: ts.Protocol, field: str) -> None:
+        deepest, mesh = float(protocol.displacement.max()), self.setup.deepest
+        # A measured depth trembles.
+        if deepest > 1.01 * mesh:
+            raise InputError(f"goes to {deepest * 1e3:.4g} mm, and the mesh is made for {mesh * 1e3:.4g} mm; start the "
+                             "viewer with a larger --depth-mm", field=field)
 
     def _forget_trace(self) -> None:
         self._trace.clear()
@@ -294,12 +309,20 @@ class Session:
         self._curves = curves
 
 
+def _overtaken(command: str, values: dict[str, Any], later: list[tuple[str, Callable | None, dict[str, Any]]]) -> bool:
+    """Whether a later wish makes this one pointless: of a hand's, and of one slider's, only the newest counts."""
+    if command == "aim":
+        return any(other == "aim" for other, _, _ in later)
+    return (command == "set_parameters" and bool(later) and later[0][0] == command
+            and later[0][2]["values"].keys() == values["values"].keys())
+
+
 def _differ_in_parameters_only(a: ts.Material, b: ts.Material) -> bool:
     values = parameter_values(b)
     if parameter_values(a).keys() != values.keys():
         return False
     try:
-        return replace(edited(a, values), name=b.name) == b
+        return replace(with_parameters(a, values), name=b.name) == b
     except InputError:  # on the way from one to the other
         return False
 

@@ -60,7 +60,7 @@ def tool_outline(tool: Tool, specimen: Specimen) -> np.ndarray:
     """What is drawn of a tool, (r, z), from the axis below to the axis above, m, shape (n, 2); z = 0 is its deepest
     point, from which it is drawn `INSET` away."""
     if tool.shape == "plate":
-        radius, top = PLATE_RADIUS * specimen.radius, _thickness(specimen)
+        radius, top = PLATE_RADIUS * specimen.radius, plate_thickness(specimen)
         outline = np.array([[0.0, 0.0], [radius, 0.0], [radius, top]])
         inset = INSET * specimen.radius
     else:
@@ -96,7 +96,7 @@ def tool_mesh(tool: Tool, specimen: Specimen, opening: Opening) -> Surface:
 def base_plate(specimen: Specimen, opening: Opening) -> Surface:
     """The plate under the specimen, whole, in as many segments as the specimen, m."""
     radius, top = PLATE_RADIUS * specimen.radius, -specimen.height - INSET * specimen.radius
-    bottom = top - _thickness(specimen)
+    bottom = top - plate_thickness(specimen)
     outline = np.array([[0.0, bottom], [radius, bottom], [radius, top], [0.0, top]])
     return _body(outline, replace(opening, cut=0.0))
 
@@ -187,5 +187,6 @@ def _body(outline: np.ndarray, opening: Opening, recess: float = 0.0) -> Surface
     return joined(sections, outside)
 
 
-def _thickness(specimen: Specimen) -> float:
+def plate_thickness(specimen: Specimen) -> float:
+    """Of the plates above and below a specimen, m."""
     return PLATE_THICKNESS * max(specimen.height, 0.5 * specimen.radius)

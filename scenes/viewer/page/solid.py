@@ -75,10 +75,9 @@ class Solid:
         self._arrow = self._mesh("/tool/force", ARROW)
         self._base = self._mesh("/base", BASE)
         self._force = self._scene.add_label("/tool/force_label", "", anchor="bottom-left", visible=False)
-        lines = np.zeros((1, 2, 3), np.float32)
-        self._mesh_lines = self._scene.add_line_segments("/tissue/mesh", lines, MESH_LINES, line_width=1.0)
-        self._outline = self._scene.add_line_segments("/undeformed", lines, OUTLINE, line_width=1.5)
-        self._contact = self._scene.add_line_segments("/contact", lines, CONTACT, line_width=4.0)
+        self._mesh_lines = self._segments("/tissue/mesh", MESH_LINES, 1.0)
+        self._outline = self._segments("/undeformed", OUTLINE, 1.5)
+        self._contact = self._segments("/contact", CONTACT, 4.0)
         self._nothing = nothing
         self._drawn: tuple | None = None
         self._standing: tuple | None = None
@@ -189,6 +188,10 @@ class Solid:
         empty = np.zeros((3, 3), np.float32)
         return self._scene.add_mesh_simple(name, empty, np.array([[0, 1, 2]], np.uint32), color=colour, side="double",
                                            cast_shadow=False, receive_shadow=False, visible=False)
+
+    def _segments(self, name: str, colour: tuple[int, int, int], pixels: float) -> viser.LineSegmentsHandle:
+        return self._scene.add_line_segments(name, np.zeros((1, 2, 3), np.float32), colour, thickness=pixels,
+                                             thickness_units="screen", visible=False)
 
     def _fill(self, handle: viser.MeshHandle, surface: Surface) -> None:
         if len(surface.faces):

@@ -9,13 +9,12 @@ from hypothesis import strategies as st
 import tissue_sim as ts
 from scenes.viewer.material_files import (
     LARGEST_UPLOAD,
-    edited,
     list_materials,
     parameter_ranges,
     read_upload,
     save_edited,
 )
-from tissue_sim.material_parameters import parameter_values
+from tissue_sim.material_parameters import parameter_values, with_parameters
 
 PHANTOM = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4),
                       name="phantom", viscoelastic=ts.Prony((ts.PronyTerm(0.3, 2.0), ts.PronyTerm(0.2, 20.0))))
@@ -90,7 +89,7 @@ def test_every_parameter_has_a_slider_whose_ends_the_material_accepts(name):
         assert slider.low <= shown <= slider.high
         assert 0 < slider.step <= (slider.high - slider.low) / 100
         for end in (slider.low, slider.high):
-            changed = edited(material, {parameter: end / slider.factor})
+            changed = with_parameters(material, {parameter: end / slider.factor})
             assert parameter_values(changed)[parameter] == pytest.approx(end / slider.factor)
             if parameter.startswith("bulk."):
                 assert 2 <= changed.bulk_modulus / changed.mu0 <= 1e6
@@ -118,24 +117,25 @@ def test_sliders_of_any_size(C10, ratio):
     for name, slider in parameter_ranges(material).items():
         assert slider.low <= material.parameters[name] * slider.factor <= slider.high
         for end in (slider.low, slider.high):
-            edited(material, {name: end / slider.factor})
+            with_parameters(material, {name: end / slider.factor})
 
 
 def test_several_parameters_change_together():
     """Each of the two g alone would make the sum too large in one of the two orders."""
-    changed = edited(PHANTOM, {"viscoelastic.terms[0].g": 0.9, "viscoelastic.terms[1].g": 0.05, "C10": 900.0})
+    changed = with_parameters(PHANTOM, {"viscoelastic.terms[0].g": 0.9, "viscoelastic.terms[1].g": 0.05, "C10": 900.0})
     assert changed.viscoelastic.g.tolist() == [0.9, 0.05] and changed.parameters["C10"] == 900.0
     assert PHANTOM.viscoelastic.g.tolist() == [0.3, 0.2]
     with pytest.raises(ts.InputError, match="no parameter 'C11'"):
-        edited(PHANTOM, {"C11": 1.0})
+        with_parameters(PHANTOM, {"C11": 1.0})
     with pytest.raises(ts.InputError, match="must stay below 1"):
-        edited(PHANTOM, {"viscoelastic.terms[0].g": 0.9, "C10": 900.0})
+        with_parameters(PHANTOM, {"viscoelastic.terms[0].g": 0.9, "C10": 900.0})
 
 
 def test_saved_file_holds_the_values_and_says_where_they_come_from(tmp_path):
     content = uploaded(PHANTOM, covariance=[[4.0, 0.0], [0.0, 9.0]], valid_range={"stretch": [0.8, 1.0]},
                        provenance={"method": "analytical", "residual": {"RMSE_Pa": 3.0}})
-    changed = edited(read_upload("fit.material.json", content), {"C10": 900.0, "viscoelastic.terms[1].tau_s": 33.0})
+    changed = with_parameters(read_upload("fit.material.json", content),
+                              {"C10": 900.0, "viscoelastic.terms[1].tau_s": 33.0})
     path = save_edited(changed, tmp_path / "new", "softer phantom", source="fit.material.json")
     assert path == tmp_path / "new" / "softer phantom.material.json"
     file = ts.read_material_file(path)

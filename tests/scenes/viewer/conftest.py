@@ -1,0 +1,72 @@
+"""What tests of the viewer share: the needle in the study's specimen, patience, and stand-ins for slow processes."""
+
+import importlib
+import time
+from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
+
+import pytest
+
+import tissue_sim as ts
+from haptics.loop_process import LoopProcess
+from scenes.commands.loop import read_material
+from scenes.needle import NEEDLE
+from scenes.viewer.setup import Setup
+
+
+@pytest.fixture(scope="session")
+def needle() -> Setup:
+    """The needle in the study's specimen, to 4 mm."""
+    experiment = NEEDLE.experiment(specimen=ts.Specimen(radius=0.04, height=0.07), protocol=ts.Protocol.ramp(4e-3, 21))
+    return Setup(NEEDLE, experiment, read_material(None))
+
+
+@pytest.fixture(scope="session")
+def until():
+    """Look again and again until what is seen fits, and return that."""
+    def until(look, fits, seconds=120.0):
+        deadline = time.monotonic() + seconds
+        while not fits(seen := look()):
+            assert time.monotonic() < deadline, f"this is still so: {seen}"
+            time.sleep(0.005)
+        return seen
+
+    return until
+
+
+@pytest.fixture
+def of_gel(monkeypatch, root):
+    """Loops whose tissue is a spring of 200 N/m: their processes begin without kernels, seconds earlier."""
+    monkeypatch.syspath_prepend(root / "tests" / "haptics")  # the process of the loop inherits it
+    gel = importlib.import_module("loop_tissues").Gel
+
+    class OfGel(LoopProcess):
+        def __init__(self, build, *others, **options):
+            super().__init__(gel, *others, **options)
+
+    monkeypatch.setattr("scenes.viewer.live_simulation.LoopProcess", OfGel)
+
+
+class PoolByHand:
+    """A pool without processes, whose tasks the test answers: `tasks` are their arguments and futures."""
+
+    death = BrokenProcessPool
+
+    def __init__(self):
+        self.tasks: list[tuple[tuple, Future]] = []
+        self.stopped = False
+
+    def submit(self, function, arguments):
+        self.tasks.append((arguments, Future()))
+        return self.tasks[-1][1]
+
+    def stop(self):
+        self.stopped = True
+
+
+@pytest.fixture
+def pool(monkeypatch) -> PoolByHand:
+    """The pool of every `ModelCurve` that is made."""
+    pool = PoolByHand()
+    monkeypatch.setattr("scenes.viewer.model_curve.ProcessPool", lambda count: pool)
+    return pool

@@ -1,0 +1,85 @@
+"""Where to look from: everything that is drawn is in the picture, fills it, and shows the section faces."""
+
+import numpy as np
+import pytest
+
+import tissue_sim as ts
+from scenes.viewer.camera import FIELD_OF_VIEW, PRESETS, camera_pose
+from scenes.viewer.revolution import Opening
+from scenes.viewer.tool_picture import base_plate, picture_height, tool_mesh
+
+NEEDLE, PLATE = ts.Tool("flat", radius=0.008), ts.Tool()
+STUDY, FLAT, TALL = ts.Specimen(0.04, 0.07), ts.Specimen(0.05, 0.01), ts.Specimen(0.01, 0.08)
+OPENING = Opening()
+
+
+def drawn(specimen, tool, depth):
+    """Points of all that is drawn around an undeformed specimen, m, shape (n, 3)."""
+    angles = np.linspace(0.0, 2 * np.pi, 90)
+    rim = specimen.radius * np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=-1)
+    above = picture_height(tool, specimen)
+    return np.concatenate([rim, rim - [0.0, 0.0, specimen.height], base_plate(specimen, OPENING).vertices,
+                           tool_mesh(tool, specimen, OPENING).vertices - np.array([0.0, 0.0, depth]),
+                           [[0.0, 0.0, above - depth]]])
+
+
+def in_view(pose, points, aspect):
+    """Place in the picture: (right, up), each -1 to 1 within it; and the distance in front of the camera, m."""
+    ahead = pose.look_at - pose.position
+    ahead = ahead / np.linalg.norm(ahead)
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    way = points - pose.position
+    far = way @ ahead
+    half = np.tan(0.5 * FIELD_OF_VIEW)
+    return np.stack([way @ right / (far * half * aspect), way @ np.cross(right, ahead) / (far * half)], axis=-1), far
+
+
+@pytest.mark.parametrize("aspect", [0.5, 1.0, 16 / 9, 3.0])
+@pytest.mark.parametrize(("specimen", "tool"), [(STUDY, NEEDLE), (STUDY, PLATE), (FLAT, NEEDLE), (FLAT, PLATE),
+                                                (TALL, PLATE)])
+@pytest.mark.parametrize("preset", sorted(set(PRESETS) - {"contact"}))
+def test_everything_is_in_view_and_fills_it(preset, specimen, tool, aspect):
+    for depth in (0.0, 0.15 * specimen.height):
+        pose = camera_pose(preset, specimen, tool, depth, picture_height(tool, specimen), aspect)
+        place, far = in_view(pose, drawn(specimen, tool, depth), aspect)
+        assert far.min() > 0 and np.abs(place).max() <= 1.0
+        assert depth or np.abs(place).max() >= 0.75, "no wasted space"
+
+
+@pytest.mark.parametrize("aspect", [0.5, 1.0, 3.0])
+@pytest.mark.parametrize("tool", [NEEDLE, ts.Tool("sphere", radius=0.004), ts.Tool("flat", radius=0.002)])
+def test_contact_is_a_close_view_of_the_end_of_the_tool(tool, aspect):
+    depth = 6e-3
+    pose = camera_pose("contact", STUDY, tool, depth, picture_height(tool, STUDY), aspect)
+    around = np.array([[x, 0.0, -depth + z] for x in (-1, 1) for z in (0.0, tool.radius)]) * [tool.radius, 1, 1]
+    place, far = in_view(pose, around, aspect)
+    assert far.min() > 0 and np.abs(place).max() <= 1.0
+    across = np.abs(place[:, 0]).max() * max(aspect, 1.0)
+    assert across >= 0.25, "the tool is large in it"
+    whole, _ = in_view(camera_pose("iso", STUDY, tool, depth, picture_height(tool, STUDY), aspect), around, aspect)
+    assert np.ptp(place[:, 0]) > 1.5 * np.ptp(whole[:, 0])
+
+
+@pytest.mark.parametrize("cut", [90.0, 120.0, 180.0])
+@pytest.mark.parametrize("preset", ["iso", "front", "contact"])
+def test_both_section_faces_are_seen(preset, cut):
+    pose = camera_pose(preset, STUDY, NEEDLE, 5e-3, picture_height(NEEDLE, STUDY))
+    half = np.radians(0.5 * cut)
+    for side in (-1, 1):
+        azimuth = -np.pi / 2 + side * half
+        # Out of the tissue and into the wedge that is cut out.
+        normal = -side * np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+        assert normal[1] < 1e-12
+        assert (pose.position - pose.look_at) @ normal > 0
+
+
+def test_presets_look_from_where_they_say():
+    poses = {name: camera_pose(name, STUDY, NEEDLE, 0.0, 0.05) for name in PRESETS}
+    away = {name: (pose.position - pose.look_at) / np.linalg.norm(pose.position - pose.look_at)
+            for name, pose in poses.items()}
+    np.testing.assert_allclose(away["front"], [0.0, -1.0, 0.0], atol=1e-12)
+    assert away["top"][2] > 0.999
+    assert 0 < away["contact"][2] < away["iso"][2] < 0.9
+    for pose in poses.values():
+        assert abs(pose.look_at[0]) + abs(pose.look_at[1]) == 0.0, "the axis is in the middle"

@@ -1,0 +1,284 @@
+"""The loop as a page sees it: it starts, its numbers are right, its tissue is that of its numbers, and it may die."""
+
+import os
+import signal
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import tissue_sim as ts
+from haptics.motion_source import HandMotion
+from haptics.ring import PAUSED, TICK, RingReader, RingWriter
+from haptics.snapshot_board import SnapshotBoard, SnapshotReader
+from scenes.viewer.frame import Phase
+from scenes.viewer.live_simulation import LiveSimulation
+from tissue_sim.fem.fields import Fields
+from tissue_sim.material_parameters import with_parameter
+from tissue_sim.snapshot import Snapshot
+from tissue_sim.tool_force import ForceStatus
+
+
+class Watched:
+    """A simulation, and what it has said while it was polled."""
+
+    def __init__(self, simulation):
+        self.simulation, self.said, self.ticks = simulation, [], 0
+
+    def __call__(self):
+        records = self.simulation.poll()
+        self.ticks += 0 if records is None else len(records)
+        word = (self.simulation.phase, self.simulation.message)
+        if not self.said or self.said[-1] != word:
+            self.said.append(word)
+        return self.simulation
+
+
+@pytest.fixture(scope="module")
+def needle_loop(needle, until):
+    simulation = LiveSimulation(needle.model, HandMotion(0.0, 0.05), real_time=False)
+    watched = Watched(simulation)
+    assert simulation.phase is Phase.STARTING and simulation.readouts is None and simulation.snapshot is None
+    with pytest.raises(ts.InputError, match=r"the simulation is not running \(starting\)"):
+        simulation.ask("aim", depth=1e-3)
+    try:
+        until(watched, lambda seen: seen.readouts is not None and seen.snapshot is not None)
+        yield watched
+    finally:
+        simulation.close()
+
+
+def at_rest(depth):
+    """The tool and the tissue that is shown have come to a depth, and inertia is over."""
+    def at_rest(seen):
+        return abs(seen.readouts.depth - depth) < 1e-8 and abs(seen.snapshot.depth - depth) < 1e-8
+    return at_rest
+
+
+def simulator_at(model, depth):
+    """What the simulator itself answers after a slow motion."""
+    simulator = ts.Simulator(model, inertia="off")
+    for part in np.linspace(0.0, depth, 9)[1:]:
+        answer = simulator.step(part, 1.0)
+    assert answer.status is ForceStatus.CONVERGED
+    return simulator, answer
+
+
+def test_it_says_what_it_does_until_it_runs(needle_loop):
+    words = [message for _, message in needle_loop.said]
+    assert "building the tissue" in words or any("loading the solver" in word for word in words)
+    assert needle_loop.said[-1] == (Phase.RUNNING, "running")
+    assert {phase for phase, _ in needle_loop.said} == {Phase.STARTING, Phase.RUNNING}
+
+
+def test_what_is_felt_is_what_the_simulator_answers(needle_loop, needle, until):
+    simulation, meshes = needle_loop.simulation, set()
+    for depth in (2e-3, 3e-3):
+        simulation.ask("aim", depth=depth)
+        seen = until(needle_loop, at_rest(depth))
+        simulator, expected = simulator_at(needle.model, seen.readouts.depth)
+        assert seen.readouts.force == pytest.approx(expected.force, rel=1e-4)
+        assert seen.readouts.stiffness == pytest.approx(expected.stiffness, rel=1e-3)
+        # The tissue that is shown: the same equilibrium, and the face of the tool where the tool is.
+        np.testing.assert_allclose(seen.snapshot.place, simulator.snapshot().place, atol=1e-7)
+        nodes = seen.snapshot.fields.mesh.nodes
+        face = (nodes[:, 1] == 0.0) & (nodes[:, 0] < 0.99 * needle.experiment.tool.radius)
+        assert face.sum() > 3
+        np.testing.assert_allclose(seen.snapshot.place[face, 1], -seen.snapshot.depth, atol=1e-9)
+        np.testing.assert_allclose(seen.snapshot.fields.at_nodes("von_mises"),
+                                   simulator.snapshot().fields.at_nodes("von_mises"), rtol=1e-2, atol=1.0)
+        meshes.add(id(seen.snapshot.fields.mesh))
+    assert len(meshes) == 1, "pictures look at a mesh once"
+
+
+def test_a_pause_holds_the_tool(needle_loop, until):
+    simulation = needle_loop.simulation
+    simulation.ask("aim", depth=1e-3)
+    until(needle_loop, at_rest(1e-3))
+    simulation.ask("pause")
+    assert simulation.phase is Phase.PAUSED
+    simulation.ask("aim", depth=2e-3)
+    ticks = needle_loop.ticks
+    seen = until(needle_loop, lambda seen: needle_loop.ticks > ticks + 100)
+    assert seen.phase is Phase.PAUSED and seen.readouts.depth == pytest.approx(1e-3, abs=1e-8)
+    simulation.ask("resume")
+    assert simulation.phase is Phase.RUNNING
+    until(needle_loop, at_rest(2e-3))
+
+
+def test_what_the_loop_refuses_changes_nothing(needle_loop, until):
+    simulation = needle_loop.simulation
+    force = until(needle_loop, at_rest(2e-3)).readouts.force
+    for command, values, expected in (("aim", {"depth": float("nan")}, "is not a depth to go to"),
+                                      ("set_parameters", {"C10": -1.0}, "it must be positive"),
+                                      ("set_parameters", {"C77": 1.0}, "C77")):
+        with pytest.raises(ts.InputError, match=expected):
+            simulation.ask(command, **values)
+    ticks = needle_loop.ticks
+    seen = until(needle_loop, lambda seen: needle_loop.ticks > ticks + 50)
+    assert seen.phase is Phase.RUNNING and seen.readouts.force == pytest.approx(force, rel=1e-4)
+
+
+def test_a_changed_material_is_shown_on_the_same_mesh(needle_loop, needle, until):
+    simulation = needle_loop.simulation
+    until(needle_loop, at_rest(2e-3))
+    mesh, force = simulation.snapshot.fields.mesh, simulation.readouts.force
+    simulation.ask("set_parameters", C10=2000.0)
+    material = with_parameter(needle.material, "C10", 2000.0)
+    seen = until(needle_loop, lambda seen: seen.readouts.force > 1.1 * force and at_rest(2e-3)(seen)
+                 and seen.snapshot.fields.material.parameters["C10"] == 2000.0)
+    assert seen.snapshot.fields.mesh is mesh
+    model = ts.Model(needle.experiment, material)
+    assert seen.readouts.force == pytest.approx(simulator_at(model, seen.readouts.depth)[1].force, rel=1e-4)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
+def test_a_killed_process_is_a_sentence(of_gel, needle, until):
+    simulation = LiveSimulation(needle.model, HandMotion(0.0, 0.05), real_time=False)
+    try:
+        until(simulation.poll, lambda _: simulation.snapshot is not None)
+        process, seen = simulation.process, simulation.snapshot
+        os.kill(process.pid, signal.SIGKILL)
+        until(simulation.poll, lambda records: records is None)
+        assert simulation.phase is Phase.DIED
+        assert simulation.message == "the process of the loop was killed by signal 9; before that: running"
+        assert simulation.poll() is None and simulation.snapshot is seen, "what it was last stays to be looked at"
+        with pytest.raises(ts.InputError, match=r"is not running .*killed by signal 9"):
+            simulation.ask("pause")
+        assert not process.alive and not process.ring_path.exists() and not process.snapshot_path.exists()
+    finally:
+        simulation.close()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
+def test_a_process_that_is_killed_before_it_begins_is_a_sentence(of_gel, needle, until):
+    simulation = LiveSimulation(needle.model, HandMotion(0.0, 0.05), real_time=False)
+    try:
+        os.kill(simulation.process.pid, signal.SIGKILL)
+        until(simulation.poll, lambda _: simulation.phase is Phase.DIED)
+        assert "was killed by signal 9 before it began" in simulation.message
+    finally:
+        simulation.close()
+
+
+class Written:
+    """A loop without a process, whose ticks the test writes; its clock goes as the test says."""
+
+    def __init__(self, folder):
+        self.ring_path, self.snapshot_path = folder / "ring", folder / "snapshots"
+        self.writer = RingWriter(self.ring_path)
+        empty = np.zeros(0)
+        self.pattern = Snapshot(0.0, 0.0, Fields(None, None, 0.0, np.zeros((1, 2)), empty, empty, empty, empty))
+        self.board = SnapshotBoard(self.snapshot_path, self.pattern)
+        self.message, self.report, self.now, self.number = "running", None, 100.0, 0
+
+    def __call__(self, *arguments, **options):
+        return self
+
+    def start(self):
+        pass
+
+    def poll(self):
+        return True
+
+    def ring(self):
+        return RingReader(self.ring_path)
+
+    def snapshots(self):
+        return SnapshotReader(self.snapshot_path, self.pattern)
+
+    def stop(self):
+        self.writer.close()
+        self.board.close()
+
+    def write(self, count, **values):
+        """Add ticks of 1 ms."""
+        for _ in range(count):
+            self.number += 1
+            given = {"tick": self.number, "time": self.number * 1e-3} | values
+            self.writer.append(*(given.get(name, 0) for name in TICK.names))
+
+
+@pytest.fixture
+def written(monkeypatch, needle, tmp_path):
+    """A simulation and the loop behind it."""
+    loop = Written(tmp_path)
+    monkeypatch.setattr("scenes.viewer.live_simulation.LoopProcess", loop)
+    monkeypatch.setattr("scenes.viewer.live_simulation.time", SimpleNamespace(monotonic=lambda: loop.now))
+    simulation = LiveSimulation(needle.model, HandMotion())
+    yield simulation, loop
+    simulation.close()
+
+
+def test_rates_are_counted(written):
+    """Over two seconds of the clock on the wall, whatever the loop says of its own time."""
+    simulation, loop = written
+    for ticks, rate in ((40, 0), (30, 900), (30, 900), (30, 900)):
+        loop.write(ticks, late=3, missed=1)
+        simulation.poll()
+        assert simulation.readouts.rate == pytest.approx(rate)
+        loop.now += 1 / 30
+    assert simulation.readouts.late == pytest.approx(4 / 130)
+    for _ in range(30):
+        loop.now += 0.1
+        loop.write(50)
+        simulation.poll()
+    assert simulation.readouts.rate == pytest.approx(500)
+    readouts = simulation.readouts
+    assert len(simulation.poll()) == 0 and simulation.readouts is readouts, "no tick, no news"
+
+
+def test_readouts_are_of_the_last_half_second(written):
+    simulation, loop = written
+    loop.write(300, compute_time=5e-3, iterations=9)
+    simulation.poll()
+    assert simulation.readouts.step_time == pytest.approx(5e-3) and simulation.readouts.iterations == 9
+    for _ in range(8):
+        loop.write(30, compute_time=1e-4, iterations=1, tool_depth=2e-3, tissue_force=0.4, stiffness=200.0)
+        simulation.poll()
+    now = simulation.readouts
+    assert (now.time, now.depth, now.force, now.stiffness) == pytest.approx((0.54, 2e-3, 0.4, 200.0))
+    # 240 new ticks, and the 260 before them.
+    assert now.step_time == pytest.approx(5e-3) and now.iterations == pytest.approx((260 * 9 + 240) / 500, rel=0.01)
+    loop.write(30, compute_time=1e-4, iterations=1)
+    simulation.poll()
+    assert simulation.readouts.step_time == pytest.approx(1e-4)
+
+
+@pytest.mark.parametrize(("status", "word"), [(ForceStatus.LATE, "late"), (ForceStatus.STOPPED, "no equilibrium"),
+                                              (ForceStatus.REFUSED, "pose refused")])
+def test_the_worst_of_half_a_second_can_be_read(written, status, word):
+    """A single tick in one frame of thirty a second would be gone before anybody has read it."""
+    simulation, loop = written
+    loop.write(1, status=status)
+    loop.write(30)
+    for _ in range(14):
+        simulation.poll()
+        assert word in simulation.readouts.status
+        loop.write(33)
+    loop.write(33)
+    simulation.poll()
+    assert simulation.readouts.status == "in equilibrium"
+    loop.write(1, flags=PAUSED)
+    simulation.poll()
+    assert simulation.readouts.status == "paused"
+
+
+def test_a_loop_that_ends_by_itself_is_told(written):
+    simulation, loop = written
+    loop.write(5)
+    simulation.poll()
+    loop.report = SimpleNamespace(ended_by="parent")
+    assert simulation.poll() is None and simulation.phase is Phase.DIED
+    assert simulation.message == "the loop has ended (parent)"
+
+
+def test_ticks_that_nobody_asked_for_are_forgotten(written):
+    simulation, loop = written
+    loop.write(10)
+    assert len(simulation.poll()) == 10
+    loop.write(10)
+    simulation.forget()
+    loop.write(3)
+    records = simulation.poll()
+    assert records["tick"].tolist() == [21, 22, 23] and records.dtype == TICK

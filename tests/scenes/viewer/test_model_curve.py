@@ -1,0 +1,121 @@
+"""The curve of the whole test: the newest wish wins, a model without a curve says why, a worker may die."""
+
+import multiprocessing
+import operator
+import os
+import signal
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import tissue_sim as ts
+from scenes.viewer.model_curve import ModelCurve, simulate_test
+from tissue_sim.errors import ConvergenceError
+
+CURVE = ts.Recording({"displacement": np.linspace(0, 1e-3, 5), "force": np.linspace(0, 1, 5)})
+OTHER = ts.Recording({"displacement": np.linspace(0, 2e-3, 5), "force": np.linspace(0, 1, 5)})
+
+
+def test_the_newest_wish_wins(pool):
+    """The tasks stand for models: nothing here looks into one."""
+    curve = ModelCurve("accurate")
+    assert not curve.busy and curve.recording is None
+    curve.ask("first")
+    assert curve.busy and not pool.tasks, "the process of the page does not wait for one to start"
+    curve.poll()
+    for wish in ("second", "third", "fourth"):
+        curve.ask(wish)
+        curve.poll()
+    assert [arguments for arguments, _ in pool.tasks] == [("first", "accurate")]
+    pool.tasks[0][1].set_result(CURVE)
+    curve.poll()
+    assert curve.recording is CURVE and curve.number == 1
+    assert [arguments[0] for arguments, _ in pool.tasks] == ["first", "fourth"] and curve.busy
+    pool.tasks[1][1].set_result(OTHER)
+    curve.poll()
+    assert curve.recording is OTHER and curve.number == 2 and not curve.busy
+    curve.poll()
+    assert len(pool.tasks) == 2 and curve.number == 2
+    curve.close()
+    assert pool.stopped
+
+
+@pytest.mark.parametrize(("error", "left"), [
+    (ConvergenceError("no equilibrium below 3 mm", recording=OTHER, depth=3e-3), OTHER),
+    (ConvergenceError("not even the first"), None),
+    (ts.InputError("12 layers are too many", field="layers"), None),
+])
+def test_a_model_without_a_curve_says_why(pool, error, left):
+    """What a solver has reached is shown; a curve of the model before is not taken for that of this one."""
+    curve = ModelCurve()
+    for answer in ("set_result", CURVE), ("set_exception", error), ("set_result", CURVE):
+        curve.ask("a model")
+        curve.poll()
+        getattr(pool.tasks[-1][1], answer[0])(answer[1])
+        curve.poll()
+        failed = answer[1] is error
+        assert curve.recording is (left if failed else CURVE) and curve.problem == (str(error) if failed else "")
+    assert curve.number == 3
+
+
+def test_a_dead_worker_is_a_sentence(pool):
+    curve = ModelCurve()
+    curve.ask("a model")
+    curve.poll()
+    pool.tasks[0][1].set_exception(BrokenProcessPool("terminated abruptly"))
+    curve.poll()
+    assert "has died" in curve.problem and not curve.busy
+    curve.ask("another")
+    curve.poll()
+    pool.tasks[1][1].set_result(CURVE)
+    curve.poll()
+    assert curve.recording is CURVE and curve.problem == ""
+
+
+def test_what_is_forgotten_does_not_come_back(pool):
+    """The answer to a wish from before belongs to another test."""
+    curve = ModelCurve()
+    curve.ask("compression")
+    curve.poll()
+    curve.ask("compression, softer")
+    curve.forget()
+    assert curve.recording is None
+    curve.ask("needle")
+    pool.tasks[0][1].set_result(CURVE)
+    curve.poll()
+    assert curve.recording is None and [arguments[0] for arguments, _ in pool.tasks] == ["compression", "needle"]
+    pool.tasks[1][1].set_result(OTHER)
+    curve.poll()
+    assert curve.recording is OTHER
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
+def test_a_worker_may_be_killed(monkeypatch, until):
+    """A real process, with words in place of a simulation; test_session.py waits for whole tests."""
+    monkeypatch.setattr("scenes.viewer.model_curve.simulate_test", operator.concat)
+    before = set(multiprocessing.active_children())
+    curve = ModelCurve("fast")
+    try:
+        curve.ask("needle, ")
+        curve.poll()
+        worker, = set(multiprocessing.active_children()) - before
+        os.kill(worker.pid, signal.SIGKILL)
+        until(curve.poll, lambda _: not curve.busy)
+        assert "has died" in curve.problem and curve.recording is None
+        curve.ask("needle, ")
+        until(curve.poll, lambda _: not curve.busy)
+        assert (curve.recording, curve.problem, curve.number) == ("needle, fast", "", 2)
+    finally:
+        curve.close()
+    assert set(multiprocessing.active_children()) <= before
+
+
+def test_the_worker_simulates_the_test(needle):
+    specimen = replace(needle.experiment.specimen, density=1040.0, gravity=1e4)
+    collapses = replace(needle.model, experiment=replace(needle.experiment, specimen=specimen))
+    expected = ts.simulate(needle.model, resolution="realtime")
+    np.testing.assert_array_equal(simulate_test(needle.model, "realtime").force, expected.force)
+    with pytest.raises(ConvergenceError, match="does not stand under its own weight"):
+        simulate_test(collapses, "realtime")

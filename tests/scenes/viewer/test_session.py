@@ -1,0 +1,417 @@
+"""The session without a browser: what is asked for happens, is felt and drawn, or is refused in a sentence."""
+
+import math
+import multiprocessing
+import os
+import signal
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import tissue_sim as ts
+from haptics.ring import PAUSED, RingReader
+from scenes.viewer.frame import NullViewer, Phase
+from scenes.viewer.measurement import measurement, motion, residual
+from scenes.viewer.session import CLEARANCE, COMMANDS, PLOT_EVERY, STEP_TIME, Session
+from tissue_sim.errors import ConvergenceError
+from tissue_sim.material_parameters import with_parameter
+
+#: Slow enough for the mass of the tissue not to count.
+SPEED = 4.9e-3
+TEST = "ramp 2mm; hold 0.2s; unload"
+NO_REPLY = object()
+
+
+@pytest.fixture(scope="module")
+def measured(needle):
+    """The needle with a measurement of a stiffer specimen."""
+    model = replace(needle.model, material=with_parameter(needle.material, "C10", 1700.0),
+                    experiment=replace(needle.experiment, protocol=ts.Protocol.parse(TEST, 21, SPEED)))
+    return replace(needle, measurements={"needle_indentation": measurement([ts.simulate(model)])})
+
+
+@pytest.fixture(scope="module")
+def opened(measured, until):
+    before = set(multiprocessing.active_children())
+    session = Session(measured, real_time=False)
+    try:
+        until(session.frame, lambda frame: frame.readouts is not None and frame.curves.residual is not None)
+        yield session
+    finally:
+        session.close()
+    assert set(multiprocessing.active_children()) <= before, "no process is left behind"
+
+
+@pytest.fixture
+def session(opened, measured):
+    """At the touch, with the material of the beginning."""
+    told = [done(opened, "reset"), done(opened, "keep_curve"),
+            done(opened, "set_parameters", values=dict(measured.material.parameters))]
+    assert told == [None, None, None]
+    return opened
+
+
+def done(session, command, **values):
+    """Ask and look once; what was answered."""
+    told = [NO_REPLY]
+    session.post(command, reply=lambda problem: told.append(problem), **values)
+    session.frame()
+    assert len(told) < 3
+    return told[-1]
+
+
+def at_rest(depth):
+    return lambda frame: (frame.readouts is not None and abs(frame.readouts.depth - depth) < 1e-8
+                          and abs(frame.snapshot.depth - depth) < 1e-8)
+
+
+def curve_of(material, measured):
+    """The whole test with another material: what the plots are to show."""
+    model = ts.Model(replace(measured.experiment, protocol=motion(measured.measurement)), material)
+    return ts.simulate(model, resolution="fast")
+
+
+def test_a_hand_leads_the_tool(session, needle, until):
+    assert done(session, "aim", depth=2e-3) is None
+    frame = until(session.frame, at_rest(2e-3))
+    assert (frame.phase, frame.message, frame.motion, frame.target) == (Phase.RUNNING, "running", "hand", 2e-3)
+    expected = ts.simulate(needle.model, resolution="realtime")
+    assert frame.readouts.force == pytest.approx(np.interp(2e-3, expected.displacement, expected.force), rel=0.01)
+    assert frame.curves.trace.depth[-1] == pytest.approx(2e-3, abs=2e-5), "and it was drawn"
+
+
+def test_a_hand_stays_where_there_is_tissue(session):
+    for wish, target in ((1.0, 4e-3), (-1.0, -CLEARANCE), (1e-3, 1e-3)):
+        assert done(session, "aim", depth=wish) is None
+        assert session.frame().target == target
+    assert "is not a depth to go to" in done(session, "aim", depth=math.nan)
+    assert session.frame().target == 1e-3, "what is refused changes nothing"
+
+
+def test_a_played_protocol_is_the_test(session, needle, until):
+    assert done(session, "play", text=TEST, speed=SPEED) is None
+    assert session.frame().motion == "protocol"
+    duration = 2 * 2e-3 / SPEED + 0.2
+
+    def over(frame):
+        trace = frame.curves.trace
+        return len(trace) > 2 and trace.time[-1] - trace.time[0] > duration + 0.05
+
+    trace = until(session.frame, over).curves.trace
+    load, unload = trace.branches()
+    assert (load.depth[0], load.depth[-1], unload.depth[-1]) == pytest.approx((0.0, 2e-3, 0.0), abs=5e-5)
+    below = trace.time[trace.depth > 1.9e-3]
+    assert np.ptp(below) == pytest.approx(0.2 + 2 * 0.1e-3 / SPEED, abs=0.05), "it holds"
+    model = replace(needle.model, experiment=replace(needle.experiment, protocol=ts.Protocol.parse(TEST, 41, SPEED)))
+    expected = ts.simulate(model, resolution="realtime")
+    way_in, top = slice(0, 41), expected.force.max()
+    for branch in (load, unload):
+        there = np.interp(branch.depth, expected.displacement[way_in], expected.force[way_in])
+        assert np.abs(branch.force - there).max() <= 0.01 * top
+    assert top > 0.3
+
+
+@pytest.mark.parametrize(("text", "expected"), [
+    ("ramp 9mm", "protocol: goes to 9 mm, and the mesh is made for 4 mm"),
+    ("ramp 2", "protocol: column"),
+    ("", "protocol"),
+])
+def test_a_protocol_that_cannot_be_is_refused(session, text, expected):
+    problem = done(session, "play", text=text)
+    assert problem.startswith(expected) and "\n" not in problem
+    assert "ends 2 mm from where it began" in done(session, "play", text="ramp 2mm", repeat=True)
+    assert session.frame().motion == "hand"
+
+
+def stands_below(depth):
+    return lambda tick: tick["flags"] & PAUSED and tick["tool_depth"] > depth
+
+
+def test_a_pause_stands_still_and_a_step_goes_on(session, until):
+    assert done(session, "play", text="ramp 4mm", speed=4e-3) is None
+    until(session.frame, lambda frame: frame.readouts.depth > 0.2e-3 and len(frame.curves.trace))
+    assert done(session, "pause") is None
+    with RingReader(session.simulation.process.ring_path) as ring:
+        begin = ring.written
+        before = until(ring.latest, lambda tick: tick["flags"] & PAUSED)
+        assert session.frame().phase is Phase.PAUSED
+        for _ in range(2):
+            assert done(session, "step") is None
+            after = until(ring.latest, stands_below(before["tool_depth"]))
+            ticks = ring.since(begin).records
+            passed = np.diff(ticks["time"])[ticks["flags"][1:] & PAUSED == 0]
+            assert STEP_TIME - 1e-9 <= passed.sum() <= STEP_TIME + passed[-1]
+            assert after["tool_depth"] - before["tool_depth"] == pytest.approx(4e-3 * STEP_TIME, rel=1e-4)
+            before, begin = after, ring.written
+        frame = until(session.frame, lambda frame: frame.readouts.time > after["time"] + 0.05)
+        assert frame.phase is Phase.PAUSED and frame.readouts.depth == after["tool_depth"]
+    assert done(session, "resume") is None
+    frame = until(session.frame, lambda frame: frame.readouts.depth > after["tool_depth"] + 0.2e-3)
+    assert frame.phase is Phase.RUNNING
+
+
+def test_a_step_pauses_first(session, until):
+    assert done(session, "play", text="ramp 4mm", speed=4e-3) is None
+    assert done(session, "step") is None
+    assert session.frame().phase is Phase.PAUSED
+    assert done(session, "play", text="ramp 1mm", speed=20e-3) is None, "what is played goes on"
+    assert session.frame().phase is Phase.RUNNING
+    until(session.frame, at_rest(1e-3))
+
+
+def test_a_reset_forgets(session, until):
+    done(session, "aim", depth=3e-3)
+    until(session.frame, lambda frame: frame.readouts.depth > 1e-3 and len(frame.curves.trace) > 3)
+    number = session.frame().curves.number
+    assert done(session, "reset") is None
+    frame = until(session.frame, lambda frame: frame.readouts.depth == 0.0 and frame.curves.number != number)
+    assert (frame.motion, frame.target) == ("hand", 0.0)
+    frame = until(session.frame, lambda frame: len(frame.curves.trace) and frame.snapshot.depth == 0.0)
+    assert frame.curves.trace.depth.max() == 0.0 and frame.readouts.force == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_measurement_is_repeated(session, measured, until):
+    assert done(session, "replay") is None
+    way = motion(measured.measurement)
+
+    def over(frame):
+        trace = frame.curves.trace
+        return len(trace) > 2 and trace.time[-1] - trace.time[0] > way.time[-1] - way.time[0]
+
+    frame = until(session.frame, over)
+    trace = frame.curves.trace
+    assert frame.motion == "recording" and trace.depth.max() == pytest.approx(2e-3, abs=2e-5)
+    moments = np.linspace(0.1, 0.9, 9) * (way.time[-1] - way.time[0])
+    load, _ = trace.branches()
+    top = np.argmax(way.displacement) + 1
+    # The first tick of the motion is not marked; at 1 mm both are as late.
+    late = np.interp(1e-3, load.depth, load.time) - np.interp(1e-3, way.displacement[:top], way.time[:top])
+    np.testing.assert_allclose(np.interp(moments + way.time[0] + late, trace.time, trace.depth),
+                               np.interp(moments + way.time[0], way.time, way.displacement), atol=1e-4)
+    expected = curve_of(measured.material, measured)
+    there = np.interp(load.depth, *(each[: np.argmax(expected.displacement) + 1]
+                                    for each in (expected.displacement, expected.force)))
+    assert np.abs(load.force - there).max() <= 0.01 * expected.force.max()
+
+
+def test_a_parameter_moves_force_curve_and_residual(session, measured, until):
+    done(session, "aim", depth=2e-3)
+    before = until(session.frame, lambda frame: at_rest(2e-3)(frame) and frame.message == "running")
+    stiffer = with_parameter(measured.material, "C10", 1700.0)
+    assert done(session, "set_parameters", values={"C10": 1700.0}) is None
+    expected = curve_of(stiffer, measured)
+    frame = until(session.frame, lambda frame: at_rest(2e-3)(frame) and frame.readouts.force > before.readouts.force
+                  and frame.curves.model.force[-1] != before.curves.model.force[-1]
+                  and frame.curves.model.force.max() == pytest.approx(expected.force.max(), rel=1e-9))
+    np.testing.assert_allclose(frame.curves.model.force, expected.force, rtol=1e-9, atol=1e-12)
+    assert frame.curves.residual.rmse == pytest.approx(residual(expected, measured.measurement).rmse, rel=1e-6)
+    assert frame.curves.residual.rmse < 0.1 * before.curves.residual.rmse, "the measurement is of this material"
+    assert frame.setup.material.parameters["C10"] == 1700.0 and frame.snapshot.fields.material == frame.setup.material
+    felt = np.interp(2e-3, *(each[: np.argmax(expected.displacement) + 1]
+                             for each in (expected.displacement, expected.force)))
+    assert frame.readouts.force == pytest.approx(felt, rel=0.01)
+
+
+def test_a_refused_parameter_changes_nothing(session, until):
+    done(session, "aim", depth=1e-3)
+    before = until(session.frame, lambda frame: at_rest(1e-3)(frame) and not session._curve.busy
+                   and frame.curves.model is session._curve.recording)
+    for values, expected in (({"C10": -1.0}, "must be positive"), ({"C77": 1.0}, "C77"),
+                             ({"C10": 1500.0, "C20": math.nan}, "C20")):
+        assert expected in done(session, "set_parameters", values=values)
+    time = before.readouts.time
+    frame = until(session.frame, lambda frame: frame.readouts.time > time + 0.1)
+    assert frame.setup is before.setup and frame.curves.model is before.curves.model
+    assert frame.curves.residual is before.curves.residual and not session._curve.busy
+    assert frame.readouts.force == pytest.approx(before.readouts.force, rel=1e-4)
+
+
+def test_a_material_with_other_parameters_is_felt_at_once(session, measured, until):
+    done(session, "aim", depth=1e-3)
+    before, simulation = until(session.frame, at_rest(1e-3)), session.simulation
+    stiffer = replace(with_parameter(measured.material, "C10", 1700.0), name="stiffer")
+    assert done(session, "use_material", material=stiffer, source="stiffer.material.json") is None
+    frame = until(session.frame, lambda frame: frame.readouts.force > 1.1 * before.readouts.force)
+    assert session.simulation is simulation and frame.phase is Phase.RUNNING
+    assert (frame.setup.material, frame.setup.source) == (stiffer, "stiffer.material.json")
+
+
+def test_a_material_is_saved_as_it_is(session, tmp_path):
+    assert done(session, "set_parameters", values={"C10": 1500.0}) is None
+    assert done(session, "save_material", folder=tmp_path, name="softer") is None
+    path = tmp_path / "softer.material.json"
+    assert ts.load_material(path).parameters["C10"] == 1500.0
+    assert session.frame().setup.source == path.name
+    assert "is there already" in done(session, "save_material", folder=tmp_path, name="softer")
+    assert "is no name of a file" in done(session, "save_material", folder=tmp_path, name="../softer")
+    assert [each.name for each in tmp_path.iterdir()] == [path.name]
+
+
+def test_a_curve_is_kept_beside_the_next(session, until):
+    until(session.frame, lambda _: not session._curve.busy)
+    model = until(session.frame, lambda frame: frame.curves.model is session._curve.recording).curves.model
+    assert done(session, "keep_curve", name="before") is None
+    assert session.frame().curves.before == ("before", model)
+    done(session, "set_parameters", values={"C10": 1600.0})
+    frame = until(session.frame, lambda frame: frame.curves.model is not model)
+    assert frame.curves.before == ("before", model)
+    assert done(session, "keep_curve") is None
+    assert session.frame().curves.before is None
+
+
+def test_of_a_hand_the_newest_wish_counts_and_all_are_answered(session, monkeypatch):
+    asked, ask = [], session.simulation.ask
+    monkeypatch.setattr(session.simulation, "ask",
+                        lambda command, **values: (asked.append((command, values)), ask(command, **values)))
+    told = []
+    for depth in (1e-3, 2e-3, 0.5e-3):
+        session.post("aim", depth=depth, reply=told.append)
+    frame = session.frame()
+    assert asked == [("aim", {"depth": 0.5e-3})] and frame.target == 0.5e-3
+    assert told == [None, None, None], "somebody waits for each of the answers"
+
+
+def test_commands_come_from_many_threads(session, until):
+    told = []
+
+    def ask(thread):
+        for n in range(20):
+            session.post("keep_curve", name=f"{thread} {n}",
+                         reply=lambda problem, n=n: told.append((thread, n, problem)))
+
+    threads = [threading.Thread(target=ask, args=(each,)) for each in range(8)]
+    for thread in threads:
+        thread.start()
+    frame = until(session.frame, lambda _: len(told) == 160)
+    for thread in threads:
+        thread.join()
+    assert sorted(told) == [(thread, n, None) for thread in range(8) for n in range(20)]
+    for each in range(8):
+        assert [n for thread, n, _ in told if thread == each] == list(range(20)), "in the order in which it asked"
+    assert frame.curves.before[0] == "{} {}".format(*told[-1][:2])
+
+
+def test_what_is_no_command_is_a_fault_of_the_caller(session):
+    for name in ("close", "frame", "_begin", "fly"):
+        with pytest.raises(ValueError, match=f"no command '{name}'"):
+            session.post(name)
+    assert all(callable(getattr(Session, name)) for name in COMMANDS)
+
+
+def test_nothing_new_is_drawn_where_nothing_is_new(session, until):
+    assert done(session, "pause") is None
+    before = until(session.frame, lambda frame: (not session._curve.busy
+                                                 and frame.curves.model is session._curve.recording))
+    ticks = before.readouts.time
+    until(session.frame, lambda frame: frame.readouts.time > ticks + 0.1)  # what was felt before the pause is drawn
+    for _ in range(PLOT_EVERY):
+        settled = session.frame().curves
+    seen = [session.frame().curves for _ in range(3 * PLOT_EVERY)]
+    assert all(each is settled for each in seen)
+
+
+def test_a_viewer_is_shown_frames_until_it_is_enough(session):
+    stop = threading.Event()
+
+    class Leaving(NullViewer):
+        def show(self, frame):
+            super().show(frame)
+            if self.frames == 1:
+                session.post("aim", depth=0.5e-3)
+            if at_rest(0.5e-3)(frame):
+                stop.set()
+
+    viewer = Leaving()
+    session.run(viewer, stop, seconds=120.0)
+    assert stop.is_set() and viewer.frames > 1 and viewer.latest.target == 0.5e-3
+    viewer = NullViewer()
+    session.run(viewer, threading.Event(), seconds=0.05)
+    assert viewer.frames >= 1 and viewer.latest.phase is Phase.RUNNING
+
+
+@pytest.fixture
+def springs(of_gel, pool, needle):
+    """A session whose tissue is a spring, and whose curves the test computes."""
+    session = Session(needle, real_time=False)
+    yield session
+    session.close()
+
+
+def newest_model(pool):
+    (model, _), _ = pool.tasks[-1]
+    return model
+
+
+def test_what_comes_too_early_is_refused(springs, pool):
+    first = springs.simulation
+    frame = springs.frame()
+    assert (frame.phase, frame.readouts, frame.snapshot, frame.curves.model) == (Phase.STARTING, None, None, None)
+    for command, values in (("aim", {"depth": 1e-3}), ("play", {"text": "ramp 1mm"}), ("pause", {}), ("step", {})):
+        assert done(springs, command, **values) == "the simulation is not running (starting)"
+    frame = springs.frame()
+    assert (frame.target, frame.motion) == (0.0, "hand"), "what is refused changes nothing"
+    assert "nothing was measured" in done(springs, "replay")
+    assert done(springs, "set_parameters", values={"C10": 1500.0}) is None, "it gets the new material when it runs"
+    assert springs.frame().setup.material.parameters["C10"] == 1500.0
+    assert springs.simulation is first and first.process.alive
+    pool.tasks[0][1].set_exception(ConvergenceError("stopped at 3 mm"))
+    springs.frame()
+    assert newest_model(pool).material.parameters["C10"] == 1500.0
+
+
+def test_a_material_of_another_make_begins_anew(springs, pool, needle):
+    first = springs.simulation
+    material = replace(with_parameter(needle.material, "C10", 1500.0), density=900.0)
+    assert done(springs, "use_material", material=material, source="mine.material.json") is None
+    frame = springs.frame()
+    assert (frame.setup.material, frame.setup.source, frame.phase) == (material, "mine.material.json", Phase.STARTING)
+    assert springs.simulation is not first and not first.process.alive
+    pool.tasks[0][1].set_result(None)
+    springs.frame()
+    assert newest_model(pool) == ts.Model(needle.experiment, material)
+
+
+def test_another_scene_begins_anew_and_forgets_the_curves(springs, pool, needle):
+    springs.frame()
+    first, curve = springs.simulation, ts.simulate(needle.model)
+    pool.tasks[0][1].set_result(curve)
+    for _ in range(PLOT_EVERY + 1):
+        frame = springs.frame()
+    assert frame.curves.model is curve
+    assert done(springs, "keep_curve", name="needle") is None
+    for name, values in (("needle", {}), ("bonded_compression", {"tool": needle.experiment.tool})):
+        assert "scene" in done(springs, "use_scene", name=name, **values) or values
+        assert springs.simulation is first and springs.frame().setup is frame.setup
+    assert done(springs, "use_scene", name="bonded_compression") is None
+    assert springs.simulation is not first and not first.process.alive
+    frames = [springs.frame() for _ in range(PLOT_EVERY)]
+    assert frames[-1].setup.scene.name == "bonded_compression"
+    assert (frames[-1].curves.model, frames[-1].curves.before) == (None, None)
+    assert newest_model(pool).experiment.tool.shape == "plate"
+
+
+def test_a_model_without_a_curve_says_why(springs, pool, until):
+    until(springs.frame, lambda frame: frame.phase is Phase.RUNNING)
+    pool.tasks[0][1].set_exception(ConvergenceError("stopped at 3 mm"))
+    assert springs.frame().message == "stopped at 3 mm"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
+def test_a_simulation_that_died_can_be_begun_again(springs, until):
+    until(springs.frame, lambda frame: frame.readouts is not None)
+    os.kill(springs.simulation.process.pid, signal.SIGKILL)
+    frame = until(springs.frame, lambda frame: frame.phase is Phase.DIED)
+    assert frame.message == ("The simulation has stopped: the process of the loop was killed by signal 9; before that: "
+                             "running. Press Restart to begin again.")
+    for command, values in (("aim", {"depth": 1e-3}), ("play", {"text": "ramp 1mm"}), ("resume", {}), ("reset", {})):
+        assert "is not running" in done(springs, command, **values)
+    assert springs.frame().setup is frame.setup
+    assert done(springs, "restart") is None
+    until(springs.frame, lambda frame: frame.phase is Phase.RUNNING and frame.readouts is not None)
+    assert done(springs, "aim", depth=1e-3) is None
+    until(springs.frame, lambda frame: abs(frame.readouts.depth - 1e-3) < 1e-8)
+    process = springs.simulation.process
+    springs.close()
+    assert not process.alive and not process.ring_path.exists()
