@@ -58,7 +58,7 @@ def add_page_flags(parser: Parser) -> None:
                       help="allow a --host that others reach: they can watch and steer without a password")
     page.add_argument("--open", action="store_true", help="open the page in the browser of this computer")
     page.add_argument("--low-graphics", action="store_true",
-                      help="for browsers that draw without a graphics card")
+                      help="coarser pictures at half the resolution, for browsers without a graphics card")
     page.add_argument("--dark", action="store_true", help="begin with a dark page")
 
 

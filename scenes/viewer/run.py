@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json as json_format
 import signal
 import sys
@@ -18,6 +19,9 @@ from scenes.viewer.setup import Setup
 from scenes.viewer.web_server import exposure
 from tissue_sim.errors import InputError
 from tissue_sim.protocol import STUDY_SPEED
+
+#: What a browser without a graphics card is asked for.
+HALF_RESOLUTION = "?fixedDpr=0.5"
 
 
 def run_page(setup: Setup, materials: Path, page: dict[str, Any], *, seconds: float | None = None, json: bool = False,
@@ -46,17 +50,21 @@ def run_page(setup: Setup, materials: Path, page: dict[str, Any], *, seconds: fl
     try:
         viewer = Page(session, session.frame(), materials, **page)
         try:
+            address = f"{viewer.url}/{HALF_RESOLUTION if page['low_graphics'] else ''}"
             if json:
                 print(json_format.dumps({"url": viewer.url}), flush=True)
             else:
-                print(f"{viewer.url}   (Ctrl-C stops)", flush=True)
+                print(f"{address}   (Ctrl-C stops)", flush=True)
             if page["exposed"]:
                 print(f"tissue-sim: warning: {exposure(page['host'], viewer.server.get_port())}", file=sys.stderr)
             if opens:
-                webbrowser.open_new_tab(viewer.url)
+                webbrowser.open_new_tab(address)
+            gc.collect()
+            gc.freeze()  # what is there stays, and need not be looked through between two frames
             with _stopped_by_signals() as stop:
                 session.run(viewer, stop, seconds)
         finally:
+            gc.unfreeze()
             viewer.close()
     finally:
         session.close()

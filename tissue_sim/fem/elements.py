@@ -55,6 +55,12 @@ class Element:
         points = np.array([(a, b) for b in x for a in x])
         return points, np.array([v * u for u in w for v in w])
 
+    @cached_property
+    def from_quadrature(self) -> np.ndarray:
+        """Weights of the quadrature points in the nodes, of the polynomial through them, shape (nodes, q)."""
+        shapes, _ = self.shape_functions(self.quadrature[0])
+        return np.linalg.inv(shapes)
+
     def shape_functions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Values (q, nodes) and reference gradients (q, nodes, 2) at reference points (q, 2)."""
         lines = np.array([-1.0, 1.0]) if self.order == 1 else np.array([-1.0, 0.0, 1.0])

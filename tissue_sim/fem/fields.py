@@ -141,9 +141,5 @@ def _principal(F: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]
 
 def extrapolate(mesh: Mesh, values: np.ndarray) -> np.ndarray:
     """Values at the quadrature points, shape (elements, q), as nodal averages, shape (nodes,)."""
-    shapes, _ = mesh.element.shape_functions(mesh.element.quadrature[0])
-    nodal = values @ np.linalg.inv(shapes).T
-    total, count = np.zeros(len(mesh.nodes)), np.zeros(len(mesh.nodes))
-    np.add.at(total, mesh.connectivity, nodal)
-    np.add.at(count, mesh.connectivity, 1.0)
-    return total / count
+    nodal, nodes = values @ mesh.element.from_quadrature.T, mesh.connectivity.ravel()
+    return np.bincount(nodes, nodal.ravel(), len(mesh.nodes)) / np.bincount(nodes, minlength=len(mesh.nodes))

@@ -113,6 +113,8 @@ class Page:
             self._saving.show(frame)
             if self._frames % _WORDS_EVERY == 0:
                 self._write_words(frame)
+        # viser would wait for 1/60 s, and longer where it then finds the next frame half written.
+        self.server.flush()
 
     def close(self) -> None:
         """Close the port and all connections."""

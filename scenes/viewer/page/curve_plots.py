@@ -22,6 +22,7 @@ from scenes.viewer.plots import (
     residual_depth_options,
     settled_range,
 )
+from tissue_sim.recording import Recording
 
 
 class CurvePlots:
@@ -33,6 +34,7 @@ class CurvePlots:
         self._ranges: dict[str, Any] = {}
         self._drawn: tuple = ()
         self._written: dict[Any, tuple] = {}
+        self._known: dict[str, tuple] = {}
         empty = np.zeros(2)
         x = (0.0, frame.setup.deepest * 1e3)
         unit = (0.0, 1.0)
@@ -68,8 +70,8 @@ class CurvePlots:
         grid = depth_grid(frame.setup.deepest)
         x = (0.0, frame.setup.deepest * 1e3)
         measured, trace = curves.measurement, curves.trace
-        model = None if curves.model is None else branches_on_grid(curves.model, grid)
-        before = None if curves.before is None else branches_on_grid(curves.before[1], grid)
+        model = self._branches("model", curves.model, grid)
+        before = self._branches("before", None if curves.before is None else curves.before[1], grid)
         live = trace.newest_passes(grid) if trace is not None and len(trace) else None
         columns, extent = force_depth(grid, measured=measured, model=model, before=before, live=live, now=moment)
         self._write(self._force, columns, ("force", x, settled_range(extent, self._ranges.get("force"))),
@@ -88,6 +90,15 @@ class CurvePlots:
             measured=0 if measured is None else len(measured.recordings), model=model is not None,
             before=None if curves.before is None else curves.before[0], live=live is not None, dark=self._dark))
         _set(self._agreement, "content", agreement_html(frame))
+
+    def _branches(self, name: str, recording: Recording | None, grid: np.ndarray) -> tuple[np.ndarray, ...] | None:
+        """`branches_on_grid` of a curve, worked out when it or the grid is another one."""
+        if recording is None:
+            return None
+        known = self._known.get(name)
+        if known is None or known[0] is not recording or not np.array_equal(known[1], grid):
+            self._known[name] = known = (recording, grid, branches_on_grid(recording, grid))
+        return known[2]
 
     def _write(self, handle: viser.GuiUplotHandle, columns: tuple[np.ndarray, ...], wanted: tuple, options) -> None:
         name, x, y = wanted

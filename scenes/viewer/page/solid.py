@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import viser
@@ -12,10 +13,11 @@ from scenes.figures import LABELS
 from scenes.viewer.colours import PALETTE, field_range, steady_levels
 from scenes.viewer.cut_away import CutAway
 from scenes.viewer.frame import Frame
+from scenes.viewer.page.scene_updates import send_arrays
 from scenes.viewer.revolution import Opening, Surface
 from scenes.viewer.setup import Setup
 from scenes.viewer.tone import seen_colour, surface_colour
-from scenes.viewer.tool_picture import Arrow, base_plate, contact_picture, force_arrow, tool_mesh
+from scenes.viewer.tool_picture import base_plate, contact_picture, force_arrow, tool_mesh
 from tissue_sim.discretisation import build_mesh
 from tissue_sim.fem.fields import extrapolate
 from tissue_sim.mesh import Mesh
@@ -29,6 +31,10 @@ MESH_LINES, OUTLINE = (255, 255, 255), (128, 128, 128)
 #: Light from all sides in which a surface has its own colour, and a light that shows its shape, from where the cut
 #: opens: it falls on both section faces alike.
 _FULL, _KEY, _KEY_DIRECTION = np.pi, 1.1, np.array([0.0, -0.8, 0.6])
+#: Segments of a whole turn, and those of a picture for a browser without a graphics card.
+FINE, COARSE = 48, 32
+#: Steps in the length of the arrow.
+_ARROW_STEPS = 60
 #: Forces that an arrow of full length stands for, times powers of ten.
 _ROUND = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
 
@@ -61,25 +67,28 @@ class Solid:
 
     def __init__(self, server: viser.ViserServer, setup: Setup, *, low_graphics: bool):
         self._scene = server.scene
-        self._light(low_graphics)
+        self._light()
         self.levels: np.ndarray | None = None
         specimen = setup.experiment.specimen
         self.scale = SIZE / max(2.0 * specimen.radius, specimen.height)
-        self._shadow = not low_graphics
-        nothing = np.zeros((1, 3), np.float32)
+        self._segments_of_turn = COARSE if low_graphics else FINE
         surface_colours = [surface_colour(colour) for colour in PALETTE]
         #: As they are seen, for the colour bar.
         self.colours = [seen_colour(colour) for colour in surface_colours]
         self._bands = [self._mesh(f"/tissue/band_{k}", colour) for k, colour in enumerate(surface_colours)]
+        #: Of the tool, and of what the specimen stood on before it sagged.
+        self._tool_frame, self._ground = (self._scene.add_frame(name, show_axes=False) for name in ("/tool", "/ground"))
         self._tool = self._mesh("/tool/body", METAL)
         self._arrow = self._mesh("/tool/force", ARROW)
-        self._base = self._mesh("/base", BASE)
+        self._base = self._mesh("/ground/base", BASE)
         self._force = self._scene.add_label("/tool/force_label", "", anchor="bottom-left", visible=False)
         self._mesh_lines = self._segments("/tissue/mesh", MESH_LINES, 1.0)
-        self._outline = self._segments("/undeformed", OUTLINE, 1.5)
+        self._outline = self._segments("/ground/undeformed", OUTLINE, 1.5)
         self._contact = self._segments("/contact", CONTACT, 4.0)
-        self._nothing = nothing
+        #: Depth, material and look of the picture; its states; what stands; length of the arrow in `_ARROW_STEPS`.
         self._drawn: tuple | None = None
+        self._state = np.empty(0)
+        self._pushed: tuple | None = None
         self._standing: tuple | None = None
         self._cut_away: CutAway | None = None
         self._full_force = 1.0
@@ -90,7 +99,7 @@ class Solid:
 
         async def drag(event) -> None:  # a coroutine: its phases come in order
             if event.phase == "start":
-                grabbed[event.client_id] = event.start_position[2] - self._tool.position[2]
+                grabbed[event.client_id] = event.start_position[2] - self._tool_frame.position[2]
             if event.phase == "end":
                 grabbed.pop(event.client_id, None)
             elif event.client_id in grabbed:
@@ -101,7 +110,7 @@ class Solid:
     def show(self, frame: Frame, look: Look) -> bool:
         """Write what has changed since the last time; whether anything has."""
         snapshot = frame.snapshot
-        opening = Opening(np.radians(look.cut))
+        opening = _opening(look.cut, self._segments_of_turn)
         stands = (frame.setup.experiment, look.cut, look.outline)
         changed = stands != self._standing
         if snapshot is None:
@@ -127,16 +136,17 @@ class Solid:
         at_points = fields.at_points(look.field) * factor
         values = fields.at_nodes(look.field) * factor if look.field == "displacement" else extrapolate(fields.mesh,
                                                                                                        at_points)
-        if not (look.hold and self.levels is not None and look.field == self._drawn[2].field):
-            previous = self.levels if self._drawn and look.field == self._drawn[2].field else None
-            self.levels = steady_levels(previous, *field_range(at_points, fields, look.field, factor))
+        before = self.levels if self._drawn is not None and look.field == self._drawn[2].field else None
+        if before is None or not look.hold:
+            self.levels = steady_levels(before, *field_range(at_points, fields, look.field, factor))
         place = snapshot.place
         for handle, surface in zip(self._bands, self._cut_away.bands(place, values, self.levels, opening),
                                    strict=True):
             self._fill(handle, surface)
-        self._tool.position = self._arrow.position = (0.0, 0.0, -snapshot.depth * self.scale)
+        self._tool_frame.position = (0.0, 0.0, -snapshot.depth * self.scale)
         # Where a specimen has sagged under its own weight, the tool touches it lower.
-        self._base.position = self._outline.position = (0.0, 0.0, -snapshot.datum * self.scale)
+        if self._ground.position[2] != -snapshot.datum * self.scale:
+            self._ground.position = (0.0, 0.0, -snapshot.datum * self.scale)
         contact = contact_picture(self._cut_away.surface_line(place), setup.experiment.tool, snapshot.depth, opening)
         self._lines(self._contact, None if contact is None else contact.lines)
         self._lines(self._mesh_lines, self._cut_away.mesh_lines(place, opening) if look.mesh_lines else None)
@@ -153,8 +163,9 @@ class Solid:
         for handle, surface in zip(self._bands, surfaces, strict=True):
             self._fill(handle, surface)
         for handle in (self._contact, self._mesh_lines, self._arrow, self._force):
-            handle.visible = False
-        self._tool.position = (0.0, 0.0, 0.0)
+            _show(handle, False)
+        self._pushed = None
+        self._tool_frame.position = self._ground.position = (0.0, 0.0, 0.0)
         self._stand(setup, opening, look)
 
     def _stand(self, setup: Setup, opening: Opening, look: Look) -> None:
@@ -170,46 +181,62 @@ class Solid:
 
     def _push(self, force: float, setup: Setup) -> bool:
         """The arrow of the force; whether it has changed."""
-        while force > self._full_force:
+        while abs(force) > self._full_force:
             self._full_force = _next_round(self._full_force)
         text = f"{round(force, 2) + 0.0:.2f} N"
-        if text == self._force.text:
+        # Steps that nobody sees keep the arrow from being made anew in every frame.
+        full = self._full_force
+        pushed = (round(force / full * _ARROW_STEPS), full, setup.experiment)
+        if text == self._force.text and pushed == self._pushed:
             return False
-        arrow: Arrow | None = force_arrow(force, self._full_force, setup.experiment.tool, setup.experiment.specimen)
         self._force.text = text
-        self._force.visible = arrow is not None
-        self._fill(self._arrow, arrow.surface if arrow else Surface(self._nothing[:0], np.zeros((0, 3), np.uint32)))
-        if arrow:
-            tip = arrow.tip * self.scale
-            self._force.position = tuple(tip + np.asarray(self._arrow.position))
+        if pushed != self._pushed:
+            self._pushed = pushed
+            arrow = force_arrow(pushed[0] / _ARROW_STEPS * full, full, setup.experiment.tool, setup.experiment.specimen)
+            _show(self._force, arrow is not None)
+            self._fill(self._arrow, arrow and arrow.surface)
+            if arrow is not None:
+                self._force.position = tuple(max(arrow.start, arrow.tip, key=lambda end: end[2]) * self.scale)
         return True
 
     def _mesh(self, name: str, colour: tuple[int, int, int]) -> viser.MeshHandle:
         empty = np.zeros((3, 3), np.float32)
         return self._scene.add_mesh_simple(name, empty, np.array([[0, 1, 2]], np.uint32), color=colour, side="double",
-                                           cast_shadow=False, receive_shadow=False, visible=False)
+                                           cast_shadow=False, receive_shadow=False, visible=False, scale=self.scale)
 
     def _segments(self, name: str, colour: tuple[int, int, int], pixels: float) -> viser.LineSegmentsHandle:
         return self._scene.add_line_segments(name, np.zeros((1, 2, 3), np.float32), colour, thickness=pixels,
-                                             thickness_units="screen", visible=False)
+                                             thickness_units="screen", visible=False, scale=self.scale)
 
-    def _fill(self, handle: viser.MeshHandle, surface: Surface) -> None:
-        if len(surface.faces):
-            handle.vertices = np.ascontiguousarray(surface.vertices * np.float32(self.scale))
-            handle.faces = surface.faces
-        handle.visible = bool(len(surface.faces))
+    def _fill(self, handle: viser.MeshHandle, surface: Surface | None) -> None:
+        full = surface is not None and len(surface.faces) > 0
+        if full:
+            send_arrays(handle, vertices=surface.vertices, faces=surface.faces)
+        _show(handle, full)
 
     def _lines(self, handle: viser.LineSegmentsHandle, lines: np.ndarray | None) -> None:
-        if lines is not None and len(lines):
-            handle.points = np.asarray(lines * self.scale, np.float32)
-        handle.visible = lines is not None and len(lines) > 0
+        full = lines is not None and len(lines) > 0
+        if full:
+            send_arrays(handle, points=np.ascontiguousarray(lines, np.float32))
+        _show(handle, full)
 
-    def _light(self, low_graphics: bool) -> None:
+    def _light(self) -> None:
         scene = self._scene
         scene.configure_environment_map(hdri=None)
         scene.configure_default_lights(enabled=False)
         self._ambient = scene.add_light_ambient("/light/ambient", intensity=_FULL)
         scene.add_light_directional("/light/key", intensity=_KEY, position=tuple(_KEY_DIRECTION))
+
+
+@lru_cache(maxsize=8)
+def _opening(degrees: float, segments: int) -> Opening:
+    """One object for one cut, since it keeps its angles."""
+    return Opening(np.radians(degrees), segments=segments)
+
+
+def _show(handle: viser.SceneNodeHandle, visible: bool) -> None:
+    if handle.visible != visible:
+        handle.visible = visible
 
 
 def _next_round(number: float) -> float:

@@ -1,0 +1,46 @@
+"""Ticks of a loop that were late or missed, counted from its ring, for `viewer_worker` and `viewer_processes`."""
+
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+import tissue_sim as ts
+from haptics.ring import RingReader
+
+#: The whole test, m and m/s, and what is played again and again meanwhile.
+SPEED = 20e-3
+TEST = ts.Protocol.ramp(depth=8e-3, points=81)
+MOTION = "ramp 8mm @20mm/s; unload @20mm/s"
+#: Where a tool stands that does not move, m, and what is waited for before a run, s.
+STANDING, SETTLING = 4e-3, 1.2
+
+
+class TickCount:
+    """Counts from now on."""
+
+    def __init__(self, ring: RingReader):
+        self._ring, self._number, self._before = ring, ring.written, ring.latest()
+
+    def records(self) -> np.ndarray:
+        """The ticks so far that the ring still has, dtype `haptics.ring.TICK`."""
+        return self._ring.since(self._number).records
+
+    def counted(self) -> dict:
+        """Shares of deadlines that were missed, and of ticks that began late; quantiles in us."""
+        now, before, records = self._ring.latest(), self._before, self.records()
+        deadlines, missed, late = (int(now[name]) - int(before[name]) for name in ("tick", "missed", "late"))
+        lateness, taken = 1e6 * records["lateness"], 1e6 * records["compute_time"]
+        return {"deadlines": deadlines, "missed_percent": 100 * missed / deadlines,
+                "late_percent": 100 * late / (deadlines - missed), "lateness_us_p50": float(np.median(lateness)),
+                "lateness_us_p99": float(np.quantile(lateness, 0.99)), "compute_us_p50": float(np.median(taken)),
+                "compute_us_p99": float(np.quantile(taken, 0.99))}
+
+
+def peak_memory(pid: int) -> float | None:
+    """MB that a process has had in memory at most; None where the system does not say."""
+    with suppress(OSError):
+        for line in Path(f"/proc/{pid}/status").read_text(encoding="utf-8").splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) / 1024
+    return None
