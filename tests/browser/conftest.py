@@ -1,13 +1,20 @@
 """A real Chromium, and a record of everything that its pages ask for."""
 
 import importlib.util
+import re
+import threading
+import time
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import pytest
 
 HERE = Path(__file__).parent
+#: viser's answer to a drag in the picture, to a mouse; Chromium lets it do so for fingers only.
+HARMLESS = "Unable to preventDefault inside passive event listener"
+#: Of the virtual measurement, N.
+NOISE = 0.02
 
 
 def pytest_collection_modifyitems(items):
@@ -49,7 +56,8 @@ class Traffic:
         page.on("requestfailed", lambda request: self.failed.append(f"{request.url}: {request.failure}"))
         page.on("response", lambda reply: reply.ok or self.failed.append(f"{reply.url}: {reply.status}"))
         page.on("websocket", self._watch_socket)
-        page.on("console", lambda message: message.type == "error" and self.errors.append(message.text))
+        page.on("console", lambda message: message.type == "error" and HARMLESS not in message.text
+                and self.errors.append(message.text))
         page.on("pageerror", lambda error: self.errors.append(str(error)))
         return page
 
@@ -89,6 +97,194 @@ def open_page(browser, chromium):
     for _, context, _, _ in opened:
         context.close()
     assert found == [([], [], [])] * len(opened)
+
+
+class Shown:
+    """The page of the viewer, with its session in a thread: the needle in the study's specimen, to 5 mm.
+
+    Attributes:
+        session, page: as in `scenes.viewer`.
+        frame: the newest.
+        setup: the first, to which every test returns; its measurement is the model with the noise of a sensor.
+        folder: of its materials.
+    """
+
+    def __init__(self, setup, folder: Path):
+        from scenes.viewer.page import Page
+        from scenes.viewer.session import Session
+
+        self.setup, self.folder = setup, folder
+        self.session = Session(setup, real_time=False)
+        self.page = None
+        try:
+            self.frame = self.session.frame()
+            self.page = Page(self.session, self.frame, folder, port=0, low_graphics=True)
+        except BaseException:
+            self.close()
+            raise
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self.session.run, args=(self, self._stop))
+        self._thread.start()
+
+    def show(self, frame) -> None:
+        self.page.show(frame)
+        self.frame = frame
+
+    def close(self) -> None:
+        if self.page is not None:
+            self._stop.set()
+            self._thread.join()
+            self.page.close()
+        self.session.close()
+
+    @property
+    def url(self) -> str:
+        return self.page.url
+
+    @property
+    def running(self) -> bool:
+        return self.frame.phase.name == "RUNNING"
+
+    def ask(self, command: str, **values) -> None:
+        """Let the session do something, as another browser could."""
+        answered = threading.Event()
+        said = []
+        self.session.post(command, reply=lambda problem: (said.append(problem), answered.set()), **values)
+        assert answered.wait(60.0) and said == [None], said
+
+    def begin_again(self) -> None:
+        """The tool at the touch, in the tissue of `setup`."""
+        first, setup = self.setup, self.session.setup
+        if setup.experiment != first.experiment:
+            self.ask("use_scene", name=first.scene.name, tool=first.experiment.tool, friction=first.experiment.friction)
+        if setup.material != first.material or setup.source != first.source:
+            self.ask("use_material", material=first.material, source=first.source)
+        deadline = time.monotonic() + 60.0
+        while not self.running:
+            assert time.monotonic() < deadline, self.frame.message
+            time.sleep(0.01)
+        self.ask("reset")
+
+
+@pytest.fixture(scope="session")
+def shown(browser, tmp_path_factory):
+    """One viewer for all tests of its page."""
+    import tissue_sim as ts
+    from scenes.commands.loop import read_material
+    from scenes.needle import NEEDLE
+    from scenes.viewer.measurement import measurement
+    from scenes.viewer.setup import Setup
+
+    experiment = NEEDLE.experiment(specimen=ts.Specimen(radius=0.04, height=0.07), protocol=ts.Protocol.ramp(5e-3, 21))
+    setup = Setup(NEEDLE, experiment, read_material(None))
+    true = ts.simulate(setup.model, resolution="fast")
+    replicates = [ts.Rig(force_noise=NOISE, seed=seed).measure(true) for seed in range(3)]
+    shown = Shown(replace(setup, measurements={NEEDLE.name: measurement(replicates)}),
+                  tmp_path_factory.mktemp("materials"))
+    try:
+        yield shown
+    finally:
+        shown.close()
+
+
+class Reader:
+    """What a person reads and does on the page of the viewer.
+
+    Attributes:
+        page: Playwright's.
+    """
+
+    def __init__(self, page, shown: Shown, chromium):
+        self.page, self._shown, self._chromium = page, shown, chromium
+        #: viser's, of this browser: the newest.
+        self.client = shown.page.server.get_clients()[max(shown.page.server.get_clients())]
+
+    def read(self, name: str) -> str:
+        return self.page.get_by_test_id(name).inner_text()
+
+    def number(self, name: str) -> float:
+        return float(self.read(name).split()[0])
+
+    def wait_for(self, name: str, text: str) -> None:
+        """Until a read-out is this, a regular expression."""
+        self.page.get_by_test_id(name).filter(has_text=re.compile(f"^{text}$")).wait_for()
+
+    def until(self, look, fits, seconds: float = 30.0):
+        """Look again and again until what is seen fits, and return that; the browser goes on meanwhile."""
+        deadline = time.monotonic() + seconds
+        while not fits(seen := look()):
+            assert time.monotonic() < deadline, f"this is still so: {seen}"
+            self.page.wait_for_timeout(20)
+        return seen
+
+    def phase(self, name: str) -> None:
+        """Until the simulation is in this phase."""
+        self.page.locator(f"[data-testid=phase][data-phase={name}]").wait_for(timeout=60e3)
+
+    def tab(self, name: str) -> None:
+        self.page.get_by_role("tab", name=name, exact=True).click()
+
+    def press(self, name: str) -> None:
+        self.page.get_by_role("button", name=name, exact=True).click()
+
+    def field(self, label: str):
+        """The input field with a label; of a slider its number."""
+        return self._chromium.text_field(self.page, label)
+
+    def slider(self, label: str):
+        """The thumb of a slider."""
+        return self.page.locator(f"xpath=//*[normalize-space(text())='{label}']/following::*[@role='slider'][1]")
+
+    def fill(self, label: str, text: str) -> None:
+        self.field(label).fill(text)
+        self.field(label).press("Enter")
+
+    def choose(self, label: str, option: str) -> None:
+        """From a list."""
+        self.field(label).click()
+        self.page.get_by_role("option", name=option, exact=True).click()
+
+    def answer(self, text: str) -> None:
+        """Until a notification says this somewhere; then close it."""
+        notice = self.page.get_by_role("alert").filter(has_text=text)
+        notice.wait_for()
+        notice.get_by_role("button").click()
+        notice.wait_for(state="detached")
+
+    def download(self, button: str):
+        """Press a button and take the file that comes."""
+        with self.page.expect_download() as coming:
+            self.press(button)
+        return coming.value
+
+    def curves(self) -> list[dict]:
+        """Of each plot, from the top: the finite values of each series by its label."""
+        return self.page.evaluate("""() => Object.values(window.__viserTestpoints.uplots)
+            .map(({chart}) => ({top: chart.root.getBoundingClientRect().top, series: Object.fromEntries(
+                chart.series.map((one, k) => [one.label, Array.from(chart.data[k]).filter(Number.isFinite)]))}))
+            .sort((a, b) => a.top - b.top).map(plot => plot.series)""")
+
+    def place(self, point) -> tuple[float, float]:
+        """Where a point of the scene, in its own unit, is seen on the page, pixels."""
+        import numpy as np
+
+        camera = self.client.camera
+        forward = camera.look_at - camera.position
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, camera.up_direction)
+        right /= np.linalg.norm(right)
+        away = np.asarray(point) - camera.position
+        half = np.tan(0.5 * camera.fov) * (away @ forward)
+        across, up = away @ right / (half * camera.aspect), away @ np.cross(right, forward) / half
+        box = self.page.locator("canvas").first.bounding_box()
+        return box["x"] + 0.5 * box["width"] * (1.0 + across), box["y"] + 0.5 * box["height"] * (1.0 - up)
+
+
+@pytest.fixture
+def read(shown, open_page, chromium):
+    """Open the viewer's page: ``read(width=, height=)`` -> `Reader`; the tool is at the touch, nobody has moved it."""
+    shown.begin_again()
+    return lambda **options: Reader(open_page(shown, width=1200, height=760, **options), shown, chromium)
 
 
 @pytest.fixture

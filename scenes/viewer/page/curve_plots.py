@@ -81,11 +81,12 @@ class CurvePlots:
         self._write(self._residual, columns,
                     ("residual", x, settled_range(extent, self._ranges.get("residual"), about_zero=True)),
                     lambda y: residual_depth_options(x, y, dark=self._dark))
-        if trace is not None and len(trace):
-            now = readouts.time if readouts else float(trace.time[-1])
-            columns, extent = force_time(trace.time, trace.force, now, measured=curves.replayed)
-            self._write(self._time, columns, ("time", x, settled_range(extent, self._ranges.get("time"))),
-                        lambda y: force_time_options(y, dark=self._dark))
+        felt = trace is not None and len(trace) > 0
+        time, force = (trace.time, trace.force) if felt else (np.empty(0), np.empty(0))
+        now = readouts.time if readouts else 0.0
+        columns, extent = force_time(time, force, now, measured=curves.replayed)
+        self._write(self._time, columns, ("time", x, settled_range(extent, self._ranges.get("time"))),
+                    lambda y: force_time_options(y, dark=self._dark))
         _set(self._legend, "content", legend_html(
             measured=0 if measured is None else len(measured.recordings), model=model is not None,
             before=None if curves.before is None else curves.before[0], live=live is not None, dark=self._dark))

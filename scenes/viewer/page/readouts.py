@@ -20,7 +20,7 @@ def status_html(frame: Frame) -> str:
            f'background:{_DOTS[frame.phase]}"></span>')
     lines = [f'<div data-testid="phase" data-phase="{frame.phase.name.lower()}" style="font-weight:600">{dot}'
              f'{escape(words)}</div>']
-    if frame.message and frame.message != "running":
+    if frame.message and frame.message not in ("running", frame.phase.value):
         border = "#D55E00" if frame.phase is Phase.DIED else "#8888"
         lines.append(f'<div data-testid="message" style="border-left:3px solid {border};padding-left:0.6em;'
                      f'margin-top:0.4em;font-size:0.85em">{escape(frame.message)}</div>')
