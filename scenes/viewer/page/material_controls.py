@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import viser
@@ -113,13 +114,12 @@ class MaterialControls:
                                               initial_value=_on_slider(values[name] * reach.factor, reach.low,
                                                                        reach.high, reach.step))
                 self._sliders[name], self._factors[name] = slider, reach.factor
-                slider.on_update(self._edit(name))
+                slider.on_update(self._edit(name, slider, reach.factor))
 
-    def _edit(self, name: str):
+    def _edit(self, name: str, slider: viser.GuiSliderHandle, factor: float) -> Callable[[viser.GuiEvent], None]:
         def edit(event: viser.GuiEvent) -> None:
             if event.client is not None:
-                value = self._sliders[name].value / self._factors[name]
-                self._session.post("set_parameters", reply=answer_to(event), values={name: value})
+                self._session.post("set_parameters", reply=answer_to(event), values={name: slider.value / factor})
 
         return edit
 

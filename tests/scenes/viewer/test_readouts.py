@@ -1,0 +1,65 @@
+"""What the page says, as HTML that is read here without a browser."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+from xml.etree import ElementTree
+
+import pytest
+
+from scenes.viewer.frame import Curves, Frame, Phase, Readouts
+from scenes.viewer.page.readouts import agreement_html, readouts_html, status_html
+
+NOW = Readouts(time=3.0, depth=5.678e-3, force=1.2344, stiffness=211.0, step_time=0.31e-3, iterations=0.84, rate=999.7,
+               late=0.0042, status="in equilibrium")
+FRAME = Frame(Phase.RUNNING, "running", None, None, NOW, Curves(), "protocol", 0.0)
+
+
+def texts(html):
+    """What stands in each element with a name for tests."""
+    return {part.get("data-testid"): "".join(part.itertext())
+            for part in ElementTree.fromstring(html.replace("&nbsp;", " ")).iter() if part.get("data-testid")}
+
+
+def test_readouts_have_the_units_that_people_use():
+    assert texts(readouts_html(FRAME)) == {
+        "force": "1.234", "depth": "5.68", "stiffness": "0.211 N/mm", "step-time": "0.31 ms",
+        "iterations": "0.8 per tick", "rate": "1000 Hz", "late": "0.42 %", "solution": "in equilibrium"}
+
+
+def test_before_the_first_tick_there_are_dashes():
+    assert set(texts(readouts_html(replace(FRAME, readouts=None))).values()) == {"–"}
+
+
+def test_zero_has_no_sign():
+    shown = texts(readouts_html(replace(FRAME, readouts=replace(NOW, force=-1e-6, depth=-1e-9, stiffness=-1e-3))))
+    assert (shown["force"], shown["depth"], shown["stiffness"]) == ("0.000", "0.00", "0.000 N/mm")
+
+
+@pytest.mark.parametrize(("motion", "words"), [("hand", "running · by hand"), ("protocol", "running · protocol"),
+                                               ("recording", "running · measured motion")])
+def test_state_and_motion_are_words(motion, words):
+    assert texts(status_html(replace(FRAME, motion=motion))) == {"phase": words}
+
+
+def test_what_ended_a_simulation_is_text_and_not_markup():
+    shown = status_html(replace(FRAME, phase=Phase.DIED, message="killed by <signal 9> & so on"))
+    assert texts(shown) == {"phase": "stopped", "message": "killed by <signal 9> & so on"}
+    assert 'data-phase="died"' in shown
+
+
+def test_a_start_says_what_it_does_and_no_more():
+    loading = replace(FRAME, phase=Phase.STARTING, message="loading the solver", readouts=None)
+    assert texts(status_html(loading)) == {"phase": "starting", "message": "loading the solver"}
+    assert texts(status_html(replace(loading, message="starting"))) == {"phase": "starting"}
+
+
+def test_agreement_is_a_number_or_says_what_is_missing():
+    measured = SimpleNamespace(noise=0.0172)
+    gap = SimpleNamespace(rmse=0.02034, samples=303)
+    assert "--measured FILE" in texts(agreement_html(FRAME))["agreement"]
+    waiting = replace(FRAME, curves=Curves(measurement=measured))
+    assert "being computed" in texts(agreement_html(waiting))["agreement"]
+    shown = texts(agreement_html(replace(FRAME, curves=Curves(measurement=measured, residual=gap))))
+    assert shown["rmse"] == "0.020" and "303 samples, replicates differ by 0.017 N" in shown["agreement"]
+    single = replace(FRAME, curves=Curves(measurement=SimpleNamespace(noise=None), residual=gap))
+    assert "replicates" not in texts(agreement_html(single))["agreement"]
