@@ -16,7 +16,8 @@ SUMMARY = "simulate a test and print force against displacement"
 EXAMPLE = ("tissue-sim simulate needle_indentation --material m.material.json --friction 0.7 --edge-radius-mm 0.25 "
            "--protocol 'ramp 10mm @0.248mm/s; hold 60s; unload' -o needle.csv")
 #: Names only, as help must answer at once. A test holds these against the fields.
-FIELDS = ("displacement", "von_mises", "cauchy_rr", "cauchy_zz", "cauchy_rz", "cauchy_hoop", "pressure", "energy", "J")
+FIELDS = ("displacement", "von_mises", "cauchy_rr", "cauchy_zz", "cauchy_rz", "cauchy_hoop", "pressure", "energy", "J",
+          "stretch")
 FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
 
 
