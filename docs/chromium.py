@@ -72,7 +72,7 @@ def wait_for_picture(page: Page, *, triangles: int = 1, timeout: float = 60.0) -
 
 def text_field(page: Page, label: str) -> Locator:
     """The input field after a label: viser names some of its fields for screen readers, and others not."""
-    return page.locator(f"xpath=//*[normalize-space(text())='{label}']/following::input[1]")
+    return page.locator(f'xpath=//label[normalize-space(.)="{label}"]/following::input[not(@type="hidden")][1]')
 
 
 def save_picture(page: Page, path: Path) -> None:

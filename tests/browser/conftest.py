@@ -1,7 +1,6 @@
 """A real Chromium, and a record of everything that its pages ask for."""
 
 import importlib.util
-import re
 import threading
 import time
 from contextlib import contextmanager
@@ -72,13 +71,9 @@ class Traffic:
         return [url for url in self.urls if not url.startswith(own) and not url.startswith("data:")]
 
 
-@pytest.fixture
-def open_page(browser, chromium):
-    """Open a page of a server: ``open_page(server, width=, height=, scheme=, triangles=)`` -> Playwright's page.
-
-    Each has its own cookies and storage. At the end none may have asked for anything elsewhere, missed anything, or
-    met an error in a script. ``open_page.traffic(page)`` is what it asked for.
-    """
+@contextmanager
+def pages_of(browser, chromium):
+    """A function that opens pages, as `open_page` says."""
     opened = []
 
     def open_one(server, *, width=1000, height=700, scheme="light", triangles=0, **options):
@@ -99,6 +94,17 @@ def open_page(browser, chromium):
     assert found == [([], [], [])] * len(opened)
 
 
+@pytest.fixture
+def open_page(browser, chromium):
+    """Open a page of a server: ``open_page(server, width=, height=, scheme=, triangles=)`` -> Playwright's page.
+
+    Each has its own cookies and storage. At the end none may have asked for anything elsewhere, missed anything, or
+    met an error in a script. ``open_page.traffic(page)`` is what it asked for.
+    """
+    with pages_of(browser, chromium) as open_one:
+        yield open_one
+
+
 class Shown:
     """The page of the viewer, with its session in a thread: the needle in the study's specimen, to 5 mm.
 
@@ -106,7 +112,7 @@ class Shown:
         session, page: as in `scenes.viewer`.
         frame: the newest.
         setup: the first, to which every test returns; its measurement is the model with the noise of a sensor.
-        folder: of its materials.
+        folder: of its materials; it holds ``softer.material.json``.
     """
 
     def __init__(self, setup, folder: Path):
@@ -141,10 +147,6 @@ class Shown:
     def url(self) -> str:
         return self.page.url
 
-    @property
-    def running(self) -> bool:
-        return self.frame.phase.name == "RUNNING"
-
     def ask(self, command: str, **values) -> None:
         """Let the session do something, as another browser could."""
         answered = threading.Event()
@@ -160,7 +162,7 @@ class Shown:
         if setup.material != first.material or setup.source != first.source:
             self.ask("use_material", material=first.material, source=first.source)
         deadline = time.monotonic() + 60.0
-        while not self.running:
+        while self.session.simulation.phase.name not in ("RUNNING", "PAUSED"):
             assert time.monotonic() < deadline, self.frame.message
             time.sleep(0.01)
         self.ask("reset")
@@ -174,13 +176,17 @@ def shown(browser, tmp_path_factory):
     from scenes.needle import NEEDLE
     from scenes.viewer.measurement import measurement
     from scenes.viewer.setup import Setup
+    from tissue_sim.material_file import MaterialFile
+    from tissue_sim.material_parameters import with_parameter
 
     experiment = NEEDLE.experiment(specimen=ts.Specimen(radius=0.04, height=0.07), protocol=ts.Protocol.ramp(5e-3, 21))
     setup = Setup(NEEDLE, experiment, read_material(None))
     true = ts.simulate(setup.model, resolution="fast")
     replicates = [ts.Rig(force_noise=NOISE, seed=seed).measure(true) for seed in range(3)]
-    shown = Shown(replace(setup, measurements={NEEDLE.name: measurement(replicates)}),
-                  tmp_path_factory.mktemp("materials"))
+    folder = tmp_path_factory.mktemp("materials")
+    softer = MaterialFile.of(with_parameter(setup.material, "C10", 1200.0), provenance={"method": "written by hand"})
+    ts.write_material_file(softer, folder / "softer.material.json")
+    shown = Shown(replace(setup, measurements={NEEDLE.name: measurement(replicates)}), folder)
     try:
         yield shown
     finally:
@@ -192,12 +198,18 @@ class Reader:
 
     Attributes:
         page: Playwright's.
+        shown: what is looked at.
+        traffic: of the page.
+        client: viser's, of this browser.
     """
 
-    def __init__(self, page, shown: Shown, chromium):
-        self.page, self._shown, self._chromium = page, shown, chromium
-        #: viser's, of this browser: the newest.
-        self.client = shown.page.server.get_clients()[max(shown.page.server.get_clients())]
+    def __init__(self, page, shown: Shown, chromium, traffic: Traffic):
+        self.page, self.shown, self.traffic, self._chromium = page, shown, traffic, chromium
+        self._meet()
+
+    def _meet(self) -> None:
+        clients = self.shown.page.server.get_clients()
+        self.client = clients[max(clients)]
 
     def read(self, name: str) -> str:
         return self.page.get_by_test_id(name).inner_text()
@@ -206,8 +218,8 @@ class Reader:
         return float(self.read(name).split()[0])
 
     def wait_for(self, name: str, text: str) -> None:
-        """Until a read-out is this, a regular expression."""
-        self.page.get_by_test_id(name).filter(has_text=re.compile(f"^{text}$")).wait_for()
+        """Until a read-out says this."""
+        self.until(lambda: self.read(name), lambda seen: seen == text)
 
     def until(self, look, fits, seconds: float = 30.0):
         """Look again and again until what is seen fits, and return that; the browser goes on meanwhile."""
@@ -216,6 +228,12 @@ class Reader:
             assert time.monotonic() < deadline, f"this is still so: {seen}"
             self.page.wait_for_timeout(20)
         return seen
+
+    def reload(self) -> None:
+        """As with F5."""
+        self.page.reload()
+        self._chromium.come_up(self.page)
+        self._meet()
 
     def phase(self, name: str) -> None:
         """Until the simulation is in this phase."""
@@ -233,7 +251,7 @@ class Reader:
 
     def slider(self, label: str):
         """The thumb of a slider."""
-        return self.page.locator(f"xpath=//*[normalize-space(text())='{label}']/following::*[@role='slider'][1]")
+        return self.page.locator(f'xpath=//label[normalize-space(.)="{label}"]/following::*[@role="slider"][1]')
 
     def fill(self, label: str, text: str) -> None:
         self.field(label).fill(text)
@@ -247,7 +265,7 @@ class Reader:
     def answer(self, text: str) -> None:
         """Until a notification says this somewhere; then close it."""
         notice = self.page.get_by_role("alert").filter(has_text=text)
-        notice.wait_for()
+        self.until(self.page.get_by_role("alert").all_inner_texts, lambda said: any(text in each for each in said))
         notice.get_by_role("button").click()
         notice.wait_for(state="detached")
 
@@ -280,11 +298,29 @@ class Reader:
         return box["x"] + 0.5 * box["width"] * (1.0 + across), box["y"] + 0.5 * box["height"] * (1.0 - up)
 
 
+@pytest.fixture(scope="session")
+def desk(shown, browser, chromium):
+    """A browser that stays open from test to test."""
+    with pages_of(browser, chromium) as open_one:
+        page = open_one(shown, width=1200, height=760, triangles=100)
+        yield Reader(page, shown, chromium, open_one.traffic(page))
+
+
 @pytest.fixture
-def read(shown, open_page, chromium):
-    """Open the viewer's page: ``read(width=, height=)`` -> `Reader`; the tool is at the touch, nobody has moved it."""
-    shown.begin_again()
-    return lambda **options: Reader(open_page(shown, width=1200, height=760, **options), shown, chromium)
+def reader(desk):
+    """`desk`, with the tool at the touch, in tissue that nobody has touched."""
+    desk.shown.begin_again()
+    desk.tab("Motion")
+    desk.wait_for("depth", "0.00")
+    yield desk
+    assert (desk.traffic.foreign(desk.shown), desk.traffic.failed, desk.traffic.errors) == ([], [], [])
+
+
+@pytest.fixture
+def another(reader, open_page, chromium):
+    """A second browser that looks at the same."""
+    page = open_page(reader.shown, width=1200, height=760, triangles=100)
+    return Reader(page, reader.shown, chromium, open_page.traffic(page))
 
 
 @pytest.fixture
