@@ -140,7 +140,8 @@ def _covering(low: float, high: float, bands: int, apart_from: float | None = No
     smallest = np.floor(np.log10((high - low) / bands))
     for step in (factor * 10.0**power for power in (smallest, smallest + 1, smallest + 2) for factor in ROUND):
         first = np.floor(low / step)
-        first -= first * step > low  # the quotient may have been rounded to zero
+        if low < 0.0 == first:  # where the processor rounds the smallest numbers to zero
+            first = -1.0
         if (first + bands) * step < high or (apart_from is not None and not 0.2 < apart_from / step % 1.0 < 0.8):
             continue
         # The decimal numbers that are meant, not their multiples in binary.
