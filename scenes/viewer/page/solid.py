@@ -31,8 +31,8 @@ MESH_LINES, OUTLINE = (255, 255, 255), (128, 128, 128)
 #: Light from all sides in which a surface has its own colour, and a light that shows its shape, from where the cut
 #: opens: it falls on both section faces alike.
 _FULL, _KEY, _KEY_DIRECTION = np.pi, 1.1, np.array([0.0, -0.8, 0.6])
-#: Segments of a whole turn, and those of a picture for a browser without a graphics card.
-FINE, COARSE = 48, 32
+#: Segments of a whole turn of the tissue, for a browser without a graphics card, and of what is sent once only.
+FINE, COARSE, STILL = 48, 32, 96
 #: Steps in the length of the arrow.
 _ARROW_STEPS = 60
 #: Forces that an arrow of full length stands for, times powers of ten.
@@ -175,8 +175,8 @@ class Solid:
             # The section faces get the light in which a surface has just its own colour, that of the bar.
             faces_it = max(0.0, float(_KEY_DIRECTION[:2] @ opening.faces[0][1]))
             self._ambient.intensity = _FULL - _KEY * faces_it
-        self._fill(self._tool, tool_mesh(tool, specimen, opening))
-        self._fill(self._base, base_plate(specimen, opening))
+        self._fill(self._tool, tool_mesh(tool, specimen, _opening(look.cut, STILL)))
+        self._fill(self._base, base_plate(specimen, _opening(0.0, STILL)))
         self._lines(self._outline, self._cut_away.undeformed_outline(opening) if look.outline else None)
 
     def _push(self, force: float, setup: Setup) -> bool:
