@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import viser
@@ -32,7 +32,9 @@ class MaterialControls:
         self._parameters = gui.add_folder("parameters")
         self._sliders: dict[str, viser.GuiSliderHandle] = {}
         self._factors: dict[str, float] = {}
-        self._shown: ts.Material | None = None
+        self._shown: tuple[ts.Material, str] | None = None
+        #: Values that people have entered, and those of them that the session has obeyed or refused.
+        self._entered = self._obeyed = 0
         self._structure: tuple = ()
         with gui.add_folder("save as a new file"):
             self._name = gui.add_text("name", "edited", hint=f"without {SUFFIX}")
@@ -83,11 +85,11 @@ class MaterialControls:
 
     def show(self, frame: Frame) -> None:
         """Follow a material that somebody else has changed."""
-        material = frame.setup.material
-        if material is self._shown:
+        material, source = frame.setup.material, frame.setup.source
+        # What was entered a moment ago is newer than the frame.
+        if self._shown == (material, source) or self._entered != self._obeyed:
             return
-        self._shown = material
-        source = frame.setup.source
+        self._shown = material, source
         self._file.value = source if source in self._file.options else _NONE
         self._law.content = f"**{material.energy_law.title}**, from {source}"
         values = parameter_values(material)
@@ -116,10 +118,19 @@ class MaterialControls:
                 self._sliders[name], self._factors[name] = slider, reach.factor
                 slider.on_update(self._edit(name, slider, reach.factor))
 
-    def _edit(self, name: str, slider: viser.GuiSliderHandle, factor: float) -> Callable[[viser.GuiEvent], None]:
-        def edit(event: viser.GuiEvent) -> None:
-            if event.client is not None:
-                self._session.post("set_parameters", reply=answer_to(event), values={name: slider.value / factor})
+    def _edit(self, name: str, slider: viser.GuiSliderHandle,
+              factor: float) -> Callable[[viser.GuiEvent], Awaitable[None]]:
+        async def edit(event: viser.GuiEvent) -> None:  # a coroutine: it runs before another value is written
+            if event.client is None:
+                return
+            answer = answer_to(event)
+
+            def reply(problem: str | None) -> None:
+                self._obeyed += 1
+                answer(problem)
+
+            self._entered += 1
+            self._session.post("set_parameters", reply=reply, values={name: slider.value / factor})
 
         return edit
 

@@ -23,6 +23,8 @@ class MotionControls:
     def __init__(self, server: viser.ViserServer, session: Commands, frame: Frame):
         gui, deepest = server.gui, frame.setup.deepest
         self._session, self._paused = session, False
+        #: Depths that people have entered, and those of them that the session has obeyed.
+        self._entered = self._obeyed = 0
         self._depth = gui.add_slider("depth [mm]", min=-CLEARANCE * 1e3, max=deepest * 1e3, step=0.01,
                                      initial_value=0.0, hint="or drag the tool in the picture")
         self._buttons = gui.add_button_group("run", ("Play", "Pause", "Step", "Reset"))
@@ -38,9 +40,13 @@ class MotionControls:
                                       hint="tissue that relaxes answers otherwise when it is pressed faster")
 
         @self._depth.on_update
-        def _(event: viser.GuiEvent) -> None:
+        async def _(event: viser.GuiEvent) -> None:  # a coroutine: it runs before another value is written
             if event.client is not None:  # not what the program has written itself
-                session.post("aim", depth=self._depth.value * 1e-3)
+                self._entered += 1
+                session.post("aim", reply=obeyed, depth=self._depth.value * 1e-3)
+
+        def obeyed(_: str | None) -> None:
+            self._obeyed += 1
 
         @self._buttons.on_click
         def _(event: viser.GuiEvent) -> None:
@@ -82,5 +88,6 @@ class MotionControls:
             self._source.options = sources
         depth = frame.target if frame.motion == "hand" or frame.readouts is None else frame.readouts.depth
         depth = round(depth * 1e3, 2)
-        if abs(depth - self._depth.value) >= 0.01:
+        # What was entered a moment ago is newer than the frame.
+        if self._entered == self._obeyed and abs(depth - self._depth.value) >= 0.01:
             self._depth.value = depth
