@@ -257,6 +257,12 @@ class Reader:
         self.field(label).fill(text)
         self.field(label).press("Enter")
 
+    def enter(self, label: str, number: str) -> None:
+        """Key by key: put in at once, a number that stood there before the program wrote another one is overlooked."""
+        self.field(label).press("Control+a")
+        self.page.keyboard.type(number)
+        self.page.keyboard.press("Enter")
+
     def choose(self, label: str, option: str) -> None:
         """From a list."""
         self.field(label).click()

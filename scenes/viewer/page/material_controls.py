@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from pathlib import Path
 
 import viser
@@ -14,6 +15,8 @@ from scenes.viewer.page.notices import answer_to, send_file, tell
 from tissue_sim.material_parameters import parameter_values
 
 _NONE = "(no file)"
+#: How often the folder is looked at, in calls of `show`.
+_LIST_EVERY = 20
 
 
 class MaterialControls:
@@ -36,6 +39,7 @@ class MaterialControls:
         #: Values that people have entered, and those of them that the session has obeyed or refused.
         self._entered = self._obeyed = 0
         self._structure: tuple = ()
+        self._shows = 0
         with gui.add_folder("save as a new file"):
             self._name = gui.add_text("name", "edited", hint=f"without {SUFFIX}")
             self._save = gui.add_button("Save material", icon=viser.Icon.DEVICE_FLOPPY)
@@ -84,7 +88,11 @@ class MaterialControls:
             self._file.options = (_NONE, *names)
 
     def show(self, frame: Frame) -> None:
-        """Follow a material that somebody else has changed."""
+        """Follow a material that somebody else has changed, and the files in the folder."""
+        self._shows += 1
+        if self._shows % _LIST_EVERY == 0:
+            with suppress(ts.InputError):  # somebody has removed the folder: what is on the list stays
+                self._list()
         material, source = frame.setup.material, frame.setup.source
         # What was entered a moment ago is newer than the frame.
         if self._shown == (material, source) or self._entered != self._obeyed:
@@ -127,6 +135,8 @@ class MaterialControls:
 
             def reply(problem: str | None) -> None:
                 self._obeyed += 1
+                if problem is not None:
+                    self._shown = None  # the slider goes back
                 answer(problem)
 
             self._entered += 1

@@ -1,0 +1,137 @@
+"""Files of the viewer's page: materials that come and go, curves, pictures and replays that are saved."""
+
+import json
+
+import numpy as np
+import pytest
+
+import tissue_sim as ts
+from tissue_sim.material_file import MaterialFile
+
+SUFFIX = ".material.json"
+STIFF = ts.Material("neo_hooke", {"C10": 4000.0}, ts.Bulk("bulk_ratio", 1e4))
+
+
+def upload(reader, path):
+    with reader.page.expect_file_chooser() as chooser:
+        reader.press("Upload material")
+    chooser.value.set_files(path)
+
+
+def test_material_is_uploaded_and_a_bad_one_is_answered_with_its_field_and_changes_nothing(shown, reader, tmp_path):
+    good, bad = tmp_path / f"stiff{SUFFIX}", tmp_path / f"bad{SUFFIX}"
+    ts.write_material_file(MaterialFile.of(STIFF, provenance={"method": "written by hand"}), good)
+    reader.tab("Material")
+    reader.until(lambda: reader.number("rmse"), lambda rmse: rmse < 0.03)
+    upload(reader, good)
+    reader.answer(f"{good.name} is shown")
+    reader.phase("running")
+    reader.page.get_by_text(f", from {good.name}").wait_for()
+    assert shown.session.setup.material.parameters == STIFF.parameters
+    assert reader.field("C10 [kPa]").input_value() == "4"
+    assert reader.page.get_by_text("C20 [kPa]").count() == 0
+    reader.until(lambda: reader.number("rmse"), lambda rmse: rmse > 0.2)
+
+    material, simulation = shown.session.setup.material, shown.session.simulation
+    content = json.loads(good.read_text(encoding="utf-8"))
+    content["parameters"]["C10"]["value"] = "soft"
+    bad.write_text(json.dumps(content), encoding="utf-8")
+    upload(reader, bad)
+    reader.answer(f"{bad.name}: parameters.C10.value: expected")
+    assert shown.session.setup.material is material and shown.session.simulation is simulation
+    assert reader.field("C10 [kPa]").input_value() == "4"
+
+
+def test_material_is_chosen_edited_by_a_slider_while_it_is_felt_and_saved_as_a_new_file(shown, reader):
+    def end_of_model():
+        return max(reader.curves()[0]["model load"], default=0.0)
+
+    reader.enter("depth [mm]", "3")
+    reader.wait_for("depth", "3.00")
+    force, model = reader.until(lambda: reader.number("force"), lambda force: force > 0.4), end_of_model()
+    simulation = shown.session.simulation
+    reader.tab("Material")
+    reader.choose("file", f"softer{SUFFIX}")
+    reader.page.get_by_text(f", from softer{SUFFIX}").wait_for()
+    assert reader.field("C10 [kPa]").input_value() == "1.2"
+    softer = reader.until(lambda: reader.number("force"), lambda now: now < 0.95 * force)
+    softer_model = reader.until(end_of_model, lambda now: now < 0.95 * model)
+    rmse = reader.until(lambda: reader.number("rmse"), lambda rmse: rmse > 0.04)
+
+    # Live force and whole curve come back to the measurement.
+    reader.slider("C10 [kPa]").press("ArrowRight")
+    reader.until(lambda: shown.session.setup.material.parameters["C10"], lambda now: 1200.0 < now < 1300.0)
+    reader.enter("C10 [kPa]", "1.4")
+    reader.until(lambda: shown.session.setup.material.parameters["C10"], lambda now: now == pytest.approx(1400.0))
+    reader.until(lambda: reader.number("rmse"), lambda now: now < 0.7 * rmse)
+    reader.until(end_of_model, lambda now: now > 1.05 * softer_model)
+    reader.until(lambda: reader.number("force"), lambda now: now > 1.05 * softer)
+    assert shown.session.simulation is simulation, "the tissue that is felt goes on"
+    assert reader.read("depth") == "3.00"
+
+    reader.fill("name", "by hand")
+    file = reader.download("Save material")
+    reader.answer(f"saved as by hand{SUFFIX}")
+    saved = shown.folder / f"by hand{SUFFIX}"
+    assert file.suggested_filename == saved.name and file.path().read_bytes() == saved.read_bytes()
+    assert ts.load_material(saved).parameters == shown.session.setup.material.parameters
+    reader.until(lambda: reader.field("file").input_value(), lambda name: name == saved.name)
+    reader.press("Save material")
+    reader.answer("is there already and is not replaced; give another name")
+    assert file.path().read_bytes() == saved.read_bytes()
+
+
+def test_curve_is_downloaded_as_the_recording_of_what_was_felt(shown, reader, tmp_path):
+    reader.fill("protocol", "ramp 3mm @10mm/s; hold 2s; unload 1mm @10mm/s; hold 60s")
+    reader.press("Play")
+    reader.wait_for("depth", "3.00")
+    reader.wait_for("depth", "1.00")
+    reader.press("Pause")
+    reader.phase("paused")
+    reader.tab("Save")
+    trace = reader.until(lambda: shown.frame.curves.trace, lambda trace: abs(trace.depth[-1] - 1e-3) < 1e-6)
+    file = reader.download("Save curve (CSV)")
+    assert file.suggested_filename == "needle_indentation.csv"
+    file.save_as(tmp_path / "curve.csv")
+    felt = ts.read_recording(tmp_path / "curve.csv")
+    # To the last bit but for the way from m to mm and back.
+    for read, expected in ((felt.displacement, trace.depth), (felt.force, trace.force),
+                           (felt.time, trace.time - trace.time[0])):
+        np.testing.assert_allclose(read, expected, rtol=1e-15)
+    assert set(felt.labels["segment"]) == {"ramp", "hold", "unload"}
+    assert felt.displacement.max() == pytest.approx(3e-3) and felt.force.max() > 0.4
+
+
+def test_picture_is_downloaded_as_png(shown, reader, tmp_path):
+    from matplotlib.image import imread
+
+    reader.tab("Save")
+    file = reader.download("Save picture (PNG)")
+    assert file.suggested_filename == "needle_indentation.png"
+    file.save_as(tmp_path / "picture.png")
+    picture = imread(tmp_path / "picture.png")
+    assert picture.shape[0] > 300 and picture.shape[1] > 600
+    colours = np.unique((picture[..., :3] * 255).round().astype(np.uint8).reshape(-1, 3), axis=0)
+    assert len(colours) > 100
+
+
+def test_replay_is_a_page_that_plays_without_a_server(shown, reader, stranger, tmp_path):
+    reader.tab("Save")
+    reader.press("Record replay")
+    button = reader.page.get_by_role("button", name="Save replay")
+    button.wait_for()
+    shown.ask("aim", depth=2e-3)
+    reader.wait_for("depth", "2.00")
+    with reader.page.expect_download() as coming:
+        button.click()
+    path = tmp_path / coming.value.suggested_filename
+    coming.value.save_as(path)
+    assert path.name == "replay.html"
+    with stranger() as page:
+        asked, wrong = [], []
+        page.on("request", lambda request: request.url.startswith(("blob:", "data:")) or asked.append(request.url))
+        page.on("requestfailed", lambda request: wrong.append(request.url))
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.goto(path.as_uri())
+        page.wait_for_function("window.__viserTestpoints?.rendererInfo.render.triangles > 100")
+        assert (asked, wrong) == ([path.as_uri()], [])

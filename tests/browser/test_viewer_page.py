@@ -1,0 +1,207 @@
+"""The page of the viewer: what it shows, and how the tool and the picture are moved."""
+
+import os
+import signal
+
+import numpy as np
+import pytest
+
+from scenes.figures import LABELS
+from scenes.viewer.page.solid import SIZE
+from scenes.viewer.tone import seen_colour
+
+FAULT = "ramp 3mm; wander 2s"
+
+
+def hexadecimal(colour):
+    return "#{:02x}{:02x}{:02x}".format(*colour)
+
+
+def test_page_comes_up_offline_with_measurement_model_and_residual(shown, reader):
+    page = reader.page
+    reader.phase("running")
+    assert page.title() == "tissue_sim"
+    assert reader.read("phase") == "running · by hand"
+    assert (reader.read("depth"), reader.read("force")) == ("0.00", "0.000")
+    page.get_by_text("measured, 3 replicates").wait_for()
+    # The measurement is the model with noise, and this is all that is between them.
+    rmse = reader.until(lambda: reader.number("rmse"), lambda rmse: rmse > 0)
+    assert rmse == pytest.approx(shown.frame.curves.residual.rmse, abs=6e-4)
+    assert rmse == pytest.approx(0.02, rel=0.3)
+    force, residual, _ = reader.until(reader.curves, lambda plots: len(plots[0]["model load"]) > 100)
+    assert len(force["measured load"]) > 100 and max(force["measured load"]) == pytest.approx(
+        max(force["model load"]), rel=0.1)
+    assert len(residual["load"]) > 100 and max(map(abs, residual["load"])) < 5 * rmse
+    assert [page.locator(".uplot canvas").nth(number).is_visible() for number in range(3)] == [True] * 3
+    assert {url.split("/")[2] for url in reader.traffic.urls if not url.startswith(("blob:", "data:"))} == {
+        f"127.0.0.1:{shown.page.server.get_port()}"}
+
+
+def test_colours_of_the_bar_are_those_of_the_section_and_its_label_is_the_field_that_is_chosen(shown, reader):
+    page = reader.page
+    reader.tab("View")
+    field = "displacement"
+    reader.choose("colour", LABELS[field][0])
+    page.get_by_test_id("colour-bar").filter(has_text=LABELS[field][0]).wait_for()
+    bar = page.locator("[data-colour]").evaluate_all("blocks => blocks.map(block => block.dataset.colour)")
+    painted = page.evaluate("""() => {
+        const nodes = window.__viserSceneTree.getState();
+        return Object.keys(nodes).filter(name => name.startsWith("/tissue/band_")).sort()
+            .map(name => nodes[name].message.props.color);
+    }""")
+    assert len(set(bar)) == len(bar) == len(painted) > 5
+    assert bar == [hexadecimal(seen_colour(colour)) for colour in painted]
+    shown.ask("aim", depth=2e-3)
+    reader.wait_for("depth", "2.00")
+    title = page.locator("[data-colour]").last
+    # The tool has moved 2 mm: what lies beyond the last level has gone as far as that, about.
+    reader.until(lambda: title.get_attribute("title"), lambda words: 1.0 < float(words.split()[-1]) <= 2.0)
+
+
+def test_tool_follows_the_mouse_that_drags_it(shown, reader):
+    camera = reader.client.camera.position
+    mouse, unit = reader.page.mouse, SIZE / (2.0 * shown.setup.experiment.specimen.radius)
+    held, down = 4e-3, 3e-3  # above the face of the tool, and how far, m
+    x, y = reader.place((0.0, 0.0, held * unit))
+    mouse.move(x, y)
+    mouse.down()
+    for share in (0.3, 0.6, 1.0):
+        mouse.move(*reader.place((0.0, 0.0, (held - share * down) * unit)))
+    reader.until(lambda: shown.frame.target, lambda depth: depth == pytest.approx(down, rel=0.25))
+    mouse.up()
+    reader.wait_for("depth", f"{shown.frame.target * 1e3:.2f}")
+    assert reader.number("force") > 0.2
+    assert shown.frame.motion == "hand"
+    np.testing.assert_array_equal(reader.client.camera.position, camera)
+    reader.until(reader.curves, lambda plots: len(plots[0]["live load"]) > 50)
+
+
+def test_slider_moves_the_tool_and_says_where_it_is(shown, reader):
+    reader.enter("depth [mm]", "3.5")
+    reader.wait_for("depth", "3.50")
+    force = reader.until(lambda: reader.number("force"), lambda force: force > 0.5)
+    assert force == pytest.approx(shown.frame.readouts.force, abs=0.02)
+    thumb = reader.slider("depth [mm]")
+    for _ in range(3):
+        thumb.press("ArrowLeft")
+    reader.wait_for("depth", "3.47")
+    assert reader.field("depth [mm]").input_value() == "3.47"
+    shown.ask("aim", depth=1e-3)
+    reader.wait_for("depth", "1.00")
+    reader.until(lambda: reader.field("depth [mm]").input_value(), lambda value: value == "1")
+
+
+def test_protocol_is_played_paused_stepped_and_reset(shown, reader):
+    reader.fill("protocol", "ramp 4mm @2mm/s; hold 60s; unload")
+    reader.press("Play")
+    reader.page.get_by_test_id("phase").filter(has_text="running · protocol").wait_for()
+    reader.until(lambda: reader.number("depth"), lambda depth: depth > 0.3)
+    reader.press("Pause")
+    reader.phase("paused")
+    # The read-outs have come to rest where the tool stands.
+    standing = reader.until(lambda: shown.frame.readouts.depth,
+                            lambda depth: reader.read("depth") == f"{depth * 1e3:.2f}")
+    assert 0.3e-3 < standing < 4e-3
+    assert shown.frame.readouts.depth == standing
+    reader.press("Step")
+    stepped = reader.until(lambda: shown.frame.readouts.depth, lambda depth: depth > standing + 0.05e-3
+                           and reader.read("depth") == f"{depth * 1e3:.2f}")
+    assert stepped < standing + 0.1e-3, "a frame of 2 mm/s is 0.07 mm"
+    reader.phase("paused")
+    reader.press("Play")
+    reader.phase("running")
+    reader.wait_for("depth", "4.00")
+    assert reader.read("phase") == "running · protocol"
+    live = reader.until(lambda: reader.curves()[0]["live load"], lambda live: len(live) > 155)
+    assert max(live) == pytest.approx(shown.frame.readouts.force, rel=0.02)
+    reader.press("Reset")
+    reader.wait_for("depth", "0.00")
+    assert reader.read("phase") == "running · by hand"
+    reader.until(lambda: reader.curves()[0]["live load"], lambda live: len(live) < 3)
+
+
+def test_fault_in_a_protocol_is_answered_in_a_sentence_and_nothing_moves(shown, reader):
+    import tissue_sim as ts
+
+    with pytest.raises(ts.InputError) as fault:
+        ts.Protocol.parse(FAULT, 21, 5e-3)
+    reader.fill("protocol", FAULT)
+    reader.press("Play")
+    reader.answer(str(fault.value))
+    reader.fill("protocol", "ramp 9mm")
+    reader.press("Play")
+    reader.answer("the mesh is made for 5 mm; start the viewer with a larger --depth-mm")
+    assert reader.read("phase") == "running · by hand"
+    assert reader.read("depth") == "0.00" and len(shown.frame.curves.trace) < 100
+    assert max(shown.frame.curves.trace.depth, default=0.0) < 1e-6
+
+
+def test_two_browsers_see_the_same_but_for_the_camera_and_a_reload_finds_it_all(shown, reader, another):
+    one, other = reader, another
+    one.fill("protocol", "ramp 1.5mm; hold 60s")
+    one.tab("View")
+    one.enter("cut-away [°]", "60")
+    one.choose("colour", LABELS["energy"][0])
+    before = other.client.camera.position
+    one.press("Top")
+    reached = one.until(lambda: one.client.camera.position, lambda place: place[2] > 1.5 * before[2])
+    assert np.hypot(*reached[:2]) < 0.1 * reached[2]
+    np.testing.assert_array_equal(other.client.camera.position, before)
+    one.tab("Motion")
+    one.enter("depth [mm]", "2.5")
+    for reader in (one, other):
+        reader.wait_for("depth", "2.50")
+        reader.page.get_by_test_id("colour-bar").filter(has_text=LABELS["energy"][0]).wait_for()
+    other.until(lambda: (one.read("force"), other.read("force")), lambda forces: forces[0] == forces[1])
+    assert other.number("force") == pytest.approx(shown.frame.readouts.force, abs=0.02)
+    other.reload()
+    other.wait_for("depth", "2.50")
+    assert other.field("depth [mm]").input_value() == "2.5"
+    assert other.field("protocol").input_value() == "ramp 1.5mm; hold 60s"
+    other.tab("View")
+    assert other.field("cut-away [°]").input_value() == "60"
+    assert other.field("colour").input_value() == LABELS["energy"][0]
+
+
+def test_page_turns_dark_and_light_again(reader):
+    scheme = "() => document.documentElement.dataset.mantineColorScheme"
+    reader.tab("View")
+    stroke = "() => Object.values(window.__viserTestpoints.uplots)[0].chart.series.at(-1)._stroke"
+    light = reader.page.evaluate(stroke)
+    for expected in ("dark", "light"):
+        reader.field("dark page").click()
+        reader.until(lambda: reader.page.evaluate(scheme), lambda seen, expected=expected: seen == expected)
+        reader.until(lambda: reader.page.evaluate(stroke),
+                     lambda seen, expected=expected: (seen == light) == (expected == "light"))
+
+
+def test_other_scene_is_taken_when_it_fits_and_a_killed_simulation_says_so_until_it_is_restarted(shown, reader):
+    reader.tab("Scene")
+    reader.choose("tool", "flat")
+    reader.choose("tool's face", "frictionless")
+    reader.enter("edge radius [mm]", "0")
+    simulation, setup = shown.session.simulation, shown.session.setup
+    reader.press("Apply")
+    reader.answer("edge_radius")
+    assert shown.session.simulation is simulation and shown.session.setup is setup
+    reader.choose("tool", "sphere")
+    reader.enter("tool radius [mm]", "6")
+    reader.press("Apply")
+    reader.phase("starting")
+    reader.phase("running")
+    tool = shown.session.setup.experiment.tool
+    assert (tool.shape, tool.radius) == ("sphere", pytest.approx(6e-3))
+    assert shown.session.setup.experiment.friction == "frictionless"
+
+    os.kill(shown.session.simulation.process.pid, signal.SIGKILL)
+    reader.phase("died")
+    message = reader.read("message")
+    assert "killed by signal 9" in message and message.endswith("Press Restart to begin again.")
+    reader.press("Restart")
+    reader.phase("starting")
+    reader.phase("running")
+    assert shown.session.setup.experiment.tool is tool
+    reader.tab("Motion")
+    reader.enter("depth [mm]", "1")
+    reader.wait_for("depth", "1.00")
+    assert reader.page.get_by_role("button", name="Restart").count() == 0
