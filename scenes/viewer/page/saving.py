@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -19,8 +20,9 @@ from scenes.viewer.picture_file import Curve, compose_png
 from scenes.viewer.plots import LIGHT, depth_grid
 from scenes.viewer.trace import recording_csv
 
-#: Most that a browser may take to draw the picture that is saved, s.
-_PATIENCE = 30.0
+#: How long a browser may take to draw the picture that is saved, s, and how often it is asked: a busy one sometimes
+#: leaves a request unanswered.
+_PATIENCE, _ATTEMPTS = 8.0, 3
 #: Most pixels of a saved picture, along a side.
 _LARGEST = 1600
 #: Longest replay, s; a minute of motion has some 15 MB.
@@ -86,10 +88,9 @@ class Saving:
     def _save_picture(self, event: viser.GuiEvent) -> None:
         frame, camera = self._frame, event.client.camera
         width, height = (min(size, _LARGEST) for size in (camera.image_width, camera.image_height))
-        try:
-            render = event.client.get_render(height, width, transport_format="png", timeout=_PATIENCE)
-        except (TimeoutError, RuntimeError) as error:
-            tell(event.client, "That did not work", f"the browser drew no picture ({error}); try again", "red")
+        render = _rendered(event.client, height, width)
+        if render is None:
+            tell(event.client, "That did not work", "the browser drew no picture; try again", "red")
             return
         setup, now = frame.setup, frame.readouts
         caption = [f"{setup.scene.title}, {setup.material.energy_law.title} ({setup.source})"]
@@ -112,6 +113,14 @@ class Saving:
 
     def _finish_replay(self) -> None:
         self._finished, self._recorder = self._recorder.as_html(dark_mode=False).encode(), None
+
+
+def _rendered(client: viser.ClientHandle, height: int, width: int) -> np.ndarray | None:
+    """What a browser sees, shape (height, width, 4); None where it does not answer."""
+    for _ in range(_ATTEMPTS):
+        with suppress(TimeoutError, RuntimeError):
+            return client.get_render(height, width, transport_format="png", timeout=_PATIENCE)
+    return None
 
 
 def _drawn_curves(frame: Frame) -> dict[str, Any]:
