@@ -39,9 +39,10 @@ def run_child(connection: Connection, build_tissue: Callable[[], Tissue], source
               rendering: ForceRendering, settings: LoopSettings, files: LoopFiles) -> None:
     """Run a loop for the parent at the other end of the connection.
 
-    The parent is told, as pairs: ``doing`` a sentence; ``pattern`` of the snapshots, where there are any, at first and
-    after each change of the material; ``ready``; ``answer`` to each command, empty where it is done and else the
-    reason why not; at the end ``report``, or ``error`` with a sentence and whether bad input is the cause.
+    The parent is told, as pairs: ``doing`` a sentence; ``pattern`` of the snapshots, where there are any; ``ready``;
+    ``changed`` with what a change of the material changes in the pattern; ``answer`` to each command, empty where it is
+    done and else the reason why not; at the end ``report``, or ``error`` with a sentence and whether bad input is the
+    cause.
     """
     def remove_files() -> None:
         for path in files:
@@ -94,7 +95,9 @@ def _listen(loop: Loop, connection: Connection, shown: Tissue | None) -> None:
             try:
                 getattr(loop, command)(**values)
                 if command == "set_parameters" and shown is not None:
-                    connection.send(("pattern", shown.snapshot()))
+                    fields = shown.snapshot().fields
+                    # Not the whole pattern: its arrays would take a good part of a tick.
+                    connection.send(("changed", {name: getattr(fields, name) for name in fields.OF_THE_MATERIAL}))
                 connection.send(("answer", ""))
             except InputError as error:
                 connection.send(("answer", str(error)))

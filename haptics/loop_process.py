@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -267,6 +268,8 @@ class LoopProcess:
             self.message, self._ready = "running", True
         elif kind == "pattern":
             self.pattern = content
+        elif kind == "changed":
+            self.pattern = replace(self.pattern, fields=replace(self.pattern.fields, **content))
         elif kind == "answer":
             self._answers.append(content)
         elif kind == "report":

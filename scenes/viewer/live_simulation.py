@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections import deque
 from contextlib import ExitStack
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -55,7 +54,6 @@ class LiveSimulation:
         self._files = ExitStack()
         self._ring = self._snapshots = None
         self._number, self._published = 0, 0
-        self._pattern: Snapshot | None = None
         self._recent: deque[tuple[float, int]] = deque()
         #: Ticks of the last `_LOOK_BACK` s.
         self._felt = np.empty(0, TICK)
@@ -101,8 +99,7 @@ class LiveSimulation:
         self.phase = Phase.PAUSED if self._paused else Phase.RUNNING
         ticks = self._ring.since(self._number)
         self._number = ticks.number
-        if self._pattern is not self._loop.pattern:
-            self._take_pattern(self._loop.pattern)
+        self._snapshots.pattern = self._loop.pattern
         published = self._snapshots.latest(after=self._published)
         if published is not None:
             self._published, self.snapshot = published.number, published.snapshot
@@ -137,12 +134,6 @@ class LiveSimulation:
         if self._ring is not None:
             self._number = self._ring.written
         self._felt = self._felt[:0]
-
-    def _take_pattern(self, pattern: Snapshot) -> None:
-        """Of a changed material; the mesh stays the same object, so that pictures need not look at it again."""
-        mesh = pattern.fields.mesh if self._pattern is None else self._snapshots.pattern.fields.mesh
-        self._pattern = pattern
-        self._snapshots.pattern = replace(pattern, fields=replace(pattern.fields, mesh=mesh))
 
     def _die(self, reason: str) -> None:
         self.phase, self.message = Phase.DIED, reason

@@ -87,7 +87,12 @@ class Session:
         records = simulation.poll()
         if self._owed and simulation.phase is Phase.RUNNING:
             self._owed = False
-            simulation.ask("set_parameters", **parameter_values(self.setup.material))
+            try:
+                simulation.ask("set_parameters", **parameter_values(self.setup.material))
+            except InputError:
+                # Another one begins with that material, or says why it cannot.
+                self._begin()
+                simulation, records = self._simulation, None
         if records is not None and len(records):
             self._felt += self._trace.append(records)
         self._curve.poll()

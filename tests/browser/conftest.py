@@ -33,11 +33,9 @@ def chromium(root):
 @pytest.fixture(scope="session")
 def browser(chromium):
     """One Chromium for all tests; each has pages of its own, which share nothing."""
-    pytest.importorskip("playwright.sync_api", reason="drives a page with Playwright, which the extra tissue-sim[test] "
-                                                      "has")
     if chromium.chromium_path() is None:
-        pytest.skip("looks at the page in Chromium, and none is on PATH (Debian: apt install chromium "
-                    "fonts-dejavu-core)")
+        pytest.skip("looks at the page in a real browser, which pip cannot install: there is no chromium or "
+                    "chromium-browser on PATH (Debian: apt install chromium fonts-dejavu-core; .ci/run does so)")
     with chromium.chromium() as running:
         yield running
 

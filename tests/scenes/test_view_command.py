@@ -1,6 +1,5 @@
 """`tissue-sim view`: without a browser it plays and answers in JSON, and what cannot be shown is one sentence."""
 
-import importlib
 import json
 import multiprocessing
 import os
@@ -12,7 +11,6 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from haptics.loop_process import LoopProcess
 from scenes.cli import main
 from scenes.viewer.frame import Phase
 from scenes.viewer.trace import Trace
@@ -27,19 +25,6 @@ def recorded(path, **metadata):
     ts.write_recording(ts.Recording({"time": depth / 1e-3, "displacement": depth, "force": 180 * depth}, {}, metadata),
                        path)
     return path
-
-
-@pytest.fixture
-def of_gel(monkeypatch, root):
-    """Loops whose tissue is a spring of 200 N/m: their processes begin without kernels, seconds earlier."""
-    monkeypatch.syspath_prepend(root / "tests" / "haptics")  # the process of the loop inherits it
-    gel = importlib.import_module("loop_tissues").Gel
-
-    class OfGel(LoopProcess):
-        def __init__(self, build, *others, **options):
-            super().__init__(gel, *others, **options)
-
-    monkeypatch.setattr("scenes.viewer.live_simulation.LoopProcess", OfGel)
 
 
 def test_without_a_browser_it_says_what_was_felt(of_gel, capsys):

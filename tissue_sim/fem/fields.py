@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -36,6 +36,9 @@ class Fields:
         stresses: isochoric second Piola stress in units of `moduli`, Pa, shape (samples, elements, q, 4: RR, RZ, ZZ,
             hoop), where it depends on the past; else None.
     """
+
+    #: What another material of the same make changes beside the states.
+    OF_THE_MATERIAL: ClassVar = ("material", "bulk_modulus", "moduli")
 
     mesh: Mesh
     material: Material

@@ -1,6 +1,5 @@
 """What tests of the viewer share: the needle in the study's specimen, patience, and stand-ins for slow processes."""
 
-import importlib
 import time
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
@@ -8,7 +7,6 @@ from concurrent.futures.process import BrokenProcessPool
 import pytest
 
 import tissue_sim as ts
-from haptics.loop_process import LoopProcess
 from scenes.commands.loop import read_material
 from scenes.needle import NEEDLE
 from scenes.viewer.setup import Setup
@@ -32,19 +30,6 @@ def until():
         return seen
 
     return until
-
-
-@pytest.fixture
-def of_gel(monkeypatch, root):
-    """Loops whose tissue is a spring of 200 N/m: their processes begin without kernels, seconds earlier."""
-    monkeypatch.syspath_prepend(root / "tests" / "haptics")  # the process of the loop inherits it
-    gel = importlib.import_module("loop_tissues").Gel
-
-    class OfGel(LoopProcess):
-        def __init__(self, build, *others, **options):
-            super().__init__(gel, *others, **options)
-
-    monkeypatch.setattr("scenes.viewer.live_simulation.LoopProcess", OfGel)
 
 
 class PoolByHand:
