@@ -27,10 +27,10 @@ from measure import about, against_lapack, cpu_seconds, option_parser, show, sum
 from rich.console import Console
 
 import tissue_sim as ts
-from tissue_sim.discretisation import build_mesh, build_solver
-from tissue_sim.fem import newton
-from tissue_sim.fem.axisymmetric import AxisymmetricSolver
-from tissue_sim.fem.elements import Q4P0, Q9P1
+from tissue_sim.fem.axisymmetric import newton
+from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
+from tissue_sim.fem.axisymmetric.elements import Q4P0, Q9P1
+from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.mesh import cylinder_mesh
 
 PARAMETERS = {"C10": 1404.9, "C20": 699.4}

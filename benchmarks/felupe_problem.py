@@ -10,7 +10,7 @@ from __future__ import annotations
 import felupe as fem
 import numpy as np
 
-from tissue_sim.fem.elements import Q4P0
+from tissue_sim.fem.axisymmetric.elements import Q4P0
 from tissue_sim.mesh import Mesh
 
 #: Order of our nodes after r and z change places, which turns elements over: corners, mid-sides, centre.

@@ -23,7 +23,7 @@ from rich.console import Console
 from work_precision import HEIGHT, MATERIAL, NEEDLE_RADIUS, RADIUS
 
 import tissue_sim as ts
-from tissue_sim.discretisation import build_mesh
+from tissue_sim.fem.axisymmetric.discretisation import build_mesh
 from tissue_sim.mesh import Mesh
 
 RELAXING = replace(MATERIAL, viscoelastic=ts.Prony((ts.PronyTerm(0.3, 2.0),)))

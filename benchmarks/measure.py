@@ -19,8 +19,8 @@ from rich.table import Table
 from scipy.linalg import lapack
 
 import tissue_sim as ts
-from tissue_sim.fem import band
-from tissue_sim.fem.runtime import initialise
+from tissue_sim.fem.linear import band
+from tissue_sim.fem.taichi.runtime import initialise
 
 
 def cpu_seconds(work: Callable[[], object], repeats: int) -> list[float]:

@@ -6,11 +6,11 @@ from needle import iterations
 from realtime_ticks import DT, NEEDLE, TOLERANCE, WAY, no_garbage_collection, say
 from work_precision import uniform_needle_mesh
 
-from tissue_sim.discretisation import build_mesh, build_solver
-from tissue_sim.fem import newton
-from tissue_sim.fem.axisymmetric import AxisymmetricSolver
-from tissue_sim.fem.elements import Q4P0
-from tissue_sim.fem.newton import StepStatus
+from tissue_sim.fem.axisymmetric import newton
+from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
+from tissue_sim.fem.axisymmetric.elements import Q4P0
+from tissue_sim.fem.axisymmetric.newton import StepStatus
+from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.mesh import Mesh
 
 #: The mesh whose ratios stand for all: 1016 equations, half band 44.

@@ -16,8 +16,8 @@ from friction import EDGE, RELAXING, SPECIMEN
 from work_precision import HEIGHT, MATERIAL, MODELS, NEEDLE_RADIUS, RADIUS, REFERENCES
 
 import tissue_sim as ts
-from tissue_sim.discretisation import build_mesh, build_solver
-from tissue_sim.fem.elements import Q9P1
+from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
+from tissue_sim.fem.axisymmetric.elements import Q9P1
 from tissue_sim.mesh import Mesh, cylinder_mesh, needle_mesh
 from tissue_sim.tool_force import ForceStatus
 

@@ -16,7 +16,7 @@ import statistics
 from measure import about, cpu_seconds, option_parser, show, table, verdict
 
 import tissue_sim as ts
-from tissue_sim.discretisation import build_mesh
+from tissue_sim.fem.axisymmetric.discretisation import build_mesh
 
 TARGET = 0.3
 STUDY = {"C10": 1404.9, "C20": 699.4}

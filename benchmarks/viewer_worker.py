@@ -40,7 +40,7 @@ from scenes.viewer.page import Page
 from scenes.viewer.page.readouts import readouts_html
 from scenes.viewer.session import Session
 from scenes.viewer.setup import Setup
-from tissue_sim.fem.fields import Fields
+from tissue_sim.fem.axisymmetric.fields import Fields
 
 REPLICATES, SAMPLES, NOISE = 3, 401, 0.02
 #: How long the start may take, s; the machine's first one compiles.

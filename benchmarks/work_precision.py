@@ -23,8 +23,8 @@ from measure import about, option_parser, show, spread, summary, table
 from rich.console import Console
 
 import tissue_sim as ts
-from tissue_sim.discretisation import build_mesh, build_solver
-from tissue_sim.fem.elements import Q4P0, Q9P1
+from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
+from tissue_sim.fem.axisymmetric.elements import Q4P0, Q9P1
 from tissue_sim.mesh import Mesh, cylinder_mesh, needle_mesh
 
 RADIUS, HEIGHT, NEEDLE_RADIUS = 0.040, 0.070, 0.008

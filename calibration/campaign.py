@@ -24,12 +24,12 @@ from calibration.campaign_effects import check_effects, is_effect
 from calibration.campaign_schema import CampaignTable, FitTable, NoiseTable, SpecimenTable, TestTable, decode_campaign
 from calibration.campaign_setup import Setup, check_homogeneous, read_setup
 from tissue_sim.errors import InputError, nearest
-from tissue_sim.experiment import STANDARD_GRAVITY, Specimen
-from tissue_sim.formats import check_delimiter
+from tissue_sim.experiment.experiment import STANDARD_GRAVITY, Specimen
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.laws import LAWS
-from tissue_sim.material import Bulk
-from tissue_sim.recording_file import KINDS
+from tissue_sim.material.material import Bulk
+from tissue_sim.recording.file import KINDS
+from tissue_sim.recording.formats import check_delimiter
 
 #: Prior standard deviation of a contact offset when neither the fit nor the noise states one, m.
 DEFAULT_OFFSET_PRIOR = 0.05e-3
@@ -46,7 +46,7 @@ class Test:
 
     Attributes:
         name: unique in the campaign.
-        kind: a key of `tissue_sim.recording_file.KINDS`.
+        kind: a key of `tissue_sim.recording.file.KINDS`.
         specimen: None where the recordings are stretch and stress already.
         recordings: files, sorted, at least one.
         reading: how to read them, the options of `tissue_sim.read_recordings`.
@@ -90,7 +90,7 @@ class FitSettings:
         strain_points: evenly spaced strains that every replicate is interpolated to, or None for its own samples.
         starts: how many an inverse fit tries.
         start, fixed: parameter -> value, SI; for an inverse fit also other parameters of the material, by the paths of
-            `tissue_sim.material_parameters`, which it then has. prior: parameter -> (mean, standard deviation).
+            `tissue_sim.material.parameters`, which it then has. prior: parameter -> (mean, standard deviation).
             bounds: (low, high).
     """
 

@@ -10,11 +10,11 @@ import numpy as np
 
 from calibration.campaign_schema import FitTable, NoiseTable, TestTable
 from tissue_sim.errors import InputError, nearest
-from tissue_sim.formats import check_columns
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.laws import LAWS
-from tissue_sim.material import BULK_RATIOS
-from tissue_sim.recording_file import KINDS
+from tissue_sim.material.material import BULK_RATIOS
+from tissue_sim.recording.file import KINDS
+from tissue_sim.recording.formats import check_columns
 
 #: Test kinds with a homogeneous deformation -> mode of `Law.nominal_stress`.
 HOMOGENEOUS = {"lubricated_compression": "uniaxial", "uniaxial_tension": "uniaxial", "simple_shear": "simple_shear"}

@@ -10,8 +10,8 @@ from calibration.campaign_schema import FitTable
 from tissue_sim.decode import decode
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.laws import LAWS
-from tissue_sim.material import BULK_RATIOS, Bulk
-from tissue_sim.material_schema import (
+from tissue_sim.material.material import BULK_RATIOS, Bulk
+from tissue_sim.material.schema import (
     LayerEntry,
     PoroelasticityEntry,
     PunctureEntry,

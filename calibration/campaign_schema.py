@@ -11,8 +11,8 @@ import msgspec
 
 from tissue_sim.decode import decode
 from tissue_sim.errors import InputError
-from tissue_sim.formats.text import read_text
-from tissue_sim.recording_file import KINDS
+from tissue_sim.recording.file import KINDS
+from tissue_sim.recording.formats.text import read_text
 
 Pair = tuple[float, float]
 #: JSON's words in TOML.

@@ -9,11 +9,11 @@ from pathlib import Path
 from calibration.campaign_checks import HOMOGENEOUS, TOOLS
 from calibration.campaign_schema import TestTable
 from tissue_sim.errors import InputError, nearest
-from tissue_sim.experiment import Experiment, Specimen, checked_interface
-from tissue_sim.protocol import Protocol
-from tissue_sim.rig import Rig
-from tissue_sim.rig_file import load_rig
-from tissue_sim.tool import Tool
+from tissue_sim.experiment.experiment import Experiment, Specimen, checked_interface
+from tissue_sim.experiment.protocol import Protocol
+from tissue_sim.experiment.tools.tool import Tool
+from tissue_sim.rig.file import load_rig
+from tissue_sim.rig.rig import Rig
 
 #: Kind of test -> interfaces of the tool's face and of the base where nothing else is said; None: it must be said.
 _FACES: dict[str, tuple[str | None, str | None]] = {

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.campaign import Test
-from tissue_sim.column import Column
+from tissue_sim.closed_form.column import Column
 from tissue_sim.laws import Law
 
 

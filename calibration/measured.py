@@ -12,8 +12,8 @@ from calibration.inverse_fem.motion import label_segments, number_runs
 from calibration.replicates import NOT_LOADING, check_size, names_of
 from calibration.sensor_noise import SensorNoise, estimate_shared_noise, spread_stamps
 from tissue_sim.errors import InputError
-from tissue_sim.recording import MIN_POINTS, Recording
-from tissue_sim.recording_file import KINDS, read_recordings
+from tissue_sim.recording.file import KINDS, read_recordings
+from tissue_sim.recording.recording import MIN_POINTS, Recording
 
 #: Replicates of one test may differ by this share in their speed and in their largest displacement.
 REPLICATE_TOLERANCE = 0.2

@@ -1,6 +1,6 @@
 """Relaxation from measured histories: a law and a Prony series fitted together, or a Prony series to a hold alone.
 
-The model is the closed form of `tissue_sim.uniaxial_history`. It is linear in the moduli and, for given relaxation
+The model is the closed form of `tissue_sim.closed_form.histories`. It is linear in the moduli and, for given relaxation
 times, in the shares that relax: non-negative least squares over a grid of times starts the nonlinear fit.
 """
 
@@ -16,9 +16,9 @@ from calibration.relaxation_model import HoldModel, LawModel
 from calibration.statistics import r_squared, uncertainty
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.laws import Law, find_law
-from tissue_sim.material import Bulk, Material
-from tissue_sim.recording import Recording
-from tissue_sim.viscoelasticity import MOST_TERMS, Prony, PronyTerm
+from tissue_sim.material.material import Bulk, Material
+from tissue_sim.material.viscoelasticity import MOST_TERMS, Prony, PronyTerm
+from tissue_sim.recording.recording import Recording
 
 #: Grid of relaxation times per decade that the starts are chosen from, and how many candidates are refined.
 TIMES_PER_DECADE, MAX_STARTS = 3, 3

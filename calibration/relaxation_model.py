@@ -8,11 +8,11 @@ from itertools import combinations_with_replacement
 import numpy as np
 
 from calibration.uniaxial import EXPONENTS
+from tissue_sim.closed_form.histories import HomogeneousHistory
 from tissue_sim.errors import InputError
 from tissue_sim.laws import Law
-from tissue_sim.recording import Recording
-from tissue_sim.uniaxial_history import HomogeneousHistory
-from tissue_sim.viscoelasticity import internal_stress
+from tissue_sim.material.viscoelasticity import internal_stress
+from tissue_sim.recording.recording import Recording
 
 #: The history is divided less finely than for a prediction: 1e-4 of the largest stress, below what is measured.
 LARGEST_STEP = 0.01

@@ -13,8 +13,8 @@ from calibration.campaign import Campaign, Test
 from calibration.forward import Homogeneous, Weighing, forward_model
 from calibration.statistics import estimate_noise, resolution
 from tissue_sim.errors import InputError
-from tissue_sim.recording import MIN_POINTS, Recording
-from tissue_sim.recording_file import KINDS, read_recordings
+from tissue_sim.recording.file import KINDS, read_recordings
+from tissue_sim.recording.recording import MIN_POINTS, Recording
 
 #: Largest difference of a specimen's size between a recording's own word and the campaign's, as a share.
 SIZE_TOLERANCE = 0.02

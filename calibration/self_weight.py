@@ -6,9 +6,9 @@ from dataclasses import replace
 
 from calibration.campaign import Campaign
 from calibration.fit import Fit
-from tissue_sim.column import Column
+from tissue_sim.closed_form.column import Column
 from tissue_sim.errors import InputError
-from tissue_sim.experiment import STANDARD_GRAVITY, Specimen
+from tissue_sim.experiment.experiment import STANDARD_GRAVITY, Specimen
 from tissue_sim.laws import Law, find_law
 
 #: Of water, kg/m3: what a specimen of unknown density is taken for when its sag is estimated.

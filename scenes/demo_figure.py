@@ -9,9 +9,9 @@ import numpy as np
 
 from scenes.figures import draw_fold, draw_section, save
 from scenes.needle import NEEDLE
-from tissue_sim.experiment import Specimen
-from tissue_sim.material import Material
-from tissue_sim.recording import Recording
+from tissue_sim.experiment.experiment import Specimen
+from tissue_sim.material.material import Material
+from tissue_sim.recording.recording import Recording
 
 if TYPE_CHECKING:
     from scenes.demo import Comparison

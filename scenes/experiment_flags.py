@@ -85,7 +85,7 @@ def build_experiment(arguments, protocol: Protocol, material: Material) -> Exper
     """
     import tissue_sim as ts
     from scenes.catalogue import SCENES
-    from tissue_sim.experiment import STANDARD_GRAVITY
+    from tissue_sim.experiment.experiment import STANDARD_GRAVITY
 
     scene = SCENES[arguments.scene]
     shape, profile = _shape(arguments.tool or scene.tool.shape)
@@ -112,7 +112,7 @@ def build_experiment(arguments, protocol: Protocol, material: Material) -> Exper
         raise InputError("adhesion needs a force and a length; give both or neither",
                          field="--adhesion-N" if arguments.adhesion_N is not None else "--adhesion-length-mm")
     if arguments.adhesion_N is not None:
-        from tissue_sim.experiment import Adhesion
+        from tissue_sim.experiment.experiment import Adhesion
 
         changes["adhesion"] = Adhesion(arguments.adhesion_N, arguments.adhesion_length_mm * 1e-3)
     if arguments.tilt_mm is not None:

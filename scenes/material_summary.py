@@ -10,7 +10,7 @@ import numpy as np
 
 from calibration.pressure import format_pressure
 from tissue_sim.laws import check_stability
-from tissue_sim.material_file import EFFECTS
+from tissue_sim.material.file import EFFECTS
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from tissue_sim.errors import InputError
 
-#: Words for an interface; a test holds them against those of `tissue_sim.experiment`, which needs numpy.
+#: Words for an interface; a test holds them against those of `tissue_sim.experiment.experiment`, which needs numpy.
 INTERFACES = ("bonded", "stick", "frictionless")
 
 

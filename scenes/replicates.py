@@ -35,8 +35,8 @@ def build_rig(arguments) -> Rig:
     Raises:
         InputError: a damaged file, or replicates or a seed where there is no noise.
     """
-    from tissue_sim.rig import Rig
-    from tissue_sim.rig_file import load_rig
+    from tissue_sim.rig.file import load_rig
+    from tissue_sim.rig.rig import Rig
 
     rig = Rig() if arguments.rig is None else load_rig(arguments.rig)
     if arguments.noise_N is not None:

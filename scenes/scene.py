@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from tissue_sim.experiment import Experiment, Specimen
-from tissue_sim.protocol import Protocol
-from tissue_sim.tool import Tool
+from tissue_sim.experiment.experiment import Experiment, Specimen
+from tissue_sim.experiment.protocol import Protocol
+from tissue_sim.experiment.tools.tool import Tool
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Compile the kernels that most tests use, and keep them; see conftest.py."""
 
 import tissue_sim as ts
-from tissue_sim.fem.elements import Q4P0
+from tissue_sim.fem.axisymmetric.elements import Q4P0
 from tissue_sim.mesh import cylinder_mesh
 
 RADIUS, HEIGHT = 0.04, 0.07

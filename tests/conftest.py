@@ -57,7 +57,7 @@ class Compilation:
 
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, config: pytest.Config, items: list[pytest.Item]) -> None:
-        from tissue_sim.fem.runtime import cache_folder
+        from tissue_sim.fem.taichi.runtime import cache_folder
 
         items.sort(key=may_use_kernels)
         both_kinds = {may_use_kernels(item) for item in items} == {False, True}

@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("tissue_sim", "calibration", "haptics", "scenes")
 SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 IMPORTERS = {  # outside package -> where it may be imported
-    "taichi": ("tissue_sim/fem/runtime.py",),
+    "taichi": ("tissue_sim/fem/taichi/runtime.py",),
     "viser": ("scenes/",),
     "rich": ("scenes/", "calibration/"),
     "matplotlib": ("scenes/", "calibration/"),

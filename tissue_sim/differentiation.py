@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tissue_sim.discretisation import build_mesh
 from tissue_sim.errors import ConvergenceError, InputError, nearest
-from tissue_sim.experiment import Model
-from tissue_sim.fem.axisymmetric import AxisymmetricSolver
-from tissue_sim.fem.sensitivity import Sensitivity
-from tissue_sim.material_parameters import parameter_values, with_parameter
+from tissue_sim.experiment.experiment import Model
+from tissue_sim.fem.axisymmetric.discretisation import build_mesh
+from tissue_sim.fem.axisymmetric.sensitivity import Sensitivity
+from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
+from tissue_sim.material.parameters import parameter_values, with_parameter
 from tissue_sim.mesh import Mesh
-from tissue_sim.recording import Recording
+from tissue_sim.recording.recording import Recording
 from tissue_sim.simulation import simulate
 
 #: Width of the differences, relative: of formulas inside the exact method, and of whole simulations.
@@ -30,7 +30,7 @@ class Sensitivities:
 
     Attributes:
         recording: what `simulate` gives with a perfect sensor.
-        names: parameters, see `tissue_sim.material_parameters`; those of the experiment are paths such as ``friction``
+        names: parameters, see `tissue_sim.material.parameters`; those of the experiment are paths such as ``friction``
             or ``tool.edge_radius``, in SI.
         values: dF/dtheta, N per unit of the parameter, shape (samples, parameters).
         exact: by implicit differentiation (True) or by a central difference of simulations, shape (parameters,).

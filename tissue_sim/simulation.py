@@ -8,17 +8,17 @@ from typing import Protocol
 
 import numpy as np
 
-from tissue_sim.discretisation import build_mesh, build_solver, sag
 from tissue_sim.errors import ConvergenceError
-from tissue_sim.experiment import Experiment, Model
-from tissue_sim.fem.axisymmetric import AxisymmetricSolver, Step
-from tissue_sim.fem.fields import Fields
-from tissue_sim.fem.newton import StepStatus
+from tissue_sim.experiment.experiment import Experiment, Model
+from tissue_sim.experiment.tilt import tilted
+from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver, sag
+from tissue_sim.fem.axisymmetric.fields import Fields
+from tissue_sim.fem.axisymmetric.newton import StepStatus
+from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver, Step
 from tissue_sim.laws import check_stability
+from tissue_sim.material.puncture import PunctureHistory
 from tissue_sim.mesh import Mesh
-from tissue_sim.puncture import PunctureHistory
-from tissue_sim.recording import Recording
-from tissue_sim.tilt import tilted
+from tissue_sim.recording.recording import Recording
 
 #: A step is cut until it is this small a part of the way between two samples.
 _SMALLEST_CUT = 2.0**-10
@@ -46,7 +46,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Mesh | None = None
 
     Args:
         model: experiment, material, rig.
-        resolution: ``"fast"`` or ``"accurate"``, see `tissue_sim.discretisation`.
+        resolution: ``"fast"`` or ``"accurate"``, see `tissue_sim.fem.axisymmetric.discretisation`.
         mesh: a mesh of your own instead.
         fields: keep the converged fields of every sample in ``recording.fields``.
         progress: called with (samples done, samples in all); the first call comes before the kernels are compiled.

@@ -6,16 +6,16 @@ import math
 import time
 from dataclasses import dataclass, replace
 
-from tissue_sim.deformed_surface import DeformedSurface, deformed_surface
-from tissue_sim.discretisation import build_mesh, build_solver
 from tissue_sim.errors import InputError
-from tissue_sim.experiment import Model
-from tissue_sim.fem.axisymmetric import Step
-from tissue_sim.fem.newton import StepStatus
-from tissue_sim.material import Material
-from tissue_sim.material_parameters import with_parameters
+from tissue_sim.experiment.experiment import Model
+from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
+from tissue_sim.fem.axisymmetric.newton import StepStatus
+from tissue_sim.fem.axisymmetric.solver import Step
+from tissue_sim.fem.axisymmetric.surface import DeformedSurface, deformed_surface
+from tissue_sim.material.material import Material
+from tissue_sim.material.parameters import with_parameters
+from tissue_sim.material.puncture import PunctureHistory
 from tissue_sim.mesh import Mesh
-from tissue_sim.puncture import PunctureHistory
 from tissue_sim.snapshot import Snapshot, snapshot
 from tissue_sim.tool_force import ForceStatus, Pose, ToolForce, depth_of
 

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tissue_sim.fem.fields import Fields
+from tissue_sim.fem.axisymmetric.fields import Fields
 
 if TYPE_CHECKING:
-    from tissue_sim.fem.axisymmetric import AxisymmetricSolver
+    from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 
 
 @dataclass(frozen=True, eq=False)

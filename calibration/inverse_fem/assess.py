@@ -27,10 +27,10 @@ from calibration.inverse_fem.uncertainty import Uncertainty
 from calibration.self_weight import sags
 from calibration.statistics import MODEL_ERROR_RATIO, correlation, information_criteria, r_squared
 from tissue_sim.errors import ConvergenceError, InputError
-from tissue_sim.experiment import Model
+from tissue_sim.experiment.experiment import Model
+from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.laws import Stability, check_stability, find_law
 from tissue_sim.laws.stability import STRETCH_RANGE
-from tissue_sim.protocol import Protocol
 from tissue_sim.simulation import simulate
 
 #: Minima whose parameters differ by less than this share of their size are one.

@@ -16,7 +16,7 @@ from calibration.inverse_fem.problem import Problem
 from calibration.inverse_fem.solves import Solves
 from calibration.jitter import Jitter
 from calibration.measured import MeasuredCurve, ages, remembers
-from tissue_sim.protocol import STUDY_SPEED
+from tissue_sim.experiment.protocol import STUDY_SPEED
 
 #: Standard deviation of the accurate mesh's own error relative to the force: what is left against independent
 #: solvers, see docs/simulation.md. Between plates, under a flat needle, under a round or pointed one.

@@ -14,13 +14,13 @@ from calibration.inverse_fem.motion import Course, Loading, Timed
 from calibration.inverse_fem.parameters import ParameterSpace
 from calibration.inverse_fem.solves import SimulatedCurve, Solves, content_key
 from calibration.measured import MeasuredCurve
+from tissue_sim.closed_form.histories import nominal_stress_history, shear_stress_history
 from tissue_sim.differentiation import sensitivities
 from tissue_sim.errors import ConvergenceError, InputError
-from tissue_sim.experiment import Experiment, Model, Specimen
-from tissue_sim.recording import Recording
-from tissue_sim.rig import Rig
+from tissue_sim.experiment.experiment import Experiment, Model, Specimen
+from tissue_sim.recording.recording import Recording
+from tissue_sim.rig.rig import Rig
 from tissue_sim.simulation import simulate
-from tissue_sim.uniaxial_history import nominal_stress_history, shear_stress_history
 
 #: What of a rig acts on readings.
 _READING = ("guide_friction", "rate_damping", "latency", "sensor_gain", "zero_offset", "sensor_drift")

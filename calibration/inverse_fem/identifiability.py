@@ -13,9 +13,9 @@ from calibration.inverse_fem.problem import Problem
 from calibration.inverse_fem.uncertainty import Uncertainty
 from tissue_sim.differentiation import sensitivities
 from tissue_sim.errors import ConvergenceError, InputError
-from tissue_sim.experiment import Experiment, Model, Specimen
-from tissue_sim.protocol import STUDY_SPEED, Protocol
-from tissue_sim.tool import Tool
+from tissue_sim.experiment.experiment import Experiment, Model, Specimen
+from tissue_sim.experiment.protocol import STUDY_SPEED, Protocol
+from tissue_sim.experiment.tools.tool import Tool
 
 #: A combination whose relative standard error is larger than this is poorly told.
 WEAK = 0.2

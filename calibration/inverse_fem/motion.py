@@ -8,9 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
-from tissue_sim.protocol import Protocol
-from tissue_sim.recording import Recording
-from tissue_sim.rig import Rig
+from tissue_sim.experiment.protocol import Protocol
+from tissue_sim.recording.recording import Recording
+from tissue_sim.rig.rig import Rig
 
 #: Where the force is smooth: fewest steps to the largest depth, and largest nominal strain of one. A cubic through them
 #: errs by 7e-6 of the largest force between plates and by 9e-5 under a flat needle.

@@ -19,7 +19,7 @@ from calibration.result import CalibrationResult, to_json
 from calibration.self_weight import statement
 from tissue_sim.atomic_write import write_text
 from tissue_sim.laws import find_law
-from tissue_sim.material_file import MaterialFile, write_material_file
+from tissue_sim.material.file import MaterialFile, write_material_file
 
 Curves = Mapping[str, Sequence[TestCurves]]
 

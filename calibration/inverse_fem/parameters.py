@@ -12,7 +12,7 @@ from calibration.campaign_effects import build_effect_parts, effect_bounds, is_e
 from calibration.uniaxial import EXPONENT_BOUND
 from tissue_sim.laws import Law, find_law
 from tissue_sim.laws.ogden import SMALLEST_EXPONENT
-from tissue_sim.material import Bulk, Material
+from tissue_sim.material.material import Bulk, Material
 
 #: Sum of the moduli, Pa, at which a material is simulated whose force is proportional to them.
 REFERENCE_MODULUS = 1000.0

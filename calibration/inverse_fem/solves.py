@@ -16,7 +16,7 @@ import numpy as np
 
 import tissue_sim
 from tissue_sim.atomic_write import write_bytes
-from tissue_sim.tool import Tool
+from tissue_sim.experiment.tools.tool import Tool
 
 
 class SimulatedCurve(msgspec.Struct, frozen=True, array_like=True):

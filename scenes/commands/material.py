@@ -83,7 +83,7 @@ def check_bulk(material, option: str) -> None:
     Raises:
         InputError: K / mu0 outside `BULK_RATIOS`, with the option that states it.
     """
-    from tissue_sim.material import BULK_RATIOS
+    from tissue_sim.material.material import BULK_RATIOS
 
     ratio = material.bulk_modulus / material.mu0
     low, high = BULK_RATIOS
@@ -120,7 +120,7 @@ def read_prony(terms: list[str], moduli: str):
     Raises:
         InputError: a term that is not two numbers, or one that `Prony` refuses.
     """
-    from tissue_sim.viscoelasticity import Prony, PronyTerm
+    from tissue_sim.material.viscoelasticity import Prony, PronyTerm
 
     if not terms:
         if moduli != "instantaneous":

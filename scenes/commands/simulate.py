@@ -47,8 +47,8 @@ def run(arguments) -> int:
         raise InputError("a field colours a figure; add --figure F.png", field="--field")
 
     import tissue_sim as ts
-    from tissue_sim.recording import MIN_POINTS
-    from tissue_sim.recording_file import require_sidecar_place
+    from tissue_sim.recording.file import require_sidecar_place
+    from tissue_sim.recording.recording import MIN_POINTS
 
     for path in outputs:
         require_sidecar_place(path)

@@ -13,7 +13,7 @@ _TERMS = 1000
 _OTHERS = ("cuda", "amdgpu", "metal", "vulkan", "dx11", "opengl", "gles")
 _PROBE = """
 import sys
-from tissue_sim.fem import runtime
+from tissue_sim.fem.taichi import runtime
 ti = runtime.initialise()
 for name in sys.argv[1:]:
     if ti.lang.misc.is_arch_supported(getattr(ti, name)):
@@ -24,7 +24,7 @@ _PROBE_SECONDS = 60.0
 
 def kernel() -> Check:
     """Compile and run a small kernel on the back-end that the finite elements use."""
-    from tissue_sim.fem import runtime
+    from tissue_sim.fem.taichi import runtime
 
     start = time.perf_counter()
     try:
@@ -78,7 +78,7 @@ def other_backends() -> list[str]:
 
 def compiled_kernels() -> Check:
     """Folder of the compiled kernels and its size."""
-    from tissue_sim.fem import runtime
+    from tissue_sim.fem.taichi import runtime
 
     folder = runtime.cache_folder()
     size = folder_size(folder)

@@ -9,10 +9,10 @@ import numpy as np
 
 from scenes.figures import volume_range
 from tissue_sim.errors import InputError
-from tissue_sim.fem.fields import FIELD_UNITS
+from tissue_sim.fem.axisymmetric.fields import FIELD_UNITS
 
 if TYPE_CHECKING:
-    from tissue_sim.fem.fields import Fields
+    from tissue_sim.fem.axisymmetric.fields import Fields
 
 #: Red, green, blue of each band, dark to bright: matplotlib's viridis from 0.12 to 0.95, which the colour-blind read as
 #: well and which stands out from a white page as well as from a black one.

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tissue_sim.errors import InputError
-from tissue_sim.material import BULK_RATIOS, Material
-from tissue_sim.material_file import MaterialFile, read_material_file, write_material_file
-from tissue_sim.material_parameters import parameter_values, with_parameter
+from tissue_sim.material.file import MaterialFile, read_material_file, write_material_file
+from tissue_sim.material.material import BULK_RATIOS, Material
+from tissue_sim.material.parameters import parameter_values, with_parameter
 
 SUFFIX = ".material.json"
 #: Largest upload, bytes; a material file has some thousands.
@@ -80,7 +80,7 @@ def read_upload(name: str, content: bytes) -> Material:
 
 
 def parameter_ranges(material: Material) -> dict[str, SliderRange]:
-    """A slider for every parameter that the material has, by its name in `tissue_sim.material_parameters`.
+    """A slider for every parameter that the material has, by its name in `tissue_sim.material.parameters`.
 
     From 0, or from 1/`REACH` of the value where the material refuses zero, to `REACH` times the value, shortened to
     what the material accepts, and the finite elements are checked for, while its other parameters stay; mirrored for a

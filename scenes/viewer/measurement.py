@@ -11,9 +11,9 @@ import numpy as np
 
 from scenes.viewer.trace import HYSTERESIS, Reversals, on_grid, one_way
 from tissue_sim.errors import InputError
-from tissue_sim.protocol import STUDY_SPEED, Protocol
-from tissue_sim.recording import MIN_POINTS, Recording
-from tissue_sim.recording_file import read_recordings
+from tissue_sim.experiment.protocol import STUDY_SPEED, Protocol
+from tissue_sim.recording.file import read_recordings
+from tissue_sim.recording.recording import MIN_POINTS, Recording
 
 #: Depths of the grid on which replicates are averaged.
 GRID_POINTS = 201

@@ -18,7 +18,7 @@ from scenes.viewer.session import Session
 from scenes.viewer.setup import Setup
 from scenes.viewer.web_server import exposure
 from tissue_sim.errors import InputError
-from tissue_sim.protocol import STUDY_SPEED
+from tissue_sim.experiment.protocol import STUDY_SPEED
 
 #: What a browser without a graphics card is asked for.
 HALF_RESOLUTION = "?fixedDpr=0.5"

@@ -20,7 +20,7 @@ from scenes.viewer.model_curve import ModelCurve
 from scenes.viewer.setup import Setup
 from scenes.viewer.trace import Trace
 from tissue_sim.errors import InputError
-from tissue_sim.material_parameters import parameter_values, with_parameters
+from tissue_sim.material.parameters import parameter_values, with_parameters
 
 #: Frames a second, and how many of them until the plots are drawn anew.
 FRAME_RATE, PLOT_EVERY = 30.0, 3

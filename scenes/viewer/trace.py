@@ -12,8 +12,8 @@ import numpy as np
 
 from haptics.ring import PAUSED
 from tissue_sim.errors import InputError
-from tissue_sim.recording import Recording
-from tissue_sim.recording_file import write_recording
+from tissue_sim.recording.file import write_recording
+from tissue_sim.recording.recording import Recording
 
 #: Smallest way back that counts as a reversal, m: a hand trembles less.
 HYSTERESIS = 0.05e-3

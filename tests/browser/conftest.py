@@ -174,8 +174,8 @@ def shown(browser, tmp_path_factory):
     from scenes.needle import NEEDLE
     from scenes.viewer.measurement import measurement
     from scenes.viewer.setup import Setup
-    from tissue_sim.material_file import MaterialFile
-    from tissue_sim.material_parameters import with_parameter
+    from tissue_sim.material.file import MaterialFile
+    from tissue_sim.material.parameters import with_parameter
 
     experiment = NEEDLE.experiment(specimen=ts.Specimen(radius=0.04, height=0.07), protocol=ts.Protocol.ramp(5e-3, 21))
     setup = Setup(NEEDLE, experiment, read_material(None))

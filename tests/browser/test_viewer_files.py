@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.material_file import MaterialFile
+from tissue_sim.material.file import MaterialFile
 
 SUFFIX = ".material.json"
 STIFF = ts.Material("neo_hooke", {"C10": 4000.0}, ts.Bulk("bulk_ratio", 1e4))

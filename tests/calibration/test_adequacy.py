@@ -6,7 +6,7 @@ from scipy import stats
 
 from calibration.adequacy import cosine_modes, holm, misfit
 from calibration.sensor_noise import SensorNoise, whiten
-from tissue_sim.noise import sensor_noise
+from tissue_sim.rig.noise import sensor_noise
 
 DEPTH = np.linspace(0.0, 1.0, 200)
 PARAMETERS = np.column_stack([DEPTH, DEPTH**3])

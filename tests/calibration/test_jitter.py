@@ -5,7 +5,7 @@ import pytest
 
 from calibration.jitter import Jitter, WhitenedReplicate, estimate_jitter
 from calibration.sensor_noise import SensorNoise, whiten
-from tissue_sim.noise import sensor_noise
+from tissue_sim.rig.noise import sensor_noise
 
 CONTACT, ZERO = 3e-5, 0.01
 #: Force in N at depth d (0 to 1 for 10 mm) of three tests, with their derivatives by d.

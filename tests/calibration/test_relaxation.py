@@ -7,8 +7,8 @@ import pytest
 
 import tissue_sim as ts
 from calibration.relaxation import compare_terms, fit_hold, fit_prony
-from tissue_sim.uniaxial_history import nominal_stress_history, shear_stress_history
-from tissue_sim.viscoelasticity import Prony, PronyTerm
+from tissue_sim.closed_form.histories import nominal_stress_history, shear_stress_history
+from tissue_sim.material.viscoelasticity import Prony, PronyTerm
 
 TWO = Prony((PronyTerm(0.3, 2.0), PronyTerm(0.2, 30.0)))
 STUDY = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, viscoelastic=TWO)

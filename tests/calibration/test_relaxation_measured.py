@@ -11,7 +11,7 @@ CELLS = "10.1002_btm2.10294_fig5d-cell1.zip"
 @pytest.fixture(scope="module")
 def adhesive(data_folder):
     """Recordings of the folder by file name, from sheets without a header: time s, strain, nominal stress kPa."""
-    from tissue_sim.formats.xlsx import read_xlsx
+    from tissue_sim.recording.formats.xlsx import read_xlsx
 
     def read(name, strain, column, stress):
         columns = {"time": {"column": 1, "unit": "s"}, strain: {"column": column, "unit": "-"},
@@ -62,7 +62,7 @@ def test_loading_and_unloading_in_tension(adhesive):
 
 
 def test_cells_under_a_tip(data_folder):
-    from tissue_sim.formats.afm import read_afm_curves
+    from tissue_sim.recording.formats.afm import read_afm_curves
 
     found = []
     for curve in read_afm_curves(data_folder / "afm_formats" / CELLS):

@@ -9,7 +9,7 @@ import pytest
 import calibration
 import tissue_sim as ts
 from calibration.forward import Homogeneous, Weighing, forward_model
-from tissue_sim.column import Column
+from tissue_sim.closed_form.column import Column
 
 LAW = ts.find_law("reduced_polynomial_2")
 PHANTOM = {"C10": 1404.9, "C20": 699.4}

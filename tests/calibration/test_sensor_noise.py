@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from calibration.sensor_noise import SensorNoise, estimate_shared_noise, whiten
 from tissue_sim.errors import InputError
-from tissue_sim.noise import sensor_noise
+from tissue_sim.rig.noise import sensor_noise
 
 TIME = np.linspace(0.0, 40.0, 401)
 WAY = TIME / 40.0

@@ -11,10 +11,10 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 import tissue_sim as ts
-from tissue_sim.fem.axisymmetric import AxisymmetricSolver
-from tissue_sim.fem.elements import Q4P0, Q9P1
-from tissue_sim.fem.fields import Fields
-from tissue_sim.fem.newton import StepStatus
+from tissue_sim.fem.axisymmetric.elements import Q4P0, Q9P1
+from tissue_sim.fem.axisymmetric.fields import Fields
+from tissue_sim.fem.axisymmetric.newton import StepStatus
+from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.mesh import structured_mesh
 
 RADIUS, NEAR, FAR = 0.03, 0.02, 0.05

@@ -17,7 +17,7 @@ from haptics.rendering import ForceRendering
 from haptics.ring import RingReader, RingWriter
 from haptics.surface_board import SurfaceBoard
 from tissue_sim.errors import InputError
-from tissue_sim.fem.fields import Fields
+from tissue_sim.fem.axisymmetric.fields import Fields
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import ForceStatus, ToolForce
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.fem.elements import Q4P0, Q9P1
+from tissue_sim.fem.axisymmetric.elements import Q4P0, Q9P1
 from tissue_sim.mesh import cylinder_mesh
 
 RADIUS, HEIGHT = 0.04, 0.07

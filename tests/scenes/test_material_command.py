@@ -8,10 +8,10 @@ import tissue_sim as ts
 from scenes.cli import main
 from scenes.commands.material import read_settings
 from tissue_sim.errors import InputError
-from tissue_sim.layer import Layer
-from tissue_sim.puncture import Puncture
-from tissue_sim.softening import Softening
-from tissue_sim.viscoelasticity import Poroelasticity, Prony, PronyTerm
+from tissue_sim.material.layer import Layer
+from tissue_sim.material.puncture import Puncture
+from tissue_sim.material.softening import Softening
+from tissue_sim.material.viscoelasticity import Poroelasticity, Prony, PronyTerm
 
 #: The study's reduced polynomial: E0 8429.6 Pa, mu0 2809.8 Pa.
 NEW = ["material", "new", "--law", "reduced_polynomial_2", "--set", "C10=1404.9", "--set", "C20=699.4"]

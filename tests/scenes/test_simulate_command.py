@@ -32,14 +32,15 @@ def test_scene_names_are_those_of_the_scenes():
 
 
 def test_tools_and_interfaces_are_those_of_the_experiment():
-    from tissue_sim import experiment, tool
+    from tissue_sim.experiment import experiment
+    from tissue_sim.experiment.tools import tool
 
     assert set(SHAPES) <= set(tool.SHAPES)
     assert INTERFACES == experiment.INTERFACES
 
 
 def test_field_names_are_those_of_the_fields():
-    from tissue_sim.fem.fields import FIELD_UNITS
+    from tissue_sim.fem.axisymmetric.fields import FIELD_UNITS
 
     assert set(FIELDS) == set(FIELD_UNITS)
 

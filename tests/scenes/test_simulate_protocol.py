@@ -10,8 +10,8 @@ from scenes import draw_simulation
 from scenes.cli import main
 from scenes.simulation_report import MOST_ROWS, shown_rows
 from tissue_sim.errors import ConvergenceError
-from tissue_sim.rig import Rig
-from tissue_sim.rig_file import write_rig
+from tissue_sim.rig.file import write_rig
+from tissue_sim.rig.rig import Rig
 
 LUBRICATED = "lubricated_compression"
 

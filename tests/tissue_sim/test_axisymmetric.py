@@ -5,10 +5,10 @@ import pytest
 from scipy.optimize import brentq
 
 import tissue_sim as ts
-from tissue_sim.fem import band
-from tissue_sim.fem.axisymmetric import AxisymmetricSolver
-from tissue_sim.fem.elements import Q4P0, Q9P1
-from tissue_sim.fem.newton import StepStatus
+from tissue_sim.fem.axisymmetric.elements import Q4P0, Q9P1
+from tissue_sim.fem.axisymmetric.newton import StepStatus
+from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
+from tissue_sim.fem.linear import band
 from tissue_sim.mesh import cylinder_mesh, graded_line, structured_mesh
 
 LAWS = {
@@ -132,7 +132,7 @@ def test_tangent_is_the_derivative_of_the_residual(element, law):
 def test_band_cholesky_against_lapack(size, half_band):
     from scipy.linalg import solveh_banded
 
-    from tissue_sim.fem.runtime import initialise
+    from tissue_sim.fem.taichi.runtime import initialise
 
     ti = initialise()
     factorise, solve = band.functions()

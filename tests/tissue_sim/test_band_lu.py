@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_banded
 
-from tissue_sim.fem import band, band_lu
-from tissue_sim.fem.runtime import initialise
+from tissue_sim.fem.linear import band, band_lu
+from tissue_sim.fem.taichi.runtime import initialise
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 import tissue_sim as ts
-from tissue_sim.column import SMALLEST_STRETCH, Column
+from tissue_sim.closed_form.column import SMALLEST_STRETCH, Column
 
 STUDY = ts.Specimen(0.04, 0.07, density=1040.0, gravity=9.81)
 POLYNOMIAL = ts.find_law("reduced_polynomial_2")

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.discretisation import build_mesh
-from tissue_sim.fem.elements import Q9P1
+from tissue_sim.fem.axisymmetric.discretisation import build_mesh
+from tissue_sim.fem.axisymmetric.elements import Q9P1
 from tissue_sim.mesh import structured_mesh
 
 STUDY = {"C10": 1404.9, "C20": 699.4}

@@ -6,8 +6,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from tissue_sim.fem import energy
-from tissue_sim.fem.runtime import initialise
+from tissue_sim.fem.axisymmetric import energy
+from tissue_sim.fem.taichi.runtime import initialise
 
 CASES = {
     "mooney_rivlin": ([1000.0, 500.0], lambda l, p: p[0] * ((l**2).sum() - 3) + p[1] * ((l**-2).sum() - 3)),

@@ -6,7 +6,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tissue_sim import InputError, read_recording
-from tissue_sim.formats import FORMATS
+from tissue_sim.recording.formats import FORMATS
 
 COLUMNS = {"displacement": "Compression (mm)", "force": "Load (N)"}
 

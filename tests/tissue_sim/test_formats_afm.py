@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from tissue_sim import InputError, read_recording
-from tissue_sim.formats import read_afm, read_afm_curves
-from tissue_sim.formats.afm_curve import curve_recording
-from tissue_sim.recording_file import read_recordings
+from tissue_sim.recording.file import read_recordings
+from tissue_sim.recording.formats import read_afm, read_afm_curves
+from tissue_sim.recording.formats.afm_curve import curve_recording
 
 STIFFNESS, DEPTH, AIR, DRIFT = 0.05, 3e-6, 4e-6, 2.5e-9
 

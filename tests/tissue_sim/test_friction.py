@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.discretisation import build_mesh, build_solver
-from tissue_sim.fem import band, newton
-from tissue_sim.fem.contact import HOLD
-from tissue_sim.fem.contact_kernels import TOUCHED
-from tissue_sim.fem.newton import StepStatus
+from tissue_sim.fem.axisymmetric import newton
+from tissue_sim.fem.axisymmetric.contact import HOLD
+from tissue_sim.fem.axisymmetric.contact_kernels import TOUCHED
+from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
+from tissue_sim.fem.axisymmetric.newton import StepStatus
+from tissue_sim.fem.linear import band
 from tissue_sim.simulation import _approach
 
 STUDY = {"C10": 1404.9, "C20": 699.4}

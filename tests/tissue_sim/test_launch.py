@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tissue_sim.fem import launch
-from tissue_sim.fem.runtime import initialise
+from tissue_sim.fem.taichi import launch
+from tissue_sim.fem.taichi.runtime import initialise
 
 
 @pytest.fixture(scope="module")

@@ -13,8 +13,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from tissue_sim.material_file import decode_material_file
-from tissue_sim.material_schema import Provenance, SourceRecording, ValidRange
+from tissue_sim.material.file import decode_material_file
+from tissue_sim.material.schema import Provenance, SourceRecording, ValidRange
 
 YEOH = ts.Material("reduced_polynomial_3", {"C10": 7702.0, "C20": -63.0, "C30": 248.0}, ts.Bulk("bulk_ratio", 1e3),
                    density=1040.0, name="EF10_0T")

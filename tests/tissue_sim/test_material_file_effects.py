@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from tissue_sim.layer import Layer
-from tissue_sim.material_file import decode_material_file
-from tissue_sim.puncture import Puncture
-from tissue_sim.softening import Softening
-from tissue_sim.viscoelasticity import Poroelasticity, Prony, PronyTerm
+from tissue_sim.material.file import decode_material_file
+from tissue_sim.material.layer import Layer
+from tissue_sim.material.puncture import Puncture
+from tissue_sim.material.softening import Softening
+from tissue_sim.material.viscoelasticity import Poroelasticity, Prony, PronyTerm
 
 YEOH = ts.Material("reduced_polynomial_3", {"C10": 7702.0, "C20": -63.0, "C30": 248.0}, ts.Bulk("bulk_ratio", 1e3))
 LOSSY = dataclasses.replace(

@@ -8,10 +8,10 @@ import pytest
 from scipy.integrate import trapezoid
 
 import tissue_sim as ts
-from tissue_sim.discretisation import build_mesh, build_solver, element_layers
-from tissue_sim.fem.axisymmetric import AxisymmetricSolver, Step
-from tissue_sim.fem.elements import Q4P0, Q9P1
-from tissue_sim.fem.newton import StepStatus
+from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver, element_layers
+from tissue_sim.fem.axisymmetric.elements import Q4P0, Q9P1
+from tissue_sim.fem.axisymmetric.newton import StepStatus
+from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver, Step
 from tissue_sim.mesh import cylinder_mesh
 from tissue_sim.simulation import _approach
 

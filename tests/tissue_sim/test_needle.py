@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.contact_pairs import NEEDLE_TOLERANCE
-from tissue_sim.discretisation import build_mesh, build_solver
-from tissue_sim.fem import newton
-from tissue_sim.fem.newton import StepStatus
+from tissue_sim.fem.axisymmetric import newton
+from tissue_sim.fem.axisymmetric.contact_pairs import NEEDLE_TOLERANCE
+from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
+from tissue_sim.fem.axisymmetric.newton import StepStatus
 from tissue_sim.mesh import structured_mesh
 from tissue_sim.simulation import _approach
 

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from tissue_sim.protocol import HOLD_GROWTH
-from tissue_sim.protocol_text import parse_protocol, write_protocol
-from tissue_sim.segments import EXAMPLE, KINDS, Repeat, Segment
+from tissue_sim.experiment.protocol import HOLD_GROWTH
+from tissue_sim.experiment.protocol_text import parse_protocol, write_protocol
+from tissue_sim.experiment.segments import EXAMPLE, KINDS, Repeat, Segment
 
 
 def corners(text: str, **options) -> list[tuple[str, float, float, int]]:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from tissue_sim import InputError, Recording, read_recording, write_recording
-from tissue_sim.recording import CHANNELS
+from tissue_sim.recording.recording import CHANNELS
 
 HEADER = "time [s],displacement [mm],force [N]"
 ROWS = [f"{i},{0.5 * i},{0.1 * i}" for i in range(6)]

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 import tissue_sim as ts
-from tissue_sim.backlash import follow
-from tissue_sim.recording import Recording
-from tissue_sim.rig import Rig
+from tissue_sim.recording.recording import Recording
+from tissue_sim.rig.backlash import follow
+from tissue_sim.rig.rig import Rig
 
 RADIUS, HEIGHT, C10, C20 = 0.040, 0.070, 1404.9, 699.4
 SPEED, DEPTH, PEAK = 0.25e-3, 10e-3, 40

@@ -8,8 +8,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from tissue_sim.rig import Rig
-from tissue_sim.rig_file import KEYS, load_rig, write_rig
+from tissue_sim.rig.file import KEYS, load_rig, write_rig
+from tissue_sim.rig.rig import Rig
 
 NOT_NEGATIVE = st.floats(1e-12, 1e6)
 ANY = st.floats(-1e6, 1e6).filter(lambda value: abs(value) > 1e-12)

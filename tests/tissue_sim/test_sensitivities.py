@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim import contact_pairs
-from tissue_sim.material_parameters import parameter_values, with_parameter
+from tissue_sim.fem.axisymmetric import contact_pairs
+from tissue_sim.material.parameters import parameter_values, with_parameter
 
 STUDY = {"C10": 1404.9, "C20": 699.4}
 PRONY = ts.Prony((ts.PronyTerm(0.3, 2.0), ts.PronyTerm(0.1, 10.0)), "long_term")

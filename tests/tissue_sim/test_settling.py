@@ -6,7 +6,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 import tissue_sim as ts
-from tissue_sim.discretisation import build_mesh, build_solver, sag
+from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver, sag
 
 STUDY = {"C10": 1404.9, "C20": 699.4}
 DENSITY, GRAVITY = 1040.0, 9.81

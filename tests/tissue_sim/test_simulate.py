@@ -7,10 +7,10 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 import tissue_sim as ts
-from tissue_sim.discretisation import build_mesh
-from tissue_sim.fem.axisymmetric import Step
-from tissue_sim.fem.fields import FIELD_UNITS, extrapolate
-from tissue_sim.fem.newton import StepStatus
+from tissue_sim.fem.axisymmetric.discretisation import build_mesh
+from tissue_sim.fem.axisymmetric.fields import FIELD_UNITS, extrapolate
+from tissue_sim.fem.axisymmetric.newton import StepStatus
+from tissue_sim.fem.axisymmetric.solver import Step
 from tissue_sim.mesh import cylinder_mesh
 from tissue_sim.simulation import _approach
 
@@ -297,7 +297,7 @@ class TestExperiment:
         assert len(build_mesh(model("frictionless").experiment, "accurate").connectivity) == 4
 
     def test_cylinder_mesh_sets(self):
-        from tissue_sim.fem.elements import Q9P1
+        from tissue_sim.fem.axisymmetric.elements import Q9P1
 
         mesh = cylinder_mesh(0.04, 0.07, (2, 3), Q9P1)
         np.testing.assert_allclose(mesh.nodes[mesh.sets["top"], 1], 0)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.discretisation import build_mesh
-from tissue_sim.fem import newton
+from tissue_sim.fem.axisymmetric import newton
+from tissue_sim.fem.axisymmetric.discretisation import build_mesh
 
 SPECIMEN = ts.Specimen(0.040, 0.070)
 LAW = {"C10": 1404.9, "C20": 699.4}

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.discretisation import build_mesh
-from tissue_sim.fem.elements import Q9P1
+from tissue_sim.fem.axisymmetric.discretisation import build_mesh
+from tissue_sim.fem.axisymmetric.elements import Q9P1
 from tissue_sim.mesh import tip_mesh
 
 RADIUS = 8e-3

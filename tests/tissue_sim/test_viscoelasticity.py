@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 import tissue_sim as ts
-from tissue_sim.layer import Layer
-from tissue_sim.puncture import Puncture
-from tissue_sim.softening import Softening
-from tissue_sim.viscoelasticity import Poroelasticity, Prony, PronyTerm, internal_stress
+from tissue_sim.material.layer import Layer
+from tissue_sim.material.puncture import Puncture
+from tissue_sim.material.softening import Softening
+from tissue_sim.material.viscoelasticity import Poroelasticity, Prony, PronyTerm, internal_stress
 
 SERIES = Prony((PronyTerm(0.3, 2.0), PronyTerm(0.2, 50.0)))
 NEO_HOOKE = ts.Material("neo_hooke", {"C10": 1000.0})

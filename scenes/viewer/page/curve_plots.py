@@ -22,7 +22,7 @@ from scenes.viewer.plots import (
     residual_depth_options,
     settled_range,
 )
-from tissue_sim.recording import Recording
+from tissue_sim.recording.recording import Recording
 
 
 class CurvePlots:

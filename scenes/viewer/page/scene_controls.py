@@ -12,7 +12,7 @@ from scenes.catalogue import SCENES
 from scenes.viewer.frame import Commands, Frame
 from scenes.viewer.page.notices import answer_to
 from scenes.viewer.setup import Setup
-from tissue_sim.tool import SHAPES
+from tissue_sim.experiment.tools.tool import SHAPES
 
 #: Shapes that need no file.
 _SHAPES = tuple(shape for shape in SHAPES if shape not in ("plate", "profile"))

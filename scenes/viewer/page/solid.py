@@ -18,8 +18,8 @@ from scenes.viewer.revolution import Opening, Surface
 from scenes.viewer.setup import Setup
 from scenes.viewer.tone import seen_colour, surface_colour
 from scenes.viewer.tool_picture import base_plate, contact_picture, force_arrow, tool_mesh
-from tissue_sim.discretisation import build_mesh
-from tissue_sim.fem.fields import extrapolate
+from tissue_sim.fem.axisymmetric.discretisation import build_mesh
+from tissue_sim.fem.axisymmetric.fields import extrapolate
 from tissue_sim.mesh import Mesh
 from tissue_sim.snapshot import Snapshot
 

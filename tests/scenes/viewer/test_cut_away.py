@@ -6,7 +6,7 @@ import pytest
 import tissue_sim as ts
 from scenes.viewer.cut_away import CutAway
 from scenes.viewer.revolution import Opening, Surface, joined, revolved_surfaces
-from tissue_sim.fem.elements import Q4P0, Q9P1
+from tissue_sim.fem.axisymmetric.elements import Q4P0, Q9P1
 from tissue_sim.mesh import cylinder_mesh, needle_mesh
 
 RADIUS, HEIGHT = 0.04, 0.07

@@ -13,8 +13,8 @@ from haptics.ring import PAUSED, TICK, RingReader, RingWriter
 from haptics.snapshot_board import SnapshotBoard, SnapshotReader
 from scenes.viewer.frame import Phase
 from scenes.viewer.live_simulation import LiveSimulation
-from tissue_sim.fem.fields import Fields
-from tissue_sim.material_parameters import with_parameter
+from tissue_sim.fem.axisymmetric.fields import Fields
+from tissue_sim.material.parameters import with_parameter
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import ForceStatus
 

@@ -14,7 +14,7 @@ from scenes.viewer.material_files import (
     read_upload,
     save_edited,
 )
-from tissue_sim.material_parameters import parameter_values, with_parameters
+from tissue_sim.material.parameters import parameter_values, with_parameters
 
 PHANTOM = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4),
                       name="phantom", viscoelastic=ts.Prony((ts.PronyTerm(0.3, 2.0), ts.PronyTerm(0.2, 20.0))))

@@ -16,7 +16,7 @@ from scenes.viewer.frame import NullViewer, Phase
 from scenes.viewer.measurement import measurement, motion, residual
 from scenes.viewer.session import CLEARANCE, COMMANDS, PLOT_EVERY, STEP_TIME, Session
 from tissue_sim.errors import ConvergenceError
-from tissue_sim.material_parameters import with_parameter
+from tissue_sim.material.parameters import with_parameter
 
 #: Slow enough for the mass of the tissue not to count.
 SPEED = 4.9e-3

@@ -1,0 +1,1 @@
+"""Tests whose force is a formula: homogeneous ones, columns that weigh, histories."""

@@ -1,0 +1,1 @@
+"""An experiment: specimen, tool, interfaces, protocol."""

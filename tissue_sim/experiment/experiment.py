@@ -1,0 +1,194 @@
+"""An experiment: specimen, tool, interfaces, protocol; and the model that a recording depends on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from numbers import Real
+
+import numpy as np
+
+from tissue_sim.errors import InputError, nearest, require_length
+from tissue_sim.experiment.protocol import Protocol
+from tissue_sim.experiment.tools.tool import Tool
+from tissue_sim.material.material import Material
+from tissue_sim.material.puncture import Puncture
+from tissue_sim.rig.rig import Rig
+
+#: Gravity where nothing else is said, m/s2.
+STANDARD_GRAVITY = 9.81
+HEIGHTS = ("moulded", "placed")
+
+
+@dataclass(frozen=True)
+class Specimen:
+    """A cylinder of the material, standing on its base.
+
+    Attributes:
+        radius, height: m; the radius is that of the undeformed cylinder, the height is what `height_is` says.
+        name: for people and campaign files.
+        density: kg/m3, or None where nobody said.
+        gravity: m/s2, along the axis and towards the base; 0 leaves self-weight out.
+        height_is: ``"moulded"``, the undeformed height, or ``"placed"``, measured on its base after it has settled.
+
+    Raises:
+        InputError: a size that is not positive, gravity without a density.
+    """
+
+    radius: float
+    height: float
+    name: str = "specimen"
+    density: float | None = None
+    gravity: float = 0.0
+    height_is: str = "moulded"
+
+    def __post_init__(self):
+        require_length(self.radius, "specimen.radius")
+        require_length(self.height, "specimen.height")
+        if self.density is not None and not (np.isfinite(self.density) and self.density > 0):
+            raise InputError(f"{self.density:g} is not a positive density; give kg/m3", field="specimen.density")
+        if not (np.isfinite(self.gravity) and self.gravity >= 0):
+            raise InputError(f"{self.gravity:g} m/s2 is not a gravity towards the base; give 0 or {STANDARD_GRAVITY}",
+                             field="specimen.gravity")
+        if self.gravity and self.density is None:
+            raise InputError("gravity needs a density; give density in kg/m3", field="specimen.density")
+        if self.height_is not in HEIGHTS:
+            raise InputError(f"{self.height_is!r} is not a way to measure a height; use 'moulded' or 'placed'",
+                             field="specimen.height_is")
+
+    @property
+    def area(self) -> float:
+        """Undeformed cross-section, m2."""
+        return np.pi * self.radius**2
+
+    @property
+    def specific_weight(self) -> float:
+        """Density times gravity, N/m3; 0 where self-weight is left out."""
+        return self.density * self.gravity if self.gravity else 0.0
+
+
+#: How a face holds the tissue: ``"bonded"`` (no motion against the face), ``"stick"`` (no slip, but it can lift off),
+#: ``"frictionless"``, or a number: Coulomb's coefficient of friction. All but the bonded one can lift off; the base
+#: keeps the specimen on itself.
+INTERFACES = ("bonded", "stick", "frictionless")
+#: Above this a coefficient of friction is taken for a mistake.
+LARGEST_FRICTION = 10.0
+
+
+@dataclass(frozen=True)
+class Adhesion:
+    """Pull between the tool and tissue that has touched it.
+
+    Attributes:
+        force: N, of the whole face at once, spread evenly over it.
+        length: m, over which the pull falls to zero as the surfaces part.
+    """
+
+    force: float
+    length: float
+
+    def __post_init__(self):
+        if not (np.isfinite(self.force) and self.force >= 0):
+            raise InputError(f"{self.force:g} N is not a pull-off force; give 0 or more", field="adhesion.force")
+        require_length(self.length, "adhesion.length")
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What is done to the specimen.
+
+    Attributes:
+        specimen: geometry, and whether it weighs.
+        protocol: tool displacement against time, from where the tool touches the settled specimen.
+        tool: what is pushed in.
+        friction: interface of the tool's face; see `INTERFACES`. A bonded needle holds what its flat face touches at
+            the start, and its rounded edge holds what it meets.
+        friction_base: interface of the base plate.
+        friction_wall: interface of a needle's shaft; tissue meets it during the test, so it cannot be bonded.
+        adhesion: pull of a tool that lifts off; None: none.
+        tilt: height difference across the contact, m; see `tissue_sim.experiment.tilt`.
+
+    Raises:
+        InputError: an interface that does not fit, a protocol that goes through the specimen, a needle as wide as it.
+    """
+
+    specimen: Specimen
+    protocol: Protocol
+    tool: Tool = field(default_factory=Tool)
+    friction: str | float = "bonded"
+    friction_base: str | float = "bonded"
+    friction_wall: str | float = "frictionless"
+    adhesion: Adhesion | None = None
+    tilt: float = 0.0
+
+    def __post_init__(self):
+        for name in ("friction", "friction_base", "friction_wall"):
+            object.__setattr__(self, name, checked_interface(getattr(self, name), name))
+        if self.friction_wall == "bonded":
+            raise InputError("tissue meets the shaft during the test and cannot be bonded to it; use 'stick', "
+                             "'frictionless' or a coefficient of friction", field="friction_wall")
+        if not (np.isfinite(self.tilt) and self.tilt >= 0):
+            raise InputError(f"{self.tilt:g} m is not a height difference; give 0 or more", field="tilt")
+        if self.protocol.depth >= self.specimen.height:
+            raise InputError(f"{self.protocol.depth * 1e3:g} mm is deeper than the specimen is high "
+                             f"({self.specimen.height * 1e3:g} mm)", field="protocol")
+        if self.adhesion is not None and self.friction == "bonded":
+            raise InputError("a bonded face never lifts off; use 'stick', 'frictionless' or a coefficient of friction "
+                             "with adhesion", field="friction")
+        if self.tool.shape in ("plate", "sphere") and self.friction_wall != "frictionless":
+            raise InputError(f"a {self.tool.shape} has no shaft; leave it out", field="friction_wall")
+        if self.tool.shape == "plate":
+            return
+        if self.tool.radius >= self.specimen.radius:
+            raise InputError(f"the tool's radius, {self.tool.radius * 1e3:g} mm, must be smaller than the specimen's, "
+                             f"{self.specimen.radius * 1e3:g} mm", field="tool.radius")
+        if self.tool.face_radius == 0 and self.friction == "bonded":
+            raise InputError(f"a {self.tool.shape} tool has no flat face to be bonded to; use 'stick', 'frictionless' "
+                             "or a coefficient of friction", field="friction")
+        slides = self.friction not in ("bonded", "stick")
+        if slides and self.tool.shape == "flat" and self.tool.edge_radius == 0:
+            raise InputError("tissue that slides round a sharp edge has no direction there; give the tool an edge "
+                             "radius, or friction 'stick' or 'bonded'", field="tool.edge_radius")
+
+    @property
+    def contact_radius(self) -> float:
+        """About how wide the contact is at the largest depth, m; see `Tool.contact_radius`."""
+        depth = max(self.protocol.depth, 1e-3 * (self.tool.radius or self.specimen.height))
+        return self.tool.contact_radius(depth, self.specimen.radius)
+
+    @property
+    def homogeneous(self) -> bool:
+        """Whether a specimen of one material deforms homogeneously, so that closed forms hold."""
+        return (self.tool.shape == "plate" and self.friction == self.friction_base == "frictionless"
+                and not self.specimen.specific_weight)
+
+
+@dataclass(frozen=True)
+class Model:
+    """Everything that a recording depends on."""
+
+    experiment: Experiment
+    material: Material
+    rig: Rig = field(default_factory=Rig)
+
+    @property
+    def puncture(self) -> Puncture | None:
+        """Puncture of the tissue, where a needle can."""
+        return self.material.puncture if self.experiment.tool.shape != "plate" else None
+
+
+def checked_interface(value: str | float, name: str) -> str | float:
+    """An interface of `INTERFACES` or a coefficient of friction above 0; 0 is frictionless.
+
+    Raises:
+        InputError: neither, with the field.
+    """
+    if isinstance(value, str):
+        if value not in INTERFACES:
+            raise InputError(f"{value!r} is not an interface{nearest(value, INTERFACES)}, or a coefficient of friction",
+                             field=name)
+        return value
+    number = isinstance(value, Real) and not isinstance(value, bool)
+    if not (number and np.isfinite(value) and 0 <= value <= LARGEST_FRICTION):
+        raise InputError(f"{value} is not a coefficient of friction; give 0 to {LARGEST_FRICTION:g}, or 'stick' for a "
+                         "face without slip", field=name)
+    return float(value) or "frictionless"

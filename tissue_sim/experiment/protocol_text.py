@@ -1,0 +1,181 @@
+"""Protocols as text: ``approach 2mm; repeat 3 (ramp 10mm @0.248mm/s; unload); hold 60s``."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from decimal import Decimal
+
+from tissue_sim.errors import nearest
+from tissue_sim.experiment.segments import KINDS, Repeat, Segment, fault
+
+_LENGTHS = {"mm": "0.001", "um": "0.000001", "m": "1"}
+_TIMES = {"s": "1", "ms": "0.001", "min": "60", "h": "3600"}
+#: Quantity -> unit -> (multiplied by, divided by) to SI.
+_UNITS: dict[str, dict[str, tuple[str, str]]] = {
+    "length": {unit: (factor, "1") for unit, factor in _LENGTHS.items()},
+    "time": {unit: (factor, "1") for unit, factor in _TIMES.items()},
+    "speed": {f"{length}/{time}": (factor, divisor) for time, divisor in _TIMES.items()
+              for length, factor in _LENGTHS.items()},
+}
+_SAMPLES = {"length": "10mm", "time": "60s", "speed": "0.248mm/s"}
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+_WORD = re.compile(r"[^\W\d_]+(?:/[^\W\d_]+)?")
+_BLANKS = re.compile(r"\s*")
+#: Characters of the text that a message quotes.
+_QUOTED = 16
+
+
+def parse_protocol(text: str) -> tuple[Segment | Repeat, ...]:
+    """Read a protocol.
+
+    Segments are parted by ``;``, and ``repeat N ( ... )`` does those in its brackets N times. Each is a word of
+    `KINDS`, a length (mm, um, m) or for a hold a time (s, ms, min, h), and where it moves ``@`` with a speed, such as
+    mm/s or mm/min.
+
+    Raises:
+        InputError: with the place (column, and line where there are several) of the fault and an example.
+    """
+    return _Reader(text).read()
+
+
+def write_protocol(steps: Sequence[Segment | Repeat]) -> str:
+    """The text that `parse_protocol` reads back to the same steps, with every digit, in mm and s."""
+    return "; ".join(f"repeat {step.times} ({write_protocol(step.segments)})" if isinstance(step, Repeat)
+                     else _write(step) for step in steps)
+
+
+def _write(segment: Segment) -> str:
+    def milli(value: float) -> str:
+        return f"{Decimal(repr(float(value))) * 1000:g}mm"
+
+    hold = KINDS[segment.kind][0] == "time"
+    amount = "" if segment.amount is None else f" {segment.amount!r}s" if hold else f" {milli(segment.amount)}"
+    return f"{segment.kind}{amount}{'' if segment.speed is None else f' @{milli(segment.speed)}/s'}"
+
+
+class _Reader:
+    """Reads a text from left to right; `at` is the index of what comes next."""
+
+    def __init__(self, text: str):
+        self.text, self.at = text, 0
+
+    def read(self) -> tuple[Segment | Repeat, ...]:
+        steps = self.steps(top=True)
+        if self.at < len(self.text):
+            raise self.fault(self.at, "this bracket closes nothing; take it out")
+        return steps
+
+    def steps(self, *, top: bool) -> tuple:
+        """Segments up to the end, or to the closing bracket, which is left to the caller."""
+        found = []
+        while True:
+            if found and self.ended():
+                return tuple(found)
+            found.append(self.step(top=top))
+            if self.ended():
+                return tuple(found)
+            if not self.took(";"):
+                raise self.fault(self.at, "expected ';' between two segments")
+
+    def step(self, *, top: bool) -> Segment | Repeat:
+        self.skip_blanks()
+        start = self.at
+        word = self.take(_WORD)
+        if word == "repeat":
+            if not top:
+                raise self.fault(start, "a repeat cannot stand inside a repeat; write one of them out")
+            return self.repeat(start)
+        if word is None:
+            raise self.fault(start, f"expected a segment, one of {', '.join(KINDS)} or repeat")
+        if word not in KINDS:
+            raise self.fault(start, f"unknown segment {_short(word)}{nearest(word, (*KINDS, 'repeat'))}")
+        quantity, needed = KINDS[word]
+        amount = self.amount(quantity, needed=needed, zero=word == "unload", after=word)
+        speed = None
+        sign = self.at
+        if self.took("@"):
+            if word == "hold":
+                raise self.fault(sign, "a hold does not move and has no speed; take it out")
+            speed = self.amount("speed", needed=True, zero=False, after="@")
+        return Segment(word, amount, speed, place=self.place(start))
+
+    def repeat(self, start: int) -> Repeat:
+        self.skip_blanks()
+        at = self.at
+        count = self.take(_NUMBER)
+        if count is None or not count.isdecimal() or not 1 <= float(count) <= 1e9:
+            raise self.fault(at, "expected how many times, a whole number from 1 on, as in repeat 3 (ramp 5mm; unload)")
+        if not self.took("("):
+            raise self.fault(self.at, "expected the repeated segments in brackets, as in repeat 3 (ramp 5mm; unload)")
+        segments = self.steps(top=False)
+        if not self.took(")"):
+            raise self.fault(start, "the brackets of this repeat are not closed; add ')'")
+        return Repeat(int(count), segments)
+
+    def amount(self, quantity: str, *, needed: bool, zero: bool, after: str) -> float | None:
+        """A number with its unit, SI; None where there is none."""
+        self.skip_blanks()
+        start, units = self.at, _UNITS[quantity]
+        number = self.take(_NUMBER)
+        if number is None:
+            if needed:
+                raise self.fault(start, f"expected a {quantity} after {after!r}, such as {_SAMPLES[quantity]}")
+            return None
+        self.skip_blanks()
+        at = self.at
+        unit = self.take(_WORD)
+        if unit is None:
+            comma = self.text[at:at + 1] == ","
+            problem = "a number has a decimal point, not a comma" if comma else f"{_short(number)} has no unit"
+            raise self.fault(at, f"{problem}; expected a {quantity} such as {_SAMPLES[quantity]}")
+        entry = units.get(unit.replace("µ", "u").replace("μ", "u"))
+        if entry is None:
+            raise self.fault(at, f"{_short(unit)} is not a unit of {quantity} here; use {', '.join(list(units)[:5])}")
+        value = _to_si(number, *entry)
+        if not (0 < value < math.inf or (zero and value == 0)):
+            raise self.fault(start, f"{_short(number)} is not a finite {quantity} above zero"
+                                    + ("; a height above the touch is that of retract" if quantity == "length" else ""))
+        self.skip_blanks()
+        return value
+
+    def ended(self) -> bool:
+        self.skip_blanks()
+        return self.at == len(self.text) or self.text[self.at] == ")"
+
+    def took(self, sign: str) -> bool:
+        self.skip_blanks()
+        found = self.text.startswith(sign, self.at)
+        self.at += found
+        return found
+
+    def take(self, pattern: re.Pattern) -> str | None:
+        match = pattern.match(self.text, self.at)
+        if match:
+            self.at = match.end()
+        return match[0] if match else None
+
+    def skip_blanks(self) -> None:
+        self.at = _BLANKS.match(self.text, self.at).end()
+
+    def place(self, at: int) -> str:
+        column = f"column {at - self.text.rfind(chr(10), 0, at)}"
+        return f"line {1 + self.text.count(chr(10), 0, at)}, {column}" if "\n" in self.text.strip() else column
+
+    def fault(self, at: int, problem: str):
+        rest = self.text[at:].strip()
+        found = f"at {_short(rest)}" if rest else "at the end"
+        return fault(f"{self.place(at)}, {found}", problem)
+
+
+def _short(text: str) -> str:
+    return repr(text if len(text) <= _QUOTED else f"{text[:_QUOTED]}...")
+
+
+def _to_si(number: str, factor: str, divisor: str) -> float:
+    """The float nearest to the number in SI: 0.248 mm/s is 0.248e-3 m/s to the last digit."""
+    value = float(number)
+    if value == 0 or not math.isfinite(value):
+        return value
+    return float(Decimal(number) * Decimal(factor) / Decimal(divisor))

@@ -1,0 +1,1 @@
+"""Rigid tools: what is moved into the specimen."""

@@ -1,0 +1,1 @@
+"""The axisymmetric solid."""

@@ -1,0 +1,393 @@
+"""Elements as Taichi functions: stresses to residual and tangent, static condensation, scatter into the band matrix.
+
+Eight elements at a time, one in each lane of the vectors: Taichi keeps the lanes of a vector next to each other, and
+the compiler makes one instruction of them. It can tell so only where the place of a vector is a plain variable
+(``array[i]``, not ``array[i + 1]``) or where the vector stands in a Taichi field; that is why there are so many arrays.
+
+A discontinuous pressure per element enforces J - 1 = p / K in the mean (one mode: mean dilatation; Simo, Taylor and
+Pister, CMAME 51 (1985) 177, for U(J) = K/2 (J - 1)^2). The pressure is a Newton unknown of its own, eliminated element
+by element from the linearised equations: slaved to the volume, p = K (v/V - 1), it makes the tangent indefinite at the
+first large step. The interior node is eliminated likewise.
+"""
+
+from functools import cache
+from typing import NamedTuple
+
+from tissue_sim.fem.axisymmetric import energy as point
+from tissue_sim.fem.axisymmetric.batches import LANES
+from tissue_sim.fem.axisymmetric.elements import ELEMENTS
+from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.laws import KernelEnergy
+
+#: Places in the settings of what happens to the tissue in time.
+FACTOR, INSTANT, LOSS, LOSS_MODULUS, LOSS_SHARE = range(5)
+#: Most nodes, points and pressure modes of an element.
+_NODES, _POINTS, _MODES = 9, 9, 3
+#: Where things of the batch that is worked on stand in the scratch field: motion and forces of nodes, motion still to
+#: come, pressure amplitudes, gaps, rates of the volume, and at each point stress, tangent, dJ/dF, modes, stress rates.
+_sizes = (("UR", _NODES), ("UZ", _NODES), ("FR", _NODES), ("FZ", _NODES), ("SR", _NODES), ("SZ", _NODES),
+          ("PRESSURE", _MODES), ("GAP", _MODES), ("VR", _MODES * _NODES), ("VZ", _MODES * _NODES),
+          ("STRESS", 5 * _POINTS), ("TANGENT", 15 * _POINTS), ("COFACTOR", 5 * _POINTS), ("MODE", _MODES * _POINTS),
+          ("RATE", 10 * _POINTS), ("CENTRE", 4 * _NODES))
+_AT = {name: sum(size for _, size in _sizes[:i]) for i, (name, _) in enumerate(_sizes)}
+_SIZE = sum(size for _, size in _sizes)
+
+
+class ElementFunctions(NamedTuple):
+    """Taichi functions of one element and one family of laws."""
+
+    integrate: object
+    add_weight: object
+    add_inertia: object
+    stiffen: object
+    scatter_force: object
+    scatter_stiffness: object
+    interior: object
+    update: object
+
+
+@cache
+def scratch():
+    """The Taichi field of a batch that is worked on; one for all solvers of the process."""
+    ti = initialise()
+    return ti.Vector.field(LANES, ti.f64, shape=_SIZE)
+
+
+@cache
+def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctions:
+    """See the functions themselves; they are to be called in this order for each batch b."""
+    ti = initialise()
+    element = ELEMENTS[element_name]
+    nodes, nb, modes = element.nodes, element.boundary_nodes, element.pressure_modes
+    points = element.quadrature[1].size
+    has_centre, centre = nodes > nb, nodes - 1
+    pairs = nb * (nb + 1) // 2
+    vec = ti.types.vector(LANES, ti.f64)
+    s = scratch()
+    with_tangent, without = point.function(energy), point.function(energy, tangents=False)
+    inverse_root = point.inverse_root_function()
+    add_volume = point.volume_function()
+    soften, relax = point.history_functions()
+    UR, UZ, FR, FZ, SR, SZ = (_AT[name] for name in ("UR", "UZ", "FR", "FZ", "SR", "SZ"))
+    PRESSURE, GAP, VR, VZ, STRESS = (_AT[name] for name in ("PRESSURE", "GAP", "VR", "VZ", "STRESS"))
+    TANGENT, COFACTOR, MODE, RATE, CENTRE = (_AT[name] for name in ("TANGENT", "COFACTOR", "MODE", "RATE", "CENTRE"))
+    # The tangent's rows that meet an r freedom (rR, rZ, hoop) and a z freedom (zR, zZ).
+    row = point.PLACE
+
+    # Throughout, `a = a + b` on arrays: `a += b` is an atomic operation in Taichi, four times slower here.
+
+    @ti.func
+    def gather(values: ti.template(), places: ti.template(), i):
+        return ti.Vector([values[places[i, l]] for l in ti.static(range(LANES))])
+
+    @ti.func
+    def at_point(b, q, F, J, p, remembers, tangents: ti.template(), elements: ti.template(), weights: ti.template(),
+                 moduli: ti.template(), coefficients: ti.template(), past: ti.template(), inherited: ti.template(),
+                 largest: ti.template(), stresses: ti.template(), energies: ti.template()):
+        """Note stress, tangent and dJ/dF of a point, times its weight."""
+        root = inverse_root(ti.max(J, 1e-6))
+        W, P, A = (with_tangent if ti.static(tangents) else without)(F, root, coefficients)
+        if ti.static(tangents):
+            if remembers == 1:
+                f = past[FACTOR]
+                W = f * W
+                for l in ti.static(range(LANES)):
+                    energies[elements[b, l], q] = W[l]
+                P1, A1 = [f * P[i] for i in ti.static(range(5))], [f * A[n] for n in ti.static(range(15))]
+                if past[LOSS] != 0.0:
+                    most = ti.Vector([largest[elements[b, l], q] for l in ti.static(range(LANES))])
+                    P2, A2 = soften(W, most, past[LOSS], past[LOSS_MODULUS], past[LOSS_SHARE], P1, A1)
+                    for i in ti.static(range(5)):
+                        P1[i] = P2[i]
+                    for n in ti.static(range(15)):
+                        A1[n] = A2[n]
+                h = [ti.Vector([inherited[elements[b, l], q, i] for l in ti.static(range(LANES))])
+                     for i in ti.static(range(4))]
+                S, P3, A3 = relax(F, past[INSTANT], h, P1, A1)
+                for i in ti.static(range(4)):
+                    for l in ti.static(range(LANES)):
+                        stresses[elements[b, l], q, i] = S[i][l]
+                for i in ti.static(range(5)):
+                    P[i] = P3[i]
+                for n in ti.static(range(15)):
+                    A[n] = A3[n]
+        modulus, w = moduli[b], weights[b * points + q]
+        P4, A4 = add_volume(F, p, [modulus * P[i] for i in ti.static(range(5))],
+                            [modulus * A[n] for n in ti.static(range(15))])
+        for i in ti.static(range(5)):
+            s[STRESS + 5 * q + i] = w * P4[i]
+        if ti.static(tangents):
+            for n in ti.static(range(15)):
+                s[TANGENT + 15 * q + n] = w * A4[n]
+        wc = w * F[4]
+        s[COFACTOR + 5 * q], s[COFACTOR + 5 * q + 1] = wc * F[3], -wc * F[2]
+        s[COFACTOR + 5 * q + 2], s[COFACTOR + 5 * q + 3] = -wc * F[1], wc * F[0]
+        s[COFACTOR + 5 * q + 4] = w * (F[0] * F[3] - F[1] * F[2])
+
+    @ti.func
+    def integrate(b, tangent, kappa, remembers, x: ti.template(), pressures, elements: ti.template(),
+                  dofs: ti.template(), gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template(),
+                  weights: ti.template(), mode_values: ti.template(), moduli: ti.template(),
+                  coefficients: ti.template(), past: ti.template(), inherited: ti.template(), largest: ti.template(),
+                  stresses: ti.template(), energies: ti.template(), volume_r: ti.template(), volume_z: ti.template(),
+                  gap: ti.template()):
+        """Forces of all nodes, with the pressure's share of what the volume still misses; returns the smallest J.
+
+        Where the tissue `remembers`, `past` holds how it does, `inherited` what is left of earlier stresses and
+        `largest` the largest energy of each point; its stress and energy now go to `stresses` and `energies`.
+        """
+        for a in range(nodes):
+            i = b * nodes + a
+            s[UR + a] = gather(x, dofs, i)
+            s[UZ + a] = ti.Vector([x[dofs[i, l] + 1] for l in ti.static(range(LANES))])
+        bulk = kappa * moduli[b]
+        for m in range(modes):
+            p = ti.Vector([x[pressures + modes * elements[b, l] + m] for l in ti.static(range(LANES))])
+            s[PRESSURE + m], s[GAP + m] = p, -p / bulk
+        least = vec(1e30)
+        for q in range(points):
+            h0, h1, h2, h3, h4 = vec(0.0), vec(0.0), vec(0.0), vec(0.0), vec(0.0)
+            for a in range(nodes):
+                g = (b * points + q) * nodes + a
+                gr, gz, gh, ur, uz = gradient_r[g], gradient_z[g], value_r[g], s[UR + a], s[UZ + a]
+                h0 = h0 + ur * gr
+                h1 = h1 + ur * gz
+                h2 = h2 + uz * gr
+                h3 = h3 + uz * gz
+                h4 = h4 + ur * gh
+            # J - 1 from the displacement gradient: nothing is lost to the 1 when K/mu multiplies it.
+            area = h0 + h3 + h0 * h3 - h1 * h2
+            dilation = area + h4 + area * h4
+            least = ti.min(least, ti.min(1.0 + dilation, 1.0 + h4))
+            p = vec(0.0)
+            for m in range(modes):
+                phi = mode_values[(b * points + q) * modes + m]
+                s[MODE + modes * q + m] = phi
+                p = p + phi * s[PRESSURE + m]
+                s[GAP + m] = s[GAP + m] + weights[b * points + q] * phi * dilation
+            F = [1.0 + h0, h1, h2, 1.0 + h3, 1.0 + h4]
+            # Twice the code is twice the time to compile: what has a history always gets its tangent, too.
+            if tangent == 1 or remembers == 1:
+                at_point(b, q, F, 1.0 + dilation, p, remembers, True, elements, weights, moduli, coefficients, past,
+                         inherited, largest, stresses, energies)
+            else:
+                at_point(b, q, F, 1.0 + dilation, p, remembers, False, elements, weights, moduli, coefficients, past,
+                         inherited, largest, stresses, energies)
+        for a in range(nodes):
+            fr, fz = vec(0.0), vec(0.0)
+            vr, vz = [vec(0.0) for _m in ti.static(range(modes))], [vec(0.0) for _m in ti.static(range(modes))]
+            for q in range(points):
+                g = (b * points + q) * nodes + a
+                gr, gz, gh = gradient_r[g], gradient_z[g], value_r[g]
+                at = STRESS + 5 * q
+                fr = fr + s[at] * gr + s[at + 1] * gz + s[at + 4] * gh
+                fz = fz + s[at + 2] * gr + s[at + 3] * gz
+                c = COFACTOR + 5 * q
+                jr = s[c] * gr + s[c + 1] * gz + s[c + 4] * gh
+                jz = s[c + 2] * gr + s[c + 3] * gz
+                for m in ti.static(range(modes)):
+                    vr[m] = vr[m] + s[MODE + modes * q + m] * jr
+                    vz[m] = vz[m] + s[MODE + modes * q + m] * jz
+            for m in ti.static(range(modes)):
+                missed = kappa * moduli[b] * s[GAP + m]
+                fr = fr + missed * vr[m]
+                fz = fz + missed * vz[m]
+                s[VR + m * nodes + a], s[VZ + m * nodes + a] = vr[m], vz[m]
+            s[FR + a], s[FZ + a] = fr, fz
+        for i in range(modes * nodes):
+            at = b * modes * nodes + i
+            volume_r[at], volume_z[at] = s[VR + i], s[VZ + i]
+        for m in range(modes):
+            at = b * modes + m
+            gap[at] = s[GAP + m]
+        return least.min()
+
+    @ti.func
+    def add_weight(b, weight, volumes: ti.template()):
+        """Subtract the nodal forces of self-weight, which pulls towards -z."""
+        for a in range(nodes):
+            i = b * nodes + a
+            s[FZ + a] = s[FZ + a] + weight * volumes[i]
+
+    @ti.func
+    def add_inertia(b, inertia, density, volumes: ti.template(), dofs: ti.template(), rest: ti.template()):
+        """Inertial force of the interior node: its mass times `inertia` (1/s2) times its way from where it would have
+        gone by itself."""
+        if ti.static(has_centre):
+            i = b * nodes + centre
+            mass = density * inertia * volumes[i]
+            s[FR + centre] = s[FR + centre] + mass * (s[UR + centre] - gather(rest, dofs, i))
+            s[FZ + centre] = s[FZ + centre] + mass * (
+                s[UZ + centre] - ti.Vector([rest[dofs[i, l] + 1] for l in ti.static(range(LANES))]))
+
+    @ti.func
+    def rate_of(c, b, gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template()):
+        """Note the stress rates of an r (0 to 4) and of a z motion (5 to 9) of one node at every point."""
+        for q in range(points):
+            g = (b * points + q) * nodes + c
+            x, y, h = gradient_r[g], gradient_z[g], value_r[g]
+            t, at = TANGENT + 15 * q, RATE + 10 * q
+            for i in ti.static(range(5)):
+                s[at + i] = s[t + ti.static(row[i][0])] * x + s[t + ti.static(row[i][1])] * y + s[
+                    t + ti.static(row[i][4])] * h
+            for i in ti.static(range(4)):
+                s[at + 5 + i] = s[t + ti.static(row[i][2])] * x + s[t + ti.static(row[i][3])] * y
+            s[at + 9] = s[t + ti.static(row[4][2])] * x + s[t + ti.static(row[4][3])] * y
+
+    @ti.func
+    def pair(c, a, b, kappa, moduli: ti.template(), gradient_r: ti.template(), gradient_z: ti.template(),
+             value_r: ti.template()):
+        """Forces on node a, rr, zr, rz, zz, for the motion of node c, whose rates are noted."""
+        k0, k1, k2, k3 = vec(0.0), vec(0.0), vec(0.0), vec(0.0)
+        for q in range(points):
+            g = (b * points + q) * nodes + a
+            x, y, h, at = gradient_r[g], gradient_z[g], value_r[g], RATE + 10 * q
+            k0 = k0 + s[at] * x + s[at + 1] * y + s[at + 4] * h
+            k1 = k1 + s[at + 2] * x + s[at + 3] * y
+            k2 = k2 + s[at + 5] * x + s[at + 6] * y + s[at + 9] * h
+            k3 = k3 + s[at + 7] * x + s[at + 8] * y
+        for m in range(modes):
+            cr, cz = kappa * moduli[b] * s[VR + m * nodes + c], kappa * moduli[b] * s[VZ + m * nodes + c]
+            ar, az = s[VR + m * nodes + a], s[VZ + m * nodes + a]
+            k0 = k0 + cr * ar
+            k1 = k1 + cr * az
+            k2 = k2 + cz * ar
+            k3 = k3 + cz * az
+        return k0, k1, k2, k3
+
+    @ti.func
+    def stiffen(b, kappa, pending, mass, moduli: ti.template(), gradient_r: ti.template(),
+                gradient_z: ti.template(), value_r: ti.template(), dofs: ti.template(), step: ti.template(),
+                volumes: ti.template(), k_rr: ti.template(), k_zr: ti.template(), k_rz: ti.template(),
+                k_zz: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(), rows_zr: ti.template(),
+                rows_zz: ti.template(), inverse_rr: ti.template(), inverse_rz: ti.template(),
+                inverse_zz: ti.template()):
+        """Stiffness of all pairs of shared nodes, the interior node eliminated; returns 0 where that one's own block
+        is not positive definite.
+
+        Where a motion is still to come (`pending`; `step`) its forces are added.
+        """
+        good = 1
+        if pending == 1:
+            for a in range(nb):
+                i = b * nodes + a
+                s[SR + a] = gather(step, dofs, i)
+                s[SZ + a] = ti.Vector([step[dofs[i, l] + 1] for l in ti.static(range(LANES))])
+        # The interior node first, since it is eliminated from the others.
+        for back in range(nodes):
+            c = nodes - 1 - back
+            rate_of(c, b, gradient_r, gradient_z, value_r)
+            for a in range(c + 1):
+                k0, k1, k2, k3 = pair(c, a, b, kappa, moduli, gradient_r, gradient_z, value_r)
+                if c >= nb:
+                    s[CENTRE + 4 * a], s[CENTRE + 4 * a + 1] = k0, k1
+                    s[CENTRE + 4 * a + 2], s[CENTRE + 4 * a + 3] = k2, k3
+                else:
+                    if ti.static(has_centre):
+                        at = b * nb + c
+                        x0, x1, y0, y1 = rows_rr[at], rows_zr[at], rows_rz[at], rows_zz[at]
+                        r0, r1 = s[CENTRE + 4 * a], s[CENTRE + 4 * a + 1]
+                        z0, z1 = s[CENTRE + 4 * a + 2], s[CENTRE + 4 * a + 3]
+                        k0 = k0 - (x0 * r0 + x1 * z0)
+                        k1 = k1 - (x0 * r1 + x1 * z1)
+                        k2 = k2 - (y0 * r0 + y1 * z0)
+                        k3 = k3 - (y0 * r1 + y1 * z1)
+                    p = c * (c + 1) // 2 + a
+                    k_rr[p], k_zr[p], k_rz[p], k_zz[p] = k0, k1, k2, k3
+                    if pending == 1:
+                        s[FR + a] = s[FR + a] + k0 * s[SR + c] + k2 * s[SZ + c]
+                        s[FZ + a] = s[FZ + a] + k1 * s[SR + c] + k3 * s[SZ + c]
+                        if a < c:
+                            s[FR + c] = s[FR + c] + k0 * s[SR + a] + k1 * s[SZ + a]
+                            s[FZ + c] = s[FZ + c] + k2 * s[SR + a] + k3 * s[SZ + a]
+            if c >= nb:
+                i = b * nodes + c
+                inertia = mass * volumes[i]
+                rr, rz = s[CENTRE + 4 * c] + inertia, s[CENTRE + 4 * c + 1]
+                zz = s[CENTRE + 4 * c + 3] + inertia
+                determinant = rr * zz - rz * rz
+                if ti.min(rr, determinant).min() <= 0.0:
+                    good = 0
+                irr, irz, izz = zz / determinant, -rz / determinant, rr / determinant
+                inverse_rr[b], inverse_rz[b], inverse_zz[b] = irr, irz, izz
+                for a in range(nb):
+                    k0, k1 = s[CENTRE + 4 * a], s[CENTRE + 4 * a + 1]
+                    k2, k3 = s[CENTRE + 4 * a + 2], s[CENTRE + 4 * a + 3]
+                    at = b * nb + a
+                    rows_rr[at], rows_rz[at] = irr * k0 + irz * k2, irr * k1 + irz * k3
+                    rows_zr[at], rows_zz[at] = irz * k0 + izz * k2, irz * k1 + izz * k3
+        return good
+
+    @ti.func
+    def interior(b, real: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(), rows_zr: ti.template(),
+                 rows_zz: ti.template(), inverse_rr: ti.template(), inverse_rz: ti.template(),
+                 inverse_zz: ti.template(), force_r: ti.template(), force_z: ti.template()):
+        """Eliminate the interior node's forces; returns the sum of their squares."""
+        squares = 0.0
+        if ti.static(has_centre):
+            f0, f1 = s[FR + centre], s[FZ + centre]
+            squares = (real[b] * (f0 * f0 + f1 * f1)).sum()
+            force_r[b], force_z[b] = inverse_rr[b] * f0 + inverse_rz[b] * f1, inverse_rz[b] * f0 + inverse_zz[b] * f1
+            for a in range(nb):
+                at = b * nb + a
+                s[FR + a] = s[FR + a] - (f0 * rows_rr[at] + f1 * rows_zr[at])
+                s[FZ + a] = s[FZ + a] - (f0 * rows_rz[at] + f1 * rows_zz[at])
+        return squares
+
+    @ti.func
+    def scatter_force(b, equations_r: ti.template(), equations_z: ti.template(), residual: ti.template()):
+        """Add the forces of the shared nodes to the residual."""
+        for a in range(nb):
+            at = b * nb + a
+            fr, fz = s[FR + a], s[FZ + a]
+            for l in ti.static(range(LANES)):
+                residual[equations_r[at, l]] = residual[equations_r[at, l]] + fr[l]
+                residual[equations_z[at, l]] = residual[equations_z[at, l]] + fz[l]
+
+    @ti.func
+    def scatter_stiffness(b, places: ti.template(), stiffness: ti.template(), flat: ti.template(),
+                          starts: ti.template(), pulls: ti.template(), factors: ti.template(), pull: ti.template()):
+        """Add the stiffness of a batch to the band matrix, and to the forces of what moves with the tool."""
+        for i in range(4 * pairs * LANES):
+            at = places[b, i]
+            flat[at] = flat[at] + stiffness[i]
+        for i in range(starts[b], starts[b + 1]):
+            at = pulls[i, 0]
+            pull[at] = pull[at] + factors[i] * stiffness[pulls[i, 1]]
+
+    @ti.func
+    def update(b, kappa, x: ti.template(), pressures, step: ti.template(), elements: ti.template(),
+               dofs: ti.template(), real: ti.template(), moduli: ti.template(), volume_r: ti.template(),
+               volume_z: ti.template(), gap: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(),
+               rows_zr: ti.template(), rows_zz: ti.template(), force_r: ti.template(), force_z: ti.template()):
+        """Move what was eliminated, interior nodes and pressures, after the `step` of the shared nodes."""
+        for a in range(nb):
+            i = b * nodes + a
+            s[SR + a] = gather(step, dofs, i)
+            s[SZ + a] = ti.Vector([step[dofs[i, l] + 1] for l in ti.static(range(LANES))])
+        if ti.static(has_centre):
+            cr, cz = -force_r[b], -force_z[b]
+            for a in range(nb):
+                at = b * nb + a
+                cr = cr - (rows_rr[at] * s[SR + a] + rows_rz[at] * s[SZ + a])
+                cz = cz - (rows_zr[at] * s[SR + a] + rows_zz[at] * s[SZ + a])
+            s[SR + centre], s[SZ + centre] = cr, cz
+            i = b * nodes + centre
+            for l in ti.static(range(LANES)):
+                if real[b][l] > 0.0:
+                    x[dofs[i, l]] = x[dofs[i, l]] + cr[l]
+                    x[dofs[i, l] + 1] = x[dofs[i, l] + 1] + cz[l]
+        for m in range(modes):
+            at = b * modes + m
+            change = gap[at]
+            for a in range(nodes):
+                v = (b * modes + m) * nodes + a
+                change = change + volume_r[v] * s[SR + a] + volume_z[v] * s[SZ + a]
+            change = kappa * moduli[b] * change
+            for l in ti.static(range(LANES)):
+                if real[b][l] > 0.0:
+                    i = pressures + modes * elements[b, l] + m
+                    x[i] = x[i] + change[l]
+
+    return ElementFunctions(integrate, add_weight, add_inertia, stiffen, scatter_force, scatter_stiffness, interior,
+                            update)

@@ -1,0 +1,97 @@
+"""From an experiment to the contact pairs of its mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tissue_sim.experiment.experiment import Experiment
+from tissue_sim.experiment.tools.tool import PLATE_RADIUS, Profile
+from tissue_sim.fem.axisymmetric.contact import STICK, Contact, Pair
+from tissue_sim.mesh import Mesh
+
+#: How far a point may violate a contact condition: in radii of a needle, and of the specimen between plates; where the
+#: deformation is homogeneous closed forms are met.
+NEEDLE_TOLERANCE, PLATE_TOLERANCE, HOMOGENEOUS_TOLERANCE = 1e-4, 1e-7, 1e-11
+
+
+def coefficient(interface: str | float) -> float:
+    """Coefficient of friction of an interface for tissue that meets it during the test."""
+    return {"bonded": STICK, "stick": STICK, "frictionless": 0.0}.get(interface, interface)
+
+
+def build_contact(experiment: Experiment, mesh: Mesh, *, tool: bool = True,
+                  homogeneous: bool | None = None) -> Contact | None:
+    """Who may meet whom: the base and the lower half of the side, the tool and the rest.
+
+    Args:
+        experiment: what is done.
+        mesh: of its specimen.
+        tool: whether the tool is there; it is not while the specimen settles.
+        homogeneous: whether the specimen deforms so; None: as the experiment alone says.
+
+    Returns:
+        The pairs, or None where there are none.
+    """
+    homogeneous = experiment.homogeneous if homogeneous is None else homogeneous
+    low, high = (None, None) if homogeneous else _sides(mesh)
+    pairs = _base(experiment, mesh, low)
+    if tool:
+        pairs += _plate(experiment, mesh, high) if experiment.tool.shape == "plate" else _needle(experiment, mesh)
+    if not any(len(pair.edges) for pair in pairs):
+        return None
+    if experiment.tool.shape == "plate":
+        share = HOMOGENEOUS_TOLERANCE if homogeneous else PLATE_TOLERANCE
+        tolerance = share * experiment.specimen.radius
+    else:
+        tolerance = NEEDLE_TOLERANCE * experiment.tool.radius
+    level = tool and experiment.tool.shape == "plate"
+    if experiment.adhesion is None or not tool:
+        return Contact(tuple(pairs), tolerance, level=level)
+    area = np.pi * experiment.contact_radius**2
+    return Contact(tuple(pairs), tolerance, experiment.adhesion.force / area, experiment.adhesion.length, level)
+
+
+def _sides(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+    """Edges of the lower and of the upper half of the side."""
+    side = mesh.edges("side")
+    high = mesh.nodes[side, 1].mean(axis=1) > 0.5 * mesh.nodes[:, 1].min()
+    return side[~high], side[high]
+
+
+def _base(experiment: Experiment, mesh: Mesh, side: np.ndarray | None) -> list[Pair]:
+    """The side may bulge onto the base; a base with friction also holds the bottom, which stays on it."""
+    bottom = mesh.nodes[:, 1].min()
+    plane = Profile(np.array([[PLATE_RADIUS, bottom], [0.0, bottom]]), 0.0, 1)
+    mu = coefficient(experiment.friction_base)
+    pairs = []
+    if experiment.friction_base not in ("bonded", "frictionless"):
+        pairs.append(Pair(plane, mesh.edges("base"), (mu, mu), moves=False, tied=mu == STICK, clings=True,
+                          at_nodes=True))
+    if side is not None:
+        pairs.append(Pair(plane, side, (mu, mu), moves=False))
+    return pairs
+
+
+def _plate(experiment: Experiment, mesh: Mesh, side: np.ndarray | None) -> list[Pair]:
+    profile, mu = experiment.tool.profile, coefficient(experiment.friction)
+    pairs = []
+    if experiment.friction != "bonded":
+        pairs.append(Pair(profile, mesh.edges("top"), (mu, mu), tied=mu == STICK, at_nodes=True))
+    if side is not None:
+        pairs.append(Pair(profile, side, (mu, mu)))
+    return pairs
+
+
+def _needle(experiment: Experiment, mesh: Mesh) -> list[Pair]:
+    """The whole top where it can leave the face, else what is beside the face."""
+    tool = experiment.tool
+    profile = tool.profile
+    friction = coefficient(experiment.friction), coefficient(experiment.friction_wall)
+    if tool.face_radius == 0:
+        return [Pair(profile, mesh.edges("top"), friction)]
+    face, free = mesh.edges("face"), mesh.edges("free")
+    if experiment.friction == "bonded":
+        return [Pair(profile, free, friction, first_line=1)]
+    # Tissue beside a sharp edge cannot come under the face without slip.
+    first = 0 if tool.edge_radius else profile.shaft
+    return [Pair(profile, face, friction, tied=friction[0] == STICK), Pair(profile, free, friction, first_line=first)]

@@ -1,0 +1,255 @@
+"""Stress and tangent of a law in the axisymmetric solid, as Taichi functions.
+
+Components of a deformation gradient, and of everything conjugate to it, stand in the order rR, rZ, zR, zZ, and hoop.
+The isochoric energy is W(F / J^(1/3)); the pressure adds p (J - 1). What happens to the tissue in time acts on the
+isochoric part: softening scales it, relaxation scales it and adds what is left of earlier stresses.
+
+Every function here works on lists of numbers, of one point, and on lists of vectors, of as many points at once.
+"""
+
+from functools import cache
+
+import sympy as sp
+
+from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.laws import KernelEnergy
+
+#: Packed symmetric 5 x 5: row and column of every entry of the tangent.
+PACKED = tuple((i, j) for i in range(5) for j in range(i + 1))
+#: Second derivatives of the in-plane determinant: F_rR with F_zZ, F_rZ with F_zR.
+COFACTOR_SIGNS = {(3, 0): 1.0, (2, 1): -1.0}
+#: Around J = 1 a series starts Newton's iteration for a cube root well; further away it need not converge.
+_NEAR = 0.3
+
+
+#: Where entry (i, k) stands among them.
+PLACE = tuple(tuple(PACKED.index((max(i, k), min(i, k))) for k in range(5)) for i in range(5))
+
+
+@cache
+def _isochoric_chain(tangents: bool):
+    """Python function of (a, j, c, s, W1, W2, W11, W12, W22) -> gradient and Hessian of the isochoric energy.
+
+    In axisymmetry every invariant is a function of three scalars: a, the sum of squares of the in-plane deformation
+    gradient; j, its determinant; c, the hoop stretch: I1 = a + c^2, I2 = j^2 + a c^2, J = j c. The derivatives are
+    those with respect to a, j and c; s = J^(-2/3) comes in ready, so that no other power is taken.
+    """
+    a, j, c = v = sp.symbols("a j c", positive=True)
+    s = sp.Symbol("s", positive=True)
+    first = sp.symbols("W1 W2", real=True)
+    second = sp.symbols("W11 W12 W22", real=True)
+    hessian = sp.Matrix(2, 2, [second[0], second[1], second[1], second[2]])
+
+    def total(expression, x):
+        """Derivative with respect to x, s included."""
+        inner = 0 if x is a else -sp.Rational(2, 3) * s / x
+        return sp.diff(expression, x) + sp.diff(expression, s) * inner
+
+    bars = (s * (a + c**2), s**2 * (j**2 + a * c**2))
+    slopes = [[total(bar, x) for x in v] for bar in bars]
+    gradient = [sum(first[m] * slopes[m][i] for m in range(2)) for i in range(3)]
+    curvature = [sum(first[m] * total(slopes[m][i], v[k]) for m in range(2))
+                 + sum(hessian[m, n] * slopes[m][i] * slopes[n][k] for m in range(2) for n in range(2))
+                 for i in range(3) for k in range(i + 1)]
+    return _taichi_expression((*v, s, *first, *second), [*gradient, *curvature] if tangents else gradient)
+
+
+def _taichi_expression(arguments, expressions):
+    """A Python function that builds these expressions out of Taichi variables when a kernel is compiled."""
+    ti = initialise()
+    names = {name: getattr(ti, name) for name in ("exp", "log", "sqrt", "sin", "cos", "tan", "tanh")}
+    return sp.lambdify(arguments, expressions, modules=[names], cse=True)
+
+
+@cache
+def inverse_root_function():
+    """Taichi function ``inverse_root(J)``: J^(-1/3) of a vector, without a call per lane where J is near 1."""
+    ti = initialise()
+
+    @ti.func
+    def inverse_root(J):
+        x = J - 1.0
+        r = 1.0 + x * (-1.0 / 3.0 + x * (2.0 / 9.0 - x * (14.0 / 81.0)))
+        for _i in ti.static(range(3)):
+            r = r * (4.0 - J * r * r * r) * (1.0 / 3.0)
+        if ti.abs(x).max() > _NEAR:
+            r = ti.pow(J, -1.0 / 3.0)
+        return r
+
+    return inverse_root
+
+
+@cache
+def volume_function():
+    """Taichi function ``add_volume(F, p, P, A) -> (P, A)``: add p dJ/dF to P and p d2J/dF2 to A."""
+    ti = initialise()
+
+    @ti.func
+    def add_volume(F, p, P, A):
+        c = F[4]
+        cofactor = [F[3], -F[2], -F[1], F[0]]
+        stress = [P[i] + 0.0 * c for i in ti.static(range(5))]
+        tangent = [A[n] + 0.0 * c for n in ti.static(range(15))]
+        for i in ti.static(range(4)):
+            stress[i] += p * c * cofactor[i]
+            tangent[ti.static(PLACE[4][i])] += p * cofactor[i]
+        stress[4] += p * (F[0] * F[3] - F[1] * F[2])
+        for place, sign in ti.static(tuple(COFACTOR_SIGNS.items())):
+            tangent[ti.static(PLACE[place[0]][place[1]])] += sign * p * c
+        return stress, tangent
+
+    return add_volume
+
+
+@cache
+def history_functions():
+    """Taichi functions ``soften(W, largest, past, P, A) -> (P, A)`` and ``relax(F, instant, h, P, A) -> (S, P, A)``."""
+    ti = initialise()
+
+    @ti.func
+    def soften(W, largest, loss, modulus, share, P, A):
+        """Multiply the stress by eta = 1 - loss tanh((largest - W) / (modulus + share largest)) where the point was
+        loaded higher before (Dorfmann and Ogden, IJSS 40 (2003) 2699)."""
+        width = ti.max(modulus + share * largest, 1e-300)  # nothing at rest
+        bend = ti.tanh(ti.max(largest - W, 0.0) / width)
+        eta = 1.0 - loss * bend
+        slope = ti.select(W < largest, loss * (1.0 - bend * bend) / width, 0.0 * W)
+        tangent = [eta * A[n] + slope * P[ti.static(PACKED[n][0])] * P[ti.static(PACKED[n][1])]
+                   for n in ti.static(range(15))]
+        return [eta * P[i] for i in ti.static(range(5))], tangent
+
+    @ti.func
+    def relax(F, instant, h, P, A):
+        """Make the stress F S of this step that of the hereditary integral, F (instant S + h), and return S besides.
+
+        S and h are isochoric second Piola stresses (RR, RZ, ZZ, hoop); see `tissue_sim.material.viscoelasticity`.
+        """
+        j = F[0] * F[3] - F[1] * F[2]
+        S = [(F[3] * P[0] - F[1] * P[2]) / j, (F[3] * P[1] - F[1] * P[3]) / j, (F[0] * P[3] - F[2] * P[1]) / j,
+             P[4] / F[4]]
+        pushed = [F[0] * h[0] + F[1] * h[1], F[0] * h[1] + F[1] * h[2], F[2] * h[0] + F[3] * h[1],
+                  F[2] * h[1] + F[3] * h[2], F[4] * h[3]]
+        tangent = [instant * A[n] for n in ti.static(range(15))]
+        for i in ti.static(range(2)):
+            tangent[ti.static(PLACE[2 * i][2 * i])] += h[0]
+            tangent[ti.static(PLACE[2 * i + 1][2 * i])] += h[1]
+            tangent[ti.static(PLACE[2 * i + 1][2 * i + 1])] += h[2]
+        tangent[ti.static(PLACE[4][4])] += h[3]
+        return S, [instant * P[i] + pushed[i] for i in ti.static(range(5))], tangent
+
+    return soften, relax
+
+
+@cache
+def function(energy: KernelEnergy, tangents: bool = True):
+    """Taichi function ``stress_and_tangent(F, root, coefficients) -> (W, P, A)`` for one kernel energy; A is zero
+    without `tangents`.
+
+    Args of the Taichi function:
+        F: deformation gradient, 5 components; its determinant must be positive.
+        root: J^(-1/3).
+        coefficients: array of the energy's coefficients.
+
+    Returns of the Taichi function:
+        W: isochoric energy density; P (5): its first Piola stress; A (15): the derivative of that, symmetric, packed
+        as `PACKED`.
+    """
+    return (_of_invariants if energy.family == "invariants" else _of_stretches)(energy, tangents)
+
+
+def _of_invariants(energy: KernelEnergy, tangents: bool):
+    ti = initialise()
+    count = len(energy.coefficients)
+    W, (I1, I2) = energy.energy, energy.variables
+    derivatives = _taichi_expression(
+        (I1, I2, energy.coefficients),
+        [W, sp.diff(W, I1), sp.diff(W, I2),
+         *([sp.diff(W, I1, 2), sp.diff(W, I1, I2), sp.diff(W, I2, 2)] if tangents else [sp.Integer(0)] * 3)])
+    chain = _isochoric_chain(tangents)
+
+    @ti.func
+    def stress_and_tangent(F, root, coefficients: ti.template()):
+        a = F[0] * F[0] + F[1] * F[1] + F[2] * F[2] + F[3] * F[3]
+        j = F[0] * F[3] - F[1] * F[2]
+        c = F[4]
+        scale = root * root
+        first = (a + c * c) * scale
+        second = (j * j + a * c * c) * scale * scale
+        w = [v + 0.0 * c for v in ti.static(derivatives(first, second, [coefficients[i] for i in range(count)]))]
+        d = [v + 0.0 * c for v in ti.static(chain(a, j, c, scale, w[1], w[2], w[3], w[4], w[5]))]
+        # dW/dF = d_a 2F + d_j cof F + d_c e, and the same vectors span the second derivative.
+        twice = [2.0 * F[i] for i in ti.static(range(4))]
+        cofactor = [F[3], -F[2], -F[1], F[0]]
+        P = [d[0] * twice[0] + d[1] * cofactor[0], d[0] * twice[1] + d[1] * cofactor[1],
+             d[0] * twice[2] + d[1] * cofactor[2], d[0] * twice[3] + d[1] * cofactor[3], 1.0 * d[2]]
+        A = [0.0 * c for _n in ti.static(range(15))]
+        if ti.static(tangents):
+            for i in ti.static(range(4)):
+                for k in ti.static(range(i + 1)):
+                    A[ti.static(PLACE[i][k])] = (
+                        d[3] * twice[i] * twice[k] + d[4] * (twice[i] * cofactor[k] + cofactor[i] * twice[k])
+                        + d[5] * cofactor[i] * cofactor[k] + ti.static(COFACTOR_SIGNS.get((i, k), 0.0)) * d[1])
+                A[ti.static(PLACE[i][i])] += 2.0 * d[0]
+                A[ti.static(PLACE[4][i])] = d[6] * twice[i] + d[7] * cofactor[i]
+            A[ti.static(PLACE[4][4])] = d[8]
+        return w[0], P, A
+
+    return stress_and_tangent
+
+
+def _of_stretches(energy: KernelEnergy, tangents: bool):
+    ti = initialise()
+    count = len(energy.coefficients)
+    W, (stretch,) = energy.energy, energy.variables
+    derivatives = _taichi_expression((stretch, energy.coefficients), [sp.diff(W, stretch), sp.diff(W, stretch, 2), W])
+
+    @ti.func
+    def stress_and_tangent(F, root, coefficients: ti.template()):
+        # Singular values of the in-plane part; what follows is well defined in the limit of equal stretches. The
+        # singular vectors are turned by half the sum and half the difference of the angles of (e, h) and (f, g), and
+        # only products of them are needed, which take no trigonometry.
+        e, h = 0.5 * (F[0] + F[3]), 0.5 * (F[2] - F[1])
+        f, g = 0.5 * (F[0] - F[3]), 0.5 * (F[2] + F[1])
+        q, r = ti.sqrt(e * e + h * h), ti.sqrt(f * f + g * g)
+        turned, least = r > 1e-300, ti.max(r, 1e-300)
+        cs, ss = e / q, h / q
+        cd, sd = ti.select(turned, f / least, 0.0 * r + 1.0), ti.select(turned, g / least, 0.0 * r)
+        s = [q + r, q - r, F[4]]
+        bars = [s[i] * root for i in ti.static(range(3))]
+        # First and second derivatives with respect to the logarithm of each isochoric stretch.
+        w = [[v + 0.0 * q for v in ti.static(derivatives(bars[i], [coefficients[m] for m in range(count)]))]
+             for i in ti.static(range(3))]
+        density = w[0][2] + w[1][2] + w[2][2]
+        t = [w[i][0] * bars[i] for i in ti.static(range(3))]
+        mean_t = (t[0] + t[1] + t[2]) / 3.0
+        # First derivatives with respect to the stretches themselves.
+        w1 = [(t[i] - mean_t) / s[i] for i in ti.static(range(3))]
+        # Directions of the in-plane stretches, as 4-vectors rR, rZ, zR, zZ.
+        n1 = [0.5 * (cs + cd), 0.5 * (sd - ss), 0.5 * (sd + ss), 0.5 * (cs - cd)]
+        n2 = [0.5 * (cs - cd), -0.5 * (sd + ss), -0.5 * (sd - ss), 0.5 * (cs + cd)]
+        P = [w1[0] * n1[0] + w1[1] * n2[0], w1[0] * n1[1] + w1[1] * n2[1], w1[0] * n1[2] + w1[1] * n2[2],
+             w1[0] * n1[3] + w1[1] * n2[3], 1.0 * w1[2]]
+        A = [0.0 * q for _n in ti.static(range(15))]
+        if ti.static(tangents):
+            u = [w[i][1] * bars[i] * bars[i] + t[i] for i in ti.static(range(3))]
+            mean_u = (u[0] + u[1] + u[2]) / 3.0
+            w2 = [[((-(u[i] + u[k]) / 3.0 + mean_u / 3.0
+                     + ti.static(float(i == k)) * (u[i] - (t[i] - mean_t))) / (s[i] * s[k]))
+                   for k in ti.static(range(3))] for i in ti.static(range(3))]
+            twist = (w1[0] + w1[1]) / (s[0] + s[1])
+            apart = s[0] - s[1] > 1e-5 * s[0]
+            flip = ti.select(apart, (w1[0] - w1[1]) / ti.select(apart, s[0] - s[1], s[0]),
+                             0.5 * (w2[0][0] + w2[1][1]) - w2[0][1])
+            # Directions of the twist and of the flip.
+            turn, shear = [ss, cs, -cs, ss], [-sd, cd, cd, sd]
+            for i in ti.static(range(4)):
+                for k in ti.static(range(i + 1)):
+                    A[ti.static(PLACE[i][k])] = (
+                        w2[0][0] * n1[i] * n1[k] + w2[1][1] * n2[i] * n2[k]
+                        + w2[0][1] * (n1[i] * n2[k] + n2[i] * n1[k])
+                        + 0.5 * twist * turn[i] * turn[k] + 0.5 * flip * shear[i] * shear[k])
+                A[ti.static(PLACE[4][i])] = w2[2][0] * n1[i] + w2[2][1] * n2[i]
+            A[ti.static(PLACE[4][4])] = w2[2][2]
+        return density, P, A
+
+    return stress_and_tangent

@@ -1,0 +1,148 @@
+"""Converged fields of a simulation, computed from the stored states when asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from tissue_sim.errors import InputError, nearest
+from tissue_sim.material.material import Material
+from tissue_sim.mesh import Mesh
+
+if TYPE_CHECKING:
+    from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
+
+#: Field -> unit.
+FIELD_UNITS = {"displacement": "m", "von_mises": "Pa", "cauchy_rr": "Pa", "cauchy_zz": "Pa", "cauchy_rz": "Pa",
+               "cauchy_hoop": "Pa", "pressure": "Pa", "energy": "J/m3", "J": "1", "stretch": "1"}
+
+
+@dataclass(frozen=True, eq=False)
+class Fields:
+    """Fields at every sample of a simulated recording.
+
+    Attributes:
+        mesh: undeformed mesh.
+        material: what it is made of.
+        bulk_modulus: K that the elements used, Pa.
+        states: solver states, shape (samples, unknowns).
+        gradients: shape gradients at the quadrature points, shape (elements, q, nodes, 3).
+        pressure_modes: orthonormal pressure modes there, shape (elements, q, modes).
+        weights: volumes of the quadrature points, m3, shape (elements, q).
+        moduli: of the elements in units of the material's, shape (elements,).
+        stresses: isochoric second Piola stress in units of `moduli`, Pa, shape (samples, elements, q, 4: RR, RZ, ZZ,
+            hoop), where it depends on the past; else None.
+    """
+
+    #: What another material of the same make changes beside the states.
+    OF_THE_MATERIAL: ClassVar = ("material", "bulk_modulus", "moduli")
+
+    mesh: Mesh
+    material: Material
+    bulk_modulus: float
+    states: np.ndarray
+    gradients: np.ndarray
+    pressure_modes: np.ndarray
+    weights: np.ndarray
+    moduli: np.ndarray
+    stresses: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, solver: AxisymmetricSolver, states: list[np.ndarray], stresses: Sequence[np.ndarray] = ()) -> Fields:
+        """Fields of the states that a solver went through, with the stresses of its memory where it has one."""
+        return cls(solver.mesh, solver.material, solver.bulk_modulus, np.array(states), solver.node_gradients,
+                   solver.pressure_modes, solver.weights, solver.moduli, np.array(stresses) if len(stresses) else None)
+
+    def displacement(self, sample: int = -1) -> np.ndarray:
+        """Nodal displacement (r, z), m, shape (nodes, 2)."""
+        return self.states[sample, : 2 * len(self.mesh.nodes)].reshape(-1, 2)
+
+    def deformation_gradient(self, sample: int = -1) -> np.ndarray:
+        """Components rR, rZ, zR, zZ, hoop at the quadrature points, shape (elements, q, 5)."""
+        u = self.displacement(sample)[self.mesh.connectivity]
+        rates = np.einsum("eqak,eai->eqik", self.gradients, u)
+        return np.stack([1 + rates[..., 0, 0], rates[..., 0, 1], rates[..., 1, 0], 1 + rates[..., 1, 1],
+                         1 + rates[..., 0, 2]], axis=-1)
+
+    def at_points(self, name: str, sample: int = -1) -> np.ndarray:
+        """A field of `FIELD_UNITS` at the quadrature points, shape (elements, q).
+
+        Cauchy stress is that of the mixed element: sigma = tau/J + p I, with p the element's pressure and tau the
+        isochoric Kirchhoff stress. Where that is left of earlier strains it need not be a deviator; `pressure` is the
+        mean stress, turned round, either way. The energy density is that of the law, W + p^2 / (2 K), per undeformed
+        volume. `stretch` is the largest principal stretch.
+
+        Raises:
+            InputError: no such field.
+        """
+        if name not in FIELD_UNITS:
+            raise InputError(f"unknown field {name!r}{nearest(name, FIELD_UNITS)}", field="field")
+        if name == "displacement":
+            shapes, _ = self.mesh.element.shape_functions(self.mesh.element.quadrature[0])
+            u = np.einsum("qa,eai->eqi", shapes, self.displacement(sample)[self.mesh.connectivity])
+            return np.linalg.norm(u, axis=-1)
+        F = self.deformation_gradient(sample)
+        J = (F[..., 0] * F[..., 3] - F[..., 1] * F[..., 2]) * F[..., 4]
+        elements, _, modes = self.pressure_modes.shape
+        first = 2 * len(self.mesh.nodes)
+        amplitudes = self.states[sample, first : first + modes * elements].reshape(elements, modes)
+        p = np.einsum("eqm,em->eq", self.pressure_modes, amplitudes)
+        if name == "J":
+            return J
+        modulus = self.moduli[:, None]
+        angle, stretches = _principal(F)
+        all_stretches = np.stack([*stretches, F[..., 4]], axis=-1)
+        if name == "stretch":
+            return all_stretches.max(axis=-1)
+        energy, tau = self.material.energy_law.principal_response(all_stretches, self.material.parameters)
+        if name == "energy":
+            volumetric = p**2 / (2.0 * self.bulk_modulus * modulus)
+            return modulus * self.material.instantaneous_factor * energy + volumetric
+        if self.stresses is None:
+            mean, half, hoop = 0.5 * (tau[..., 0] + tau[..., 1]), 0.5 * (tau[..., 0] - tau[..., 1]), tau[..., 2]
+            across, along = half * np.sin(2.0 * angle), half * np.cos(2.0 * angle)
+            tensor = np.stack([mean + along, across, across, mean - along], axis=-1).reshape(*F.shape[:-1], 2, 2)
+        else:
+            in_plane = F[..., :4].reshape(*F.shape[:-1], 2, 2)
+            S = self.stresses[sample]
+            tensor = np.einsum("eqik,eqkl,eqjl->eqij", in_plane, S[..., [[0, 1], [1, 2]]], in_plane)
+            hoop = F[..., 4] ** 2 * S[..., 3]
+        tensor, hoop = (modulus / J)[..., None, None] * tensor, modulus / J * hoop
+        mean = (np.trace(tensor, axis1=-2, axis2=-1) + hoop) / 3.0
+        if name == "pressure":
+            return -(mean + p)
+        if name == "von_mises":
+            deviator = tensor - mean[..., None, None] * np.eye(2)
+            return np.sqrt(1.5 * ((deviator**2).sum(axis=(-2, -1)) + (hoop - mean) ** 2))
+        return {"cauchy_rr": tensor[..., 0, 0] + p, "cauchy_zz": tensor[..., 1, 1] + p, "cauchy_rz": tensor[..., 0, 1],
+                "cauchy_hoop": hoop + p}[name]
+
+    def at_nodes(self, name: str, sample: int = -1) -> np.ndarray:
+        """A field carried to the nodes, shape (nodes,): each element's polynomial through its quadrature points,
+        averaged over the elements that share a node."""
+        if name == "displacement":
+            return np.linalg.norm(self.displacement(sample), axis=1)
+        return extrapolate(self.mesh, self.at_points(name, sample))
+
+
+def _principal(F: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Singular values of the in-plane part of deformation gradients (..., 5), and the angle from r at which the larger
+    one stretches, in the deformed state.
+
+    A 2 x 2 matrix is a turn with a stretch, E and H, and a mirrored one, F and G (Blinn, IEEE Computer Graphics and
+    Applications 16 (1996) 82).
+    """
+    rR, rZ, zR, zZ = (F[..., k] for k in range(4))
+    turned = np.hypot(rR + zZ, zR - rZ)
+    mirrored = np.hypot(rR - zZ, zR + rZ)
+    angle = 0.5 * (np.arctan2(zR - rZ, rR + zZ) + np.arctan2(zR + rZ, rR - zZ))
+    return angle, (0.5 * (turned + mirrored), 0.5 * (turned - mirrored))
+
+
+def extrapolate(mesh: Mesh, values: np.ndarray) -> np.ndarray:
+    """Values at the quadrature points, shape (elements, q), as nodal averages, shape (nodes,)."""
+    nodal, nodes = values @ mesh.element.from_quadrature.T, mesh.connectivity.ravel()
+    return np.bincount(nodes, nodal.ravel(), len(mesh.nodes)) / np.bincount(nodes, minlength=len(mesh.nodes))

@@ -1,0 +1,311 @@
+"""One converged step of the axisymmetric solid as one Taichi kernel."""
+
+from enum import IntEnum
+from functools import cache
+
+from tissue_sim.fem.axisymmetric import contact_kernels
+from tissue_sim.fem.axisymmetric.assembly import element_functions
+from tissue_sim.fem.axisymmetric.batches import LANES
+from tissue_sim.fem.linear import band as band_matrix
+from tissue_sim.fem.linear import band_lu
+from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.laws import KernelEnergy
+
+
+class StepStatus(IntEnum):
+    """How a step ended."""
+
+    CONVERGED = 1
+    INVERTED = 2
+    INDEFINITE = 3
+    SLOW = 4
+    DIVERGED = 5
+
+    @property
+    def message(self) -> str:
+        return {
+            StepStatus.CONVERGED: "converged",
+            StepStatus.INVERTED: "an element turned inside out",
+            StepStatus.INDEFINITE: "the tangent lost positive definiteness, so the equilibrium is no longer stable",
+            StepStatus.SLOW: "Newton's iteration did not reach its tolerance",
+            StepStatus.DIVERGED: "Newton's iteration diverged",
+        }[self]
+
+
+#: Friction of a point that is no friction, as a share of the least load that residuals are measured against.
+FRICTION_FLOOR = 1e-9
+#: A factor serves again where each solve with it takes the residual down to this share, or where two more solves that
+#: gain as much as the last one will do.
+REUSE = 1e-3
+#: What a step forgets of the forces of points that are held; their springs bring back what is needed.
+LEAK = 0.1
+#: All points of the surface may change between sticking and slipping at once, until so many iterations did not settle
+#: it: then one point at a time (Murty's least-index rule).
+ALL, CIRCLING = 1_000_000, 8
+#: Places in the kernel's counts, settings and report. KEEPS: 0 a step begins with an extrapolation, 1 with the state as
+#: it is and nothing may change between sticking and slipping, 2 with the state as it is.
+PASSES, FREE, MAX_ITERATIONS, CONTACTS, REMEMBERS, UNSYMMETRIC, CHANGEABLE, KEEPS, LEANS = range(9)
+(DEPTH, PREDICTED, KAPPA, WEIGHT, TOLERANCE, FLOOR, ROUNDING, TOUCH, CONTACT_TOLERANCE, ADHESION,
+ ADHESION_LENGTH, INERTIA, DENSITY) = range(13)
+STATUS, ITERATIONS, RESIDUAL, FORCE, VIOLATION, SLIPPING, STIFFNESS = range(7)
+
+
+@cache
+def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
+    """The compiled step of one element and one family of laws; see `AxisymmetricSolver.step` for its arguments.
+
+    Only where something `slips` against friction it contains the solution of unsymmetric equations.
+    """
+    ti = initialise()
+    work = element_functions(element_name, energy)
+    vec = ti.types.vector(LANES, ti.f64)
+    block = ti.types.vector(band_matrix.BLOCK, ti.f64)
+    B = band_matrix.BLOCK
+    real1, real2, real3, real4 = (ti.types.ndarray(dtype=ti.f64, ndim=n) for n in range(1, 5))
+    int1, int2 = (ti.types.ndarray(dtype=ti.i32, ndim=n) for n in (1, 2))
+    vector1 = ti.types.ndarray(dtype=vec, ndim=1)
+    block1, block3 = (ti.types.ndarray(dtype=block, ndim=n) for n in (1, 3))
+    factorise, solve = band_matrix.functions()
+    contact = contact_kernels.functions(slips)
+    mirror, _, factorise_lu, solve_lu = band_lu.functions()
+    converged, inverted, indefinite, slow, diverged = (float(status) for status in StepStatus)
+
+    # Throughout, `a = a + b` on arrays: `a += b` is an atomic operation in Taichi, four times slower here.
+
+    @ti.func
+    def predict(x: ti.template(), history: ti.template(), slots: ti.template(), weights: ti.template()):
+        """Extrapolate the state from up to three earlier ones."""
+        for i in range(x.shape[0]):
+            x[i] = (weights[0] * history[slots[0], i] + weights[1] * history[slots[1], i]
+                    + weights[2] * history[slots[2], i])
+
+    @ti.func
+    def keep_held(count, share, multipliers, held: ti.template(), x: ti.template(), history: ti.template(),
+                  slots: ti.template()):
+        """Begin with this share of the last forces of points that are held: some combinations of them do nothing, and
+        would grow without bound in an extrapolation."""
+        for m in range(count):
+            for q in range(held.shape[1]):
+                if held[m, q, 0] == contact_kernels.HELD:
+                    at = multipliers + 2 * (m * held.shape[1] + q)
+                    for i in range(at, at + 2):
+                        x[i] = share * history[slots[0], i]
+
+    @ti.kernel
+    def step(counts: int1, settings: real1, equation: int1, direction: real1, start: real1, target: real1,
+             elements: int2, dofs: int2, real: vector1, gradient_r: vector1, gradient_z: vector1, value_r: vector1,
+             point_weights: vector1, mode_values: vector1, volumes: vector1, moduli: vector1, equations_r: int2,
+             equations_z: int2, places: int2, pull_starts: int1, pulls: int2, pull_factors: real1, k_rr: vector1,
+             k_zr: vector1, k_rz: vector1, k_zz: vector1, element_stiffness: real1, volume_r: vector1,
+             volume_z: vector1, gap: vector1, rows_rr: vector1, rows_rz: vector1, rows_zr: vector1, rows_zz: vector1,
+             inverse_rr: vector1, inverse_rz: vector1, inverse_zz: vector1, force_r: vector1, force_z: vector1,
+             edges: int2, spans: int2, edge_shapes: real3, edge_places: real3, areas: real2, vertices: real2,
+             edge_rounding: real1, friction: real2, springs: real2, held: real3, ways: real2, met: real3,
+             forces: real3, contact_rates: real3, known_rates: real3, coefficients: real1, past: real1,
+             inherited: real3, largest: real2, stresses: real3, energies: real2, masses: real1, rest: real1,
+             x: real1, motion: real1, history: real2, slots: int1, weights: real1, entries: real4, blocks: block3,
+             flat: block1, scattered: real1, upper: real4, upper_blocks: block3, inverse: real1, right: block1,
+             residual: real1, pull: real1, lean: real1, report: real1):
+        # One pass of one serial task, started without waking a thread pool; the count is an argument so that the loop
+        # is not unrolled into many tasks.
+        ti.loop_config(serialize=True)
+        for _ in range(counts[PASSES]):
+            free, max_iterations = counts[FREE], counts[MAX_ITERATIONS]
+            depth, kappa, tolerance = settings[DEPTH], settings[KAPPA], settings[TOLERANCE]
+            inertia = settings[INERTIA]
+            floor, rounding, weight = settings[FLOOR], settings[ROUNDING], settings[WEIGHT]
+            width, rows = entries.shape[1], entries.shape[0]
+            batches, equations = real.shape[0], residual.shape[0] - 1
+            pressures = equation.shape[0]
+            multipliers = x.shape[0] - 2 * springs.shape[0] * springs.shape[1]
+            if counts[KEEPS] == 0:
+                predict(x, history, slots, weights)
+                keep_held(counts[CONTACTS], 1.0 if weights[0] == 1.0 else 1.0 - LEAK, multipliers, held, x, history,
+                          slots)
+            if counts[KEEPS] != 1:
+                counts[CHANGEABLE] = ALL
+            adhesion, adhesion_length = settings[ADHESION], settings[ADHESION_LENGTH]
+            pending = 0
+            if counts[CONTACTS] > 0 and ti.abs(depth - settings[PREDICTED]) > 1e-10 * ti.abs(depth):
+                pending = 1
+            for dof in range(pressures):
+                target[dof] = start[dof] + depth * direction[dof]
+                motion[dof] = 0.0
+                if equation[dof] >= free:
+                    if ti.abs(x[dof] - target[dof]) > 1e-10 * ti.abs(depth):
+                        pending = 1
+                        motion[dof] = target[dof] - x[dof]
+                    else:
+                        x[dof] = target[dof]  # the rounding of the extrapolation
+            report[STATUS], report[STIFFNESS] = 0.0, 0.0
+            iterations, tangent, factorised = 0, 1, 0
+            # Far from equilibrium the surface's curvature would make the tangent indefinite.
+            bending = 1.0 if max_iterations == 0 else 0.0
+            first, first_ratio, last_ratio, axial = 1, 0.0, 0.0, 0.0
+            # The status lives in the report: Taichi 1.7.4 loses a local variable that a branch of such a loop sets.
+            # Each solve may need one more pass, for a tangent that was skipped.
+            for _attempt in range(3 * max_iterations + 3):
+                if report[STATUS] != 0.0:
+                    break
+                for i in range(residual.shape[0]):
+                    residual[i] = 0.0
+                if tangent == 1:
+                    for i in range(flat.shape[0]):
+                        flat[i] = block(0.0)
+                    for i in range(pull.shape[0]):
+                        pull[i] = 0.0
+                interior, smallest, definite = 0.0, 1e30, 1
+                for b in range(batches):
+                    J = work.integrate(b, tangent, kappa, counts[REMEMBERS], x, pressures, elements, dofs,
+                                       gradient_r, gradient_z, value_r, point_weights, mode_values, moduli,
+                                       coefficients, past, inherited, largest, stresses, energies, volume_r, volume_z,
+                                       gap)
+                    smallest = ti.min(smallest, J)
+                    if weight != 0.0:
+                        work.add_weight(b, weight, volumes)
+                    if inertia != 0.0:
+                        work.add_inertia(b, inertia, settings[DENSITY], volumes, dofs, rest)
+                    if tangent == 1:
+                        definite = ti.min(definite, work.stiffen(
+                            b, kappa, pending, inertia * settings[DENSITY], moduli, gradient_r, gradient_z, value_r,
+                            dofs, motion, volumes, k_rr, k_zr, k_rz, k_zz, rows_rr, rows_rz, rows_zr, rows_zz,
+                            inverse_rr, inverse_rz, inverse_zz))
+                        work.scatter_stiffness(b, places, element_stiffness, scattered, pull_starts, pulls,
+                                               pull_factors, pull)
+                    interior += work.interior(b, real, rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr, inverse_rz,
+                                              inverse_zz, force_r, force_z)
+                    work.scatter_force(b, equations_r, equations_z, residual)
+                if inertia != 0.0:
+                    for dof in range(pressures):
+                        i = equation[dof]
+                        if i >= 0:
+                            residual[i] = residual[i] + inertia * masses[dof] * (x[dof] - rest[dof])
+                            if tangent == 1 and i < free:
+                                at = entries[i // B, width - 1, i % B, i % B]
+                                entries[i // B, width - 1, i % B, i % B] = at + inertia * masses[dof]
+                tool = settings[PREDICTED] if pending == 1 else depth
+                # At first what just touches counts as pressed: the tool is about to move, or adhesion pulls.
+                slack = 1e-9 if pending == 1 or (adhesion > 0.0 and iterations == 0) else 0.0
+                axial, balanced, violation, slipping = contact.add_contact(
+                    counts[CONTACTS], counts[CHANGEABLE], slack, pending, bending, depth - tool,
+                    tool - settings[TOUCH], free, settings[CONTACT_TOLERANCE], FRICTION_FLOOR * floor, adhesion,
+                    adhesion_length, multipliers, edges, spans, edge_shapes, edge_places, areas, vertices,
+                    edge_rounding, friction, springs, held, ways, met, forces, contact_rates, x, target, equation,
+                    residual)
+                counts[CHANGEABLE] = 0
+                report[VIOLATION], report[SLIPPING] = violation, slipping
+                if tangent == 1:
+                    counts[UNSYMMETRIC] = ti.min(slipping, 1)
+                    if ti.static(slips):
+                        if slipping > 0:
+                            mirror(blocks, upper_blocks, rows, width)
+                    contact.add_rates(counts[CONTACTS], slipping, free, width, edges, edge_shapes, contact_rates,
+                                      equation, entries, upper)
+                    contact.note_rates(counts[CONTACTS], contact_rates, known_rates)
+                    factorised = 0
+                unbalanced, total = interior, axial
+                for i in range(free):
+                    unbalanced += residual[i] * residual[i]
+                for i in range(free, equations):
+                    balanced += residual[i] * residual[i]
+                for dof in range(pressures):
+                    if equation[dof] >= free:
+                        total += direction[dof] * residual[equation[dof]]
+                scale = ti.max(ti.sqrt(balanced), floor)
+                ratio = ti.sqrt(unbalanced) / scale
+                # Rounding is allowed for, within reason.
+                goal = tolerance + ti.min(rounding / scale, 1e-5)
+                if iterations == first:
+                    first_ratio = ratio
+                report[RESIDUAL], report[FORCE] = ratio, total
+                solves = 0
+                if smallest <= 0.0 or smallest >= 1e30 or ti.math.isnan(smallest):
+                    report[STATUS] = inverted
+                elif ti.math.isnan(ratio) or ti.math.isinf(ratio):
+                    report[STATUS] = diverged
+                elif pending == 0 and ratio <= goal and tangent == 0 and counts[LEANS] == 1 and contact.have_changed(
+                        counts[CONTACTS], springs, contact_rates, known_rates) == 1:
+                    tangent = 1  # the stiffness needs it
+                elif pending == 0 and ratio <= goal:
+                    released = contact.augment(counts[CONTACTS], multipliers, adhesion, edge_places, areas, spans,
+                                               vertices, edge_rounding, held, forces, x)
+                    if released > 0:
+                        # Another problem from here on.
+                        tangent, first = 1, iterations + 1
+                    elif violation <= settings[CONTACT_TOLERANCE]:
+                        contact.hold(counts[CONTACTS], held, met)
+                        report[STATUS] = converged
+                elif iterations >= max_iterations:
+                    report[STATUS] = slow
+                elif iterations > first + 2 and ratio > 1e3 * first_ratio:
+                    report[STATUS] = diverged
+                elif tangent == 0 and ratio > REUSE * last_ratio and (
+                        ratio * ratio * ratio > goal * last_ratio * last_ratio):
+                    tangent = 1
+                else:
+                    solves = 1
+                leans = 1 if report[STATUS] == converged and counts[LEANS] == 1 else 0
+                if solves + leans > 0:
+                    stiff = 0.0
+                    if leans == 1:
+                        # How the forces, and the force on the tool, change when the tool moves and the tissue does
+                        # not yet.
+                        for i in range(free):
+                            residual[i], lean[i] = pull[i], pull[i]
+                        stiff = pull[free] + contact.add_tool_rates(
+                            counts[CONTACTS], free, edges, spans, edge_shapes, contact_rates, direction, equation,
+                            residual, lean)
+                        if inertia != 0.0:
+                            for dof in range(pressures):
+                                if equation[dof] >= free:
+                                    stiff += inertia * masses[dof] * direction[dof] * direction[dof]
+                    for I in range(rows):
+                        for k in ti.static(range(B)):
+                            right[I][k] = residual[I * B + k] if I * B + k < free else 0.0
+                    if factorised == 0 and definite == 1:
+                        for i in range(free, rows * B):
+                            entries[i // B, width - 1, i % B, i % B] = 1.0
+                        if ti.static(slips):
+                            if counts[UNSYMMETRIC] == 1:
+                                definite = factorise_lu(blocks, upper_blocks, inverse, rows, width)
+                        if counts[UNSYMMETRIC] == 0:
+                            definite = factorise(blocks, inverse, rows, width)
+                        factorised = definite
+                    if definite == 1:
+                        if ti.static(slips):
+                            if counts[UNSYMMETRIC] == 1:
+                                solve_lu(blocks, upper_blocks, inverse, right, rows, width)
+                        if counts[UNSYMMETRIC] == 0:
+                            solve(blocks, inverse, right, rows, width)
+                    if leans == 1 and definite == 1:
+                        for i in range(free):
+                            stiff -= lean[i] * right[i // B][i % B]
+                        report[STIFFNESS] = stiff
+                    elif solves == 1 and definite == 0 and bending > 0.0:
+                        bending, last_ratio = 0.0, 0.0
+                    elif solves == 1 and definite == 0:
+                        report[STATUS] = indefinite
+                    elif solves == 1:
+                        for dof in range(pressures):
+                            i = equation[dof]
+                            if i >= free:
+                                motion[dof] = target[dof] - x[dof]
+                                x[dof] = target[dof]
+                            elif i >= 0:
+                                motion[dof] = -right[i // B][i % B]
+                                x[dof] = x[dof] + motion[dof]
+                        for b in range(batches):
+                            work.update(b, kappa, x, pressures, motion, elements, dofs, real, moduli, volume_r,
+                                        volume_z, gap, rows_rr, rows_rz, rows_zr, rows_zz, force_r, force_z)
+                        # Where the old factor is likely to serve again, only the residual is computed first.
+                        tangent = 1 if pending == 1 or ratio > 10.0 else 0
+                        last_ratio = ratio
+                        counts[CHANGEABLE] = ALL if iterations < CIRCLING else 1
+                        bending = 1.0 if ratio < 0.1 else 0.0
+                        pending = 0
+                        iterations += 1
+            if report[STATUS] == 0.0:
+                report[STATUS] = slow
+            report[ITERATIONS] = iterations
+
+    return step

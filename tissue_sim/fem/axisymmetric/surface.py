@@ -1,0 +1,55 @@
+"""The surface of the tissue as programs draw it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
+
+
+@dataclass(frozen=True, eq=False)
+class DeformedSurface:
+    """Outline of an axisymmetric specimen, in the frame of the scene.
+
+    Attributes:
+        outline: (r, z) from the axis along the top and down the side to the base, m, shape (n, 2).
+    """
+
+    outline: np.ndarray
+
+    def revolve(self, segments: int = 48) -> tuple[np.ndarray, np.ndarray]:
+        """Triangles of the whole surface.
+
+        Args:
+            segments: around the axis, 3 or more.
+
+        Returns:
+            Vertices, m, shape (v, 3), and triangles, shape (t, 3), their normals out of the tissue.
+        """
+        ring = self.outline[1:] if self.outline[0, 0] == 0.0 else self.outline
+        angle = np.linspace(0.0, 2.0 * np.pi, segments, endpoint=False)
+        r, z = ring[:, :1], np.broadcast_to(ring[:, 1:], (len(ring), segments))
+        rings = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=-1).reshape(-1, 3)
+        here = np.arange(len(ring) * segments).reshape(len(ring), segments)
+        beside = np.roll(here, -1, axis=1)
+        inner, outer = here[:-1], here[1:]
+        quads = np.concatenate([np.stack([inner, outer, beside[:-1]], axis=-1).reshape(-1, 3),
+                                np.stack([beside[:-1], outer, beside[1:]], axis=-1).reshape(-1, 3)])
+        if ring is self.outline:
+            return rings, quads
+        centre = np.array([[0.0, 0.0, self.outline[0, 1]]])
+        fan = np.stack([np.zeros(segments, dtype=int), here[0] + 1, beside[0] + 1], axis=-1)
+        return np.concatenate([centre, rings]), np.concatenate([fan, quads + 1])
+
+
+def deformed_surface(solver: AxisymmetricSolver) -> DeformedSurface:
+    """The surface at the last committed state; z counts from where the tool first touches."""
+    mesh = solver.mesh
+    top, side = mesh.sets["top"], mesh.sets["side"]
+    order = np.concatenate([top[np.argsort(mesh.nodes[top, 0])], side[np.argsort(-mesh.nodes[side, 1])][1:]])
+    place = (mesh.nodes + solver.state[: 2 * len(mesh.nodes)].reshape(-1, 2))[order]
+    return DeformedSurface(place - [0.0, solver.datum])

@@ -1,0 +1,62 @@
+"""Where the tool and the tissue first touch."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import brentq
+
+from tissue_sim.fem.axisymmetric import contact_kernels
+from tissue_sim.fem.axisymmetric.contact import Contact, ContactPoints
+from tissue_sim.mesh import Mesh
+
+
+def bring_down(mesh: Mesh, contact: Contact, surface: ContactPoints, displacement: np.ndarray) -> float:
+    """Bring the tool down on the surface as it stands, and bind what meets a body with friction or without slip.
+
+    Args:
+        mesh: undeformed mesh.
+        contact: bodies, and who may meet them.
+        surface: its points; `anchors`, and of a plate `places`, are changed.
+        displacement: of the nodes, m, shape (n, 2).
+
+    Returns:
+        z of the tool's deepest point there, m.
+    """
+    place, datum = surface.positions(displacement), 0.0
+    if surface.moves.any():
+        datum = _touching_height(mesh, contact, displacement, place[surface.moves])
+    place[surface.moves, :, 1] -= datum
+    if contact.level:
+        _level(mesh, surface, displacement, place, datum)
+    tied = surface.tied[:, None]
+    touches = (surface.springs > 0) & (surface.gaps(place) <= 1e-9 * np.ptp(mesh.nodes[:, 1]))
+    untouched = touches & (surface.anchors[..., 0] == contact_kernels.FREE)
+    surface.anchors[untouched, 0] = np.where(tied, contact_kernels.HELD, contact_kernels.TOUCHED).repeat(
+        touches.shape[1], axis=1)[untouched]
+    surface.anchors[untouched, 1:] = (place - surface.places)[untouched]
+    return datum
+
+
+def _level(mesh: Mesh, surface: ContactPoints, displacement: np.ndarray, place: np.ndarray, datum: float) -> None:
+    """Let a plate meet a top that has settled unevenly all at once, as if the top had been cut level as it stands.
+
+    Without it a plate would touch the highest ring first.
+    """
+    top = mesh.sets["top"]
+    lift = np.interp(surface.places[..., 0], mesh.nodes[top, 0], (mesh.nodes + displacement)[top, 1] - datum)
+    lift[~surface.moves] = 0.0
+    surface.places[..., 1] -= lift
+    place[..., 1] -= lift
+
+
+def _touching_height(mesh: Mesh, contact: Contact, displacement: np.ndarray, points: np.ndarray) -> float:
+    """z of the tool's deepest point where it first touches the nodes of the top or these Gauss points (m, q, 2)."""
+    profiles = [pair.profile for pair in contact.pairs if pair.moves]
+    place = np.concatenate([(mesh.nodes + displacement)[mesh.sets["top"]], points.reshape(-1, 2)])
+
+    def clearance(datum):
+        return min(profile.gap(place - [0.0, datum]).min() for profile in profiles)
+
+    high = place[:, 1].max()
+    low = place[:, 1].min() - np.ptp(mesh.nodes[:, 0])
+    return high if clearance(high) <= 0.0 else brentq(clearance, low, high, xtol=1e-15)

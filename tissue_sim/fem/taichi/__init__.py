@@ -1,0 +1,1 @@
+"""Taichi: one runtime for the process, and kernels that start fast."""

@@ -1,0 +1,1 @@
+"""A material: law, parameters, bulk response, and what time, loading and depth do to it."""

@@ -1,0 +1,282 @@
+"""Material files: ``NAME.material.json``, the hand-over from calibration to simulator."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+import tissue_sim
+from tissue_sim.atomic_write import write_text
+from tissue_sim.decode import as_json_types, decode, read_json, require_writable
+from tissue_sim.errors import InputError, nearest
+from tissue_sim.laws import check_stability, find_law
+from tissue_sim.material.material import Bulk, Material
+from tissue_sim.material.schema import (
+    BulkEntry,
+    CovarianceEntry,
+    LayerEntry,
+    ParameterEntry,
+    Part,
+    PoroelasticityEntry,
+    Provenance,
+    PunctureEntry,
+    SofteningEntry,
+    StabilityEntry,
+    ValidRange,
+    ViscoelasticEntry,
+    build_effects,
+    effect_parameters,
+    entries_of,
+)
+from tissue_sim.units import UNITS, to_si
+
+#: Version 1 had a law and a bulk response only; such files are read as they are.
+VERSION = 2
+SCHEMA = f"tissue_sim/material/{VERSION}"
+#: Keys of what a material has beside these.
+EFFECTS = ("viscoelastic", "softening", "layers", "poroelasticity", "puncture")
+
+
+class MaterialFile(Part, kw_only=True):
+    """A material with its uncertainty and its history.
+
+    Files may state stresses in Pa, kPa or MPa; the parameters of the law in a `MaterialFile` that was read, or made by
+    `of`, are in SI. The other parts keep the units that their keys name.
+    """
+
+    schema: str
+    name: str = ""
+    law: str
+    parameters: dict[str, ParameterEntry]
+    covariance: CovarianceEntry | None = None
+    bulk: BulkEntry
+    viscoelastic: ViscoelasticEntry | None = None
+    softening: SofteningEntry | None = None
+    layers: tuple[LayerEntry, ...] | None = None
+    poroelasticity: PoroelasticityEntry | None = None
+    puncture: PunctureEntry | None = None
+    density_kg_m3: float | None = None
+    valid_range: ValidRange | None = None
+    stability: StabilityEntry | None = None
+    provenance: Provenance | None = None
+
+    @classmethod
+    def of(cls, material: Material, *, standard_errors: Mapping[str, float] | None = None, covariance=None,
+           others: Sequence[str] = (), valid_range: ValidRange | Mapping[str, Any] | None = None,
+           provenance: Provenance | Mapping[str, Any] | None = None) -> MaterialFile:
+        """The file of a material, with its stability looked at.
+
+        Args:
+            material: the material.
+            standard_errors: parameter of the law -> standard error, SI, or path of another parameter, such as
+                ``"viscoelastic.terms[0].tau_s"``, -> in the unit of its key; from the covariance where that is given
+                and this is not.
+            covariance: shape (m, m), of the law's parameters in its order, SI.
+            others: paths of the parameters that the covariance holds after those of the law; it is then larger.
+            valid_range: for example ``{"stretch": [0.8, 1.0]}``.
+            provenance: software, version and date are filled in where they are missing.
+
+        Raises:
+            InputError: a value that the schema refuses, by its dotted field path.
+        """
+        law = material.energy_law
+        known = (*law.parameters, *effect_parameters(entries_of(material, {})))
+        errors = dict(standard_errors or {})
+        for name in errors:
+            if name not in known:
+                raise InputError(f"this material has no parameter {name!r}{nearest(name, known)}",
+                                 field=f"standard_errors.{name}")
+        if covariance is not None:
+            matrix = np.asarray(covariance, dtype=float)
+            order = (*law.parameters, *others)
+            covariance = decode({"order": order, "matrix": matrix.tolist()}, CovarianceEntry, "covariance")
+            _check_covariance(covariance, law, known)
+            errors = errors or dict(zip(order, np.sqrt(np.diag(matrix)).tolist(), strict=True))
+        stability = check_stability(law, material.values)
+        given = as_json_types(provenance or {})
+        history = {"software": "tissue-sim", "version": tissue_sim.__version__,
+                   "date": datetime.now(UTC).isoformat(timespec="seconds"), **given}
+        bulk = {material.bulk.kind: True if material.bulk.value is None else float(material.bulk.value)}
+        return checked(cls(
+            schema=SCHEMA, name=material.name, law=law.name,
+            parameters={name: ParameterEntry(value=value, unit=law.units[name],
+                                             standard_error=float(errors[name]) if name in errors else None)
+                        for name, value in material.parameters.items()},
+            covariance=covariance, bulk=BulkEntry(**bulk), **entries_of(material, errors),
+            density_kg_m3=material.density,
+            valid_range=decode(as_json_types(valid_range), ValidRange | None, "valid_range"),
+            stability=StabilityEntry(stable_from=stability.stable_from, stable_to=stability.stable_to,
+                                     stretch_range=stability.stretch_range, text=stability.describe()),
+            provenance=decode(history, Provenance, "provenance")))
+
+    @property
+    def material(self) -> Material:
+        """The material, for `tissue_sim.Model`."""
+        kind, value = next((kind, value) for kind, value in msgspec.structs.asdict(self.bulk).items()
+                           if value is not None)
+        return Material(self.law, {name: entry.value for name, entry in self.parameters.items()},
+                        Bulk(kind, None if kind == "incompressible" else value), self.density_kg_m3, self.name,
+                        **build_effects(self._effects))
+
+    @property
+    def effect_parameters(self) -> dict[str, tuple[float, float | None]]:
+        """Path of every parameter beside those of the law, such as ``softening.loss`` -> (value, standard error)."""
+        return effect_parameters(self._effects)
+
+    @property
+    def _effects(self) -> dict[str, Any]:
+        return {key: getattr(self, key) for key in EFFECTS}
+
+
+def load_material(path: str | Path) -> Material:
+    """The material in a file; errors as `read_material_file`."""
+    return read_material_file(path).material
+
+
+def read_material_file(path: str | Path) -> MaterialFile:
+    """Read and check a material file; the result is in SI.
+
+    Raises:
+        InputError: damaged JSON (line), a newer schema, an unknown or missing key, a wrong type, unit, covariance or
+            range; with the file and the dotted path of the field.
+    """
+    path = Path(path)
+    data = read_json(path, "a material file (JSON)")
+    try:
+        return decode_material_file(data)
+    except InputError as error:
+        raise error.located(file=path) from None
+
+
+def write_material_file(material_file: MaterialFile, path: str | Path) -> None:
+    """Check and write in one step, indented for people, every digit kept.
+
+    Raises:
+        InputError: a value that the reader would refuse, or a place that cannot be written; nothing is written then.
+    """
+    try:
+        data = msgspec.to_builtins(checked(material_file))
+    except InputError as error:
+        raise error.located(file=path) from None
+    text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
+    # Lists of numbers on one line: a line end inside brackets is never part of a JSON text.
+    text = re.sub(r"\[\n([^\[\]{}\"]*)\n\s*\]", lambda match: f"[{' '.join(match[1].split())}]", text)
+    write_text(path, text + "\n")
+
+
+def decode_material_file(data: Any) -> MaterialFile:
+    """A `MaterialFile` from decoded JSON; see `read_material_file`."""
+    if not isinstance(data, dict):
+        raise InputError('expected an object { "schema": ... }, found something else')
+    _check_schema(data.get("schema"))
+    parameters = data.get("parameters")
+    if isinstance(parameters, dict):
+        # One by one: msgspec names no keys of maps in its messages.
+        for name, entry in parameters.items():
+            decode(entry, ParameterEntry, f"parameters.{name}")
+    return checked(decode(data, MaterialFile, ""))
+
+
+def _check_schema(schema: Any) -> None:
+    match = re.fullmatch(r"tissue_sim/material/([0-9]{1,9})", schema) if isinstance(schema, str) else None
+    if not match or int(match[1]) < 1:
+        found = "the schema is missing" if schema is None else f"{schema!r} is not a material schema"
+        raise InputError(f"{found}, expected {SCHEMA!r}", field="schema")
+    if int(match[1]) > VERSION:
+        raise InputError(f"{schema!r} was written by a newer version, expected {SCHEMA!r}; update tissue-sim",
+                         field="schema")
+
+
+def checked(file: MaterialFile) -> MaterialFile:
+    """The same file in SI, with everything checked that types do not say.
+
+    Raises:
+        InputError: with the dotted path of the field.
+    """
+    _check_schema(file.schema)
+    require_writable(msgspec.to_builtins(file))
+    law = find_law(file.law)
+    factors = {}
+    for name, entry in file.parameters.items():
+        if name not in law.units:
+            raise InputError(f"law {law.name} has no parameter {name!r}{nearest(name, law.parameters)}",
+                             field=f"parameters.{name}")
+        try:
+            factors[name], _ = to_si(entry.unit, UNITS[law.units[name]][0])
+        except InputError as error:
+            raise error.located(field=f"parameters.{name}.unit") from None
+        if entry.standard_error is not None and entry.standard_error < 0:
+            raise InputError(f"{entry.standard_error:g} is negative; give a standard deviation",
+                             field=f"parameters.{name}.standard_error")
+    stated = [kind for kind, value in msgspec.structs.asdict(file.bulk).items() if value is not None]
+    if len(stated) != 1 or file.bulk.incompressible is False:
+        raise InputError("expected exactly one of K_Pa, D1_per_Pa, bulk_ratio, or incompressible: true", field="bulk")
+    _check_ranges(file)
+    if file.provenance is not None and file.provenance.date is not None:
+        try:
+            datetime.fromisoformat(file.provenance.date)
+        except ValueError:
+            raise InputError(f"{file.provenance.date!r} is not an ISO 8601 date such as 2026-01-31T12:00:00+00:00",
+                             field="provenance.date") from None
+    file = msgspec.structs.replace(file, schema=SCHEMA, parameters={
+        name: ParameterEntry(value=factors[name] * entry.value, unit=law.units[name], standard_error=(
+            None if entry.standard_error is None else factors[name] * entry.standard_error))
+        for name, entry in file.parameters.items()})
+    _ = file.material  # refuses missing parameters, a shear modulus <= 0, a bulk or density <= 0
+    if file.covariance is not None:
+        order = file.covariance.order
+        _check_covariance(file.covariance, law, (*law.parameters, *file.effect_parameters))
+        scale = np.array([factors.get(name, 1.0) for name in order])
+        matrix = np.outer(scale, scale) * np.array(file.covariance.matrix)
+        rows = tuple(map(tuple, matrix.tolist()))
+        file = msgspec.structs.replace(file, covariance=CovarianceEntry(order=order, matrix=rows))
+    require_writable(msgspec.to_builtins(file))  # a number near 1e308 MPa does not fit in Pa
+    return file
+
+
+def _check_covariance(covariance: CovarianceEntry, law, known: Sequence[str]) -> None:
+    order = covariance.order
+    m = len(law.parameters)
+    if order[:m] != law.parameters or len(set(order)) != len(order):
+        raise InputError(f"is {', '.join(order)}; expected the parameters of {law.name} in its order, "
+                         f"{', '.join(law.parameters)}, then others, each once", field="covariance.order")
+    for name in order[m:]:
+        if name not in known:
+            raise InputError(f"this material has no parameter {name!r}{nearest(name, known)}", field="covariance.order")
+    m = len(order)
+    if [len(row) for row in covariance.matrix] != [m] * m:
+        raise InputError(f"has rows of length {[len(row) for row in covariance.matrix]}, expected {m} rows of {m}",
+                         field="covariance.matrix")
+    matrix = np.array(covariance.matrix, dtype=float)
+    if not np.isfinite(matrix).all():
+        raise InputError("holds a number that is not finite", field="covariance.matrix")
+    variances = np.diag(matrix)
+    if (variances < 0).any():
+        raise InputError(f"variance {variances.min():g} on the diagonal is negative", field="covariance.matrix")
+    # A fixed parameter has a row of zeros. Rounding of a fit is far below 1e-9 of a correlation.
+    scale = np.sqrt(np.where(variances > 0, variances, 1.0))
+    correlation = matrix / scale[:, None] / scale[None, :]
+    if np.abs(correlation - correlation.T).max() > 1e-9:
+        raise InputError("is not symmetric", field="covariance.matrix")
+    if np.linalg.eigvalsh(correlation).min() < -1e-9:
+        raise InputError("is not positive semi-definite: some combination of the parameters has a negative variance",
+                         field="covariance.matrix")
+
+
+def _check_ranges(file: MaterialFile) -> None:
+    ranges = {f"valid_range.{name}": value for name, value in
+              (msgspec.structs.asdict(file.valid_range) if file.valid_range else {}).items() if value is not None}
+    if file.stability:
+        ranges["stability.stretch_range"] = file.stability.stretch_range
+    for field, (low, high) in ranges.items():
+        if low > high:
+            raise InputError(f"{low:g} to {high:g} runs backwards, expected [lowest, highest]", field=field)
+        if "stretch" in field and low <= 0:
+            raise InputError(f"{low:g} is not a stretch; stretches are above 0 (1 is undeformed)", field=field)

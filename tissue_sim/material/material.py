@@ -1,0 +1,176 @@
+"""A material: law, parameters, bulk response, and what time and loading history do to it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tissue_sim.errors import InputError
+from tissue_sim.frozen_mapping import read_only
+from tissue_sim.laws import Law, find_law
+from tissue_sim.material.layer import Layer
+from tissue_sim.material.puncture import Puncture
+from tissue_sim.material.softening import Softening
+from tissue_sim.material.viscoelasticity import MOST_TERMS, Poroelasticity, Prony
+
+#: K / mu0 inside which the finite elements are checked; 2.17 is a Poisson's ratio of 0.3.
+BULK_RATIOS = (2.0, 1e6)
+
+
+def incompressible_ratio(radius: float, height: float) -> float:
+    """K / mu0 that the finite elements use for a cylinder of a material stated as incompressible.
+
+    Compressibility costs force in proportion to (radius / height)^2 mu0 / K. With this ratio bonded compression loses
+    1e-5 at radius 40 and height 70 mm; flat specimens get the highest ratio that is checked, and lose 5e-5 at five
+    times as wide as high, 3e-4 at ten times.
+    """
+    return min(BULK_RATIOS[1], 1e5 * max(1.0, 3.0 * (radius / height) ** 2))
+
+
+@dataclass(frozen=True)
+class Bulk:
+    """Volumetric response U(J) = K/2 (J - 1)^2, stated in one of four ways.
+
+    Attributes:
+        kind: ``"K_Pa"``, ``"D1_per_Pa"`` (K = 2/D1), ``"bulk_ratio"`` (K/mu0) or ``"incompressible"``.
+        value: the number that goes with it; None for incompressible.
+    """
+
+    kind: str = "incompressible"
+    value: float | None = None
+
+    def __post_init__(self):
+        if self.kind not in ("K_Pa", "D1_per_Pa", "bulk_ratio", "incompressible"):
+            raise InputError(f"unknown bulk response {self.kind!r}; known: K_Pa, D1_per_Pa, bulk_ratio, incompressible",
+                             field="bulk")
+        if self.kind == "incompressible":
+            if self.value is not None:
+                raise InputError("an incompressible material takes no bulk value", field="bulk.incompressible")
+        elif self.value is None or not np.isfinite(self.value) or self.value <= 0:
+            raise InputError(f"{self.value} is not a positive number", field=f"bulk.{self.kind}")
+
+    def modulus(self, mu0: float) -> float:
+        """Bulk modulus in Pa for a material of initial shear modulus mu0; infinite for incompressible."""
+        match self.kind:
+            case "K_Pa":
+                return self.value
+            case "D1_per_Pa":
+                return 2.0 / self.value
+            case "bulk_ratio":
+                return self.value * mu0
+            case _:
+                return np.inf
+
+
+@dataclass(frozen=True)
+class Material:
+    """A strain-energy law with its parameters, its bulk response, and what is lost with time and loading.
+
+    Attributes:
+        law: name in `tissue_sim.laws.LAWS`.
+        parameters: name -> value, SI (Pa, or 1 for exponents); read-only after construction.
+        bulk: volumetric response; it does not relax and does not soften.
+        density: kg/m3, or None where nobody said.
+        name: for people.
+        viscoelastic: Prony series of the isochoric stress, which also says whether `parameters` are instantaneous or
+            long-term.
+        softening: on first load.
+        layers: from the top face down.
+        poroelasticity: drainage, with a time of each test's own.
+        puncture: under a needle.
+
+    Raises:
+        InputError: unknown law or parameter, parameters whose shear modulus at rest is not positive, or relaxing terms
+            and drainage that together are too many or leave nothing.
+    """
+
+    law: str
+    parameters: Mapping[str, float]
+    bulk: Bulk = field(default_factory=Bulk)
+    density: float | None = None
+    name: str = ""
+    viscoelastic: Prony | None = None
+    softening: Softening | None = None
+    layers: tuple[Layer, ...] = ()
+    poroelasticity: Poroelasticity | None = None
+    puncture: Puncture | None = None
+
+    def __post_init__(self):
+        object.__setattr__(self, "parameters", read_only(self.energy_law.as_mapping(self.parameters)))
+        object.__setattr__(self, "layers", tuple(self.layers))
+        if not self.mu0 > 0:
+            raise InputError(f"these parameters give a shear modulus of {self.mu0:g} Pa at rest; it must be positive",
+                             field="parameters")
+        if self.density is not None and not (np.isfinite(self.density) and self.density > 0):
+            raise InputError(f"{self.density} is not a positive density", field="density_kg_m3")
+        if self._drained > 0:
+            if self.viscoelastic is not None and len(self.viscoelastic.terms) == MOST_TERMS:
+                raise InputError(f"drainage takes one of the {MOST_TERMS} relaxing terms that a material may have; "
+                                 f"give {MOST_TERMS - 1} viscoelastic ones at most", field="poroelasticity")
+            if not self.mu_long_term > 0:
+                raise InputError("phi and the g of all viscoelastic terms add up to 1 or more; they must stay below 1, "
+                                 "or nothing carries a constant load", field="poroelasticity.phi")
+
+    @property
+    def energy_law(self) -> Law:
+        return find_law(self.law)
+
+    @property
+    def values(self) -> np.ndarray:
+        """Parameters in the order of the law, shape (m,)."""
+        return self.energy_law.as_array(self.parameters)
+
+    @property
+    def instantaneous_factor(self) -> float:
+        """Instantaneous stress over that of the law with `parameters`; 1 unless these are long-term."""
+        return 1.0 if self.viscoelastic is None else self.viscoelastic.instantaneous_factor
+
+    @property
+    def mu0(self) -> float:
+        """Initial shear modulus in instantaneous loading, Pa."""
+        return self.instantaneous_factor * self.energy_law.mu0(self.parameters)
+
+    @property
+    def mu_long_term(self) -> float:
+        """Initial shear modulus in very slow loading, Pa: all terms relaxed, pores drained."""
+        relaxing = 0.0 if self.viscoelastic is None else self.viscoelastic.relaxing
+        return self.mu0 * (1.0 - relaxing - self._drained)
+
+    @property
+    def E0(self) -> float:
+        """Initial Young's modulus in instantaneous loading, Pa: 9 K mu0 / (3 K + mu0); 3 mu0 if incompressible."""
+        return self._young(self.mu0)
+
+    @property
+    def E_long_term(self) -> float:
+        """Initial Young's modulus in very slow loading, Pa; the bulk modulus does not relax."""
+        return self._young(self.mu_long_term)
+
+    @property
+    def bulk_modulus(self) -> float:
+        """Bulk modulus K, Pa; infinite for an incompressible material. `bulk_ratio` is that to `mu0`."""
+        return self.bulk.modulus(self.mu0)
+
+    def relaxation(self, contact_radius: float) -> Prony | None:
+        """All that relaxes in a test with this contact radius (m): viscoelastic terms, then drainage.
+
+        Returns:
+            A series of instantaneous moduli, or None where nothing relaxes.
+
+        Raises:
+            InputError: drainage and a radius that is not positive and finite.
+        """
+        terms = () if self.viscoelastic is None else self.viscoelastic.terms
+        if self._drained > 0:
+            terms = (*terms, self.poroelasticity.term(contact_radius))
+        return Prony(terms) if terms else None
+
+    @property
+    def _drained(self) -> float:
+        return 0.0 if self.poroelasticity is None else self.poroelasticity.phi
+
+    def _young(self, mu: float) -> float:
+        K = self.bulk_modulus
+        return 3.0 * mu if np.isinf(K) else 9.0 * K * mu / (3.0 * K + mu)

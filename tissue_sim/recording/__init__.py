@@ -1,0 +1,1 @@
+"""Recordings: measured and simulated ones alike, and their files."""

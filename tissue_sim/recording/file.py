@@ -1,0 +1,217 @@
+"""Recordings as files: a CSV and, beside it, a JSON sidecar with everything that is not a column."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import inspect
+import io
+import json
+from collections.abc import Callable, Mapping
+from numbers import Real
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tissue_sim.atomic_write import write_bytes, write_text
+from tissue_sim.decode import as_json_types, read_json, require_writable
+from tissue_sim.errors import InputError, nearest
+from tissue_sim.recording.formats import SEVERAL, find_format, read_columns
+from tissue_sim.recording.recording import CHANNELS, LABELS, Recording
+from tissue_sim.units import to_si
+
+_FILE_UNITS = {"time": "s", "length": "mm", "force": "N", "torque": "Nm", "stress": "Pa", "ratio": "-",
+               "temperature": "degC"}
+_FORCE, _STRETCH, _SHEAR = ("displacement", "force"), ("stretch", "nominal stress"), ("shear strain", "nominal stress")
+#: Kind of test -> pairs of channels (motion, load), one of which its recordings must have; those of a rig first.
+KINDS: dict[str, tuple[tuple[str, str], ...]] = {
+    "lubricated_compression": (_FORCE, _STRETCH),
+    "bonded_compression": (_FORCE,),
+    "friction_compression": (_FORCE,),
+    "needle_indentation": (_FORCE,),
+    "uniaxial_tension": (_FORCE, _STRETCH),
+    "simple_shear": (_FORCE, _SHEAR),
+}
+
+
+def read_recording(path: str | Path, *, format: str = "native", columns: Mapping[str, Any] | None = None,
+                   skip_lines: int = 0, delimiter: str | None = None, speed: float | None = None,
+                   kind: str | None = None, **options) -> Recording:
+    """Read one replicate; SI inside.
+
+    Args:
+        path: the file. ``NAME.json`` beside ``NAME.csv`` is merged into the metadata.
+        format: name in `tissue_sim.recording.formats.FORMATS`.
+        columns: channel -> column, for any other CSV and for spreadsheets; see
+            `tissue_sim.recording.formats.read_columns`.
+        skip_lines: lines at the top that are not looked at; with `columns` only.
+        delimiter: one character between the cells; with `columns` only. None: found.
+        speed: m/s; makes the time from the displacement where the file has none.
+        kind: kind of test, such as ``"lubricated_compression"``: refuse a recording without the channels it needs.
+        options: what only some formats take: ``sheet`` of a spreadsheet; ``curve``, ``spring_constant`` and
+            ``sensitivity`` of an AFM file.
+
+    Returns:
+        The recording; its metadata always has ``name``, ``source`` and ``sha256``.
+
+    Raises:
+        InputError: anything wrong with the file, with its line where there is one.
+    """
+    path = Path(path)
+    reader = find_format(format)
+    if kind is not None and kind not in KINDS:
+        raise InputError(f"unknown kind of test {kind!r}{nearest(str(kind), KINDS)}", field="kind")
+    if columns is not None and format not in ("native", "xlsx"):
+        raise InputError(f"give either format = {format!r} or columns, not both", field="columns")
+    for key, value in (("skip_lines", skip_lines), ("delimiter", delimiter)):
+        if value and columns is None:
+            raise InputError(f"{key} counts only where columns are named; give columns too", field=key)
+    if columns is not None:
+        reader, options = read_columns, {"columns": columns, "skip_lines": skip_lines, "delimiter": delimiter} | options
+    _check_options(reader, options, format)
+    return _finish(reader(path, **options), path, speed, kind)
+
+
+def read_recordings(path: str | Path, *, format: str = "native", speed: float | None = None, kind: str | None = None,
+                    **options) -> tuple[Recording, ...]:
+    """All replicates that one file holds: the curves of an AFM file, one of any other; otherwise as `read_recording`.
+
+    Of several, each is called after the file and its number: ``cells_3``.
+    """
+    reader = SEVERAL.get(format)
+    if reader is None:
+        return (read_recording(path, format=format, speed=speed, kind=kind, **options),)
+    path = Path(path)
+    _check_options(reader, options, format)
+    recordings = tuple(_finish(each, path, speed, kind) for each in reader(path, **options))
+    if len(recordings) == 1:
+        return recordings
+    return tuple(each.with_metadata(name=f"{path.stem}_{number}") for number, each in enumerate(recordings, start=1))
+
+
+def _check_options(reader: Callable, options: Mapping[str, Any], format: str) -> None:
+    """Refuse options that the reader does not take."""
+    for key in options:
+        if key not in inspect.signature(reader).parameters:
+            raise InputError(f"files of format {format!r} have no {key}; leave it out", field=key)
+
+
+def _finish(recording: Recording, path: Path, speed: float | None, kind: str | None) -> Recording:
+    """With its channels checked, time from the speed, and name, source, SHA-256 and sidecar in the metadata."""
+    _require_channels(recording, kind, path)
+    if "time" not in recording and speed is not None:
+        recording = _with_time(recording, speed, path)
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    metadata = {"name": path.stem, **_read_sidecar(path, digest), "source": str(path), "sha256": digest}
+    return recording.with_metadata(**metadata)
+
+
+def write_recording(recording: Recording, path: str | Path) -> None:
+    """Write ``NAME.csv`` with every digit, and ``NAME.json`` with the metadata and the SHA-256 of the CSV.
+
+    Metadata ``source`` is left out: it is the place of another file.
+
+    Raises:
+        InputError: a name that does not end in ``.csv``, a label or metadata that a file cannot hold, a ``NAME.json``
+            that is no sidecar of a recording, or a place that cannot be written; nothing is written then.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".csv":
+        raise InputError("a recording is written as CSV; give a name that ends in .csv", file=path)
+    require_sidecar_place(path)
+    data = _as_csv(recording, path).encode("utf-8")
+    metadata = {key: value for key, value in recording.metadata.items() if key != "source"}
+    metadata["sha256"] = hashlib.sha256(data).hexdigest()
+    try:
+        metadata = as_json_types(metadata)
+        require_writable(metadata, "metadata")
+    except TypeError as error:
+        raise InputError(f"the metadata cannot be written as JSON ({error}); keep text, finite numbers, lists and maps",
+                         file=path, field="metadata") from error
+    except InputError as error:
+        raise error.located(file=path) from None
+    # A crash between the two leaves a sidecar whose SHA-256 does not match, which the reader reports.
+    write_bytes(path, data)
+    write_text(path.with_suffix(".json"), json.dumps(metadata, indent=2, ensure_ascii=False) + "\n")
+
+
+def require_sidecar_place(path: Path) -> None:
+    """Refuse to write the sidecar of ``NAME.csv`` over a ``NAME.json`` that is none: it holds no ``sha256``.
+
+    Raises:
+        InputError: such a file is there.
+    """
+    sidecar = path.with_suffix(".json")
+    if not sidecar.exists():
+        return
+    try:
+        found = read_json(sidecar, "the sidecar of a recording")
+    except InputError:
+        found = None
+    if not isinstance(found, dict) or "sha256" not in found:
+        raise InputError(f"is not the sidecar of a recording (it has no sha256), and {path.name} would replace it with "
+                         "its own; move it away or choose another name", file=sidecar)
+
+
+def _as_csv(recording: Recording, path: Path) -> str:
+    header, cells = [], []
+    for name in (name for name in CHANNELS if name in recording):
+        unit = _FILE_UNITS[CHANNELS[name]]
+        factor, offset = to_si(unit)
+        values = (recording.channel(name) - offset) / factor
+        if not np.isfinite(values).all():
+            raise InputError(f"a value does not fit a number in {unit}", file=path, field=name)
+        header.append(f"{name} [{unit}]")
+        cells.append(map(repr, values.tolist()))
+    for name in (name for name in LABELS if name in recording.labels):
+        labels = [str(label) for label in recording.labels[name].tolist()]
+        for label in labels:
+            if not label.isprintable() or label != label.strip():
+                raise InputError(f"label {label!r} has line breaks, control characters or blanks at its ends; expected "
+                                 "plain words", file=path, field=name)
+        header.append(name)
+        cells.append(labels)
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(zip(*cells, strict=True))
+    return stream.getvalue()
+
+
+def _read_sidecar(path: Path, digest: str) -> dict[str, Any]:
+    sidecar = path.with_suffix(".json")
+    if path.suffix.lower() != ".csv" or not sidecar.exists():
+        return {}
+    metadata = read_json(sidecar, f"the sidecar of {path.name} (JSON)")
+    if not isinstance(metadata, dict):
+        raise InputError(f"expected an object {{...}} with the metadata of {path.name}; mend or rename this file",
+                         file=sidecar)
+    if metadata.get("sha256", digest) != digest:
+        raise InputError(f"{path.name} was changed after it was recorded, expected the SHA-256 given here; restore "
+                         "it, or delete this key to accept the change", file=sidecar, field="sha256")
+    return metadata
+
+
+def _require_channels(recording: Recording, kind: str | None, path: Path) -> None:
+    has = ", ".join(recording.channels)
+    if kind is not None:
+        if not any(set(pair) <= set(recording.channels) for pair in KINDS[kind]):
+            needs = " or ".join(f"{motion!r} and {load!r}" for motion, load in KINDS[kind])
+            raise InputError(f"{kind} needs columns {needs}; this file has {has}", file=path)
+        return
+    for words, names in (("a motion", ("displacement", "stretch", "shear strain")),
+                         ("a load", ("force", "nominal stress"))):
+        if not any(name in recording for name in names):
+            raise InputError(f"the column with {words} is missing, expected {', '.join(names[:-1])} or {names[-1]}; "
+                             f"this file has {has}", file=path)
+
+
+def _with_time(recording: Recording, speed: float, path: Path) -> Recording:
+    if isinstance(speed, bool) or not isinstance(speed, Real) or not (np.isfinite(speed) and speed > 0):
+        raise InputError(f"{speed!r} is not a speed; give a positive number in m/s", field="speed")
+    if "displacement" not in recording:
+        raise InputError(f"a speed makes the time from the displacement, which this file lacks; it has "
+                         f"{', '.join(recording.channels)}", file=path, field="speed")
+    path_length = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(recording.displacement)))])
+    return recording.with_channels(time=path_length / speed)

@@ -1,0 +1,123 @@
+"""Where a table begins: the row that names its columns, or its first row of numbers."""
+
+from __future__ import annotations
+
+import difflib
+import io
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from tissue_sim.errors import InputError, nearest
+from tissue_sim.recording.formats.table import Row, is_number, split_rows
+from tissue_sim.units import split_header
+
+DELIMITERS = (",", ";", "\t")
+#: Without names a comma may be a decimal comma, so it is tried last.
+DELIMITERS_OF_NUMBERS = ("\t", ";", ",")
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows that are not blank: of a text split at `delimiter`, or of a sheet (None)."""
+
+    rows: Sequence[Row]
+    delimiter: str | None = None
+
+
+def text_tables(text: str, *, file: Path, skip_lines: int = 0,
+                delimiters: Sequence[str] = DELIMITERS) -> Iterator[Table]:
+    """The text split at each delimiter in turn; lines that are skipped keep the line numbers right."""
+    content = list(io.StringIO(text, newline=None))
+    kept = "\n" * min(skip_lines, len(content)) + "".join(content[skip_lines:])
+    for delimiter in delimiters:
+        yield Table(split_rows(kept, delimiter, file=file), delimiter)
+
+
+def find_header(tables: Iterable[Table], names: Sequence[str], *, file: Path) -> tuple[Table, Row, list[Row]]:
+    """The first table that has all the named columns, its header row and its data rows.
+
+    Raises:
+        InputError: no such row; names the missing column and the nearest one in the file.
+    """
+    closest, delimiters = None, []
+    for table in tables:
+        delimiters.append(table.delimiter)
+        for i, row in enumerate(table.rows):
+            # numpy.savetxt writes its header as a comment.
+            row = Row(row.line, (row.cells[0].lstrip("# "), *row.cells[1:]))
+            found = [matches(row.cells, name) for name in names]
+            if all(found):
+                for name, places in zip(names, found, strict=True):
+                    if len(places) > 1:
+                        raise InputError(f"column {name!r} appears twice; remove or rename one, or give its number as "
+                                         "column", file=file, line=row.line)
+                return table, Row(row.line, without_empty_end(row.cells)), _data(table.rows[i + 1:])
+            # The row that comes closest is the one to talk about: most matches, then a header right above numbers.
+            above_numbers = (i + 1 < len(table.rows) and _looks_like_data(table.rows[i + 1])
+                             and not _looks_like_data(row))
+            score = (sum(map(bool, found)), above_numbers, len(row.cells) if above_numbers else 0)
+            if closest is None or score > closest[0]:
+                closest = (score, row)
+    raise _missing(closest, names, file, delimiters)
+
+
+def find_numbers(tables: Iterable[Table], places: Sequence[int], *, file: Path) -> tuple[Table, Row, list[Row]]:
+    """The first table with a row that has a number in all `places` (from 0), that row, and it with all below it.
+
+    Raises:
+        InputError: no such row; names the columns.
+    """
+    for table in tables:
+        for i, row in enumerate(table.rows):
+            if all(place < len(row.cells) and is_number(row.cells[place]) for place in places):
+                return table, Row(row.line, without_empty_end(row.cells)), _data(table.rows[i:])
+    wanted = ", ".join(str(place + 1) for place in places)
+    raise InputError(f"no row has a number in each of the columns {wanted}; check the numbers of the columns",
+                     file=file)
+
+
+def matches(cells: Sequence[str], name: str) -> list[int]:
+    """Places of the cells that are `name`, or else of those that are `name` without their unit."""
+    def plain(text):
+        return " ".join(text.casefold().split())
+
+    exact = [i for i, cell in enumerate(cells) if plain(cell) == plain(name)]
+    return exact or [i for i, cell in enumerate(cells) if cell and plain(split_header(cell)[0]) == plain(name)]
+
+
+def without_empty_end(cells: tuple[str, ...]) -> tuple[str, ...]:
+    """The cells up to the last one that holds something."""
+    while cells and not cells[-1]:
+        cells = cells[:-1]
+    return cells
+
+
+def _data(rows: Sequence[Row]) -> list[Row]:
+    return [row for row in rows if not row.cells[0].startswith("#")]
+
+
+def _looks_like_data(row: Row) -> bool:
+    return all(is_number(cell) for cell in row.cells if cell)
+
+
+def _missing(closest, names, file, delimiters) -> InputError:
+    if closest is None:
+        return InputError(f"no lines are left, expected a header with {names[0]!r}; skip fewer lines", file=file)
+    (found, above_numbers, _), row = closest
+    missing = next(name for name in names if not matches(row.cells, name))
+    cells = [cell for cell in row.cells if cell and not is_number(cell)]
+    if found or (above_numbers and len(row.cells) > 1):
+        bare = {split_header(cell)[0].casefold(): cell for cell in cells}
+        close = difflib.get_close_matches(split_header(missing)[0].casefold(), bare, n=1)
+        if close:
+            hint = f"; did you mean {bare[close[0]]!r}?"
+        else:
+            hint = nearest(missing, cells) if cells else ": this row has numbers only; add a line with names above it"
+        return InputError(f"no column {missing!r}{hint}", file=file, line=row.line)
+    if None in delimiters:
+        return InputError(f"no row with the column {missing!r}, expected a header row above the numbers; where there "
+                          'is none, give columns by their place: { column = "C", unit = "mm" }', file=file)
+    cut = "commas, semicolons or tabs (or state the delimiter)" if len(delimiters) > 1 else repr(delimiters[0])
+    return InputError(f"no row with the column {missing!r}, expected a header line and cells separated by {cut}; where "
+                      'there is no header, give columns by their place: { column = 3, unit = "mm" }', file=file)

@@ -1,0 +1,57 @@
+"""Compression tests exported from an Instron 5900 as in the tissue phantom database of Dawood et al. (2026).
+
+Lines such as ``Cylinder Diameter: 50mm;``, then a header with Time, Compression, Load and derived columns. Compression
+and load are positive in compression. The derived strains and stresses are left: the header swaps their signs and, in
+the data set's README, their unit.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from tissue_sim.recording.formats.columns import read_columns
+from tissue_sim.recording.formats.header import find_header, text_tables
+from tissue_sim.recording.formats.table import is_number
+from tissue_sim.recording.formats.text import read_text
+from tissue_sim.recording.recording import Recording
+from tissue_sim.units import split_header, to_si
+
+COLUMNS = {"time": "Time", "displacement": "Compression", "force": "Load"}
+_PAIR = re.compile(r"^(?P<key>[^:]+):(?P<value>.*?)[;,\s]*$")
+_LENGTH = re.compile(r"^(?P<number>\d+(\.\d*)?)\s*(?P<unit>mm|cm|m)$")
+
+
+def read_instron(path: str | Path) -> Recording:
+    """Time, displacement and force; diameter, height, speed, machine and load cell go into the metadata.
+
+    Raises:
+        InputError: no header with Time, Compression and Load, or a bad cell; with file and line.
+    """
+    path = Path(path)
+    text = read_text(path, "an Instron export with the columns Time, Compression and Load")
+    _, header, _ = find_header(text_tables(text, file=path), list(COLUMNS.values()), file=path)
+    lines = [line.strip() for line in text.splitlines()[:header.line - 1] if line.strip(" ;,\t")]
+    return read_columns(path, COLUMNS, skip_lines=header.line - 1, metadata=_metadata(lines))
+
+
+def _metadata(lines: list[str]) -> dict:
+    pairs = {match["key"].strip().casefold(): match["value"].strip() for match in map(_PAIR.match, lines) if match}
+    metadata = {"format": "instron"}
+    if lines and not _PAIR.match(lines[0]):
+        metadata["title"] = lines[0].strip(" ;,")
+    specimen = {}
+    for key, name, share in (("cylinder diameter", "radius_mm", 0.5), ("cylinder height", "height_mm", 1.0)):
+        match = _LENGTH.match(pairs.get(key, ""))
+        if match:
+            # To whole nanometres: 25 mm must not become 25.000000000000004 mm.
+            specimen[name] = round(float(match["number"]) * to_si(match["unit"])[0] * 1e3 * share, 6)
+    if specimen:
+        metadata["specimen"] = {"shape": "cylinder", **specimen}
+    for key, value in pairs.items():
+        name, unit = split_header(key)
+        if name == "speed" and unit == "mm/min" and is_number(value):
+            metadata["speed_mm_s"] = float(value) / 60.0
+        elif name in ("machine", "load cell"):
+            metadata[name.replace(" ", "_")] = value
+    return metadata

@@ -1,0 +1,98 @@
+"""The native CSV: one header line with units, ``#`` comments, commas, decimal points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from tissue_sim.errors import InputError, nearest
+from tissue_sim.recording.formats.table import Column, Row, is_number, read_recording_table, split_rows
+from tissue_sim.recording.formats.text import read_text
+from tissue_sim.recording.recording import CHANNELS, LABELS, Recording
+from tissue_sim.units import split_header, to_si
+
+EXAMPLE = "time [s],displacement [mm],force [N]"
+_NAMES = {name.casefold(): name for name in (*CHANNELS, *LABELS)}
+
+
+def read_native(path: str | Path) -> Recording:
+    """A recording in the project's own CSV; see docs/recordings.md.
+
+    Raises:
+        InputError: unknown, repeated or unit-less column, wrong delimiter, or a bad cell; with file and line.
+    """
+    path = Path(path)
+    text = read_text(path, f"a recording with the header {EXAMPLE!r}")
+    return native_recording(split_rows(_without_comments(text), ",", file=path), path)
+
+
+def native_recording(rows: Sequence[Row], path: Path) -> Recording:
+    """The recording in rows of which the first is the header, whatever file they come from.
+
+    Raises:
+        InputError: as `read_native`.
+    """
+    if not rows:
+        raise InputError(f"holds only comments, expected the header {EXAMPLE!r}", file=path)
+    header, *data = rows
+    return read_recording_table(header, data, _columns(header, path), file=path)
+
+
+def _without_comments(text: str) -> str:
+    """Comment lines blanked, not removed, so that line numbers stay those of the file."""
+    return "\n".join("" if line.lstrip().startswith("#") else line
+                     for line in text.replace("\r\n", "\n").replace("\r", "\n").split("\n"))
+
+
+def _columns(header: Row, path: Path) -> list[Column]:
+    def refuse(problem):
+        return InputError(problem, file=path, line=header.line)
+
+    for delimiter, word in ((";", "semicolons"), ("\t", "tabs")):
+        if len(header.cells) == 1 and delimiter in header.cells[0]:
+            raise refuse(f"the columns are separated by {word}, expected commas; replace them, or name the columns "
+                         "with columns = {...}, which finds the delimiter")
+    if all(is_number(cell) for cell in header.cells if cell):
+        raise refuse(f"numbers where the header should be, expected a line such as {EXAMPLE!r} above them")
+    if not any(_channel(cell) for cell in header.cells) and len(header.cells) < 2:
+        raise refuse(f"no header of a recording, expected a line such as {EXAMPLE!r}; for a foreign file give its "
+                     "format or columns = {...}")
+    columns = []
+    for index, cell in enumerate(header.cells):
+        name, unit = split_header(cell)
+        channel = _channel(cell)
+        if channel is None:
+            raise refuse(f"unknown column {name!r}{nearest(name, _NAMES.values())}")
+        if channel in [column.channel for column in columns]:
+            raise refuse(f"column {channel!r} appears twice; remove or rename one")
+        try:
+            columns.append(Column(channel, index, cell, *_conversion(channel, unit)))
+        except InputError as error:
+            raise refuse(f"column {cell!r}: {error.problem}") from None
+    return columns
+
+
+def _channel(cell: str) -> str | None:
+    name, _ = split_header(cell)
+    return _NAMES.get(" ".join(name.casefold().replace("_", " ").split()))
+
+
+def _conversion(channel: str, unit: str | None) -> tuple[float, float]:
+    if channel in LABELS:
+        return (1.0, 0.0) if unit is None else to_si(unit, "ratio")
+    return conversion(channel, unit)
+
+
+def conversion(channel: str, unit: str | None) -> tuple[float, float]:
+    """Factor and offset to SI for a channel; a ratio may stand without a unit.
+
+    Raises:
+        InputError: no unit, an unknown one, or one of another quantity.
+    """
+    quantity = CHANNELS[channel]
+    if unit is None and quantity == "ratio":
+        unit = "-"
+    if unit is None:
+        example = {"time": "s", "length": "mm", "force": "N", "torque": "Nm", "stress": "kPa", "temperature": "degC"}
+        raise InputError(f"the unit is missing, expected a {quantity} such as [{example[quantity]}]")
+    return to_si(unit, quantity)

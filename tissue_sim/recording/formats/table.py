@@ -1,0 +1,167 @@
+"""Delimited text: rows with their line numbers, and columns of numbers in SI."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tissue_sim.errors import InputError
+from tissue_sim.recording.recording import LABELS, MIN_POINTS, Recording
+
+
+@dataclass(frozen=True)
+class Row:
+    """Cells of one line, stripped of blanks; `line` is 1-based."""
+
+    line: int
+    cells: tuple[str, ...]
+
+    @property
+    def blank(self) -> bool:
+        return not any(self.cells)
+
+
+@dataclass(frozen=True)
+class Column:
+    """Where a channel or label stands and how its numbers become SI: value * factor + offset."""
+
+    channel: str
+    index: int
+    header: str
+    factor: float = 1.0
+    offset: float = 0.0
+
+
+def split_rows(text: str, delimiter: str, *, file: Path) -> list[Row]:
+    """Every line that is not blank, split at `delimiter` with the quoting of RFC 4180; a blank means any number."""
+    line = 0
+
+    def lines():
+        nonlocal line
+        for content in io.StringIO(text, newline=None):
+            line += 1
+            yield " ".join(content.split()) + "\n" if delimiter == " " else content
+
+    rows = []
+    reader = csv.reader(lines(), delimiter=delimiter, skipinitialspace=delimiter != " ")
+    while True:
+        start = line + 1
+        try:
+            cells = next(reader)
+        except StopIteration:
+            return rows
+        except csv.Error as error:
+            raise InputError(f"cannot be split into cells ({error}); expected a table with one row a line",
+                             file=file, line=start) from None
+        if line > start:
+            raise InputError("a quoted cell runs over the end of the line; close its quotation mark",
+                             file=file, line=start)
+        row = Row(start, tuple(cell.strip() for cell in cells))
+        if not row.blank:
+            rows.append(row)
+
+
+def is_number(cell: str) -> bool:
+    """Whether a cell is a number, with a decimal point or a decimal comma."""
+    try:
+        float(cell.replace(",", "."))
+    except ValueError:
+        return False
+    return True
+
+
+def read_recording_table(header: Row, rows: Sequence[Row], columns: Sequence[Column], *, file: Path,
+                         delimiter: str = ",", metadata: Mapping[str, Any] | None = None) -> Recording:
+    """The recording in `columns` of the data rows.
+
+    Decimal commas are read where the delimiter is not a comma and no cell in use has a decimal point.
+
+    Raises:
+        InputError: a row of another length than the header, a cell that is not a finite number, time running
+            backwards, fewer than `MIN_POINTS` rows; with file and line.
+    """
+    width = len(header.cells)
+    for row in rows:
+        # Loggers end their lines with the delimiter: empty cells behind the last column carry nothing.
+        if len(row.cells) < width or any(row.cells[width:]):
+            raise InputError(f"{_count(len(row.cells), 'cell')}, expected {width} as on line {header.line}",
+                             file=file, line=row.line)
+    if len(rows) < MIN_POINTS:
+        raise InputError(f"{_count(len(rows), 'point')} in the table on line {header.line}, expected at least "
+                         f"{MIN_POINTS}", file=file)
+    numeric = [column for column in columns if column.channel not in LABELS]
+    decimal_comma = delimiter != "," and _decimal_comma(rows, numeric, file)
+    values = _numbers(rows, numeric, decimal_comma, file)
+    channels = {column.channel: values[:, i] * column.factor + column.offset for i, column in enumerate(numeric)}
+    if "time" in channels:
+        back = np.flatnonzero(np.diff(channels["time"]) < 0)
+        if back.size:
+            column = next(column for column in numeric if column.channel == "time")
+            before, after = (rows[i].cells[column.index] for i in (back[0], back[0] + 1))
+            raise InputError(f"time runs backwards from {before} to {after} in column {column.header!r}, expected "
+                             "times that never fall", file=file, line=rows[back[0] + 1].line)
+    labels = {column.channel: _labels(rows, column, file) for column in columns if column.channel in LABELS}
+    return Recording(channels, labels, metadata or {})
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def _decimal_comma(rows, columns, file) -> bool:
+    first = {}
+    for row in rows:
+        for cell in (row.cells[column.index] for column in columns):
+            marks = [mark for mark in ",." if mark in cell]
+            if len(marks) == 2:
+                raise InputError(f"{cell!r} has a decimal point and a comma, expected one of them and no thousands "
+                                 "separators", file=file, line=row.line)
+            for mark in marks:
+                first.setdefault(mark, (row.line, cell))
+        if len(first) == 2:
+            (_, earlier), (line, later) = sorted(first.values())
+            raise InputError(f"{later!r} after {earlier!r} mixes decimal points and decimal commas, expected one of "
+                             "them", file=file, line=line)
+    return "," in first
+
+
+def _number(cell: str, decimal_comma: bool) -> float:
+    # float() also takes 1_000 and non-Latin digits, which are typing errors in a table.
+    if "_" in cell or not cell.isascii():
+        return math.nan
+    try:
+        return float(cell.replace(",", ".", 1) if decimal_comma else cell)
+    except ValueError:
+        return math.nan
+
+
+def _numbers(rows, columns, decimal_comma, file) -> np.ndarray:
+    """Numbers as they stand in the file, shape (rows, columns)."""
+    values = np.empty((len(rows), len(columns)))
+    for i, row in enumerate(rows):
+        for j, column in enumerate(columns):
+            cell = row.cells[column.index]
+            values[i, j] = number = _number(cell, decimal_comma)
+            if not math.isfinite(number):
+                found = f"holds {cell[:40]!r}" if cell else "is empty"
+                raise InputError(f"column {column.header!r} {found}, expected a finite number",
+                                 file=file, line=row.line)
+    return values
+
+
+def _labels(rows, column, file) -> np.ndarray:
+    cells = [row.cells[column.index] for row in rows]
+    if column.channel == "segment":
+        return np.array(cells, dtype=str)
+    for row, cell in zip(rows, cells, strict=True):
+        if not (cell.isascii() and cell.removeprefix("-").isdigit() and len(cell) <= 18):
+            raise InputError(f"column {column.header!r} holds {cell[:40]!r}, expected a whole number",
+                             file=file, line=row.line)
+    return np.array([int(cell) for cell in cells], dtype=np.int64)

@@ -1,0 +1,39 @@
+"""Spreadsheets: a sheet with the native header, or with chosen columns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from tissue_sim.recording.formats.columns import read_columns
+from tissue_sim.recording.formats.native import native_recording
+from tissue_sim.recording.formats.table import Row
+from tissue_sim.recording.formats.workbook import read_sheet
+from tissue_sim.recording.recording import Recording
+
+
+def read_xlsx(path: str | Path, *, columns: Mapping[str, Any] | None = None, sheet: str | int | None = None,
+              skip_lines: int = 0) -> Recording:
+    """A recording from a sheet of an xlsx file.
+
+    Args:
+        path: the file.
+        columns: as in `tissue_sim.recording.formats.read_columns`. None: the sheet's first row is a native header,
+            such as ``time [s]``, ``displacement [mm]``, ``force [N]``, each in a cell.
+        sheet: name or number (from 1). None: the only sheet that holds anything.
+        skip_lines: rows at the top that are not looked at; with `columns` only.
+
+    Raises:
+        InputError: no spreadsheet, sheet or column of that name, or a bad cell; with file, sheet and row. The extra
+            ``formats`` is not installed.
+    """
+    if columns is not None:
+        return read_columns(path, columns, sheet=sheet, skip_lines=skip_lines)
+    found = read_sheet(Path(path), sheet)
+    with found.located():
+        rows = [row for row in found.rows if not row.cells[0].startswith("#")]
+        # Cells beside the table, in columns without a name, are not part of it.
+        named = [i for i, cell in enumerate(rows[0].cells) if cell] if rows else []
+        table = [Row(row.line, tuple(row.cells[i] if i < len(row.cells) else "" for i in named)) for row in rows]
+        return native_recording([row for row in table if not row.blank], found.file)

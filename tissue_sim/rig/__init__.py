@@ -1,0 +1,1 @@
+"""The rig: what stands between the tissue and the numbers."""
