@@ -20,7 +20,7 @@ from haptics.wire import (
     encode_request,
 )
 from tissue_sim.errors import InputError
-from tissue_sim.tool_force import Pose
+from tissue_sim.pose import Pose
 
 
 class TissueClient:

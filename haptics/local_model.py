@@ -6,7 +6,8 @@ import math
 from dataclasses import dataclass
 
 from tissue_sim.errors import InputError
-from tissue_sim.tool_force import ForceStatus, Pose, Tissue, ToolForce, depth_of
+from tissue_sim.pose import Pose
+from tissue_sim.tool_force import ForceStatus, Tissue, ToolForce, depth_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,4 +178,4 @@ class LocalModelBlend:
             self.offset = self._force - model.evaluate(self._depth)
 
     def _answer(self, status: ForceStatus) -> ToolForce:
-        return ToolForce(self._force, self._model.stiffness, status, age=self.age, depth=self._model.depth)
+        return ToolForce.axial(self._force, self._model.stiffness, status, age=self.age, depth=self._model.depth)

@@ -19,7 +19,8 @@ from haptics.wire import (
     encode_reply,
 )
 from tissue_sim.errors import InputError
-from tissue_sim.tool_force import ForceStatus, Pose, Tissue, ToolForce
+from tissue_sim.pose import Pose
+from tissue_sim.tool_force import ForceStatus, Tissue, ToolForce
 
 #: A plain number: flags of an enumeration cost a microsecond to compare.
 _RESET = int(RequestFlags.RESET)
@@ -108,7 +109,7 @@ class StepService:
         self.counters = Counters()
         self._owner: _Owner | None = None
         self._newest: Request | None = None
-        self._last = ToolForce(0.0, 0.0, ForceStatus.CONVERGED)
+        self._last = ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
 
     @property
     def owner(self) -> Hashable | None:
@@ -183,7 +184,7 @@ class StepService:
 
     def begin_anew(self) -> None:
         """The tissue was changed from elsewhere: the next step has no time step."""
-        self._last = ToolForce(0.0, 0.0, ForceStatus.CONVERGED)
+        self._last = ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
         if self._owner is not None:
             self._owner.time = None
 

@@ -22,7 +22,7 @@ _HOMES = {
     "MaterialFile": "material.file", "load_material": "material.file", "read_material_file": "material.file",
     "write_material_file": "material.file",
     "Sensitivities": "differentiation", "sensitivities": "differentiation",
-    "ForceStatus": "tool_force", "Pose": "tool_force", "ToolForce": "tool_force",
+    "ForceStatus": "tool_force", "Pose": "pose", "ToolForce": "tool_force",
     "Simulator": "simulator", "SimulatorState": "simulator", "DeformedSurface": "fem.axisymmetric.surface",
     "Snapshot": "snapshot",
     "simulate": "simulation", "Fields": "fem.axisymmetric.fields",

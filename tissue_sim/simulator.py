@@ -16,8 +16,9 @@ from tissue_sim.material.material import Material
 from tissue_sim.material.parameters import with_parameters
 from tissue_sim.material.puncture import PunctureHistory
 from tissue_sim.mesh import Mesh
+from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot, snapshot
-from tissue_sim.tool_force import ForceStatus, Pose, ToolForce, depth_of
+from tissue_sim.tool_force import ForceStatus, ToolForce, depth_of
 
 #: Unbalanced over balanced forces at which an equilibrium is one.
 TOLERANCE = 1e-6
@@ -101,7 +102,7 @@ class Simulator:
         self._puncture = PunctureHistory(model.puncture)
         # Wall time of a linear solve with all that belongs to it, s.
         self._solve_time = 1e-9
-        self._answer = ToolForce(0.0, 0.0, ForceStatus.CONVERGED)
+        self._answer = ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
         # Of the last equilibrium: force, stiffness, whether mass counted; and the last stiffness without it.
         self._equilibrium, self._elastic = (0.0, 0.0, False), 0.0
         # Where the tool is said to be; whether it has touched the tissue; time since the last equilibrium, and since
@@ -154,7 +155,7 @@ class Simulator:
         if not self._touched:
             if depth < 0.0:
                 # In the air, and the tissue rests as it was.
-                self._answer = ToolForce(0.0, 0.0, ForceStatus.CONVERGED, depth=depth,
+                self._answer = ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED, depth=depth,
                                          compute_time=time.perf_counter() - began)
                 return self._answer
             self._touched = True
@@ -220,7 +221,7 @@ class Simulator:
             force += stiffness * (depth - solver.depth)
             if not self._pulls:
                 force = max(force, 0.0)
-        return ToolForce(force, stiffness, status, solves, residual, time.perf_counter() - began, inertial,
+        return ToolForce.axial(force, stiffness, status, solves, residual, time.perf_counter() - began, inertial,
                          self._waiting, solver.depth)
 
     def _take(self, step: Step, inertial: bool) -> None:

@@ -1,4 +1,4 @@
-"""What a real-time step answers: the force on the tool, and how far it can be believed."""
+"""What a real-time step answers: the wrench on the tool, and how far it can be believed."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Protocol
 
-from tissue_sim.errors import InputError
+from tissue_sim.pose import Pose, Screw, Vector
 
-_NONE = (0.0,) * 6
-#: How far the length of a quaternion may be from 1.
-_UNIT = 1e-6
+#: Six by six, row by row.
+Matrix = tuple[Screw, Screw, Screw, Screw, Screw, Screw]
+_NONE: Screw = (0.0,) * 6
+_AT_THE_TOUCH = Pose((0.0, 0.0, 0.0))
 
 
 class ForceStatus(IntEnum):
@@ -36,76 +37,71 @@ class ForceStatus(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Pose:
-    """Where the tool is, in the frame of the scene: origin at the centre of the undeformed top, z out of the tissue.
-
-    Attributes:
-        position: x, y, z, m.
-        orientation: unit quaternion (w, x, y, z).
-
-    Raises:
-        InputError: a quaternion that has no length of 1.
-    """
-
-    position: tuple[float, float, float]
-    orientation: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
-
-    def __post_init__(self):
-        # A NaN passes here: it is the simulator that refuses a pose and keeps its state.
-        length = math.sqrt(sum(part * part for part in self.orientation))
-        if abs(length - 1.0) > _UNIT:
-            raise InputError(f"the quaternion (w, x, y, z) has length {length:.6g}; give a unit quaternion",
-                             field="orientation")
-
-    @property
-    def depth(self) -> float:
-        """How far the tool is pushed in, m."""
-        return -self.position[2]
-
-
-@dataclass(frozen=True, slots=True)
 class ToolForce:
     """The answer to one step.
 
     Attributes:
-        force: on the tool along z, N, positive when the tissue pushes back.
-        stiffness: dF/dd, N/m: how the force grows with depth at once, within this step.
+        wrench: force, then torque about the tool's deepest point, on the tool, in the frame of the scene, N and N m.
+        stiffness_matrix: minus the derivative of the wrench with (position, rotation vector), 6 x 6, N/m, N, N m: how
+            it grows as the tool moves against it at once, within this step. A tissue that resists has positive entries
+            on the diagonal.
         status: how far to believe them.
         iterations: linear solves of this step.
         residual: unbalanced over balanced forces of the last equilibrium that was looked for.
         compute_time: wall time of the step, s.
         inertial: whether the mass of the tissue was taken into account.
         age: time since the last equilibrium, s; 0 where this one is.
-        depth: tool displacement of that last equilibrium, m.
+        pose: of the tool at that last equilibrium.
     """
 
-    force: float
-    stiffness: float
+    wrench: Screw
+    stiffness_matrix: Matrix
     status: ForceStatus
     iterations: int = 0
     residual: float = 0.0
     compute_time: float = 0.0
     inertial: bool = False
     age: float = 0.0
-    depth: float = 0.0
+    pose: Pose = _AT_THE_TOUCH
+
+    @classmethod
+    def axial(cls, force: float, stiffness: float, status: ForceStatus, iterations: int = 0, residual: float = 0.0,
+              compute_time: float = 0.0, inertial: bool = False, age: float = 0.0, depth: float = 0.0) -> ToolForce:
+        """Of a scene that knows the motion along z only: force, N, stiffness, N/m, and depth, m, of the last
+        equilibrium."""
+        return cls((0.0, 0.0, force, 0.0, 0.0, 0.0),
+                   (_NONE, _NONE, (0.0, 0.0, stiffness, 0.0, 0.0, 0.0), _NONE, _NONE, _NONE),
+                   status, iterations, residual, compute_time, inertial, age, Pose.at_depth(depth))
 
     @property
-    def force_vector(self) -> tuple[float, float, float]:
+    def force(self) -> float:
+        """On the tool along z, N, positive when the tissue pushes back."""
+        return self.wrench[2]
+
+    @property
+    def stiffness(self) -> float:
+        """How the force along z grows with depth, N/m."""
+        return self.stiffness_matrix[2][2]
+
+    @property
+    def depth(self) -> float:
+        """Tool displacement of the last equilibrium, m."""
+        return self.pose.depth
+
+    @property
+    def force_vector(self) -> Vector:
         """Force on the tool, N."""
-        return (0.0, 0.0, self.force)
+        return self.wrench[:3]
 
     @property
-    def torque_vector(self) -> tuple[float, float, float]:
-        """Torque on the tool about its tip, N m; none in an axisymmetric scene."""
-        return (0.0, 0.0, 0.0)
+    def torque_vector(self) -> Vector:
+        """Torque on the tool about its deepest point, N m."""
+        return self.wrench[3:]
 
     @property
-    def stiffness_matrix(self) -> tuple[tuple[float, ...], ...]:
-        """Minus the derivative of (force, torque) with (position, rotation vector), 6 x 6, N/m, N, N m.
-
-        A tissue that resists has positive entries on the diagonal; an axisymmetric scene only that of z.
-        """
-        return (_NONE, _NONE, (0.0, 0.0, self.stiffness, 0.0, 0.0, 0.0), _NONE, _NONE, _NONE)
+    def is_finite(self) -> bool:
+        """Whether wrench and stiffness are numbers."""
+        return math.isfinite(sum(self.wrench) + sum(map(sum, self.stiffness_matrix)))
 
 
 class Tissue(Protocol):
@@ -118,3 +114,8 @@ class Tissue(Protocol):
 def depth_of(pose: float | Pose) -> float:
     """Depth of a pose, or the depth that was given, m."""
     return pose.depth if isinstance(pose, Pose) else float(pose)
+
+
+def pose_of(pose: float | Pose) -> Pose:
+    """The pose, or that at the depth, m, which was given."""
+    return pose if isinstance(pose, Pose) else Pose.at_depth(float(pose))

@@ -34,7 +34,7 @@ class Spring:
     def step(self, depth, dt):
         self.steps.append((depth, dt))
         inside = depth > 0
-        return ToolForce(self.stiffness * depth if inside else 0.0, self.stiffness if inside else 0.0,
+        return ToolForce.axial(self.stiffness * depth if inside else 0.0, self.stiffness if inside else 0.0,
                          ForceStatus.CONVERGED, iterations=1, residual=1e-9, inertial=True)
 
     def reset(self):

@@ -12,7 +12,8 @@ import pytest
 import tissue_sim as ts
 from haptics.server import TissueServer
 from haptics.wire import Reply, Request, decode_request, encode_reply, encode_request
-from tissue_sim.tool_force import ForceStatus, Pose, ToolForce
+from tissue_sim.pose import Pose
+from tissue_sim.tool_force import ForceStatus, ToolForce
 
 COMPILER = shutil.which("gcc") or shutil.which("cc") or shutil.which("clang")
 CPLUSPLUS = shutil.which("g++") or shutil.which("clang++")
@@ -39,7 +40,7 @@ class Gel:
         self.pull = (self.pull + 300.0 * (pose.depth - self.depth)) * math.exp(-dt / 0.05)
         self.depth = pose.depth
         force = 800.0 * pose.depth * (1.0 + 40.0 * pose.depth) + self.pull + 0.5 * speed
-        return ToolForce(force, 800.0, ForceStatus.CONVERGED)
+        return ToolForce.axial(force, 800.0, ForceStatus.CONVERGED)
 
 
 @contextmanager

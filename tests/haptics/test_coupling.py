@@ -28,7 +28,7 @@ class Load:
         motion = depth - self.last
         force = self.stiffness * depth + self.mass * (motion - self.motion) / dt**2
         self.last, self.motion = depth, motion
-        return ToolForce(force, self.stiffness + self.mass / dt**2, ForceStatus.CONVERGED,
+        return ToolForce.axial(force, self.stiffness + self.mass / dt**2, ForceStatus.CONVERGED,
                          inertial=self.says_inertial and self.mass > 0)
 
 
@@ -133,7 +133,7 @@ def test_at_rest_coupling_and_tissue_balance():
     coupling, answer = VirtualCoupling(1000.0, 1.0), None
     for _ in range(200):
         depth = coupling.step(5e-3, answer, TICK) if answer else coupling.step(0.0, None, TICK)
-        answer = ToolForce(400 * depth + 1e7 * depth**3, 400 + 3e7 * depth**2, ForceStatus.CONVERGED)
+        answer = ToolForce.axial(400 * depth + 1e7 * depth**3, 400 + 3e7 * depth**2, ForceStatus.CONVERGED)
     assert 1000 * (5e-3 - coupling.depth) == pytest.approx(answer.force, rel=1e-9)
     assert coupling.force == pytest.approx(answer.force, rel=1e-9)
 
@@ -166,7 +166,7 @@ def test_limit_of_a_proxy_that_does_not_know_of_the_mass(part, stable):
 def test_proxy_stays_while_there_is_no_answer():
     coupling = VirtualCoupling(1000.0, 1.0)
     # Put at the device first, whatever a tissue said about another place.
-    assert coupling.step(2e-3, ToolForce(1.0, 500.0, ForceStatus.CONVERGED), TICK) == 2e-3
+    assert coupling.step(2e-3, ToolForce.axial(1.0, 500.0, ForceStatus.CONVERGED), TICK) == 2e-3
     assert coupling.step(3e-3, None, TICK) == 2e-3
     assert coupling.force == pytest.approx(1000 * 1e-3 + 1.0 * 1.0)
     coupling.step(3e-3, None, TICK)
@@ -185,11 +185,11 @@ def test_the_damper_counts_what_it_takes():
 
 def test_tissue_that_softens_does_not_throw_the_proxy():
     """A negative stiffness, as at the onset of puncture, smaller than that of the coupling."""
-    coupling, answer = VirtualCoupling(1000.0), ToolForce(0.0, 0.0, ForceStatus.CONVERGED)
+    coupling, answer = VirtualCoupling(1000.0), ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
     coupling.step(0.0, None, TICK)
     for _ in range(400):
         depth = coupling.step(4e-3, answer, TICK)
-        answer = ToolForce(2.0 - 400 * depth, -400.0, ForceStatus.CONVERGED)
+        answer = ToolForce.axial(2.0 - 400 * depth, -400.0, ForceStatus.CONVERGED)
     assert depth == pytest.approx((4.0 - 2.0) / 600.0)
 
 
@@ -197,7 +197,7 @@ def test_tissue_that_gives_way_faster_than_the_coupling_lets_the_tool_through():
     """Puncture: from 2 N to nothing in 0.5 mm, 4 times as steep as the coupling."""
     def tissue(depth):
         fallen = 2.0 - 4000 * max(depth - 2e-3, 0.0)
-        return ToolForce(max(min(1000 * depth, fallen), 0.0), 1000.0 if depth < 2e-3 else -4000.0 * (fallen > 0),
+        return ToolForce.axial(max(min(1000 * depth, fallen), 0.0), 1000.0 if depth < 2e-3 else -4000.0 * (fallen > 0),
                          ForceStatus.CONVERGED)
 
     coupling, answer, path = VirtualCoupling(1000.0), None, []

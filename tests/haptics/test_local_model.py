@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from haptics.local_model import LocalModel, LocalModelBlend, SlowSolver
 from tissue_sim import InputError
-from tissue_sim.tool_force import ForceStatus, Pose, ToolForce
+from tissue_sim.pose import Pose
+from tissue_sim.tool_force import ForceStatus, ToolForce
 
 DT = 1e-3
 JUMP = 0.02
@@ -27,7 +28,7 @@ class Stiffening:
 
     def step(self, depth, dt):
         depth = depth.depth if isinstance(depth, Pose) else depth
-        return ToolForce(self.force(depth), 400.0 + 18e6 * depth**2, self.status)
+        return ToolForce.axial(self.force(depth), 400.0 + 18e6 * depth**2, self.status)
 
 
 depths = st.floats(-0.02, 0.02)
@@ -205,10 +206,10 @@ def test_error_estimate_is_that_of_the_last_models():
 
 def test_solver_without_equilibrium_keeps_its_time_and_error():
     class Stuck:
-        answers = iter([ToolForce(1.0, 100.0, ForceStatus.CONVERGED),
-                        ToolForce(1.1, 100.0, ForceStatus.STOPPED, age=0.05, depth=1e-3),
-                        ToolForce(math.nan, 100.0, ForceStatus.CONVERGED),
-                        ToolForce(1.1, 100.0, ForceStatus.REFUSED)])
+        answers = iter([ToolForce.axial(1.0, 100.0, ForceStatus.CONVERGED),
+                        ToolForce.axial(1.1, 100.0, ForceStatus.STOPPED, age=0.05, depth=1e-3),
+                        ToolForce.axial(math.nan, 100.0, ForceStatus.CONVERGED),
+                        ToolForce.axial(1.1, 100.0, ForceStatus.REFUSED)])
 
         def step(self, depth, dt):
             return next(self.answers)

@@ -117,7 +117,7 @@ def test_statuses_and_limits_are_counted_and_shown(run, tissues):
         def step(self, depth, dt):
             answer = super().step(depth, dt)
             status = ForceStatus.LATE if len(self.steps) % 4 == 0 else ForceStatus.CONVERGED
-            return ToolForce(answer.force, answer.stiffness, status, 3, 1e-3, age=0.25)
+            return ToolForce.axial(answer.force, answer.stiffness, status, 3, 1e-3, age=0.25)
 
     report, ticks, _ = run(Doubtful(), 0.4, force=1.0)
     assert report.statuses == {"converged": 300, "late": 100, "stopped": 0, "refused": 0}
@@ -211,7 +211,7 @@ def test_another_source_can_begin_anew(run, tissues):
 def test_a_tissue_without_the_ability_says_so(run, tissues):
     class Plain:
         def step(self, depth, dt):
-            return ToolForce(0.0, 0.0, ForceStatus.CONVERGED)
+            return ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
 
         surface = tissues.Spring(0.0).surface
         steps = ()

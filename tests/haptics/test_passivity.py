@@ -49,7 +49,7 @@ def test_elastic_tissue_behind_a_coupling_gives_back_at_most_a_thousandth_more(s
     for depth in closed_motion(seed):
         proxy = coupling.step(depth, answer, TICK)
         tangent = 400.0 + 18e6 * proxy**2 if proxy > 0 else 0.0
-        answer = ToolForce(stiffening(proxy), tangent, ForceStatus.CONVERGED)
+        answer = ToolForce.axial(stiffening(proxy), tangent, ForceStatus.CONVERGED)
         observer.observe(coupling.force, depth)
     assert -observer.energy <= 1e-3 * observer.energy_in
     assert not observer.is_active
@@ -60,7 +60,7 @@ def held_energy(coupling, tissue, path):
     observer, answer = PassivityObserver(held=True), None
     for depth in path:
         proxy = coupling.step(depth, answer, TICK)
-        answer = ToolForce(tissue * proxy, tissue, ForceStatus.CONVERGED)
+        answer = ToolForce.axial(tissue * proxy, tissue, ForceStatus.CONVERGED)
         observer.observe(coupling.force, depth)
     return observer.energy
 

@@ -26,7 +26,7 @@ class Spring:
 
     def step(self, depth, dt):
         self.depths.append(depth)
-        return ToolForce(self.stiffness * depth, self.stiffness, self.status)
+        return ToolForce.axial(self.stiffness * depth, self.stiffness, self.status)
 
 
 def run(rendering, tissue, depths):
@@ -89,9 +89,9 @@ def test_a_pose_that_stays_away_takes_the_force_away(coupling):
 
 
 @pytest.mark.parametrize("coupled", [False, True])
-@pytest.mark.parametrize("bad", [ToolForce(9.0, 500.0, ForceStatus.REFUSED),
-                                 ToolForce(math.nan, 500.0, ForceStatus.CONVERGED),
-                                 ToolForce(9.0, math.inf, ForceStatus.LATE)])
+@pytest.mark.parametrize("bad", [ToolForce.axial(9.0, 500.0, ForceStatus.REFUSED),
+                                 ToolForce.axial(math.nan, 500.0, ForceStatus.CONVERGED),
+                                 ToolForce.axial(9.0, math.inf, ForceStatus.LATE)])
 def test_an_answer_that_cannot_be_believed_changes_nothing(bad, coupled):
     """Force and proxy stay for as long as the watchdog waits."""
     rendering = ForceRendering(generous(), VirtualCoupling(1500.0, 1.0) if coupled else None)
@@ -121,7 +121,7 @@ def test_whatever_comes_the_hand_is_safe(path, coupled, damping):
     last = 0.0
     for depth, (force, stiffness, status, inertial), dt in path:
         rendering.depth_for(depth, dt)
-        rendered = rendering.render(ToolForce(force, stiffness, status, inertial=inertial), dt)
+        rendered = rendering.render(ToolForce.axial(force, stiffness, status, inertial=inertial), dt)
         assert abs(rendered.force) <= 5.0
         assert abs(rendered.force - last) <= 0.1 + 1e-12
         last = rendered.force
@@ -133,7 +133,7 @@ def test_a_sound_tissue_is_felt_again_after_anything(path, coupled):
     rendering = ForceRendering(ForceLimits(5.0, 0.1), VirtualCoupling(2000.0, 1.0) if coupled else None)
     for depth, (force, stiffness, status, inertial), dt in path:
         rendering.depth_for(depth, dt)
-        rendering.render(ToolForce(force, stiffness, status, inertial=inertial), dt)
+        rendering.render(ToolForce.axial(force, stiffness, status, inertial=inertial), dt)
     rendered = run(rendering, Spring(500.0), [2e-3] * 1500)
     assert rendered[-1].force == pytest.approx(1.0 if not coupled else 2e-3 * 400.0)
     assert not rendered[-1].lost_pose and not rendered[-1].limited
@@ -166,7 +166,7 @@ def test_a_tissue_that_gives_more_than_it_took_is_seen_and_can_be_damped():
         for tick in range(1001):
             depth = 2e-3 * (1 - math.cos(2 * math.pi * 4 * tick * DT))
             late.append(stiffness * rendering.depth_for(depth, DT))
-            rendered = rendering.render(ToolForce(late.pop(0), stiffness, ForceStatus.LATE), DT)
+            rendered = rendering.render(ToolForce.axial(late.pop(0), stiffness, ForceStatus.LATE), DT)
             steps, last = steps + (depth - last) ** 2, depth
         energies.append(rendered.held_energy)
         active.append(rendered.active)

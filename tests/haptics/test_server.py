@@ -10,7 +10,8 @@ from haptics.client import TissueClient
 from haptics.server import TissueServer
 from haptics.wire import REPLY_SIZE, VERSION, Request, Status, decode_reply, encode_request
 from tissue_sim.errors import InputError
-from tissue_sim.tool_force import ForceStatus, Pose, ToolForce
+from tissue_sim.pose import Pose
+from tissue_sim.tool_force import ForceStatus, ToolForce
 
 
 class MaxwellTissue:
@@ -31,7 +32,7 @@ class MaxwellTissue:
         assert self.gate.wait(20.0)
         self.pull = (self.pull + 500.0 * (pose.depth - self.depth)) * (1.0 - dt / (0.1 + dt))
         self.depth = pose.depth
-        return ToolForce(1e3 * pose.depth + self.pull, 1.5e3, ForceStatus.CONVERGED, depth=pose.depth)
+        return ToolForce.axial(1e3 * pose.depth + self.pull, 1.5e3, ForceStatus.CONVERGED, depth=pose.depth)
 
 
 @contextmanager

@@ -39,7 +39,7 @@ class SettableTissue:
     def step(self, pose, dt):
         self.threads.add(threading.get_ident())
         self.deepest = max(self.deepest, pose.depth)
-        return ToolForce(self.stiffness * self.deepest, self.stiffness, ForceStatus.CONVERGED)
+        return ToolForce.axial(self.stiffness * self.deepest, self.stiffness, ForceStatus.CONVERGED)
 
     def reset(self):
         self.threads.add(threading.get_ident())
@@ -200,7 +200,7 @@ def test_bad_line_is_answered_and_the_connection_stays(line, content, expected):
 def test_tissue_that_cannot_is_one_sentence():
     class Plain:
         def step(self, pose, dt):
-            return ToolForce(0.0, 0.0, ForceStatus.CONVERGED)
+            return ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
 
         def reset(self):
             pass

@@ -23,7 +23,7 @@ class NotedTissue:
 
     def step(self, pose, dt):
         self.steps.append((pose.depth, dt))
-        return ToolForce(1e3 * pose.depth, 1e3, ForceStatus.CONVERGED, iterations=2, residual=1e-7, inertial=True,
+        return ToolForce.axial(1e3 * pose.depth, 1e3, ForceStatus.CONVERGED, iterations=2, residual=1e-7, inertial=True,
                          compute_time=3e-4)
 
     def reset(self):
@@ -106,7 +106,7 @@ def test_refused_pose_keeps_the_state_and_the_last_force(service, changes):
 
 def test_refusal_of_the_tissue_is_passed_on_and_moves_no_time(service):
     ask(service, packet(0, 0.0))
-    step, service.tissue.step = service.tissue.step, lambda pose, dt: ToolForce(1.0, 2.0, ForceStatus.REFUSED)
+    step, service.tissue.step = service.tissue.step, lambda pose, dt: ToolForce.axial(1.0, 2.0, ForceStatus.REFUSED)
     assert ask(service, packet(1, 0.1)).status == Status.REFUSED
 
     def refuse(pose, dt):
@@ -132,7 +132,7 @@ def test_reset_flag_resets_before_the_step_and_is_not_skipped(service):
 
 def test_reset_holds_where_the_step_after_it_is_refused(service):
     ask(service, packet(0, 5.0, depth=0.003))
-    step, service.tissue.step = service.tissue.step, lambda pose, dt: ToolForce(1.0, 2.0, ForceStatus.REFUSED)
+    step, service.tissue.step = service.tissue.step, lambda pose, dt: ToolForce.axial(1.0, 2.0, ForceStatus.REFUSED)
     ask(service, packet(1, 6.0, flags=RequestFlags.RESET))
     service.tissue.step = step
     assert ask(service, packet(2, math.nan)).force == (0.0, 0.0, 0.0)
@@ -199,7 +199,7 @@ def test_other_version_is_answered_with_ours(service):
 def test_statuses_are_counted(service):
     statuses = [ForceStatus.CONVERGED, ForceStatus.LATE, ForceStatus.LATE, ForceStatus.STOPPED, ForceStatus.REFUSED]
     for number, status in enumerate(statuses):
-        service.tissue.step = lambda pose, dt, status=status: ToolForce(1.0, 2.0, status)
+        service.tissue.step = lambda pose, dt, status=status: ToolForce.axial(1.0, 2.0, status)
         assert ask(service, packet(number)).status == status
     counters = service.counters
     assert (counters.steps, counters.converged, counters.late, counters.stopped, counters.refused) == (5, 1, 2, 1, 1)

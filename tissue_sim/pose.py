@@ -1,0 +1,107 @@
+"""Where the tool is, in three dimensions; and the rigid motion from one pose to another."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from tissue_sim.errors import InputError
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+#: Translation (or force) along x, y, z, then rotation (or torque) about them.
+Screw = tuple[float, float, float, float, float, float]
+
+#: How far the length of a quaternion may be from 1.
+_UNIT = 1e-6
+_NO_ROTATION: Quaternion = (1.0, 0.0, 0.0, 0.0)
+#: Below this sine of half an angle two orientations are turned linearly into each other.
+_SMALL = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Where the tool is, in the frame of the scene: origin at the centre of the undeformed top, z out of the tissue.
+
+    Attributes:
+        position: of the tool's deepest point, x, y, z, m.
+        orientation: unit quaternion (w, x, y, z).
+
+    Raises:
+        InputError: a quaternion that has no length of 1.
+    """
+
+    position: Vector
+    orientation: Quaternion = _NO_ROTATION
+
+    def __post_init__(self):
+        if self.orientation is _NO_ROTATION:
+            return
+        # A NaN passes here: it is the simulator that refuses a pose and keeps its state.
+        length = math.sqrt(sum(part * part for part in self.orientation))
+        if abs(length - 1.0) > _UNIT:
+            raise InputError(f"the quaternion (w, x, y, z) has length {length:.6g}; give a unit quaternion",
+                             field="orientation")
+
+    @classmethod
+    def at_depth(cls, depth: float) -> Pose:
+        """On the axis of the scene, upright, pushed in by `depth`, m."""
+        return cls((0.0, 0.0, -depth))
+
+    @property
+    def depth(self) -> float:
+        """How far the tool is pushed in, m."""
+        return -self.position[2]
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether all of its numbers are."""
+        return math.isfinite(sum(self.position) + sum(self.orientation))
+
+
+def motion(start: Pose, end: Pose) -> Screw:
+    """From one pose to another: translation, m, and rotation vector, rad, both in the frame of the scene."""
+    (x0, y0, z0), (x1, y1, z1) = start.position, end.position
+    if start.orientation == end.orientation:
+        return (x1 - x0, y1 - y0, z1 - z0, 0.0, 0.0, 0.0)
+    w, x, y, z = _relative(start.orientation, end.orientation)
+    sine = math.sqrt(x * x + y * y + z * z)
+    factor = 2.0 if sine < _SMALL else 2.0 * math.atan2(sine, w) / sine
+    return (x1 - x0, y1 - y0, z1 - z0, factor * x, factor * y, factor * z)
+
+
+def between(start: Pose, end: Pose, share: float) -> Pose:
+    """A pose on the way from one to another: straight, and turning about one axis at an even rate.
+
+    Args:
+        start, end: the two.
+        share: of the way, 0 to 1; at 1 the answer is `end` itself.
+
+    Source: Shoemake, SIGGRAPH 1985, spherical linear interpolation.
+    """
+    if share == 1.0:
+        return end
+    (x0, y0, z0), (x1, y1, z1) = start.position, end.position
+    position = (x0 + share * (x1 - x0), y0 + share * (y1 - y0), z0 + share * (z1 - z0))
+    if start.orientation == end.orientation:
+        return Pose(position, start.orientation)
+    w, x, y, z = _relative(start.orientation, end.orientation)
+    sine = math.sqrt(x * x + y * y + z * z)
+    half = share * math.atan2(sine, w)
+    factor = share if sine < _SMALL else math.sin(half) / sine
+    turn = (math.cos(half), factor * x, factor * y, factor * z)
+    return Pose(position, _product(turn, start.orientation))
+
+
+def _relative(start: Quaternion, end: Quaternion) -> Quaternion:
+    """The rotation that takes one orientation to another, the shorter way round."""
+    w, x, y, z = start
+    relative = _product(end, (w, -x, -y, -z))
+    return relative if relative[0] >= 0.0 else tuple(-part for part in relative)
+
+
+def _product(left: Quaternion, right: Quaternion) -> Quaternion:
+    a, b, c, d = left
+    e, f, g, h = right
+    return (a * e - b * f - c * g - d * h, a * f + b * e + c * h - d * g,
+            a * g - b * h + c * e + d * f, a * h + b * g - c * f + d * e)
