@@ -46,16 +46,16 @@ from starts import (
 )
 
 import tissue_sim as ts
-from calibration.campaign import Noise
-from calibration.executors import Workers, open_tasks
-from calibration.inverse_fem.build import REMAINDERS, build_problem
-from calibration.inverse_fem.estimate import Stated, settle
-from calibration.inverse_fem.levenberg_marquardt import descend
-from calibration.inverse_fem.problem import Problem
-from calibration.inverse_fem.profiles import profile_side
-from calibration.inverse_fem.solves import Solves
-from calibration.inverse_fem.uncertainty import assess_uncertainty
-from calibration.jitter import Jitter
+from calibration.campaign.campaign import Noise
+from calibration.fit.estimate import Stated, settle
+from calibration.fit.levenberg_marquardt import descend
+from calibration.fit.problem import Problem
+from calibration.fit.profiles import profile_side
+from calibration.fit.uncertainty import assess_uncertainty
+from calibration.forward.build import REMAINDERS, build_problem
+from calibration.forward.solves import Solves
+from calibration.statistics.jitter import Jitter
+from calibration.tasks.executors import Workers, open_tasks
 
 CONTACT, ZERO = 0.03e-3, 0.01
 #: Samples of the accurate curves that the data are interpolated from, and how far they go beyond the data, m.

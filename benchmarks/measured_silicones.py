@@ -19,7 +19,7 @@ from rich.console import Console
 
 import tissue_sim as ts
 from calibration import CalibrationResult, calibrate
-from calibration.fit import Fit
+from calibration.fit.fit import Fit
 from tissue_sim.errors import ConvergenceError
 
 RADIUS_MM, HEIGHT_MM, SPEED_MM_S = 25.0, 30.0, 1.0 / 6.0

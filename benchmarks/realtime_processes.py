@@ -20,7 +20,7 @@ from realtime_ticks import say
 from work_precision import MATERIAL
 
 import tissue_sim as ts
-from haptics.client import TissueClient
+from haptics.server.client import TissueClient
 
 _HERE = Path(__file__).parent
 _COMMAND = [sys.executable, "-m", "scenes.cli"]

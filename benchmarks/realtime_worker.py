@@ -13,7 +13,7 @@ import time
 
 from realtime_ticks import cases, drive
 
-from haptics.loop import peak_memory
+from haptics.loop.loop import peak_memory
 
 
 def main() -> None:

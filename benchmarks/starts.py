@@ -27,16 +27,16 @@ from scipy.interpolate import CubicSpline
 from scipy.stats import qmc
 
 import tissue_sim as ts
-from calibration.campaign import Campaign, FitSettings, Noise, Test
-from calibration.campaign_setup import Setup
-from calibration.executors import Workers, open_tasks
-from calibration.inverse_fem.build import build_problem
-from calibration.inverse_fem.estimate import Stated, settle
-from calibration.inverse_fem.levenberg_marquardt import ENOUGH_OF_A_START, descend
-from calibration.inverse_fem.solves import Solves
-from calibration.inverse_fem.uncertainty import assess_uncertainty
-from calibration.measured import MeasuredCurve
-from calibration.sensor_noise import SensorNoise
+from calibration.campaign.campaign import Campaign, FitSettings, Noise, Test
+from calibration.campaign.measured import MeasuredCurve
+from calibration.campaign.setup import Setup
+from calibration.fit.estimate import Stated, settle
+from calibration.fit.levenberg_marquardt import ENOUGH_OF_A_START, descend
+from calibration.fit.uncertainty import assess_uncertainty
+from calibration.forward.build import build_problem
+from calibration.forward.solves import Solves
+from calibration.statistics.sensor_noise import SensorNoise
+from calibration.tasks.executors import Workers, open_tasks
 
 LAW, PARAMETERS = "reduced_polynomial_2", ("C10", "C20")
 TRUTH, START = np.array([1404.9, 699.4]), np.array([1400.0, 600.0])

@@ -16,11 +16,11 @@ from viewer_client import READOUTS
 from viewer_ticks import MOTION, SETTLING, TickCount
 
 import tissue_sim as ts
-from haptics.limits import ForceLimits
-from haptics.loop import LoopSettings
-from haptics.loop_process import LoopProcess
-from haptics.motion_source import ProtocolMotion
-from haptics.rendering import ForceRendering
+from haptics.devices.motion_source import ProtocolMotion
+from haptics.loop.loop import LoopSettings
+from haptics.loop.process import LoopProcess
+from haptics.safety.limits import ForceLimits
+from haptics.safety.rendering import ForceRendering
 from scenes.viewer.live_simulation import BUDGET
 
 _HERE = Path(__file__).parent

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 import tissue_sim as ts
-from haptics.ring import RingReader
+from haptics.loop.ring import RingReader
 
 #: The whole test, m and m/s, and what is played again and again meanwhile.
 SPEED = 20e-3
@@ -23,7 +23,7 @@ class TickCount:
         self._ring, self._number, self._before = ring, ring.written, ring.latest()
 
     def records(self) -> np.ndarray:
-        """The ticks so far that the ring still has, dtype `haptics.ring.TICK`."""
+        """The ticks so far that the ring still has, dtype `haptics.loop.ring.TICK`."""
         return self._ring.since(self._number).records
 
     def counted(self) -> dict:

@@ -31,7 +31,7 @@ from viewer_ticks import MOTION, SETTLING, SPEED, STANDING, TEST, TickCount, pea
 
 import scenes.viewer.page.solid
 import tissue_sim as ts
-from haptics.ring import RingReader
+from haptics.loop.ring import RingReader
 from scenes.needle import NEEDLE
 from scenes.viewer.cut_away import CutAway
 from scenes.viewer.frame import Frame, NullViewer, Phase, Viewer

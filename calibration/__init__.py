@@ -6,15 +6,16 @@ Public names are listed here once and imported on first use, so that ``import ca
 from tissue_sim.public_names import import_on_use as _import_on_use
 
 _HOMES = {
-    "Campaign": "campaign", "FitSettings": "campaign", "Noise": "campaign", "Test": "campaign",
-    "load_campaign": "campaign",
-    "Replicate": "replicates", "read_replicates": "replicates",
-    "fit_law": "uniaxial",
-    "Fit": "fit", "Minimum": "fit", "Nuisance": "fit", "Prediction": "fit",
-    "CalibrationResult": "result", "to_json": "result",
-    "calibrate": "batch",
-    "MeasuredCurve": "measured", "read_measured": "measured",
-    "Workers": "executors", "WorkerError": "executors",
+    "Campaign": "campaign.campaign", "FitSettings": "campaign.campaign", "Noise": "campaign.campaign",
+    "Test": "campaign.campaign",
+    "load_campaign": "campaign.campaign",
+    "Replicate": "analytical.replicates", "read_replicates": "analytical.replicates",
+    "fit_law": "analytical.uniaxial",
+    "Fit": "fit.fit", "Minimum": "fit.fit", "Nuisance": "fit.fit", "Prediction": "fit.fit",
+    "CalibrationResult": "fit.result", "to_json": "fit.result",
+    "calibrate": "pipeline",
+    "MeasuredCurve": "campaign.measured", "read_measured": "campaign.measured",
+    "Workers": "tasks.executors", "WorkerError": "tasks.executors",
 }
 
 __all__ = sorted(_HOMES)

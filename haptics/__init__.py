@@ -6,15 +6,16 @@ Public names are listed here once and imported on first use.
 from tissue_sim.public_names import import_on_use as _import_on_use
 
 _HOMES = {
-    "VirtualCoupling": "coupling", "ForceLimits": "limits", "PassivityController": "passivity",
-    "PassivityObserver": "passivity", "Watchdog": "watchdog", "WatchdogState": "watchdog",
-    "LocalModel": "local_model", "LocalModelBlend": "local_model", "SlowSolver": "local_model",
-    "ForceRendering": "rendering", "RenderedForce": "rendering", "RenderFlag": "rendering",
-    "MotionSource": "motion_source", "ProtocolMotion": "motion_source", "RandomWalk": "motion_source",
-    "SineMotion": "motion_source", "HandMotion": "motion_source",
-    "LoopProcess": "loop_process", "LoopError": "loop_process", "LoopReport": "loop", "LoopSettings": "loop",
-    "RingReader": "ring", "SurfaceReader": "surface_board", "SnapshotReader": "snapshot_board",
-    "TissueServer": "server", "TissueClient": "client",
+    "VirtualCoupling": "safety.coupling", "ForceLimits": "safety.limits", "PassivityController": "safety.passivity",
+    "PassivityObserver": "safety.passivity", "Watchdog": "safety.watchdog", "WatchdogState": "safety.watchdog",
+    "LocalModel": "loop.local_model", "LocalModelBlend": "loop.local_model", "SlowSolver": "loop.local_model",
+    "ForceRendering": "safety.rendering", "RenderedForce": "safety.rendering", "RenderFlag": "safety.rendering",
+    "MotionSource": "devices.motion_source", "ProtocolMotion": "devices.motion_source",
+    "RandomWalk": "devices.motion_source",
+    "SineMotion": "devices.motion_source", "HandMotion": "devices.motion_source",
+    "LoopProcess": "loop.process", "LoopError": "loop.process", "LoopReport": "loop.loop", "LoopSettings": "loop.loop",
+    "RingReader": "loop.ring", "SurfaceReader": "loop.surface_board", "SnapshotReader": "loop.snapshot_board",
+    "TissueServer": "server.server", "TissueClient": "server.client",
 }
 
 __all__ = sorted(_HOMES)

@@ -12,14 +12,14 @@ from rich.spinner import Spinner
 from rich.table import Table
 from rich.text import Text
 
-from calibration.page import parameter_unit
+from calibration.report.page import parameter_unit
 from scenes.text_table import text_table
 from tissue_sim.laws import find_law
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from calibration.fit import Iteration
+    from calibration.fit.fit import Iteration
 
 #: Rows of the table: at most so many, at least so many, and lines that the screen needs beside them.
 _MOST_ROWS, _FEWEST_ROWS, _OTHER_LINES = 12, 3, 8

@@ -13,7 +13,7 @@ from scenes.text_table import print_sentence
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from calibration.result import CalibrationResult
+    from calibration.fit.result import CalibrationResult
 
 
 def print_results(results: Sequence[CalibrationResult], output: Path, console: Console) -> None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from calibration.page import stable_stretches
-from calibration.pressure import format_pressure, pressure_unit
-from calibration.self_weight import statement
+from calibration.report.page import stable_stretches
+from calibration.report.pressure import format_pressure, pressure_unit
+from calibration.report.self_weight import statement
 from scenes.text_table import print_sentence, text_table
 from tissue_sim.laws import find_law
 
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from calibration.fit import Fit, Prediction
-    from calibration.result import CalibrationResult
+    from calibration.fit.fit import Fit, Prediction
+    from calibration.fit.result import CalibrationResult
 
 
 def print_analytical(result: CalibrationResult, console: Console) -> None:

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 from rich.text import Text
 
-from calibration.drawing import counted
-from calibration.inverse_fem.curve_figures import probability, size_of
-from calibration.inverse_fem.report_tables import direction_in_words, place_of, suggestion_in_words
-from calibration.page import number, parameter_unit, stable_stretches
-from calibration.pressure import pressure_unit
-from calibration.self_weight import statement
+from calibration.report.curve_figures import probability, size_of
+from calibration.report.drawing import counted
+from calibration.report.page import number, parameter_unit, stable_stretches
+from calibration.report.pressure import pressure_unit
+from calibration.report.report_tables import direction_in_words, place_of, suggestion_in_words
+from calibration.report.self_weight import statement
 from scenes.fit_table import (
     error_unit,
     print_remarks,
@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from calibration.campaign import Test
-    from calibration.fit import Fit, Prediction, Region
-    from calibration.result import CalibrationResult
+    from calibration.campaign.campaign import Test
+    from calibration.fit.fit import Fit, Prediction, Region
+    from calibration.fit.result import CalibrationResult
 
 #: Columns of the longest path into a material that are shown in a line.
 _NAME_WIDTH = 29

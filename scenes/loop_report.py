@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from haptics.ticker import LATE
+from haptics.loop.ticker import LATE
 from scenes.text_table import print_sentence, text_table
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from haptics.loop import LoopReport
-    from haptics.ring import RingReader
+    from haptics.loop.loop import LoopReport
+    from haptics.loop.ring import RingReader
 
 
 class LiveLine:

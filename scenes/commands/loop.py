@@ -75,10 +75,10 @@ def run(arguments) -> int:
     if motion != "protocol" and arguments.protocol:
         raise InputError(f"a {motion} motion has none; leave it out, or give --motion protocol", field="--protocol")
 
-    from haptics.limits import ForceLimits
-    from haptics.loop import LoopSettings
-    from haptics.loop_process import LoopError, LoopProcess
-    from haptics.rendering import ForceRendering
+    from haptics.loop.loop import LoopSettings
+    from haptics.loop.process import LoopError, LoopProcess
+    from haptics.safety.limits import ForceLimits
+    from haptics.safety.rendering import ForceRendering
     from tissue_sim import Model, Simulator
 
     material = read_material(arguments.material)
@@ -124,7 +124,7 @@ def build_source(arguments, motion: str, protocol):
     Raises:
         InputError: what the source refuses.
     """
-    from haptics.motion_source import ProtocolMotion, RandomWalk, SineMotion
+    from haptics.devices.motion_source import ProtocolMotion, RandomWalk, SineMotion
 
     depth = (arguments.depth_mm or DEPTH_MM) * 1e-3
     if motion == "random":
@@ -145,7 +145,7 @@ def follow(process, seconds: float, *, quiet: bool):
         InputError, LoopError: it ended before its time.
         KeyboardInterrupt: before its first tick.
     """
-    from haptics.loop_process import LoopError
+    from haptics.loop.process import LoopError
     from scenes.loop_report import LiveLine
 
     console = progress_console(quiet=quiet)

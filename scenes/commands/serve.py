@@ -17,7 +17,7 @@ from scenes.experiment_flags import SCENE_NAMES, add_experiment_flags, build_exp
 from scenes.parsing import Parser, add_json, at_least, not_negative
 
 if TYPE_CHECKING:
-    from haptics.server import TissueServer
+    from haptics.server.server import TissueServer
     from tissue_sim import Experiment
 
 SUMMARY = "serve forces to a program of your own: poses in, forces out over UDP, configuration as JSON over TCP"
@@ -63,8 +63,8 @@ def run(arguments) -> int:
     check_scene(arguments.scene)
 
     import tissue_sim as ts
-    from haptics.real_time import real_time
-    from haptics.server import TissueServer
+    from haptics.loop.real_time import real_time
+    from haptics.server.server import TissueServer
     from tissue_sim.material.parameters import parameter_values
 
     material_file = ts.read_material_file(arguments.material)

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 
 import numpy as np
 
-from haptics.real_time import PRIORITY, claim_fifo
+from haptics.loop.real_time import PRIORITY, claim_fifo
 from scenes.doctor.check import Check
 
 PERIOD = 1e-3  # s

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 import tissue_sim as ts
-from haptics.limits import ForceLimits
-from haptics.loop import LoopSettings
-from haptics.loop_process import LoopError, LoopProcess
-from haptics.motion_source import MotionSource
-from haptics.rendering import ForceRendering
-from haptics.ring import PAUSED, TICK
+from haptics.devices.motion_source import MotionSource
+from haptics.loop.loop import LoopSettings
+from haptics.loop.process import LoopError, LoopProcess
+from haptics.loop.ring import PAUSED, TICK
+from haptics.safety.limits import ForceLimits
+from haptics.safety.rendering import ForceRendering
 from scenes.viewer.frame import Phase, Readouts
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import ForceStatus
@@ -78,7 +78,7 @@ class LiveSimulation:
         """Take in what is new.
 
         Returns:
-            The ticks since the last time, dtype `haptics.ring.TICK`; None before the first and after the last.
+            The ticks since the last time, dtype `haptics.loop.ring.TICK`; None before the first and after the last.
         """
         if self.phase is Phase.DIED:
             return None

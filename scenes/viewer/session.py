@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import tissue_sim as ts
-from haptics.motion_source import HandMotion, MotionSource, ProtocolMotion
+from haptics.devices.motion_source import HandMotion, MotionSource, ProtocolMotion
 from scenes.viewer.frame import Curves, Frame, Phase, Viewer
 from scenes.viewer.live_simulation import LiveSimulation
 from scenes.viewer.material_files import save_edited

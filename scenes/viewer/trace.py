@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from haptics.ring import PAUSED
+from haptics.loop.ring import PAUSED
 from tissue_sim.errors import InputError
 from tissue_sim.recording.file import write_recording
 from tissue_sim.recording.recording import Recording
@@ -152,7 +152,7 @@ class Trace:
         return self._end - self._first
 
     def append(self, records: np.ndarray) -> int:
-        """Take in ticks, dtype `haptics.ring.TICK`, in their order; returns how many were kept."""
+        """Take in ticks, dtype `haptics.loop.ring.TICK`, in their order; returns how many were kept."""
         paused = (records["flags"] & PAUSED) != 0
         records = records[~paused & np.isfinite(records["tool_depth"]) & np.isfinite(records["tissue_force"])]
         if not records.size:

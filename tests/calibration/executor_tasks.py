@@ -85,7 +85,7 @@ if __name__ == "__main__":
     # A program of two workers that hold on, for Ctrl-C.
     import sys
 
-    from calibration.executors import Workers, open_tasks
+    from calibration.tasks.executors import Workers, open_tasks
 
     # A shell that starts the tests in the background has it ignored.
     signal.signal(signal.SIGINT, signal.default_int_handler)

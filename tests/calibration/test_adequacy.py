@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calibration.adequacy import cosine_modes, holm, misfit
-from calibration.sensor_noise import SensorNoise, whiten
+from calibration.statistics.adequacy import cosine_modes, holm, misfit
+from calibration.statistics.sensor_noise import SensorNoise, whiten
 from tissue_sim.rig.noise import sensor_noise
 
 DEPTH = np.linspace(0.0, 1.0, 200)

@@ -9,7 +9,7 @@ import pytest
 
 import calibration
 import tissue_sim as ts
-from calibration import analytical
+from calibration.analytical import analytical
 
 VALUES = {"C10": 1404.9, "C20": 699.4}
 TEXT = """

@@ -9,7 +9,7 @@ import pytest
 
 import calibration
 import tissue_sim as ts
-from calibration.replicates import read_replicates
+from calibration.analytical.replicates import read_replicates
 
 CAMPAIGN = """
 [[specimen]]

@@ -10,10 +10,10 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 import tissue_sim as ts
-from calibration.campaign import Noise
-from calibration.inverse_fem.build import build_problem
-from calibration.inverse_fem.levenberg_marquardt import descend
-from calibration.inverse_fem.solves import Solves
+from calibration.campaign.campaign import Noise
+from calibration.fit.levenberg_marquardt import descend
+from calibration.forward.build import build_problem
+from calibration.forward.solves import Solves
 
 CAMPAIGNS, STARTS, SEED = 12, 6, 1
 

@@ -13,8 +13,8 @@ from pathlib import Path
 import distributed
 import pytest
 
-from calibration import dask_cluster
-from calibration.executors import WorkerError, Workers, open_tasks
+from calibration.tasks import dask_cluster
+from calibration.tasks.executors import WorkerError, Workers, open_tasks
 from tissue_sim.errors import ConvergenceError, InputError
 
 SUMS = [(1, 2), (3.5, 4), (5, -6), (0.1, 0.2)]
@@ -77,7 +77,7 @@ def test_everywhere_an_error_arrives_as_it_was_raised(workers, task):
 
 
 def test_one_worker_starts_no_process():
-    program = ("import os, sys; from calibration.executors import *\n"
+    program = ("import os, sys; from calibration.tasks.executors import *\n"
                "with open_tasks(Workers()) as tasks:\n"
                "    assert tasks.run(os.getpid, [(), ()]) == [os.getpid()] * 2\n"
                "heavy = {'multiprocessing', 'distributed', 'numpy', 'taichi'} & set(sys.modules)\n"
@@ -170,7 +170,7 @@ def test_an_error_of_the_listener_ends_the_running_tasks(task):
 
 def test_a_script_without_main_guard_is_told_so(tmp_path):
     script = tmp_path / "unguarded.py"
-    script.write_text("import math\nfrom calibration.executors import Workers, open_tasks\n"
+    script.write_text("import math\nfrom calibration.tasks.executors import Workers, open_tasks\n"
                       "with open_tasks(Workers(2)) as tasks:\n    tasks.run(math.sqrt, [(1.0,), (2.0,)])\n")
     ended = subprocess.run([sys.executable, script], env=_environment(), capture_output=True, text=True)
     assert ended.returncode == 1

@@ -10,17 +10,17 @@ from scipy.interpolate import CubicSpline
 
 import calibration
 import tissue_sim as ts
-from calibration.inverse_fem.build import build_problem
-from calibration.inverse_fem.checks import check_start
-from calibration.inverse_fem.estimate import Stated, settle
-from calibration.inverse_fem.levenberg_marquardt import descend
-from calibration.inverse_fem.motion import Timed, label_segments, number_runs
-from calibration.inverse_fem.parameters import ParameterSpace
-from calibration.inverse_fem.profiles import profile_side
-from calibration.inverse_fem.solves import Solves
-from calibration.inverse_fem.starts import starts
-from calibration.inverse_fem.uncertainty import assess_uncertainty
-from calibration.jitter import Jitter
+from calibration.fit.checks import check_start
+from calibration.fit.estimate import Stated, settle
+from calibration.fit.levenberg_marquardt import descend
+from calibration.fit.parameters import ParameterSpace
+from calibration.fit.profiles import profile_side
+from calibration.fit.starts import starts
+from calibration.fit.uncertainty import assess_uncertainty
+from calibration.forward.build import build_problem
+from calibration.forward.motion import Timed, label_segments, number_runs
+from calibration.forward.solves import Solves
+from calibration.statistics.jitter import Jitter
 
 TRUTH = {"C10": 1404.9, "C20": 699.4}
 SPECIMEN = ts.Specimen(0.040, 0.070)

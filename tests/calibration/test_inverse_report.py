@@ -8,9 +8,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from calibration.campaign import Campaign, FitSettings, Noise
-from calibration.campaign import Test as CampaignTest
-from calibration.fit import (
+from calibration.campaign.campaign import Campaign, FitSettings, Noise
+from calibration.campaign.campaign import Test as CampaignTest
+from calibration.campaign.measured import MeasuredCurve
+from calibration.fit.fit import (
     Covariance,
     Direction,
     Fit,
@@ -24,12 +25,11 @@ from calibration.fit import (
     SensorStatement,
     Suggestion,
 )
-from calibration.inverse_fem import curve_figures, estimate_figures, figures
-from calibration.inverse_fem.report import write_inverse_report
-from calibration.inverse_fem.results import TestCurves as CurvesOfTest
-from calibration.measured import MeasuredCurve
-from calibration.result import CalibrationResult
-from calibration.sensor_noise import SensorNoise
+from calibration.fit.result import CalibrationResult
+from calibration.fit.results import TestCurves as CurvesOfTest
+from calibration.report import curve_figures, estimate_figures, figures
+from calibration.report.report import write_inverse_report
+from calibration.statistics.sensor_noise import SensorNoise
 from tissue_sim import Specimen, find_law
 
 LEVEL = 3.8414588  # 95 % quantile of chi-square with one degree of freedom

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from calibration.jitter import Jitter, WhitenedReplicate, estimate_jitter
-from calibration.sensor_noise import SensorNoise, whiten
+from calibration.statistics.jitter import Jitter, WhitenedReplicate, estimate_jitter
+from calibration.statistics.sensor_noise import SensorNoise, whiten
 from tissue_sim.rig.noise import sensor_noise
 
 CONTACT, ZERO = 3e-5, 0.01

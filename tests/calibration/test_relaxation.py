@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from calibration.relaxation import compare_terms, fit_hold, fit_prony
+from calibration.analytical.relaxation import compare_terms, fit_hold, fit_prony
 from tissue_sim.closed_form.histories import nominal_stress_history, shear_stress_history
 from tissue_sim.material.viscoelasticity import Prony, PronyTerm
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.relaxation import fit_hold, fit_prony
+from calibration.analytical.relaxation import fit_hold, fit_prony
 
 CELLS = "10.1002_btm2.10294_fig5d-cell1.zip"
 

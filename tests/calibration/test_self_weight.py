@@ -8,7 +8,7 @@ import pytest
 
 import calibration
 import tissue_sim as ts
-from calibration.forward import Homogeneous, Weighing, forward_model
+from calibration.analytical.forward import Homogeneous, Weighing, forward_model
 from tissue_sim.closed_form.column import Column
 
 LAW = ts.find_law("reduced_polynomial_2")

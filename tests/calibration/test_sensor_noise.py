@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.sensor_noise import SensorNoise, estimate_shared_noise, whiten
+from calibration.statistics.sensor_noise import SensorNoise, estimate_shared_noise, whiten
 from tissue_sim.errors import InputError
 from tissue_sim.rig.noise import sensor_noise
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from calibration.statistics import (
+from calibration.statistics.statistics import (
     chi_square,
     correlation,
     effective_samples,

@@ -9,13 +9,13 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from haptics.limits import ForceLimits
-from haptics.loop import LoopSettings
-from haptics.loop_process import LoopProcess
-from haptics.motion_source import SineMotion
-from haptics.rendering import ForceRendering
-from haptics.ring import RingReader, RingWriter
-from haptics.surface_board import SurfaceBoard
+from haptics.devices.motion_source import SineMotion
+from haptics.loop.loop import LoopSettings
+from haptics.loop.process import LoopProcess
+from haptics.loop.ring import RingReader, RingWriter
+from haptics.loop.surface_board import SurfaceBoard
+from haptics.safety.limits import ForceLimits
+from haptics.safety.rendering import ForceRendering
 from tissue_sim.errors import InputError
 from tissue_sim.fem.axisymmetric.fields import Fields
 from tissue_sim.snapshot import Snapshot

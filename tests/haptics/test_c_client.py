@@ -10,8 +10,8 @@ from contextlib import contextmanager
 import pytest
 
 import tissue_sim as ts
-from haptics.server import TissueServer
-from haptics.wire import Reply, Request, decode_request, encode_reply, encode_request
+from haptics.server.server import TissueServer
+from haptics.server.wire import Reply, Request, decode_request, encode_reply, encode_request
 from tissue_sim.pose import Pose
 from tissue_sim.tool_force import ForceStatus, ToolForce
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from haptics.coupling import VirtualCoupling
+from haptics.safety.coupling import VirtualCoupling
 from tissue_sim import InputError
 from tissue_sim.tool_force import ForceStatus, ToolForce
 

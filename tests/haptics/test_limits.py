@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from haptics.limits import ForceLimits
+from haptics.safety.limits import ForceLimits
 from tissue_sim import InputError
 
 anything = st.floats(allow_nan=True, allow_infinity=True)

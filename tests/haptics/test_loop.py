@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from haptics.limits import ForceLimits
-from haptics.loop import Loop, LoopSettings, peak_memory
-from haptics.loop_process import LoopError
-from haptics.motion_source import HandMotion, SineMotion
-from haptics.rendering import ForceRendering, RenderFlag
-from haptics.ring import PAUSED, RingReader, RingWriter
-from haptics.surface_board import SurfaceBoard, SurfaceReader
+from haptics.devices.motion_source import HandMotion, SineMotion
+from haptics.loop.loop import Loop, LoopSettings, peak_memory
+from haptics.loop.process import LoopError
+from haptics.loop.ring import PAUSED, RingReader, RingWriter
+from haptics.loop.surface_board import SurfaceBoard, SurfaceReader
+from haptics.safety.limits import ForceLimits
+from haptics.safety.rendering import ForceRendering, RenderFlag
 from tissue_sim.errors import InputError
 from tissue_sim.tool_force import ForceStatus, ToolForce
 
@@ -244,7 +244,7 @@ def test_a_report_is_json(run, tissues):
 def test_peak_memory_is_that_of_this_program(tissues):
     """A process that a large one starts does not begin with the memory of its parent."""
     ballast = bytearray(os.urandom(1)) * 400_000_000
-    code = "from haptics.loop import peak_memory; print(peak_memory())"
+    code = "from haptics.loop.loop import peak_memory; print(peak_memory())"
     done = subprocess.run([sys.executable, "-c", code], env=environment(), capture_output=True, text=True, check=True)
     assert peak_memory() > len(ballast) > int(done.stdout) > 5e6
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from haptics.coupling import VirtualCoupling
-from haptics.passivity import PassivityController, PassivityObserver
+from haptics.safety.coupling import VirtualCoupling
+from haptics.safety.passivity import PassivityController, PassivityObserver
 from tissue_sim import InputError
 from tissue_sim.tool_force import ForceStatus, ToolForce
 

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from haptics.coupling import VirtualCoupling
-from haptics.limits import ForceLimits
-from haptics.local_model import LocalModel, LocalModelBlend
-from haptics.rendering import ForceRendering, RenderFlag
-from haptics.watchdog import Watchdog, WatchdogState
+from haptics.loop.local_model import LocalModel, LocalModelBlend
+from haptics.safety.coupling import VirtualCoupling
+from haptics.safety.limits import ForceLimits
+from haptics.safety.rendering import ForceRendering, RenderFlag
+from haptics.safety.watchdog import Watchdog, WatchdogState
 from tissue_sim.tool_force import ForceStatus, ToolForce
 
 DT = 1e-3

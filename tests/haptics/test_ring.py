@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from haptics.ring import TICK, RingReader, RingWriter
-from haptics.shared_slots import HEAD_SIZE, SlotReader, SlotWriter, runtime_folder, unused_path
-from haptics.snapshot_board import SnapshotBoard, SnapshotReader
-from haptics.surface_board import SurfaceBoard, SurfaceReader
+from haptics.loop.ring import TICK, RingReader, RingWriter
+from haptics.loop.shared_slots import HEAD_SIZE, SlotReader, SlotWriter, runtime_folder, unused_path
+from haptics.loop.snapshot_board import SnapshotBoard, SnapshotReader
+from haptics.loop.surface_board import SurfaceBoard, SurfaceReader
 from tissue_sim.errors import InputError
 from tissue_sim.snapshot import Snapshot
 

@@ -6,9 +6,9 @@ from contextlib import contextmanager
 
 import pytest
 
-from haptics.client import TissueClient
-from haptics.server import TissueServer
-from haptics.wire import REPLY_SIZE, VERSION, Request, Status, decode_reply, encode_request
+from haptics.server.client import TissueClient
+from haptics.server.server import TissueServer
+from haptics.server.wire import REPLY_SIZE, VERSION, Request, Status, decode_reply, encode_request
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
 from tissue_sim.tool_force import ForceStatus, ToolForce

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from haptics.client import TissueClient
-from haptics.server import TissueServer
-from haptics.server_connections import IDLE, LONGEST_LINE, MOST_CONNECTIONS, STALLED, ConfigurationPort
+from haptics.server.client import TissueClient
+from haptics.server.connections import IDLE, LONGEST_LINE, MOST_CONNECTIONS, STALLED, ConfigurationPort
+from haptics.server.server import TissueServer
 from tissue_sim.errors import InputError
 from tissue_sim.tool_force import ForceStatus, ToolForce
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from haptics.server_steps import StepService
-from haptics.wire import Kind, Request, RequestFlags, Status, decode_reply, encode_request
+from haptics.server.steps import StepService
+from haptics.server.wire import Kind, Request, RequestFlags, Status, decode_reply, encode_request
 from tissue_sim.errors import InputError
 from tissue_sim.tool_force import ForceStatus, ToolForce
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from haptics.ticker import Ticker, TimeHistogram
+from haptics.loop.ticker import Ticker, TimeHistogram
 from tissue_sim.errors import InputError
 
 MS = 1_000_000

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from haptics.wire import (
+from haptics.server.wire import (
     REPLY_SIZE,
     REQUEST_SIZE,
     VERSION,

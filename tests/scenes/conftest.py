@@ -4,7 +4,7 @@ import importlib
 
 import pytest
 
-from haptics.loop_process import LoopProcess
+from haptics.loop.process import LoopProcess
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-import calibration.analytical
+import calibration.analytical.analytical
 import tissue_sim as ts
 from scenes.cli import main
 
@@ -147,7 +147,7 @@ def test_ctrl_c_says_what_was_finished(fits, expected, campaign, tmp_path, capsy
     second = tmp_path / "second.toml"
     second.write_text(CAMPAIGN, encoding="utf-8")
     words = ["calibrate", str(campaign), str(second), "-o", str(tmp_path / "out")]
-    original, calls = calibration.analytical.fit_law, []
+    original, calls = calibration.analytical.analytical.fit_law, []
 
     def interrupted(*arguments):
         calls.append(arguments)
@@ -155,7 +155,7 @@ def test_ctrl_c_says_what_was_finished(fits, expected, campaign, tmp_path, capsy
             raise KeyboardInterrupt
         return original(*arguments)
 
-    monkeypatch.setattr("calibration.analytical.fit_law", interrupted)
+    monkeypatch.setattr("calibration.analytical.analytical.fit_law", interrupted)
     assert main(words) == 130
     assert f"stopped by Ctrl-C; {expected}: run the same command" in capsys.readouterr().err
 

@@ -15,9 +15,9 @@ import pytest
 from rich.console import Console
 from scipy.interpolate import PchipInterpolator
 
-import calibration.inverse_fem.work as work
+import calibration.fit.work as work
 import tissue_sim as ts
-from calibration.executors import WorkerError, open_tasks
+from calibration.tasks.executors import WorkerError, open_tasks
 from scenes.cli import main
 from tissue_sim.errors import ConvergenceError
 
@@ -90,7 +90,7 @@ def joint(write):
 @pytest.fixture(autouse=True)
 def without_pictures(monkeypatch):
     """Drawing them takes longer than the fits."""
-    monkeypatch.setattr("calibration.inverse_fem.report._pictures", lambda *content: [])
+    monkeypatch.setattr("calibration.report.report._pictures", lambda *content: [])
 
 
 def run(*words):
@@ -264,7 +264,7 @@ def test_ctrl_c_before_the_folder_is_claimed(joint, tmp_path, capsys, monkeypatc
 
 KILLED = """
 import os, signal, sys
-from calibration.inverse_fem.solves import Solves
+from calibration.forward.solves import Solves
 from scenes.cli import main
 
 keep, kept = Solves.keep, []
@@ -356,7 +356,7 @@ def test_workers_are_asked_for(joint, tmp_path, monkeypatch):
         with open_tasks(type(workers)()) as tasks:
             yield tasks
 
-    monkeypatch.setattr("calibration.batch.open_tasks", inline)
+    monkeypatch.setattr("calibration.pipeline.open_tasks", inline)
     assert run(joint, "-o", tmp_path / "out", "--workers", "3") == 0
     assert [(workers.count, workers.dask) for workers in asked] == [(3, None)]
 

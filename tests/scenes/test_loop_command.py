@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from haptics.loop_process import LoopProcess
-from haptics.motion_source import ProtocolMotion, RandomWalk, SineMotion
-from haptics.ring import RingReader, RingWriter
+from haptics.devices.motion_source import ProtocolMotion, RandomWalk, SineMotion
+from haptics.loop.process import LoopProcess
+from haptics.loop.ring import RingReader, RingWriter
 from scenes.cli import main
 from scenes.loop_report import LiveLine
 
@@ -51,7 +51,7 @@ def asked(monkeypatch):
         def start(self):
             raise NotStartedError(self._asked, self.ring_path)
 
-    monkeypatch.setattr("haptics.loop_process.LoopProcess", Recorded)
+    monkeypatch.setattr("haptics.loop.process.LoopProcess", Recorded)
 
     def asked(*words):
         with pytest.raises(NotStartedError) as caught:
@@ -72,7 +72,7 @@ def of_springs(monkeypatch):
         def __init__(self, build, *others, **options):
             super().__init__(spring, *others, **options)
 
-    monkeypatch.setattr("haptics.loop_process.LoopProcess", OfSpring)
+    monkeypatch.setattr("haptics.loop.process.LoopProcess", OfSpring)
 
 
 def test_a_short_loop_answers_in_json(capsys):

@@ -11,8 +11,8 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from haptics.client import TissueClient
-from haptics.wire import Status
+from haptics.server.client import TissueClient
+from haptics.server.wire import Status
 from scenes.cli import main
 
 MEASURES = ["--radius-mm", "40", "--height-mm", "70"]

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from haptics.motion_source import HandMotion
-from haptics.ring import PAUSED, TICK, RingReader, RingWriter
-from haptics.snapshot_board import SnapshotBoard, SnapshotReader
+from haptics.devices.motion_source import HandMotion
+from haptics.loop.ring import PAUSED, TICK, RingReader, RingWriter
+from haptics.loop.snapshot_board import SnapshotBoard, SnapshotReader
 from scenes.viewer.frame import Phase
 from scenes.viewer.live_simulation import LiveSimulation
 from tissue_sim.fem.axisymmetric.fields import Fields

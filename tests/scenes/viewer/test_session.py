@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from haptics.ring import PAUSED, RingReader
+from haptics.loop.ring import PAUSED, RingReader
 from scenes.viewer.frame import NullViewer, Phase
 from scenes.viewer.measurement import measurement, motion, residual
 from scenes.viewer.session import CLEARANCE, COMMANDS, PLOT_EVERY, STEP_TIME, Session

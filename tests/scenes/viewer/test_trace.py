@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from haptics.ring import PAUSED, TICK
+from haptics.loop.ring import PAUSED, TICK
 from scenes.viewer.trace import DEPTH_STEP, HYSTERESIS, LONGEST, SHORTEST, Trace, on_grid, one_way, recording_csv
 
 

@@ -1,0 +1,1 @@
+"""The analytical calibration: closed forms of homogeneous tests."""

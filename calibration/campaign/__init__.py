@@ -1,0 +1,1 @@
+"""What is asked: campaign files, and the recordings that they name."""

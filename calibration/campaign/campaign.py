@@ -1,0 +1,347 @@
+"""A campaign: which specimens were tested how, where the recordings are, and how to fit them. SI inside."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calibration.campaign.checks import (
+    HOMOGENEOUS,
+    check_available,
+    check_bulk_ratio,
+    check_parameters,
+    check_unused,
+    find_recordings,
+    read_columns_key,
+    require_positive,
+)
+from calibration.campaign.effects import check_effects, is_effect
+from calibration.campaign.schema import CampaignTable, FitTable, NoiseTable, SpecimenTable, TestTable, decode_campaign
+from calibration.campaign.setup import Setup, check_homogeneous, read_setup
+from tissue_sim.errors import InputError, nearest
+from tissue_sim.experiment.experiment import STANDARD_GRAVITY, Specimen
+from tissue_sim.frozen_mapping import read_only
+from tissue_sim.laws import LAWS
+from tissue_sim.material.material import Bulk
+from tissue_sim.recording.file import KINDS
+from tissue_sim.recording.formats import check_delimiter
+
+#: Prior standard deviation of a contact offset when neither the fit nor the noise states one, m.
+DEFAULT_OFFSET_PRIOR = 0.05e-3
+#: Half width of the bounds of a contact offset of an analytical fit where the campaign does not say, m.
+DEFAULT_OFFSET_BOUND = 0.5e-3
+#: Starts of an inverse fit where the campaign does not say.
+DEFAULT_STARTS = 3
+MOST_STARTS = 1000
+
+
+@dataclass(frozen=True)
+class Test:
+    """One test and its replicates.
+
+    Attributes:
+        name: unique in the campaign.
+        kind: a key of `tissue_sim.recording.file.KINDS`.
+        specimen: None where the recordings are stretch and stress already.
+        recordings: files, sorted, at least one.
+        reading: how to read them, the options of `tissue_sim.read_recordings`.
+        max_strain: fitted window of the nominal strain (shear strain for shear), or None for everything.
+        hold_out: predicted, not fitted.
+        place: where it stands in the campaign file, such as ``test[0]``.
+        setup: tool, interfaces and rig, of an inverse fit; None of tension and shear.
+    """
+
+    name: str
+    kind: str
+    specimen: Specimen | None
+    recordings: tuple[Path, ...]
+    reading: Mapping[str, Any] = field(default_factory=lambda: _read_only())
+    max_strain: float | None = None
+    hold_out: bool = False
+    place: str = "test"
+    setup: Setup | None = None
+
+    @property
+    def mode(self) -> str:
+        """Mode of `Law.nominal_stress`, of a homogeneous test."""
+        return HOMOGENEOUS[self.kind]
+
+
+def _read_only(values: Mapping | None = None) -> Mapping:
+    return read_only(values or {})
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """How to fit.
+
+    Attributes:
+        laws: names in `tissue_sim.laws.LAWS`.
+        method: ``"analytical"`` (homogeneous tests, closed forms) or ``"inverse_fem"``.
+        bulk: bulk response that goes into the material files; the analytical fit itself is incompressible.
+        offset: ``"none"`` or ``"fit"``: a contact offset and a zero per replicate.
+        offset_bound, offset_prior: m, half width of the bounds and standard deviation of the prior.
+        zero_bound, zero_prior: N; None: ten times the prior, which is five times the noise of the force.
+        strain_points: evenly spaced strains that every replicate is interpolated to, or None for its own samples.
+        starts: how many an inverse fit tries.
+        start, fixed: parameter -> value, SI; for an inverse fit also other parameters of the material, by the paths of
+            `tissue_sim.material.parameters`, which it then has. prior: parameter -> (mean, standard deviation).
+            bounds: (low, high).
+    """
+
+    laws: tuple[str, ...]
+    bulk: Bulk = field(default_factory=Bulk)
+    offset: str = "none"
+    offset_bound: float = DEFAULT_OFFSET_BOUND
+    offset_prior: float = DEFAULT_OFFSET_PRIOR
+    zero_bound: float | None = None
+    zero_prior: float | None = None
+    strain_points: int | None = None
+    starts: int = DEFAULT_STARTS
+    method: str = "analytical"
+    start: Mapping[str, float] = field(default_factory=_read_only)
+    fixed: Mapping[str, float] = field(default_factory=_read_only)
+    prior: Mapping[str, tuple[float, float]] = field(default_factory=_read_only)
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=_read_only)
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Paths of the material's parameters beside those of its law."""
+        return tuple(name for name in (*self.start, *self.fixed) if is_effect(name))
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What is known about the scatter of the measurement, as standard deviations.
+
+    Attributes:
+        force: N; None: estimated from the samples.
+        nominal_stress: Pa, for tests that are recorded as stress; None: estimated.
+        contact_jitter: m, of the contact point between replicates; None: estimated (inverse fits).
+        zero_jitter: N, of the zero between replicates; None: estimated (inverse fits).
+        correlation_time: s, of the force noise; 0 is white; None: estimated (inverse fits).
+    """
+
+    force: float | None = None
+    nominal_stress: float | None = None
+    contact_jitter: float | None = 0.0
+    zero_jitter: float | None = 0.0
+    correlation_time: float | None = None
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Everything that a calibration depends on, apart from the content of the recordings.
+
+    Attributes:
+        path: the campaign file.
+        name: its stem.
+        specimens: by name.
+        tests: at least one that is not held out.
+        sha256: of the campaign file.
+        density: kg/m3, where all fitted tests state the same for their specimens; None otherwise.
+    """
+
+    path: Path
+    specimens: Mapping[str, Specimen]
+    tests: tuple[Test, ...]
+    fit: FitSettings
+    noise: Noise
+    sha256: str
+    density: float | None = None
+
+    @property
+    def name(self) -> str:
+        return self.path.stem
+
+
+def load_campaign(path: str | Path) -> Campaign:
+    """Read and check a campaign file; recordings are resolved (globs expanded, sorted) but not read.
+
+    Raises:
+        InputError: anything wrong in the file, with the file and the dotted field.
+    """
+    path = Path(path)
+    table, data = decode_campaign(path)
+    try:
+        specimens = _specimens(table)
+        tests = _tests(table, specimens, path.parent)
+        return Campaign(path, _read_only(specimens), tests, _fit_settings(table.fit, table.noise),
+                        _noise(table.noise, table.fit.method), hashlib.sha256(data).hexdigest(), _density(tests))
+    except InputError as error:
+        raise error.located(file=path) from None
+
+
+def _specimens(table: CampaignTable) -> dict[str, Specimen]:
+    specimens: dict[str, Specimen] = {}
+    for i, entry in enumerate(table.specimen):
+        field = f"specimen[{i}]"
+        if entry.name is None and len(table.specimen) > 1:
+            raise InputError("several specimens need a name each, by which the tests call them", field=f"{field}.name")
+        name = entry.name if entry.name is not None else "specimen"
+        if name in specimens:
+            raise InputError(f"the name {name!r} is taken by another specimen; names must be unique",
+                             field=f"{field}.name")
+        specimens[name] = _specimen(entry, name, field)
+    return specimens
+
+
+def _specimen(entry: SpecimenTable, name: str, field: str) -> Specimen:
+    require_positive(entry.height_mm, f"{field}.height_mm", " mm")
+    require_positive(entry.density_kg_m3, f"{field}.density_kg_m3", " kg/m3")
+    if entry.gravity and entry.density_kg_m3 is None:
+        raise InputError("gravity = true needs the density of the specimen; give density_kg_m3",
+                         field=f"{field}.density_kg_m3")
+    needed, other = ("radius_mm", "area_mm2") if entry.shape == "cylinder" else ("area_mm2", "radius_mm")
+    size = getattr(entry, needed)
+    if size is None:
+        raise InputError(f"a {entry.shape} needs {needed}", field=f"{field}.{needed}")
+    if getattr(entry, other) is not None:
+        raise InputError(f"a {entry.shape} has {needed}, not {other}; leave it out", field=f"{field}.{other}")
+    require_positive(size, f"{field}.{needed}", " mm" if needed == "radius_mm" else " mm2")
+    # Homogeneous tests know a specimen by its cross-section and height only.
+    radius = size * 1e-3 if needed == "radius_mm" else float(np.sqrt(size * 1e-6 / np.pi))
+    return Specimen(radius, entry.height_mm * 1e-3, name, entry.density_kg_m3,
+                    STANDARD_GRAVITY if entry.gravity else 0.0, entry.height_is)
+
+
+def _density(tests: tuple[Test, ...]) -> float | None:
+    fitted = {None if test.specimen is None else test.specimen.density for test in tests if not test.hold_out}
+    return fitted.pop() if len(fitted) == 1 else None
+
+
+def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path) -> tuple[Test, ...]:
+    if not table.test:
+        raise InputError("a campaign needs at least one [[test]]", field="test")
+    tests: dict[str, Test] = {}
+    for i, entry in enumerate(table.test):
+        field = f"test[{i}]"
+        same_kind = sum(other.kind == entry.kind for other in table.test) > 1
+        name = entry.name if entry.name is not None else f"{entry.kind}_{i + 1}" if same_kind else entry.kind
+        if name in tests:
+            raise InputError(f"the name {name!r} is taken by another test; names must be unique", field=f"{field}.name")
+        if table.fit.method == "analytical":
+            check_available(entry, field)
+        elif entry.protocol is not None:
+            raise InputError("the motion of a test is that of its recordings; leave the protocol out",
+                             field=f"{field}.protocol")
+        require_positive(entry.speed_mm_s, f"{field}.speed_mm_s", " mm/s")
+        require_positive(entry.max_strain, f"{field}.max_strain")
+        compressed = entry.kind not in ("uniaxial_tension", "simple_shear")
+        if entry.max_strain is not None and compressed and entry.max_strain >= 1:
+            raise InputError(f"{entry.max_strain:g} is not below 1, where the specimen would have no height left",
+                             field=f"{field}.max_strain")
+        if entry.skip_lines is not None and entry.skip_lines < 0:
+            raise InputError(f"{entry.skip_lines} is negative; give a number of lines", field=f"{field}.skip_lines")
+        for key in ("skip_lines", "delimiter"):
+            if getattr(entry, key) and entry.columns is None:
+                raise InputError(f"{key} is for files whose columns are named; give columns too, or leave it out",
+                                 field=f"{field}.{key}")
+        columns = read_columns_key(entry, field)
+        if entry.delimiter is not None:
+            check_delimiter(entry.delimiter, f"{field}.delimiter")
+        specimen, setup = _find_specimen(entry, specimens, table, field), None
+        if table.fit.method == "inverse_fem":
+            check_homogeneous(entry.kind, specimen, field)
+            setup = read_setup(entry, specimen, folder, field)
+        tests[name] = Test(
+            name, entry.kind, specimen, find_recordings(entry.recordings, folder, f"{field}.recordings"),
+            _reading(entry, columns), entry.max_strain, entry.hold_out, field, setup)
+    if all(test.hold_out for test in tests.values()):
+        raise InputError("every test is held out, so there is nothing to fit; set hold_out = false on one",
+                         field="test[0].hold_out")
+    return tuple(tests.values())
+
+
+def _reading(entry: TestTable, columns: Mapping[str, Any] | None) -> Mapping[str, Any]:
+    """Options of `tissue_sim.read_recordings`, those that the test states."""
+    stated = {"columns": columns, "skip_lines": entry.skip_lines, "delimiter": entry.delimiter, "sheet": entry.sheet,
+              "curve": entry.curve, "speed": None if entry.speed_mm_s is None else entry.speed_mm_s * 1e-3}
+    return _read_only({"format": entry.format, **{key: value for key, value in stated.items() if value is not None}})
+
+
+def _find_specimen(entry: TestTable, specimens: Mapping[str, Specimen], table: CampaignTable,
+                   field: str) -> Specimen | None:
+    if entry.specimen is not None and entry.specimen not in specimens:
+        hint = nearest(entry.specimen, specimens) if specimens else "; the file has no [[specimen]]"
+        raise InputError(f"no specimen is named {entry.specimen!r}{hint}", field=f"{field}.specimen")
+    if entry.specimen is None and len(specimens) > 1:
+        raise InputError(f"name one of the specimens: {', '.join(specimens)}", field=f"{field}.specimen")
+    found = next(iter(specimens.values()), None) if entry.specimen is None else specimens[entry.specimen]
+    standing = ("lubricated_compression",) if table.fit.method == "analytical" else \
+        tuple(kind for kind in KINDS if kind not in ("uniaxial_tension", "simple_shear"))
+    if found is not None and found.specific_weight and entry.kind not in standing:
+        raise InputError(f"gravity = true is for a specimen that stands under a plate, and {entry.kind} does not say "
+                         "how it hangs or lies; give this test a specimen with gravity = false",
+                         field=f"{field}.specimen")
+    prism = found is not None and table.specimen[list(specimens).index(found.name)].shape == "prism"
+    if prism and entry.kind not in HOMOGENEOUS:
+        raise InputError(f"{entry.kind} is simulated on a cylinder, and {found.name!r} is a prism; use shape = "
+                         "'cylinder' with radius_mm", field=f"{field}.specimen")
+    return found
+
+
+def _fit_settings(table: FitTable, noise: NoiseTable) -> FitSettings:
+    if not table.laws:
+        raise InputError(f"name at least one law; known: {', '.join(LAWS)}", field="fit.laws")
+    for i, name in enumerate(table.laws):
+        if name not in LAWS:
+            raise InputError(f"unknown law {name!r}{nearest(name, LAWS)}", field=f"fit.laws[{i}]")
+        if name in table.laws[:i]:
+            raise InputError(f"{name} is listed twice", field=f"fit.laws[{i}]")
+    for key in ("bulk_ratio", "offset_bounds_mm", "offset_prior_mm", "zero_bounds_N", "zero_prior_N"):
+        require_positive(getattr(table, key), f"fit.{key}")
+    check_bulk_ratio(table.bulk_ratio)
+    if table.strain_points is not None and table.strain_points < 5:
+        raise InputError(f"{table.strain_points} points are too few; give at least 5", field="fit.strain_points")
+    if table.starts is not None and not 1 <= table.starts <= MOST_STARTS:
+        raise InputError(f"{table.starts} starts; give 1 to {MOST_STARTS}", field="fit.starts")
+    check_unused(table, noise)
+    effects = check_effects(table) if table.method == "inverse_fem" else ()
+    check_parameters(table, effects)
+    offset_prior = next((value * 1e-3 for value in (table.offset_prior_mm, noise.contact_jitter_mm)
+                         if isinstance(value, float | int) and value > 0), DEFAULT_OFFSET_PRIOR)
+    zero_prior = next((float(value) for value in (table.zero_prior_N, noise.zero_jitter_N)
+                       if isinstance(value, float | int) and value > 0), None)
+    return FitSettings(
+        laws=tuple(table.laws), bulk=Bulk() if table.bulk_ratio is None else Bulk("bulk_ratio", table.bulk_ratio),
+        offset=table.offset, offset_prior=offset_prior,
+        offset_bound=DEFAULT_OFFSET_BOUND if table.offset_bounds_mm is None else table.offset_bounds_mm * 1e-3,
+        zero_bound=table.zero_bounds_N, zero_prior=zero_prior, strain_points=table.strain_points,
+        starts=table.starts or DEFAULT_STARTS, method=table.method,
+        start=_read_only(table.start), fixed=_read_only(table.fixed), prior=_read_only(table.prior),
+        bounds=_read_only(table.bounds))
+
+
+def _noise(table: NoiseTable, method: str) -> Noise:
+    for key in ("force_N", "nominal_stress_Pa"):
+        value = getattr(table, key)
+        require_positive(None if value == "estimate" else value, f"noise.{key}")
+    # What an inverse fit estimates unless it is stated.
+    known = {}
+    for key, default in (("contact_jitter_mm", 0.0), ("zero_jitter_N", 0.0), ("correlation_time_s", 0.0)):
+        value = getattr(table, key)
+        if method == "analytical":
+            if value == "estimate":
+                raise InputError('"estimate" needs fit.method = "inverse_fem"; state a standard deviation or leave it '
+                                 "out", field=f"noise.{key}")
+            if key == "correlation_time_s" and value:
+                raise InputError('coloured noise needs fit.method = "inverse_fem"; leave it out', field=f"noise.{key}")
+            value = default if value is None else value
+        if value in (None, "estimate"):
+            known[key] = None
+            continue
+        if not (np.isfinite(value) and value >= 0):
+            raise InputError(f"{value:g} is negative; give 0 or more", field=f"noise.{key}")
+        known[key] = float(value)
+    contact = known["contact_jitter_mm"]
+    return Noise(
+        force=None if table.force_N == "estimate" else table.force_N,
+        nominal_stress=None if table.nominal_stress_Pa == "estimate" else table.nominal_stress_Pa,
+        contact_jitter=None if contact is None else contact * 1e-3, zero_jitter=known["zero_jitter_N"],
+        correlation_time=known["correlation_time_s"])

@@ -1,0 +1,164 @@
+"""Checks of single campaign tables; every failure names the field."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calibration.campaign.schema import FitTable, NoiseTable, TestTable
+from tissue_sim.errors import InputError, nearest
+from tissue_sim.frozen_mapping import read_only
+from tissue_sim.laws import LAWS
+from tissue_sim.material.material import BULK_RATIOS
+from tissue_sim.recording.file import KINDS
+from tissue_sim.recording.formats import check_columns
+
+#: Test kinds with a homogeneous deformation -> mode of `Law.nominal_stress`.
+HOMOGENEOUS = {"lubricated_compression": "uniaxial", "uniaxial_tension": "uniaxial", "simple_shear": "simple_shear"}
+#: What `tool` may say; a profile file beside these.
+TOOLS = ("plate", "flat", "round", "cone", "sphere")
+#: What a friction may say in words; a coefficient beside these.
+FRICTIONS = ("bonded", "stick", "frictionless")
+
+
+def require_positive(value: float | None, field: str, unit: str = "") -> None:
+    """Refuse zero, negative and non-finite numbers; None passes."""
+    if value is not None and not (np.isfinite(value) and value > 0):
+        raise InputError(f"{value:g}{unit} is not positive; give a number above zero", field=field)
+
+
+def check_bulk_ratio(ratio: float | None) -> None:
+    """Refuse a K / mu0 that the finite elements would refuse later; None passes."""
+    if ratio is not None and not BULK_RATIOS[0] <= ratio <= BULK_RATIOS[1]:
+        raise InputError(f"K / mu0 = {ratio:g} is outside {BULK_RATIOS[0]:g} to {BULK_RATIOS[1]:g}, which the finite "
+                         "elements are checked for; leave it out for an incompressible material",
+                         field="fit.bulk_ratio")
+
+
+def check_available(entry: TestTable, field: str) -> None:
+    """Keys of later versions, and keys that contradict a plate on a homogeneous test."""
+    if entry.kind not in HOMOGENEOUS:
+        raise InputError(f"the analytical method takes {', '.join(HOMOGENEOUS)}; for {entry.kind!r} set fit.method = "
+                         "'inverse_fem'", field=f"{field}.kind")
+    if entry.tool not in TOOLS and not Path(entry.tool).suffix:
+        raise InputError(f"unknown tool {entry.tool!r}{nearest(entry.tool, TOOLS)}", field=f"{field}.tool")
+    if entry.tool != "plate":
+        raise InputError(f"a homogeneous test is done with a plate, not with {entry.tool!r}; leave it out",
+                         field=f"{field}.tool")
+    for key in ("protocol", "rig"):
+        if getattr(entry, key) is not None:
+            raise InputError("does not belong to the analytical method; leave it out, or set fit.method = "
+                             "'inverse_fem'", field=f"{field}.{key}")
+    for key in ("tool_radius_mm", "edge_radius_mm", "half_angle_deg", "tip_radius_mm", "friction_wall"):
+        if getattr(entry, key):
+            raise InputError(f"a plate that covers the specimen has no {key}; leave it out", field=f"{field}.{key}")
+    expected = ("frictionless", 0) if entry.kind == "lubricated_compression" else ("bonded",)
+    for key in ("friction", "friction_base"):
+        value = getattr(entry, key)
+        if isinstance(value, str) and value not in FRICTIONS:
+            raise InputError(f"unknown friction {value!r}{nearest(value, FRICTIONS)}; or give a coefficient",
+                             field=f"{field}.{key}")
+        if value is not None and value not in expected:
+            raise InputError(f"{value!r} contradicts kind = {entry.kind!r}, whose faces are {expected[0]}; leave it "
+                             "out", field=f"{field}.{key}")
+
+
+def read_columns_key(entry: TestTable, field: str) -> Mapping[str, Any] | None:
+    """Column map for `tissue_sim.read_recording`, None where the file names its own channels."""
+    if entry.columns is None:
+        return None
+    try:
+        columns = check_columns(entry.columns)
+    except InputError as error:
+        raise error.located(field=field) from None
+    pairs = KINDS[entry.kind]
+    if not any(set(pair) <= set(columns) for pair in pairs):
+        raise InputError(f"{entry.kind} needs the columns {' or '.join(' and '.join(pair) for pair in pairs)}",
+                         field=f"{field}.columns")
+    return read_only(columns)
+
+
+def find_recordings(patterns: list[str], folder: Path, field: str) -> tuple[Path, ...]:
+    """Files of the patterns, sorted, relative to the campaign's folder."""
+    if not patterns:
+        raise InputError("a test needs at least one recording", field=field)
+    found: list[Path] = []
+    for i, pattern in enumerate(patterns):
+        place = f"{field}[{i}]"
+        path = Path(pattern)
+        base, relative = (Path(path.anchor), path.relative_to(path.anchor)) if path.is_absolute() else (folder, path)
+        if not pattern.strip() or relative == Path():
+            raise InputError(f"{pattern!r} names no file; give a path or a pattern such as 'run_*.csv'", field=place)
+        # A plain path wins over its reading as a pattern: file names may hold brackets.
+        plain = base / relative
+        matches = [plain] if plain.exists() else sorted(base.glob(str(relative))) if _is_pattern(pattern) else []
+        if not matches:
+            raise InputError(f"no file matches {pattern!r} in {base}; paths are relative to the campaign file",
+                             field=place)
+        for match in matches:
+            if match.resolve() in {other.resolve() for other in found}:
+                raise InputError(f"{match.name} is listed twice; a replicate counts once", field=place)
+            found.append(match)
+    return tuple(sorted(found))
+
+
+def _is_pattern(text: str) -> bool:
+    return any(character in text for character in "*?[")
+
+
+def check_unused(table: FitTable, noise: NoiseTable) -> None:
+    """Refuse keys that would be read and have no effect."""
+    if table.method == "analytical":
+        if table.starts is not None:
+            raise InputError("the analytical method makes its own starts; leave it out", field="fit.starts")
+    else:
+        if table.strain_points is not None:
+            raise InputError("an inverse fit takes the samples as they are; leave it out", field="fit.strain_points")
+        for key in ("offset_bounds_mm", "zero_bounds_N"):
+            if getattr(table, key) is not None:
+                raise InputError("an inverse fit holds offsets and zeros by their priors, not by bounds; leave it out",
+                                 field=f"fit.{key}")
+    if table.offset == "none":
+        for key in ("offset_bounds_mm", "offset_prior_mm", "zero_bounds_N", "zero_prior_N"):
+            if getattr(table, key) is not None:
+                raise InputError('it counts with offset = "fit" only; leave it out or set that', field=f"fit.{key}")
+    elif table.method == "inverse_fem":
+        for key in ("contact_jitter_mm", "zero_jitter_N"):
+            if getattr(noise, key) == "estimate" or getattr(noise, key) == 0:
+                raise InputError('offset = "fit" needs the prior of the offsets: give a standard deviation, or leave '
+                                 "offset out", field=f"noise.{key}")
+
+
+def check_parameters(table: FitTable, effects: Sequence[str] = ()) -> None:
+    """Names and values of start, fixed, prior and bounds; `effects` are names beside those of the laws."""
+    known = [*sorted({parameter for law in table.laws for parameter in LAWS[law].parameters}), *effects]
+    for key in ("start", "fixed", "prior", "bounds"):
+        for name, value in getattr(table, key).items():
+            field = f"fit.{key}.{name}"
+            if name not in known:
+                hint = nearest(name, known)
+                if table.method == "inverse_fem":
+                    hint += '; other parameters of the material are paths in quotes, "viscoelastic.terms[0].g"'
+                raise InputError(f"none of the listed laws has a parameter {name!r}{hint}", field=field)
+            if np.isnan(value).any() or (key != "bounds" and not np.isfinite(value).all()):
+                raise InputError(f"{value} is not finite; give a number", field=field)
+    for name, (low, high) in table.bounds.items():
+        if not low < high:
+            raise InputError(f"[{low:g}, {high:g}] is empty; give the lower bound first", field=f"fit.bounds.{name}")
+        for key in ("start", "fixed"):
+            value = getattr(table, key).get(name)
+            if value is not None and not low <= value <= high:
+                raise InputError(f"{value:g} is outside its bounds [{low:g}, {high:g}]", field=f"fit.{key}.{name}")
+    for name, (_, deviation) in table.prior.items():
+        if deviation <= 0:
+            raise InputError(f"the standard deviation {deviation:g} is not positive; a prior is [mean, standard "
+                             "deviation]",
+                             field=f"fit.prior.{name}")
+    for name in table.fixed:
+        for key in ("start", "prior"):
+            if name in getattr(table, key):
+                raise InputError(f"{name} is fixed, so it takes no {key}; keep one of the two",
+                                 field=f"fit.{key}.{name}")

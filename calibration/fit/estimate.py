@@ -1,0 +1,131 @@
+"""From the fast mesh's minimum to the estimate: mesh difference and jitter settle together with the parameters."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.fit.fit import Iteration
+from calibration.fit.levenberg_marquardt import Listener, descend
+from calibration.fit.problem import Problem
+from calibration.forward.build import FAST_REMAINDERS, REMAINDERS, remainder
+from calibration.forward.forces import InfeasibleError
+from calibration.statistics.jitter import Jitter, estimate_jitter
+
+#: The difference of the meshes is computed again until that moves no parameter by more than this share of its size;
+#: the next move is taken for the last one times the relative difference, times a factor for safety.
+SETTLED, SAFETY = 5e-4, 5.0
+#: The same for a change of the jitter, relative.
+JITTER_SETTLED = 0.05
+MOST_REFRESHES = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Stated:
+    """Jitter that the campaign states, m and N; None: to be estimated."""
+
+    contact: float | None
+    zero: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """The minimum of the corrected problem.
+
+    Attributes:
+        problem: with its corrections and jitter. theta: SI, shape (p,). error: sum of squares.
+        converged: whether the optimiser said so. failure: why not.
+        differences: accurate against fast mesh for each test, relative to the largest force; NaN where the accurate
+            mesh did not get through. refreshes: how often they were computed.
+        history, simulations, cpu_s: as in `Descent`.
+    """
+
+    problem: Problem
+    theta: np.ndarray
+    error: float
+    converged: bool
+    failure: str
+    differences: tuple[float, ...]
+    refreshes: int
+    warnings: tuple[str, ...]
+    history: tuple[Iteration, ...]
+    simulations: dict[tuple[str, str], int]
+    cpu_s: float
+
+
+def settle(problem: Problem, theta: np.ndarray, stated: Stated, start: int = 1, past: int = 0,
+           listen: Listener | None = None) -> Estimate:
+    """Refresh the difference of the meshes and the jitter until neither moves the parameters.
+
+    Args:
+        problem: uncorrected. theta: its minimum. stated: jitter. start, past, listen: as in `descend`.
+    """
+    began, counted = time.process_time(), Counter(problem.solves.counts)
+    history: list[Iteration] = []
+    differences: tuple[float, ...] = ()
+    warnings: list[str] = []
+    if None in (stated.contact, stated.zero):
+        _estimate_jitter(problem, theta, stated)
+        descent = descend(problem, theta, start=start, listen=listen, past=past)
+        history += descent.history
+        theta = descent.theta
+    refreshes = 0
+    while True:
+        differences = _refine(problem, theta, warnings)
+        refreshes += 1
+        jitter = problem.jitter
+        if None in (stated.contact, stated.zero):
+            _estimate_jitter(problem, theta, stated)
+        problem.forget()
+        descent = descend(problem, theta, start=start, corrected=True, listen=listen,
+                          past=past + len(history))
+        history += descent.history
+        if not np.isfinite(descent.error):
+            break
+        moved = np.abs(descent.theta - theta) / problem.space.sizes(problem.space.values(theta))
+        theta = descent.theta
+        # The difference changes as the parameters do, so that the next move is this one times the difference.
+        share = max((difference for difference in differences if np.isfinite(difference)), default=0.0)
+        if moved.max(initial=0.0) * min(1.0, SAFETY * share) < SETTLED and _alike(jitter, problem.jitter):
+            break
+        if refreshes == MOST_REFRESHES:
+            warnings.append(f"the parameters still moved after {MOST_REFRESHES} refreshes of the mesh difference")
+            break
+    return Estimate(problem, theta, descent.error, descent.converged, descent.problem, differences, refreshes,
+                    tuple(warnings), tuple(history), dict(problem.solves.counts - counted),
+                    time.process_time() - began)
+
+
+def _refine(problem: Problem, theta: np.ndarray, warnings: list[str]) -> tuple[float, ...]:
+    """New corrections; a test whose accurate mesh fails keeps the fast one, and carries its error."""
+    found, errors = [], []
+    for test in problem.tests:
+        try:
+            found.append(test.refine(problem.space, theta, problem.solves))
+            errors.append(remainder(test, REMAINDERS))
+        except InfeasibleError:
+            test.correction = []
+            found.append(float("nan"))
+            errors.append(remainder(test, FAST_REMAINDERS))
+            warning = f"{test.name}: the accurate mesh does not get through, so the fast one's error is carried"
+            if warning not in warnings:
+                warnings.append(warning)
+    problem.mesh_error = tuple(errors)
+    return tuple(found)
+
+
+def _estimate_jitter(problem: Problem, theta: np.ndarray, stated: Stated) -> None:
+    """New jitter; where no test has two recordings the first guess stays, with freedom 0."""
+    if all(len(test.measured) < 2 for test in problem.tests):
+        return
+    replicates = problem.replicates(problem.evaluate(theta))
+    problem.jitter = estimate_jitter(replicates, contact=stated.contact, zero=stated.zero)
+    problem.forget()
+
+
+def _alike(one: Jitter, other: Jitter) -> bool:
+    return all(abs(a - b) <= JITTER_SETTLED * max(a, b) for a, b in ((one.contact, other.contact),
+                                                                     (one.zero, other.zero)))

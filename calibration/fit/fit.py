@@ -1,0 +1,283 @@
+"""What a calibration answers: one `Fit` a law, and predictions of the held-out tests."""
+
+from __future__ import annotations
+
+import msgspec
+
+
+class Minimum(msgspec.Struct, frozen=True, kw_only=True):
+    """A local minimum of the sum of squares that some of the starts ended in.
+
+    Attributes:
+        parameters: name -> value, SI.
+        R2: coefficient of determination there.
+        starts: how many starts ended in it.
+    """
+
+    parameters: dict[str, float]
+    R2: float
+    starts: int
+
+
+class Nuisance(msgspec.Struct, frozen=True, kw_only=True):
+    """Contact offset and zero of one replicate, in the units of the file.
+
+    Attributes:
+        replicate: its name.
+        contact_offset_mm: reported displacement at which the tool truly touches.
+        zero_offset_N: reading without load.
+        contact_offset_error_mm, zero_offset_error_N: standard errors; None on a bound, or where not determined.
+        on_bound: names of those that ended on their bound.
+    """
+
+    replicate: str
+    contact_offset_mm: float
+    contact_offset_error_mm: float | None
+    zero_offset_N: float
+    zero_offset_error_N: float | None
+    on_bound: list[str] = []
+
+
+class Prediction(msgspec.Struct, frozen=True, kw_only=True):
+    """A test as a law predicts it that was fitted without that test.
+
+    Attributes:
+        test, law: names.
+        RMSE_N: root mean square error of the force; None without a specimen.
+        RMSE_Pa: of the nominal stress; None where the deformation is not homogeneous.
+        percent: error relative to the largest measured stress, or force.
+        expected_N: RMSE that noise, jitter and the uncertainty of the parameters would make; None where unknown.
+        fitted: tests that the law was fitted to for this; empty: all that are not held out.
+        note: why there is no prediction; empty where there is one.
+        parameters: free ones of the fit that predicts, name -> value, SI, of an inverse fit.
+
+    Errors are None where the law does not carry the specimen as far as the test went, or where the other tests leave a
+    parameter open.
+    """
+
+    test: str
+    law: str
+    RMSE_N: float | None
+    RMSE_Pa: float | None
+    percent: float | None
+    expected_N: float | None = None
+    fitted: list[str] = []
+    note: str = ""
+    parameters: dict[str, float] = {}
+
+
+class Iteration(msgspec.Struct, frozen=True, kw_only=True):
+    """One solve of an inverse fit: all tests simulated at one set of parameters.
+
+    Attributes:
+        start: number of the start, from 1. run: number of the solve from that start, from 1.
+        parameters: free ones, name -> value, SI. error: sum of squares of the whitened residuals and priors.
+        RMSE_N: of all samples. corrected: whether the difference to the accurate mesh was in.
+    """
+
+    start: int
+    run: int
+    parameters: dict[str, float]
+    error: float
+    RMSE_N: float
+    corrected: bool
+
+
+class Profile(msgspec.Struct, frozen=True, kw_only=True):
+    """Profile likelihood of one parameter: the smallest sum of squares for each of its values.
+
+    Attributes:
+        values: ascending, SI; the estimate is among them.
+        rises: of the sum of squares above its minimum there, in units of the noise (or of the residuals where these
+            exceed it).
+        level: rise at the ends of the 95 % interval.
+        notes: what ended the interval early, such as ``"low: bound 0"``.
+    """
+
+    values: list[float]
+    rises: list[float]
+    level: float
+    notes: list[str] = []
+
+
+class Region(msgspec.Struct, frozen=True, kw_only=True):
+    """Whether a smooth misfit is left in one part of one test.
+
+    Attributes:
+        test, segment: names. start, end: displacement at its ends, mm (strain where the test has no specimen).
+        p: probability of so large a misfit by chance, adjusted for the number of regions (Holm).
+        statistic, freedom: of the test, see `calibration.statistics.adequacy`.
+        misfit_N: root mean square of the smooth part of data minus model (Pa where the test has no specimen).
+        largest_N, at: where that is largest: its value with sign, and the displacement there, mm.
+        adequate: p above 0.05.
+    """
+
+    test: str
+    segment: str
+    start: float
+    end: float
+    p: float
+    statistic: float
+    freedom: int
+    misfit_N: float
+    largest_N: float
+    at: float
+    adequate: bool
+
+
+class Direction(msgspec.Struct, frozen=True, kw_only=True):
+    """A combination of parameters that the tests tell poorly.
+
+    Attributes:
+        shares: parameter -> component of the unit vector of relative changes.
+        relative_error: standard error along it, relative to the parameters.
+    """
+
+    shares: dict[str, float]
+    relative_error: float
+
+
+class Suggestion(msgspec.Struct, frozen=True, kw_only=True):
+    """A further test, and what it would do.
+
+    Attributes:
+        test: in words.
+        standard_errors: name -> standard error with it, SI.
+    """
+
+    test: str
+    standard_errors: dict[str, float]
+
+
+class SensorStatement(msgspec.Struct, frozen=True, kw_only=True):
+    """Noise of one test's recordings, as stated or estimated.
+
+    Attributes:
+        test: name. deviation_N: standard deviation (Pa where the test has no specimen).
+        correlation_time_s: 0 for white noise. source: ``"stated"``, ``"estimated"`` or ``"resolution"``.
+    """
+
+    test: str
+    deviation_N: float
+    correlation_time_s: float
+    source: str
+
+
+class JitterStatement(msgspec.Struct, frozen=True, kw_only=True):
+    """Scatter between recordings, and how many degrees of freedom an estimate of it has (None: stated)."""
+
+    contact_mm: float
+    zero_N: float
+    freedom: int | None = None
+
+
+class MeshCorrection(msgspec.Struct, frozen=True, kw_only=True):
+    """Accurate mesh against fast mesh in one test.
+
+    Attributes:
+        test: name. largest_percent: largest difference, relative to the largest force; None where the accurate mesh
+            did not get through.
+        remainder_percent: standard deviation of what the mesh that counts is off, relative to the force.
+        refreshes: how often the difference was computed.
+    """
+
+    test: str
+    largest_percent: float | None
+    remainder_percent: float
+    refreshes: int
+
+
+class Covariance(msgspec.Struct, frozen=True, kw_only=True):
+    """Covariance of the parameters, SI, in a stated order."""
+
+    order: list[str]
+    matrix: list[list[float]]
+
+
+class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0": "mu0_Pa"}):
+    """A law fitted to a campaign. Encoded, it is an entry of ``fits`` in ``fit.json``.
+
+    Attributes:
+        law, formula: name and energy.
+        parameters: name -> value, SI.
+        standard_errors: name -> standard deviation of the estimate; None where not determined or on a bound; 0 if
+            fixed.
+        covariance: of the parameters, zero for those that are fixed or on a bound. correlation: in the same order.
+        covariance_from: ``"noise"``, ``"residuals"`` or ``"replicates"``: what the standard errors rest on.
+        intervals95: name -> (low, high) inside the bounds, None without a standard error.
+        not_identifiable: names whose standard error exceeds the value or that lie in a singular direction.
+        on_bound: parameters and nuisances that ended on a bound.
+        R2: of the nominal stress. RMSE_N: None without a specimen. RMSE_Pa: of the nominal stress.
+        noise_ratio: root mean square of the residuals, each in units of its noise.
+        AIC, BIC: with the noise taken as known and priors as penalties, up to a constant that all laws share.
+        E0, mu0: initial Young's and shear modulus of the incompressible law, Pa.
+        stable_from, stable_to: stretches that are Drucker-stable in all three modes of loading; stability: the same
+            in words; stretch_range: of the data.
+        sag_mm: specimen that weighs -> by how much it sags with this law.
+        nuisances: of the replicates when offsets are fitted or their jitter is marginalised.
+        minima: best first. starts: how many were tried.
+        status: ``"converged"``, ``"unstable"`` (in the measured loading over the data), ``"not_physical"`` or
+            ``"not_converged"``. Only the first is usable.
+        unusable: why it is not usable over the data; None where it is.
+        warnings: what to mind, usable or not: bounds that hold unknowns, loss of stability in other loading.
+        message: for people; holds both.
+        iterations: evaluations of the model. fem_solves: simulated tests; 0 for a closed form. cpu_s: processor
+            seconds.
+        material_file: name of the file, None where the fit gives no material.
+
+    Of an inverse fit only:
+        interval_notes: name -> what cut its interval. profiles: name -> profile likelihood.
+        regions: where a smooth misfit is left. history: every solve of every start.
+        condition: of the information, each parameter scaled by its value. directions: those told poorly.
+        suggestions: further tests, best first, where something is not identifiable.
+        jitter, mesh: what was marginalised and corrected.
+        estimate_cpu_s: processor seconds from the best start to the estimate, the rest of `cpu_s` went into other
+            starts, profiles, left-out tests and pictures.
+        left_out: percent, root mean square over the tests, of the predictions that rank the laws.
+    """
+
+    law: str
+    formula: str
+    parameters: dict[str, float]
+    standard_errors: dict[str, float | None]
+    covariance: Covariance
+    correlation: list[list[float]]
+    covariance_from: str
+    intervals95: dict[str, tuple[float, float] | None]
+    not_identifiable: list[str]
+    on_bound: list[str]
+    R2: float
+    RMSE_N: float | None
+    RMSE_Pa: float | None
+    noise_ratio: float
+    AIC: float
+    BIC: float
+    E0: float
+    mu0: float
+    stable_from: float
+    stable_to: float
+    stability: str
+    stretch_range: tuple[float, float]
+    sag_mm: dict[str, float] = {}
+    nuisances: list[Nuisance] = []
+    minima: list[Minimum] = []
+    starts: int
+    status: str
+    unusable: str | None = None
+    warnings: list[str] = []
+    message: str
+    iterations: int
+    fem_solves: int = 0
+    cpu_s: float
+    material_file: str | None = None
+    interval_notes: dict[str, str] = {}
+    profiles: dict[str, Profile] = {}
+    regions: list[Region] = []
+    history: list[Iteration] = []
+    condition: float | None = None
+    directions: list[Direction] = []
+    suggestions: list[Suggestion] = []
+    jitter: JitterStatement | None = None
+    mesh: list[MeshCorrection] = []
+    left_out: float | None = None
+    estimate_cpu_s: float = 0.0

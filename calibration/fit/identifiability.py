@@ -1,0 +1,132 @@
+"""What the tests cannot tell, and which further test would."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calibration.fit.fit import Direction, Suggestion
+from calibration.fit.parameters import ParameterSpace
+from calibration.fit.problem import Problem
+from calibration.fit.uncertainty import Uncertainty
+from calibration.forward.motion import offset_rate
+from tissue_sim.differentiation import sensitivities
+from tissue_sim.errors import ConvergenceError, InputError
+from tissue_sim.experiment.experiment import Experiment, Model, Specimen
+from tissue_sim.experiment.protocol import STUDY_SPEED, Protocol
+from tissue_sim.experiment.tools.tool import Tool
+
+#: A combination whose relative standard error is larger than this is poorly told.
+WEAK = 0.2
+#: What a suggested test is taken to be like: samples of a recording, and recordings.
+_SAMPLES, _REPLICATES, _POINTS = 400, 3, 11
+_HOLD_S, _STRAIN, _DEEPER, _NEEDLE = 60.0, 0.14, 1.6, 0.2
+_MOST_SUGGESTIONS = 3
+#: Noise, N, and jitter, m and N, of a rig such as the study's, for campaigns that recorded stress.
+_RIG = 0.02, (0.03e-3, 0.01)
+#: The study's specimen, for campaigns whose tests have none.
+_SPECIMEN = Specimen(0.040, 0.070)
+
+
+def condition(spread: Uncertainty) -> float | None:
+    """Largest over smallest eigenvalue of the scaled information; None where one is zero."""
+    free = ~spread.on_bound
+    if not free.any():
+        return None
+    values = np.linalg.eigvalsh(spread.information[np.ix_(free, free)])
+    return float(values[-1] / values[0]) if values[0] > 0 else None
+
+
+def weak_directions(space: ParameterSpace, spread: Uncertainty) -> list[Direction]:
+    """Combinations of relative changes that the tests tell poorly, worst first."""
+    free = np.flatnonzero(~spread.on_bound)
+    values, vectors = np.linalg.eigh(spread.information[np.ix_(free, free)])
+    found = []
+    for value, vector in zip(values, vectors.T, strict=True):
+        error = float(np.sqrt(spread.inflation / value)) if value > 0 else 1e9
+        if error <= WEAK:
+            break
+        vector = vector * np.sign(vector[np.argmax(np.abs(vector))])
+        found.append(Direction(shares={space.free[i]: float(share) for i, share in zip(free, vector, strict=True)},
+                               relative_error=min(error, 1e9)))
+    return found
+
+
+def not_identifiable(space: ParameterSpace, spread: Uncertainty) -> list[str]:
+    """Parameters whose standard error exceeds their size."""
+    return [name for name, error, size in zip(space.free, spread.standard_errors, spread.sizes, strict=True)
+            if not error <= size and not np.isnan(error)]
+
+
+def suggest_tests(problem: Problem, theta: np.ndarray, spread: Uncertainty) -> list[Suggestion]:
+    """Further tests that tell the weakest direction better, best first; each is simulated once.
+
+    A test counts as three recordings of 400 samples with the noise and jitter of the campaign.
+    """
+    free = np.flatnonzero(~spread.on_bound)
+    rated = []
+    information = spread.information[np.ix_(free, free)] / spread.inflation
+    axis = np.linalg.eigh(information)[1][:, 0]
+    mechanical = [curve.noise.deviation for curve in problem.measured if curve.test.specimen is not None]
+    noise, jitter = _RIG if not mechanical else (
+        float(np.median(mechanical)), (problem.jitter.contact, problem.jitter.zero))
+    for words, experiment in _candidates(problem):
+        gained = _information(problem, theta, experiment, spread, noise, jitter)
+        if gained is None:
+            continue
+        together = information + gained[np.ix_(free, free)]
+        covariance = np.linalg.pinv(together, hermitian=True) * np.outer(spread.sizes[free], spread.sizes[free])
+        errors = {problem.space.free[i]: float(np.sqrt(covariance[j, j])) for j, i in enumerate(free)}
+        rated.append((float(axis @ gained[np.ix_(free, free)] @ axis), Suggestion(test=words, standard_errors=errors)))
+    rated.sort(key=lambda item: -item[0])
+    # What tells the weak direction less than the tests that are there is no remedy.
+    worth = float(axis @ information @ axis)
+    return [suggestion for gain, suggestion in rated[:_MOST_SUGGESTIONS] if gain > worth]
+
+
+def _candidates(problem: Problem) -> Sequence[tuple[str, Experiment]]:
+    """Tests in words, as experiments on the campaign's specimen."""
+    specimens = [test.specimen for test in problem.tests if getattr(test, "specimen", None) is not None]
+    specimen = specimens[0] if specimens else _SPECIMEN
+    ageing = any(name.startswith(("viscoelastic", "poroelasticity", "softening")) for name in problem.space.free)
+    found = []
+    for strain in (_STRAIN, min(_DEEPER * _STRAIN, 0.3)):
+        depth = strain * specimen.height
+        millimetres = f"{depth * 1e3:.3g} mm"
+        needle = Tool("flat", radius=_NEEDLE * specimen.radius)
+        for words, tool, friction in (
+                (f"lubricated compression to {millimetres}", Tool(), "frictionless"),
+                (f"bonded compression to {millimetres}", Tool(), "bonded"),
+                (f"needle indentation (flat, radius {needle.radius * 1e3:.3g} mm) to {millimetres}", needle, "bonded")):
+            base = "frictionless" if friction == "frictionless" else "bonded"
+            for ending, protocol in _protocols(depth, ageing):
+                found.append((words + ending, Experiment(specimen, protocol, tool, friction, base)))
+    return found
+
+
+def _protocols(depth: float, ageing: bool) -> list[tuple[str, Protocol]]:
+    if not ageing:
+        return [("", Protocol.ramp(depth, _POINTS))]
+    text = f"ramp {depth * 1e3:.6g}mm @{STUDY_SPEED * 1e3:.6g}mm/s; hold {_HOLD_S:g}s"
+    return [(f" with a hold of {_HOLD_S:g} s", Protocol.parse(text, points=_POINTS)),
+            (" with a hold and a return", Protocol.parse(text + "; unload", points=_POINTS)),
+            (" ten times as fast, with a hold", Protocol.parse(
+                text.replace(f"@{STUDY_SPEED * 1e3:.6g}", f"@{STUDY_SPEED * 1e4:.6g}"), points=_POINTS))]
+
+
+def _information(problem: Problem, theta: np.ndarray, experiment: Experiment, spread: Uncertainty, noise: float,
+                 jitter: tuple[float, float]) -> np.ndarray | None:
+    """Scaled information of three recordings with the jitter marginalised; None where it stops."""
+    space = problem.space
+    try:
+        answer = sensitivities(Model(experiment, space.material(space.values(theta))), space.free)
+    except (ConvergenceError, InputError):
+        return None
+    recording = answer.recording
+    weight = np.sqrt(_SAMPLES / recording.force.size) / noise
+    rates = weight * answer.values * spread.sizes
+    contact, zero = jitter
+    columns = weight * np.column_stack([contact * offset_rate(recording), zero * np.ones_like(recording.force)])
+    inner = np.linalg.inv(np.eye(2) + columns.T @ columns)
+    return _REPLICATES * (rates.T @ rates - rates.T @ columns @ inner @ columns.T @ rates)

@@ -1,0 +1,49 @@
+"""Where an inverse fit begins."""
+
+from __future__ import annotations
+
+from itertools import combinations_with_replacement, cycle
+
+import numpy as np
+
+from calibration.campaign.effects import is_effect
+from calibration.fit.parameters import ParameterSpace
+from tissue_sim.laws import find_law
+
+#: Exponents, first ones first; moduli take care of themselves.
+EXPONENTS = (2.0, 8.0, -4.0, 15.0, -10.0, 4.0, -2.0)
+#: What later starts multiply moduli and effects with, one after the other.
+FACTORS = (3.0, 1.0 / 3.0, 10.0, 0.1)
+_MODULUS = 1000.0
+
+
+def starts(space: ParameterSpace, count: int) -> list[np.ndarray]:
+    """Starts of a law, at most `count`: what the campaign states, then others spread around it.
+
+    Returns:
+        Free parameters, SI, each of shape (p,), inside their bounds.
+    """
+    law = find_law(space.law)
+    exponents = [name for name in space.free if not is_effect(name) and law.units[name] == "1"]
+    grids = [grid for grid in combinations_with_replacement(EXPONENTS, len(exponents))
+             if len(set(grid)) == len(grid)] or [()]
+    # The most different ones first: two terms with one sign each before two with the same.
+    grids.sort(key=lambda grid: (len({np.sign(e) for e in grid}) < min(len(grid), 2), sum(EXPONENTS.index(e)
+                                                                                         for e in grid)))
+    found: list[np.ndarray] = []
+    moduli = [name for name in space.free if space.is_modulus(name)]
+    for turns, grid in enumerate(cycle(grids)):
+        factors = [1.0] * len(space.free)
+        if turns >= len(grids) and len(space.free) > 1:
+            step = turns // len(grids) - 1
+            place = step % len(space.free)
+            factors[place] = FACTORS[step // len(space.free) % len(FACTORS)]
+        guess = dict(zip(exponents, grid, strict=True))
+        guess |= {name: _MODULUS / (1 + i) for i, name in enumerate(moduli)}
+        values = [space.start.get(name, guess.get(name, 1.0)) for name in space.free]
+        theta = np.clip(np.array(values) * factors, space.low, space.high)
+        if not any(np.allclose(theta, other) for other in found):
+            found.append(theta)
+        if len(found) >= count or turns > 50 * count:
+            return found
+    return found

@@ -1,0 +1,110 @@
+"""What the minimum is worth: covariance of the parameters, and how far their profiles rise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from calibration.fit.problem import Evaluation, Problem
+from calibration.statistics.statistics import RESIDUAL_RATIO
+
+#: A parameter this near to its bound, relative to its size, is on it.
+ON_BOUND = 1e-6
+#: A direction whose scaled information is below this share of the largest is not determined.
+SINGULAR = 1e-14
+#: Factor of a variance of the jitter for a derivative.
+_MORE = 1.2
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """Generalised least squares at the minimum; what a bound holds counts as fixed.
+
+    Attributes:
+        covariance: of the free parameters, SI, shape (p, p); zero beside those on a bound.
+        standard_errors: shape (p,); NaN on a bound, inf in a direction that nothing determines.
+        on_bound: shape (p,), bool.
+        basis: ``"noise"``, ``"residuals"`` (they exceed the noise) or ``"replicates"`` (the jitter is estimated).
+        quantile: half widths of the 95 % intervals in standard errors, shape (p,).
+        inflation: factor of all variances because the residuals exceed the noise, at least 1.
+        ratio: root mean square of the whitened residuals.
+        sizes: whole changes of the parameters, see `ParameterSpace.sizes`, shape (p,).
+        information: of the parameters in units of their sizes, shape (p, p).
+    """
+
+    covariance: np.ndarray
+    standard_errors: np.ndarray
+    on_bound: np.ndarray
+    basis: str
+    quantile: np.ndarray
+    inflation: float
+    ratio: float
+    sizes: np.ndarray
+    information: np.ndarray
+
+
+def assess_uncertainty(problem: Problem, evaluation: Evaluation) -> Uncertainty:
+    """The uncertainty of the parameters where the sum of squares is smallest.
+
+    The nuisances are marginalised: the projected Jacobian J holds what they cannot make up for, and the covariance is
+    (J'J)^-1. Where the residuals exceed the noise it is multiplied with chi-square per degree of freedom.
+
+    Source: Golub and Pereyra, Inverse Problems 19 (2003) R1, section 2; Aitken's generalised least squares.
+    """
+    space = problem.space
+    _, jacobian = evaluation.projected
+    sizes = space.sizes(space.values(evaluation.theta))
+    near = ON_BOUND * sizes
+    on_bound = (evaluation.theta - space.low <= near) | (space.high - evaluation.theta <= near)
+    scaled = jacobian * sizes
+    information = scaled.T @ scaled
+    freedom = max(problem.samples + evaluation.prior_residual.size - len(space.free), 1)
+    chi_square = evaluation.error
+    inflation, basis, quantile = 1.0, "noise", np.full(len(space.free), stats.norm.ppf(0.975))
+    if chi_square > RESIDUAL_RATIO**2 * freedom:
+        inflation, basis = chi_square / freedom, "residuals"
+    inside = np.flatnonzero(~on_bound)
+    covariance = np.zeros_like(information)
+    errors = np.where(on_bound, np.nan, 0.0)
+    if inside.size:
+        values, vectors = np.linalg.eigh(information[np.ix_(inside, inside)])
+        flat = values <= SINGULAR * max(values.max(), 1e-300)
+        root = vectors[:, ~flat] / np.sqrt(values[~flat])
+        own = inflation * root @ root.T * np.outer(sizes[inside], sizes[inside])
+        covariance[np.ix_(inside, inside)] = own
+        errors[inside] = np.sqrt(np.diag(own))
+        loose = (np.abs(vectors[:, flat]) > 0.1).any(axis=1) if flat.any() else np.zeros(inside.size, bool)
+        errors[inside[loose]] = np.inf
+    if problem.jitter.freedom and inside.size:
+        basis = "residuals" if basis == "residuals" else "replicates"
+        quantile[inside] = stats.t.ppf(0.975, _freedom(problem, evaluation, sizes, inside))
+    ratio = float(np.sqrt(np.mean(evaluation.residual**2)))
+    return Uncertainty(covariance, errors, on_bound, basis, quantile, float(inflation), ratio, sizes,
+                       information)
+
+
+def _freedom(problem: Problem, evaluation: Evaluation, sizes: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """Degrees of freedom of the variances of some parameters where the jitter is an estimate, shape (len(inside),).
+
+    The jitter's variances are known to a relative variance of 2 / freedom each, and a parameter's variance follows them
+    by its logarithmic derivative: offsets that the samples tell do not matter.
+
+    Source: Satterthwaite, Biometrics Bulletin 2 (1946) 110, as in Kenward and Roger, Biometrics 53 (1997) 983.
+    """
+    rates = (evaluation.rates * sizes)[:, inside]
+    priors = (evaluation.prior_rates * sizes)[:, inside]
+    # The columns of all recordings for one kind of jitter stand at a stride.
+    own = len(problem.places) * len(problem.kinds)
+
+    def variances(kind: int, factor: float) -> np.ndarray:
+        columns = evaluation.columns.copy()
+        columns[:, kind:own:len(problem.kinds)] *= np.sqrt(factor)
+        cross = columns.T @ rates
+        taken = cross.T @ np.linalg.solve(np.eye(columns.shape[1]) + columns.T @ columns, cross)
+        return np.diag(np.linalg.pinv(rates.T @ rates - taken + priors.T @ priors, hermitian=True))
+
+    squares = sum(((np.log(variances(kind, _MORE)) - np.log(variances(kind, 1 / _MORE))) / (2 * np.log(_MORE)))**2
+                  for kind in range(len(problem.kinds)))
+    return problem.jitter.freedom / np.maximum(squares, 1e-9)

@@ -1,0 +1,94 @@
+"""Tests that a fit has not seen: left out one at a time, or held out by the campaign."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.fit.fit import Prediction
+from calibration.fit.identifiability import not_identifiable
+from calibration.fit.levenberg_marquardt import descend
+from calibration.fit.problem import Problem
+from calibration.fit.uncertainty import assess_uncertainty
+from calibration.forward.forces import ClosedTest, InfeasibleError, SimulatedTest
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOut:
+    """A test predicted by a fit to the others.
+
+    Attributes:
+        prediction: errors in N and %. theta: of that fit, SI, shape (p,); NaN where it failed.
+        simulations: (test, resolution) -> simulations that were done. cpu_s: processor seconds.
+    """
+
+    prediction: Prediction
+    theta: np.ndarray
+    simulations: dict[tuple[str, str], int]
+    cpu_s: float
+
+
+def leave_out(problem: Problem, theta: np.ndarray, number: int) -> LeftOut:
+    """Fit all tests but one from the joint estimate, and predict that one.
+
+    Args:
+        problem: at its minimum, corrected. theta: there, shape (p,). number: of the test.
+    """
+    began, counted = time.process_time(), Counter(problem.solves.counts)
+    others = [i for i in range(len(problem.tests)) if i != number]
+    rest, test = problem.with_tests(others), problem.tests[number]
+    names = [other.name for other in rest.tests]
+    descent = descend(rest, theta, corrected=True)
+    law = problem.space.law
+    answer = unpredicted(test.name, law, names, f"no fit to the others: {descent.problem}")
+    if np.isfinite(descent.error):
+        try:
+            spread = assess_uncertainty(rest, rest.evaluate(descent.theta))
+            # What the others do not tell would stay where this test has put it.
+            if open_names := not_identifiable(problem.space, spread):
+                answer = unpredicted(test.name, law, names, f"the other tests do not determine {', '.join(open_names)}")
+            else:
+                answer = predict(problem, test, descent.theta, spread.covariance, names)
+        except InfeasibleError as failure:
+            answer = unpredicted(test.name, law, names, str(failure))
+    return LeftOut(answer, descent.theta, dict(problem.solves.counts - counted), time.process_time() - began)
+
+
+def predict(problem: Problem, test: SimulatedTest | ClosedTest, theta: np.ndarray, covariance: np.ndarray,
+            fitted: list[str]) -> Prediction:
+    """How parameters predict a test, with no offset and no zero of its own.
+
+    Args:
+        problem: for noise, jitter and what is simulated. test: with its recordings.
+        theta, covariance: SI, shapes (p,) and (p, p). fitted: tests that these come from.
+
+    Raises:
+        InfeasibleError: the simulation does not get through.
+    """
+    answer = test.solve(problem.space, theta, problem.solves)
+    squares, expected, largest, samples = 0.0, 0.0, 0.0, 0
+    for recording, measured in enumerate(test.measured):
+        force, rates, contact = test.evaluate(answer, recording, 0.0)
+        squares += float(np.sum((force - measured.force)**2))
+        variance = np.einsum("np,pq,nq->n", rates, covariance, rates) + measured.noise.deviation**2
+        variance = variance + (problem.jitter.contact * contact)**2 + problem.jitter.zero**2
+        expected += float(variance.sum())
+        largest = max(largest, float(np.abs(measured.force).max()))
+        samples += measured.force.size
+    rmse = float(np.sqrt(squares / samples))
+    stressed = test.measured[0].test.specimen is None
+    if not np.isfinite(rmse):
+        return unpredicted(test.name, problem.space.law, fitted, "the law gives no finite force")
+    return Prediction(test=test.name, law=problem.space.law, RMSE_N=None if stressed else rmse,
+                      RMSE_Pa=rmse if stressed else float(rmse / test.area) if isinstance(test, ClosedTest) else None,
+                      percent=100.0 * rmse / largest,
+                      expected_N=None if stressed else float(np.sqrt(expected / samples)), fitted=fitted,
+                      parameters=dict(zip(problem.space.free, np.asarray(theta).tolist(), strict=True)))
+
+
+def unpredicted(test: str, law: str, fitted: list[str], note: str) -> Prediction:
+    """A prediction that there is none of, and why."""
+    return Prediction(test=test, law=law, RMSE_N=None, RMSE_Pa=None, percent=None, fitted=fitted, note=note)

@@ -1,0 +1,1 @@
+"""What a test's force is, as a function of the parameters."""

@@ -1,0 +1,98 @@
+"""From a campaign and its recordings to the tests that a fit compares them with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from calibration.campaign.campaign import Campaign, Test
+from calibration.campaign.checks import HOMOGENEOUS
+from calibration.campaign.effects import is_effect
+from calibration.campaign.measured import MeasuredCurve, ages, remembers
+from calibration.fit.parameters import ParameterSpace
+from calibration.fit.problem import Problem
+from calibration.forward.forces import ClosedTest, SimulatedTest
+from calibration.forward.motion import Loading, Timed
+from calibration.forward.solves import Solves
+from calibration.statistics.jitter import Jitter
+from tissue_sim.experiment.protocol import STUDY_SPEED
+
+#: Standard deviation of the accurate mesh's own error relative to the force: what is left against independent
+#: solvers, see docs/simulation.md. Between plates, under a flat needle, under a round or pointed one.
+REMAINDERS = {"plate": 0.0005, "flat": 0.001, "other": 0.002}
+#: The same of the fast mesh, where the accurate one does not get through.
+FAST_REMAINDERS = {"plate": 0.003, "flat": 0.008, "other": 0.01}
+#: The simulated way goes on for so many standard deviations of the contact offset, but for this share at least.
+_MARGIN, _LEAST_MARGIN = 4.0, 1e-3
+#: Standard deviations with which an estimate of the jitter begins, and which are assumed where no test has two
+#: recordings: m, and a share of the largest force.
+FIRST_CONTACT, FIRST_ZERO = 0.05e-3, 0.002
+
+
+def build_problem(law: str, campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCurve]],
+                  solves: Solves) -> Problem:
+    """The least-squares problem of one law over all tests that are not held out.
+
+    Args:
+        law: its name. campaign: what is asked. measured: test -> its recordings. solves: what has been simulated.
+    """
+    space = ParameterSpace.of(law, campaign)
+    fitted = [test for test in campaign.tests if not test.hold_out]
+    jitter = first_jitter(campaign, [curve for test in fitted for curve in measured[test.name]])
+    tests = tuple(build_test(test, measured[test.name], space, jitter.contact) for test in fitted)
+    # What the fast mesh is off is no misfit that offsets should make up for.
+    return Problem(space, tests, solves, jitter, tuple(remainder(test, FAST_REMAINDERS) for test in tests))
+
+
+def build_test(test: Test, curves: Sequence[MeasuredCurve], space: ParameterSpace,
+               contact: float) -> SimulatedTest | ClosedTest:
+    """A test and how it is simulated; `contact` is the standard deviation of the contact offset, m."""
+    curves = tuple(curves)
+    if test.setup is None or curves[0].stressed:
+        size = (1.0, 1.0) if test.specimen is None else (test.specimen.height, test.specimen.area)
+        return ClosedTest(test.name, HOMOGENEOUS[test.kind], test.kind == "lubricated_compression", *size, curves)
+    effects = tuple(name for name in space.names if is_effect(name))
+    layered = any(name.startswith("layers") for name in effects)
+    one_way = all(set(curve.segment.tolist()) == {"ramp"} for curve in curves if curve.segment is not None)
+    if ages(effects) or (remembers(test, effects) and not one_way):
+        motions, motion_of = [], []
+        for curve in curves:
+            motion = Timed.of(curve.time, curve.displacement)
+            same = [i for i, other in enumerate(motions) if other.like(motion)]
+            if not same:
+                motions.append(motion)
+            motion_of.append(same[0] if same else len(motions) - 1)
+        return SimulatedTest(test.name, test.specimen, test.setup, tuple(motions), tuple(motion_of), curves,
+                             layered)
+    deepest = max(curve.displacement.max() for curve in curves)
+    depth = min(deepest + max(_MARGIN * contact, _LEAST_MARGIN * deepest), 0.999 * test.specimen.height)
+    speed = float(np.median([curve.speed or STUDY_SPEED for curve in curves]))
+    setup = test.setup
+    smooth = setup.tool.shape == "plate" or (
+        setup.tool.shape == "flat" and not setup.tool.edge_radius and not setup.slides)
+    motion = Loading.to(float(depth), max(speed, 1e-9), smooth=smooth, strain=float(depth / test.specimen.height))
+    return SimulatedTest(test.name, test.specimen, test.setup, (motion,), (0,) * len(curves), curves,
+                         layered)
+
+
+def first_jitter(campaign: Campaign, curves: Sequence[MeasuredCurve]) -> Jitter:
+    """What is stated, and a first guess where it is to be estimated."""
+    fit, noise = campaign.fit, campaign.noise
+    contact, zero, freedom = noise.contact_jitter, noise.zero_jitter, None
+    largest = float(np.median([np.abs(curve.force).max() for curve in curves]))
+    if fit.offset == "fit":
+        contact, zero = fit.offset_prior, fit.zero_prior or 5.0 * max(curve.noise.deviation for curve in curves)
+    if contact is None:
+        contact, freedom = FIRST_CONTACT, 0
+    if zero is None:
+        zero, freedom = FIRST_ZERO * largest, 0
+    return Jitter(contact, zero, freedom)
+
+
+def remainder(test: SimulatedTest | ClosedTest, of: Mapping[str, float]) -> float:
+    """Relative standard deviation of what a mesh is off in this test; 0 where every mesh is exact."""
+    if test.homogeneous:
+        return 0.0
+    shape = test.setup.tool.shape
+    return of[shape if shape in of else "other"]

@@ -1,0 +1,276 @@
+"""The force of each test as a function of the parameters of the material: simulated, or in closed form."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from calibration.campaign.measured import MeasuredCurve
+from calibration.campaign.setup import Setup
+from calibration.fit.parameters import ParameterSpace
+from calibration.forward.motion import Course, Loading, Timed
+from calibration.forward.solves import SimulatedCurve, Solves, content_key
+from tissue_sim.closed_form.histories import nominal_stress_history, shear_stress_history
+from tissue_sim.differentiation import sensitivities
+from tissue_sim.errors import ConvergenceError, InputError
+from tissue_sim.experiment.experiment import Experiment, Model, Specimen
+from tissue_sim.recording.recording import Recording
+from tissue_sim.rig.rig import Rig
+from tissue_sim.simulation import simulate
+
+#: What of a rig acts on readings.
+_READING = ("guide_friction", "rate_damping", "latency", "sensor_gain", "zero_offset", "sensor_drift")
+
+
+#: Half width of a difference with a parameter, in its size.
+_RATE_WIDTH = 1e-6
+
+
+class InfeasibleError(RuntimeError):
+    """No force at these parameters: no such material, or the simulation does not get through."""
+
+
+@dataclass(eq=False)
+class SimulatedTest:
+    """A test that the finite elements simulate, on one mesh.
+
+    Attributes:
+        name: of the test.
+        specimen, setup: what is done to what.
+        motions: each a `Loading` or `Timed`. motion_of: number of the motion of each recording.
+        measured: the recordings.
+        layered: whether the material has layers.
+        correction: what the accurate mesh has more, N, of each motion, shape (k,); empty until `refine` finds out.
+    """
+
+    name: str
+    specimen: Specimen
+    setup: Setup
+    motions: tuple[Loading | Timed, ...]
+    motion_of: tuple[int, ...]
+    measured: tuple[MeasuredCurve, ...]
+    layered: bool = False
+    correction: list[np.ndarray] = field(default_factory=list)
+
+    mode = "uniaxial"
+    compressed = True
+
+    @property
+    def rig(self) -> Rig:
+        return self.setup.rig
+
+    @property
+    def proportional(self) -> bool:
+        """Whether force is proportional to the moduli: no weight and nothing elastic beside the tissue."""
+        return not self.specimen.specific_weight and not self.rig.compliance
+
+    @property
+    def homogeneous(self) -> bool:
+        """Whether every mesh is exact."""
+        return not self.layered and self._experiment(self.motions[0]).homogeneous
+
+    @property
+    def height(self) -> float:
+        """Of the specimen, m."""
+        return self.specimen.height
+
+    def solve(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> list[Course]:
+        """The course of force and derivatives, (n, 1 + p), along each motion, with the correction.
+
+        Raises:
+            InfeasibleError: no such material, or no convergence.
+        """
+        values = space.values(theta)
+        answer = []
+        for number, motion in enumerate(self.motions):
+            force, rates = self._simulated(space, values, solves, motion, "fast")
+            if self.correction:
+                force = force + self.correction[number]
+            answer.append(motion.through(np.column_stack([force, rates])))
+        return answer
+
+    def refine(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> float:
+        """Compute what the accurate mesh has more at these parameters, and keep it as the correction.
+
+        Returns:
+            The largest difference of the two meshes, relative to the largest force.
+
+        Raises:
+            InfeasibleError: the accurate mesh does not get through.
+        """
+        values, found, largest = space.values(theta), [], 0.0
+        for motion in () if self.homogeneous else self.motions:
+            fast, _ = self._simulated(space, values, solves, motion, "fast")
+            accurate = self._accurate(space, values, solves, motion)
+            found.append(accurate - fast)
+            largest = max(largest, float(np.abs(found[-1]).max() / np.abs(accurate).max()))
+        self.correction = found
+        return largest
+
+    def _accurate(self, space: ParameterSpace, values: dict[str, float], solves: Solves,
+                  motion: Loading | Timed) -> np.ndarray:
+        """Force of the accurate mesh at the knots, shape (k,).
+
+        Under friction the fast mesh needs short steps at the touch, and the accurate one gets through more often by
+        even ones: what one spacing does not reach the other may.
+        """
+        first, second = (motion.even, motion) if isinstance(motion, Timed) else (motion, motion.even)
+        try:
+            way, (force, _) = first, self._simulated(space, values, solves, first, "accurate")
+        except InfeasibleError:
+            way, (force, _) = second, self._simulated(space, values, solves, second, "accurate")
+        return force if way is motion else motion.at_knots(way.through(force[:, None]))[:, 0]
+
+    def _simulated(self, space: ParameterSpace, values: dict[str, float], solves: Solves, motion: Loading | Timed,
+                   resolution: str) -> tuple[np.ndarray, np.ndarray]:
+        """Force, shape (k,), and derivatives with the free parameters, shape (k, p); none of the accurate mesh."""
+        factor = 1.0
+        if self.proportional:
+            values, factor = space.normalised(values)
+        names: Sequence[str] = () if resolution == "accurate" else space.free
+        experiment = self.setup.experiment(self.specimen, motion.protocol)
+        key = content_key(experiment, self.rig.motion_only, space.law, values, space.bulk, list(names), resolution)
+        curve = solves.find(key)
+        if curve is None:
+            curve = _simulate(space, values, experiment, self.rig.motion_only, names, resolution)
+            solves.count(self.name, resolution)
+            solves.keep(key, curve)
+        if curve.problem:
+            raise InfeasibleError(f"{self.name}: {curve.problem}")
+        force = factor * np.array(curve.force)
+        scale = np.array([1.0 if self.proportional and space.is_modulus(name) else factor for name in names])
+        return force, np.array(curve.rates).reshape(force.size, len(names)) * scale
+
+    def evaluate(self, answer: list[Course], recording: int, offset: float):
+        """Force (n,), derivatives (n, p) and derivative with the contact offset (n,) at the samples of a recording."""
+        measured, number = self.measured[recording], self.motion_of[recording]
+        motion, time = self.motions[number], measured.time
+        if isinstance(motion, Timed):
+            # Motions that count as one may have begun at different times of their clocks.
+            time = time - measured.time[0] + motion.sampled_from
+        values, rate = answer[number](time, measured.displacement, offset)
+        force, gain = values[:, 0], 1.0 + self.rig.sensor_gain
+        if self.rig.latency:
+            columns = np.column_stack([values, rate])
+            late = np.column_stack([np.interp(measured.time - self.rig.latency, measured.time, column)
+                                    for column in columns.T])
+            values, rate = late[:, :-1], late[:, -1]
+        if self.reading is not None:
+            channels = {"displacement": measured.displacement, "force": force}
+            if measured.time is not None:
+                channels["time"] = measured.time
+            force = self.reading.read(Recording(channels)).force
+        return force, gain * values[:, 1:], gain * rate
+
+    def scan(self, answer: list[Course], recording: int, offsets: np.ndarray) -> np.ndarray:
+        """Force at the samples of a recording for these contact offsets, m, shape (n, offsets)."""
+        if self.reading is not None or self.rig.latency:
+            return np.column_stack([self.evaluate(answer, recording, offset)[0] for offset in offsets])
+        measured, number = self.measured[recording], self.motion_of[recording]
+        motion, time = self.motions[number], measured.time
+        if isinstance(motion, Timed):
+            time = time - measured.time[0] + motion.sampled_from
+        return answer[number].forces(time, measured.displacement, offsets)
+
+    @cached_property
+    def reading(self) -> Rig | None:
+        """The rig as far as it reads forces; None where it reads them as they are."""
+        rig = Rig(**{name: getattr(self.rig, name) for name in _READING})
+        return None if rig.ideal else rig
+
+    def _experiment(self, motion: Loading | Timed) -> Experiment:
+        return self.setup.experiment(self.specimen, motion.protocol)
+
+
+def _simulate(space: ParameterSpace, values: dict[str, float], experiment: Experiment, rig: Rig,
+              names: Sequence[str], resolution: str) -> SimulatedCurve:
+    began = clock.process_time()
+    try:
+        model = Model(experiment, space.material(values), rig)
+        if names:
+            answer = sensitivities(model, names, resolution=resolution)
+            force, rates = answer.recording.force, answer.values
+        else:
+            force, rates = simulate(model, resolution=resolution).force, np.zeros((0, 0))
+    except (ConvergenceError, InputError) as error:
+        return SimulatedCurve([], [], str(error), clock.process_time() - began)
+    return SimulatedCurve(force.tolist(), rates.tolist(), "", clock.process_time() - began)
+
+
+@dataclass(eq=False)
+class ClosedTest:
+    """Tension or shear: the closed form of the incompressible material.
+
+    Attributes:
+        name: of the test. mode: of `Law.nominal_stress`. compressed: whether displacement shortens the specimen.
+        height, area: m and m2. measured: the recordings.
+    """
+
+    name: str
+    mode: str
+    compressed: bool
+    height: float
+    area: float
+    measured: tuple[MeasuredCurve, ...]
+
+    @property
+    def radius(self) -> float:
+        """Of a round specimen of this cross-section, m."""
+        return float(np.sqrt(self.area / np.pi))
+
+    proportional = True
+    homogeneous = True
+
+    def solve(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> tuple:
+        """What `evaluate` needs."""
+        try:
+            space.material(space.values(theta))
+        except InputError as error:
+            raise InfeasibleError(f"{self.name}: {error}") from None
+        return space, np.array(theta)
+
+    def refine(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> float:
+        """The closed form needs no correction."""
+        return 0.0
+
+    def evaluate(self, answer: tuple, recording: int, offset: float):
+        """As `SimulatedTest.evaluate`."""
+        space, theta = answer
+        measured = self.measured[recording]
+        sign = -1.0 if self.compressed else 1.0
+
+        def force_at(values: dict[str, float], moved: float) -> np.ndarray:
+            rest = 0.0 if self.mode == "simple_shear" else 1.0
+            strain = rest + sign * (measured.displacement - moved) / self.height
+            material = space.material(values)
+            if material.relaxation(self.radius) is None and material.softening is None:
+                stress = material.energy_law.nominal_stress(strain, material.values, self.mode)
+                return sign * self.area * material.instantaneous_factor * stress
+            history = shear_stress_history if self.mode == "simple_shear" else nominal_stress_history
+            return sign * self.area * history(material, measured.time, strain, self.radius)
+
+        values = space.values(theta)
+        try:
+            force = force_at(values, offset)
+        except InputError as error:
+            raise InfeasibleError(f"{self.name}: {error}") from None
+        rates = np.empty((force.size, len(space.free)))
+        for k, (name, size) in enumerate(zip(space.free, space.sizes(values).tolist(), strict=True)):
+            ends = []
+            for step in (_RATE_WIDTH * size, -_RATE_WIDTH * size):
+                try:
+                    ends.append((force_at(values | {name: values[name] + step}, offset), step))
+                except InputError:
+                    # At the end of what a material may have: to one side.
+                    ends.append((force, 0.0))
+            (more, high), (less, low) = ends
+            rates[:, k] = (more - less) / (high - low) if high > low else np.nan
+        width = 1e-6 * self.height
+        rate = (force_at(values, offset + width) - force_at(values, offset - width)) / (2 * width)
+        if not (np.isfinite(force).all() and np.isfinite(rates).all()):
+            raise InfeasibleError(f"{self.name}: the law gives no finite stress")
+        return force, rates, rate

@@ -1,1 +1,0 @@
-"""The inverse calibration: simulated tests against measured ones, all at once."""

@@ -1,0 +1,230 @@
+"""Pictures of an inverse calibration as a whole: regions, predictions, convergence.
+
+matplotlib is imported on use; every function returns a PNG.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from textwrap import shorten
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import stats
+
+from calibration.fit.fit import Fit, Prediction
+from calibration.report.curve_figures import probability, size_of
+from calibration.report.drawing import COLOURS, STYLE, line_styles, new_figure, to_png
+from calibration.report.pressure import format_pressure
+from tissue_sim.laws import find_law
+
+if TYPE_CHECKING:
+    from calibration.campaign.campaign import Test
+
+#: Inches.
+WIDTH = 12.0
+#: Standard errors at which a misfit has the deepest colour, and from which on it is called one.
+_DEEPEST, _CALLED = 6.0, float(stats.norm.isf(0.025))
+_PANELS = 3
+_RATIOS, _SIGNED = (0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50), (0, 0.5, 1, 2, 5, 10, 20, 50)
+
+#: Characters of a note in a picture.
+_NOTE_WIDTH = 90
+
+def draw_regions(fits: Sequence[Fit], tests: Sequence[Test]) -> bytes:
+    """Tests by regions: the smooth misfit left in each, coloured by how many standard errors its probability makes.
+
+    Args:
+        fits: those with regions get a row a test, in this order. tests: in the order of the picture.
+    """
+    import matplotlib
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LinearSegmentedColormap, Normalize
+
+    called = _CALLED / _DEEPEST
+    shades = LinearSegmentedColormap.from_list("misfit", [
+        (0.0, "#f4f8fb"), (called - 1e-6, "#bcd7ea"), (called, "#fbd3ae"), (0.7, "#e07b39"), (1.0, "#9c3a00")])
+    norm = Normalize(0.0, _DEEPEST)
+    fits = [fit for fit in fits if fit.regions]
+    tests = [test for test in tests if any(r.test == test.name for fit in fits for r in fit.regions)]
+    blocks = len(tests) * (0.62 + 0.4 * len(fits))
+    with matplotlib.rc_context({**STYLE, "axes.grid": False}):
+        figure = new_figure(WIDTH, max(blocks + 0.3, 2.2))
+        axes = figure.subplots()
+        top, ticks, names = 0.0, [], []
+        for test in tests:
+            rows = [[r for r in fit.regions if r.test == test.name] for fit in fits]
+            named = max(rows, key=len)
+            font = 9.0 * min(1.0, 7 / len(named))
+            axes.text(-0.008, top - 0.34, test.name, fontweight="bold", va="center", ha="right")
+            for j, region in enumerate(named):
+                axes.text((j + 0.5) / len(named), top - 0.34, _where(region, test), va="center", ha="center",
+                          fontsize=font, color="0.3")
+            for fit, row in zip(fits, rows, strict=True):
+                for j, region in enumerate(row):
+                    deviate = min(float(stats.norm.isf(region.p / 2)), _DEEPEST)
+                    low, high = top - 0.95, top - 0.55
+                    axes.fill_between([j / len(row), (j + 1) / len(row)], low, high, color=shades(norm(deviate)),
+                                      ec="white", lw=2)
+                    axes.text((j + 0.5) / len(row), (low + high) / 2,
+                              f"{size_of(region.misfit_N, test)},  {probability(region.p)}", ha="center", va="center",
+                              fontsize=font, color="white" if deviate > 4.2 else "0.1",
+                              fontweight="normal" if region.adequate else "bold")
+                ticks.append(top - 0.75)
+                names.append(find_law(fit.law).title)
+                top -= 0.4
+            top -= 0.62
+        axes.set(xlim=(0, 1), ylim=(top - 0.05, 0.0), xticks=[], yticks=ticks, yticklabels=names)
+        axes.tick_params(length=0)
+        axes.spines[:].set_visible(False)
+        bar = figure.colorbar(ScalarMappable(norm, shades), ax=axes, pad=0.01, fraction=0.022, aspect=18)
+        bar.set_label("standard errors")
+        bar.set_ticks([0, _CALLED, 4, _DEEPEST], labels=["0", "2", "4", "6 +"])
+        bar.outline.set_visible(False)
+        return to_png(figure)
+
+
+def _where(region, test: Test) -> str:
+    unit = "mm" if test.specimen is not None else ""
+    span = f"{region.start:.3g}" if np.isclose(region.start, region.end, atol=1e-3 if unit else 1e-6) else \
+        f"{region.start:.3g} to {region.end:.3g}"
+    return f"{region.segment} {span} {unit}".strip()
+
+
+def draw_predictions(predictions: Sequence[Prediction], tests: Sequence[Test]) -> bytes:
+    """Error of each law in each test that it was not fitted to, beside what chance alone would make.
+
+    Args:
+        predictions: laws in the order of the picture. tests: of the campaign.
+    """
+    import matplotlib
+    from matplotlib.patches import Patch
+
+    laws = list(dict.fromkeys(p.law for p in predictions))
+    cases = list(dict.fromkeys((p.test, tuple(p.fitted)) for p in predictions))
+    by_name = {test.name: test for test in tests}
+    height, looks = 0.8 / len(laws), dict(zip(laws, line_styles(), strict=False))
+    with matplotlib.rc_context(STYLE):
+        figure = new_figure(WIDTH, 1.1 + max(0.3 * len(laws) + 0.25, 0.7) * len(cases))
+        axes = figure.subplots()
+        known = [p.percent for p in predictions if p.percent is not None] or [1.0]
+        # A law that is far off would flatten all the others.
+        limit = min(max(known), 6 * max((p.percent for p in predictions if p.percent is not None and p.law == laws[0]),
+                                        default=max(known)))
+        expected = None
+        for p in predictions:
+            y = cases.index((p.test, tuple(p.fitted))) - 0.4 + (laws.index(p.law) + 0.5) * height
+            if p.percent is None:
+                axes.text(0.004 * limit, y, shorten(f"{find_law(p.law).title}: none ({p.note})", _NOTE_WIDTH),
+                          va="center", fontsize=9, color="0.35")
+                continue
+            length = min(p.percent, 1.02 * limit)
+            axes.barh(y, length, 0.86 * height, color=looks[p.law]["color"], alpha=0.85, lw=0)
+            force = f"{p.RMSE_N:.3g} N" if p.RMSE_N is not None else \
+                "" if p.RMSE_Pa is None else format_pressure(p.RMSE_Pa, 3)
+            end = length
+            if p.expected_N is not None and p.RMSE_N:
+                chance = min(p.percent * p.expected_N / p.RMSE_N, limit)
+                # The mark must not stand in the number.
+                end = chance if length < chance < length + 0.1 * limit else length
+                expected, = axes.plot([chance, chance], [y - 0.46 * height, y + 0.46 * height], color="0.1", lw=2.4)
+            axes.text(end + 0.008 * limit, y, f"{'▸ ' if p.percent > length else ''}{percent(p.percent)}   {force}",
+                      va="center", fontsize=9)
+        axes.set(xlim=(0, 1.16 * limit), yticks=range(len(cases)),
+                 xlabel="root mean square error, % of the largest measured force (or stress)",
+                 yticklabels=[_case(by_name[test], fitted) for test, fitted in cases])
+        axes.invert_yaxis()
+        axes.set_axisbelow(True)
+        axes.grid(visible=False, axis="y")
+        axes.tick_params(axis="y", length=0)
+        axes.spines["left"].set_visible(False)
+        handles = [Patch(color=looks[law]["color"], alpha=0.85, label=find_law(law).title) for law in laws]
+        if expected is not None:
+            expected.set_label("from noise, jitter and the parameters' errors alone")
+            handles.append(expected)
+        axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.2)
+        return to_png(figure)
+
+
+def percent(value: float) -> str:
+    """``1.7 %``, ``120 %``."""
+    return f"{value:.2g}\u00a0%" if value < 99.5 else f"{value:.0f}\u00a0%"
+
+
+def _case(test: Test, fitted: Sequence[str]) -> str:
+    if test.hold_out:
+        return f"{test.name}\nheld out"
+    return f"{test.name}\nfrom {', '.join(fitted) if len(fitted) < 3 else f'{len(fitted)} others'}"
+
+
+def draw_history(fits: Sequence[Fit]) -> bytes:
+    """Every solve of every start: the error above, the parameters relative to the estimate below, a column a law."""
+    import matplotlib
+
+    fits = [fit for fit in fits if fit.history]
+    rows = -(-len(fits) // _PANELS)
+    columns = min(_PANELS, len(fits))
+    with matplotlib.rc_context(STYLE):
+        figure = new_figure(WIDTH, 5.4 * rows)
+        grid = figure.subplots(2 * rows, columns, squeeze=False, sharex=False)
+        for axes in grid.flat:
+            axes.set_visible(False)
+        for k, fit in enumerate(fits):
+            row, column = divmod(k, columns)
+            _draw_convergence(grid[2 * row, column], grid[2 * row + 1, column], fit)
+        return to_png(figure)
+
+
+def chosen_start(fit: Fit) -> int:
+    """Number of the start that ended lowest, on the accurate mesh where some ended there."""
+    last = {step.start: step for step in sorted(fit.history, key=lambda step: step.run)}
+    return min(last, key=lambda start: (not last[start].corrected, last[start].error))
+
+
+def _draw_convergence(above, below, fit: Fit) -> None:
+    from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator
+
+    starts: dict[int, list] = {}
+    for step in sorted(fit.history, key=lambda step: step.run):
+        starts.setdefault(step.start, []).append(step)
+    chosen = chosen_start(fit)
+    names = list(starts[chosen][0].parameters)
+    scale = {name: fit.parameters[name] or max(abs(step.parameters[name]) for step in fit.history) or 1.0
+             for name in names}
+    for start in sorted(starts, key=lambda start: start == chosen):
+        steps, bold = starts[start], start == chosen
+        run, error = [s.run for s in steps], [s.error for s in steps]
+        above.plot(run, error, color=COLOURS[0] if bold else "0.6", lw=2.4 if bold else 0.8, zorder=4 if bold else 2)
+        if bold:
+            fine = [s for s in steps if s.corrected]
+            above.plot(run, error, "o", color=COLOURS[0], ms=5, mfc="white", zorder=5, label=f"start {start}, chosen")
+            if fine:
+                above.plot([s.run for s in fine], [s.error for s in fine], "o", color=COLOURS[0], ms=5, zorder=6,
+                           label="with the accurate mesh's difference")
+        for name, look in zip(names, line_styles(), strict=False):
+            label = name if fit.parameters[name] else f"{name} (of {scale[name]:.4g})"
+            below.plot(run, [s.parameters[name] / scale[name] for s in steps], color=look["color"],
+                       lw=2.4 if bold else 0.7, alpha=1.0 if bold else 0.4, zorder=4 if bold else 2,
+                       label=label if bold else None)
+    if len(starts) > 1:
+        others = len(starts) - 1
+        above.plot([], [], color="0.6", lw=0.8, label=f"{others} other start{'s' if others > 1 else ''}")
+    above.set_yscale("log")
+    above.set_title(find_law(fit.law).title, fontsize=11)
+    above.set_ylabel("sum of squares, whitened")
+    ratios = [step.parameters[name] / scale[name] for step in fit.history for name in names]
+    if min(ratios) > 0:
+        below.set_yscale("log")
+    elif max(map(abs, ratios)) > 3:
+        below.set_yscale("symlog", linthresh=1.0)
+    if below.get_yscale() != "linear":
+        marks = _RATIOS if min(ratios) > 0 else _SIGNED
+        below.yaxis.set_major_locator(FixedLocator([r for r in marks if min(ratios) / 2 <= r < 2 * max(ratios)]))
+        below.yaxis.set_major_formatter("{x:g}")
+        below.yaxis.set_minor_locator(NullLocator())
+    below.set(xlabel="FEM solve", ylabel="parameter / estimate")
+    below.axhline(1.0, color="0.3", lw=0.8)
+    for axes in (above, below):
+        axes.set_visible(True)
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.legend(loc="best", fontsize=8, frameon=True, framealpha=0.85, edgecolor="none")

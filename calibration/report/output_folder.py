@@ -1,0 +1,115 @@
+"""The folder of a calibration: which work it holds, and which of its files an earlier calibration wrote."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from calibration.analytical.replicates import Replicate
+from calibration.campaign.campaign import Campaign
+from tissue_sim.atomic_write import write_text
+from tissue_sim.errors import InputError
+
+WORK_FILE, FIT_FILE, SUMMARY_FILE = "work.json", "fit.json", "summary.csv"
+#: Folder of the simulations of an inverse fit, beside its results.
+SOLVES = "solves"
+TABLES = ("report.html", "curves.csv", "residuals.csv")
+WORK_SCHEMA = "tissue_sim/calibration/2"
+
+
+def claim(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaign], replicates: Sequence[Replicate],
+          works: Mapping[str, str], overwrite: bool) -> None:
+    """Make `output` ready for this work; what it holds of this very work stays.
+
+    Files of an earlier calibration are removed, by the list that it left in ``work.json``; no other file is touched.
+
+    Args:
+        output: folder of the whole work. folders: of each campaign, by its name.
+        campaigns, replicates: what is read, which no result may replace.
+        works: digest of each campaign, by its name.
+        overwrite: whether other work in `output` may be replaced.
+
+    Raises:
+        InputError: `output` is a file, holds other work, or holds a file at the place of a result that no calibration
+            wrote; nothing is changed then.
+    """
+    if output.exists() and not output.is_dir():
+        raise InputError("is a file; give a folder for the results", file=output)
+    planned = [path for campaign in campaigns for path in result_files(campaign, folders[campaign.name])]
+    planned += [output / WORK_FILE, *([output / SUMMARY_FILE] if len(campaigns) > 1 else [])]
+    for folder in folders.values():
+        if (folder / SOLVES).exists() and not (folder / SOLVES).is_dir():
+            raise InputError("is in the way: simulations are kept in a folder of that name; move it away",
+                             file=folder / SOLVES)
+    _protect_inputs(planned, campaigns, replicates)
+    found = _read_work(output)
+    if not overwrite and output.exists() and any(output.iterdir()):
+        if found.get("campaigns") != works:
+            what = "the results of other work" if found else "other files"
+            raise InputError(f"the folder holds {what}; choose an empty one or add --overwrite", file=output)
+        return
+    earlier = [output / name for name in found.get("files", ())]
+    for path in planned:
+        if path.exists() and path not in earlier:
+            raise InputError("is in the way: no earlier calibration in this folder wrote it; move it away or choose "
+                             "another folder", file=path)
+    _clear_solves({path.parent for path in earlier})
+    _remove(earlier, output)
+    files = [path.relative_to(output).as_posix() for path in planned]
+    content = {"schema": WORK_SCHEMA, "campaigns": dict(works), "files": files}
+    write_text(output / WORK_FILE, json.dumps(content, indent=2) + "\n")
+
+
+def result_files(campaign: Campaign, folder: Path) -> list[Path]:
+    """Every file that the calibration of a campaign may write."""
+    return [*(folder / f"{law}.material.json" for law in campaign.fit.laws), *(folder / name for name in TABLES),
+            folder / FIT_FILE]
+
+
+def _protect_inputs(planned: Sequence[Path], campaigns: Sequence[Campaign], replicates: Sequence[Replicate]) -> None:
+    recordings = {replicate.file for replicate in replicates}
+    inputs = [*(campaign.path for campaign in campaigns), *recordings,
+              *(path.with_suffix(".json") for path in recordings)]
+    existing = [path for path in inputs if path.exists()]
+    for path in planned:
+        # By identity: links, and names that a file system does not tell apart, are the same file.
+        if path.exists() and any(path.samefile(other) for other in existing):
+            raise InputError("is read by this calibration and would be replaced by its results; choose another folder",
+                             file=path)
+
+
+def _read_work(output: Path) -> dict[str, Any]:
+    """The ``work.json`` of an earlier calibration; empty where there is none that can be trusted."""
+    try:
+        found = json.loads((output / WORK_FILE).read_text(encoding="utf-8"))
+        if found["schema"] != WORK_SCHEMA:
+            return {}
+        places = [PurePosixPath(name) for name in found["files"]]
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}
+    # Nothing outside the folder is ours, whatever the file says.
+    inside = all(not place.is_absolute() and ".." not in place.parts and len(place.parts) <= 2 for place in places)
+    return found if inside else {}
+
+
+def _clear_solves(folders: Iterable[Path]) -> None:
+    """Remove the simulations that earlier work kept, so that other work begins with none."""
+    for folder in folders:
+        for file in (folder / SOLVES).glob("*.msgpack"):
+            if re.fullmatch(r"[0-9a-f]{40}", file.stem):
+                file.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            (folder / SOLVES).rmdir()
+
+
+def _remove(files: Sequence[Path], output: Path) -> None:
+    """Remove these files, and the folders of campaigns that are empty then."""
+    for path in files:
+        path.unlink(missing_ok=True)
+    for folder in {path.parent for path in files} - {output}:
+        with contextlib.suppress(OSError):  # it holds something else, or was never made
+            folder.rmdir()

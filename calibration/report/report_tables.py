@@ -1,0 +1,104 @@
+"""Tables of an inverse calibration's page, as HTML."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+from typing import TYPE_CHECKING
+
+from calibration.fit.fit import Direction, Fit, Prediction, Region, Suggestion
+from calibration.report.curve_figures import probability, size_of
+from calibration.report.estimate_figures import NOT_TOLD
+from calibration.report.figures import percent
+from calibration.report.page import html_table, number, parameter_unit, plus_minus, stable_stretches, title_of
+from calibration.report.pressure import format_pressure
+from tissue_sim.laws import find_law
+
+if TYPE_CHECKING:
+    from calibration.campaign.campaign import Test
+
+
+def ranking_table(fits: Sequence[Fit]) -> str:
+    """The laws in their order, by what they predict of tests that they were not fitted to."""
+    rows = []
+    for fit in fits:
+        rows.append([
+            title_of(fit.law), "-" if fit.left_out is None else percent(fit.left_out), number(fit.RMSE_N, 3),
+            f"{fit.noise_ratio:.3g}", f"{fit.R2:.5f}", f"{fit.BIC - fits[0].BIC:.4g}", format_pressure(fit.E0, 4),
+            format_pressure(fit.mu0, 4), stable_stretches(fit)])
+    return html_table(["Law", "Left-out error", "RMSE [N]", "Residual / noise", "R²", "ΔBIC", "E<sub>0</sub>",
+                       "μ<sub>0</sub>", "Stable stretches"], rows, best=True)
+
+
+def prediction_table(predictions: Iterable[Prediction], tests: Mapping[str, Test]) -> str:
+    """What each law predicts of each test that it was not fitted to."""
+    rows = []
+    for p in predictions:
+        how = "held out of all fits" if tests[p.test].hold_out else f"left out; fitted to {', '.join(p.fitted)}"
+        rows.append([escape(p.test), escape(how), title_of(p.law), number(p.RMSE_N, 3), number(p.RMSE_Pa, 3),
+                     f"none: {escape(p.note)}" if p.percent is None else percent(p.percent), number(p.expected_N, 3)])
+    return html_table(["Test", "How", "Law", "RMSE [N]", "RMSE [Pa]", "of the largest", "RMSE by chance [N]"], rows,
+                      text=(1, 2))
+
+
+def region_table(fits: Sequence[Fit], tests: Mapping[str, Test]) -> str:
+    """Residual tests by region."""
+    rows = [[title_of(fit.law), escape(r.test), escape(place_of(r, tests[r.test])), size_of(r.misfit_N, tests[r.test]),
+             f"{size_of(r.largest_N, tests[r.test])} at {length_of(r.at, tests[r.test])}",
+             f"{r.statistic:.3g} ({r.freedom})", probability(r.p).replace("<", "&lt;"),
+             "as noise" if r.adequate else '<span class="bad">misfit</span>'] for fit in fits for r in fit.regions]
+    return html_table(["Law", "Test", "Region", "Misfit (rms)", "Largest data − model", "χ² (freedom)",
+                       "p, adjusted", "Residuals"], rows, text=(1, 2))
+
+
+def place_of(region: Region, test: Test) -> str:
+    """``ramp, 3.3 to 6.7 mm``."""
+    start, end = f"{region.start:.3g}", f"{region.end:.3g}"
+    span = f"{start if start == end else f'{start} to {end}'}{' mm' if test.specimen is not None else ''}"
+    return f"{region.segment}, {span}" if region.segment else span
+
+
+def length_of(displacement: float, test: Test) -> str:
+    """A displacement in mm, or a strain where the test has no specimen."""
+    return f"strain {displacement:.3g}" if test.specimen is None else f"{displacement:.3g} mm"
+
+
+def identifiability_table(fits: Sequence[Fit]) -> str:
+    """Condition, combinations told poorly and what is not identifiable, a row a law."""
+    rows = [[title_of(fit.law), number(fit.condition, 3),
+             "; ".join(escape(direction_in_words(d)) for d in fit.directions) or "none",
+             f'<span class="bad">{escape(", ".join(fit.not_identifiable))}</span>' if fit.not_identifiable else "none",
+             "; ".join(escape(suggestion_in_words(s, fit)) for s in fit.suggestions) or "-"] for fit in fits]
+    return html_table(["Law", "Condition", "Told poorly", "Not identifiable", "What would mend it"], rows,
+                      text=(2, 3, 4))
+
+
+def direction_in_words(direction: Direction) -> str:
+    """``0.99 C20 − 0.08 C10, known to ± 35 %``: relative changes of parameters that leave the forces as they are."""
+    terms = sorted(direction.shares.items(), key=lambda item: -abs(item[1]))
+    words = "".join(f"{' − ' if share < 0 else ' + '}{abs(share):.2f} {name}" for name, share in terms
+                    if abs(share) >= 0.05)
+    words = words.removeprefix(" + ").strip()
+    error = direction.relative_error
+    return f"{words}, known to ±\u00a0{100 * error:.3g}\u00a0%" if error < NOT_TOLD else f"{words}, not at all"
+
+
+def suggestion_in_words(suggestion: Suggestion, fit: Fit) -> str:
+    """``a test: C20 to ± 6.5 Pa``."""
+    law = find_law(fit.law)
+    worst = [name for name in suggestion.standard_errors if name in fit.not_identifiable] \
+        or list(suggestion.standard_errors)
+    errors = ", ".join(f"{name}{plus_minus(suggestion.standard_errors[name])} {parameter_unit(law, name)}".rstrip()
+                       for name in worst)
+    return f"{suggestion.test} would give {errors}"
+
+
+def history_table(fit: Fit) -> str:
+    """Every solve of every start."""
+    names = list(fit.history[0].parameters)
+    rows = [[f"{step.start}", f"{step.run}", *(f"{step.parameters[name]:.6g}" for name in names), f"{step.error:.6g}",
+             f"{step.RMSE_N:.4g}", "yes" if step.corrected else "-"] for step in fit.history]
+    units = [parameter_unit(find_law(fit.law), name) for name in names]
+    return html_table(["Start", "Run", *(f"{escape(name)} [{unit}]" if unit else escape(name)
+                                         for name, unit in zip(names, units, strict=True)),
+                       "Error", "RMSE [N]", "Accurate mesh"], rows)

@@ -1,0 +1,1 @@
+"""Noise, jitter, adequacy and uncertainty."""

@@ -1,0 +1,1 @@
+"""The 1 kHz loop, in a process of its own."""

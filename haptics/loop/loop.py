@@ -1,0 +1,297 @@
+"""The 1 kHz loop: pose, tissue, force, ring; again and again, at deadlines that stand."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from haptics.devices.motion_source import MotionSource
+from haptics.loop.real_time import RealTimeFeature, real_time
+from haptics.loop.ring import CAPACITY, PAUSED, RingWriter
+from haptics.loop.snapshot_board import SnapshotBoard
+from haptics.loop.surface_board import SurfaceBoard
+from haptics.loop.ticker import Quantiles, Ticker, TimeHistogram
+from haptics.safety.rendering import ForceRendering, RenderFlag
+from tissue_sim.errors import InputError
+from tissue_sim.tool_force import ForceStatus, Tissue
+
+#: How often the loop looks for commands, s.
+LISTEN_EVERY = 0.01
+#: Bits of the flags of a tick, by name.
+_FLAGS = {flag.value: flag.name.lower() for flag in RenderFlag} | {PAUSED: "paused"}
+
+
+@dataclass(frozen=True)
+class LoopSettings:
+    """How the loop runs.
+
+    Attributes:
+        period: s.
+        spin: how long before a deadline to watch the clock instead of sleeping, s. It keeps a core busy.
+        seconds: how long it runs; None: until it is stopped.
+        real_time: ask the system for what `haptics.loop.real_time` knows.
+        surface_rate: how often the deformed surface is published, Hz; 0: never.
+        snapshot_rate: how often the whole tissue is, for viewers that draw fields, Hz; 0: never.
+        capacity: ticks that the ring keeps.
+
+    Raises:
+        InputError: a time or a rate that does not fit.
+    """
+
+    period: float = 1e-3
+    spin: float = 0.0
+    seconds: float | None = None
+    real_time: bool = True
+    surface_rate: float = 30.0
+    snapshot_rate: float = 0.0
+    capacity: int = CAPACITY
+
+    def __post_init__(self):
+        Ticker(self.period, spin=self.spin)  # refuses what it cannot keep
+        if self.seconds is not None and not self.period <= self.seconds < math.inf:
+            raise InputError(f"{self.seconds:g} s is no time to run; give at least one period of {self.period:g} s",
+                             field="seconds")
+        for name in ("surface_rate", "snapshot_rate"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise InputError(f"{getattr(self, name):g} Hz is not a rate; give 0 or more", field=name)
+
+    def ticks_between(self, rate: float) -> int:
+        """Deadlines from one publication at a rate, Hz, to the next."""
+        return max(round(1 / (rate * self.period)), 1)
+
+
+@dataclass(frozen=True)
+class LoopReport:
+    """What a loop has kept of its promises.
+
+    Attributes:
+        ended_by: ``time``, ``stop`` or ``parent`` (which is gone).
+        seconds: from the start to the last tick.
+        period: s.
+        ticks, late, missed: ticks that ran, those that began late, deadlines that passed without one.
+        lateness, compute_time: of the ticks, s; the latter from the beginning of a tick to its force.
+        statuses: how many answers of the tissue had which `ForceStatus`, by its name in small letters.
+        flagged: how many ticks had which `RenderFlag`, or were ``paused``, the same.
+        largest_force: magnitude of the largest rendered force, N.
+        real_time: what the system has granted; empty where it was not asked.
+        peak_memory: of the process, bytes; None where the platform does not say.
+    """
+
+    ended_by: str
+    seconds: float
+    period: float
+    ticks: int
+    late: int
+    missed: int
+    lateness: Quantiles
+    compute_time: Quantiles
+    statuses: dict[str, int]
+    flagged: dict[str, int]
+    largest_force: float
+    real_time: tuple[RealTimeFeature, ...]
+    peak_memory: int | None
+
+    def as_json(self) -> dict[str, Any]:
+        """For `json.dumps`; units are in the names of the keys."""
+        return {
+            "ended_by": self.ended_by, "seconds": self.seconds, "period_us": self.period * 1e6, "ticks": self.ticks,
+            "late": self.late, "missed": self.missed,
+            "missed_percent": 100 * self.missed / max(self.ticks + self.missed, 1),
+            "lateness_us": _microseconds(self.lateness), "compute_us": _microseconds(self.compute_time),
+            "statuses": self.statuses, "flagged": self.flagged, "largest_force_N": self.largest_force,
+            "real_time": [asdict(feature) for feature in self.real_time],
+            "peak_memory_MB": None if self.peak_memory is None else self.peak_memory / 1e6,
+        }
+
+
+def _microseconds(times: Quantiles) -> dict[str, float]:
+    return {"p50": times.p50 * 1e6, "p99": times.p99 * 1e6, "p99.9": times.p999 * 1e6, "max": times.maximum * 1e6}
+
+
+class Loop:
+    """The loop in this process; `haptics.loop.process` runs one in a process of its own.
+
+    Args:
+        tissue: answers a depth and a time step with a `ToolForce`; warmed up.
+        source: of the tool's motion.
+        rendering: from the device's depth to the tool's, and from the tissue's force to the device's.
+        settings: see there.
+        ring: where every tick goes.
+        board: where the surface goes; None: nowhere.
+        snapshots: where the whole tissue goes; None: nowhere.
+        listen: called between ticks every `LISTEN_EVERY` s, with this loop; it may pause, reset and stop it.
+        clock, sleep: as of `Ticker`.
+    """
+
+    def __init__(self, tissue: Tissue, source: MotionSource, rendering: ForceRendering, settings: LoopSettings,
+                 ring: RingWriter, *, board: SurfaceBoard | None = None, snapshots: SnapshotBoard | None = None,
+                 listen: Callable[[Loop], None] | None = None, clock: Callable[[], int] = time.monotonic_ns,
+                 sleep: Callable[[float], None] = time.sleep):
+        self._tissue, self._source, self._rendering = tissue, source, rendering
+        self._settings, self._ring, self._listen = settings, ring, listen
+        self._publications = [_Publication(settings.ticks_between(rate), publish) for rate, publish in (
+            (settings.surface_rate, board and (lambda now: board.publish(now, tissue.surface().outline))),
+            (settings.snapshot_rate, snapshots and (lambda now: snapshots.publish(now, tissue.snapshot()))),
+        ) if rate and publish]
+        self._ticker = Ticker(settings.period, spin=settings.spin, clock=clock, sleep=sleep)
+        self._compute_time = TimeHistogram()
+        self._statuses = [0] * len(ForceStatus)
+        self._flagged = dict.fromkeys(_FLAGS, 0)
+        self._largest_force = 0.0
+        self._paused = False
+        #: What is left of an advance through a pause, ns.
+        self._advance = 0
+        #: Time of the last tick, and of the motion then, ns; the motion stands still while the loop is paused.
+        self._now = self._motion = 0
+        self._ended_by = ""
+
+    def run(self) -> LoopReport:
+        """Tick until the time is over or the loop is stopped.
+
+        Raises:
+            Exception: what the tissue, the source or the listener raised.
+        """
+        settings, ticker, ring = self._settings, self._ticker, self._ring
+        last = math.inf if settings.seconds is None else round(settings.seconds / settings.period)
+        listen_every = max(round(LISTEN_EVERY / settings.period), 1)
+        with real_time(settings.real_time) as features:
+            ticker.start()
+            while ticker.number < last and not self._ended_by:
+                lateness = ticker.wait()
+                self._tick(lateness * 1e-9, ring)
+                for publication in self._publications:
+                    publication.at(ticker.number, self._now * 1e-9)
+                if self._listen is not None and ticker.ticks % listen_every == 0:
+                    self._listen(self)
+            seconds = self._now * 1e-9
+        return LoopReport(
+            self._ended_by or "time", seconds, settings.period, ticker.ticks, ticker.late, ticker.missed,
+            ticker.lateness.quantiles, self._compute_time.quantiles,
+            {status.name.lower(): self._statuses[status] for status in ForceStatus},
+            {_FLAGS[flag]: count for flag, count in self._flagged.items()},
+            self._largest_force, features, peak_memory())
+
+    def _tick(self, lateness: float, ring: RingWriter) -> None:
+        ticker = self._ticker
+        now = ticker.elapsed
+        passed, self._now = now - self._now, now
+        dt = passed * 1e-9
+        device = None
+        moves = not self._paused or self._advance > 0
+        if moves:
+            going = min(passed, self._advance) if self._paused else passed
+            self._advance = self._advance - going if self._paused else 0
+            self._motion += going
+            device = self._source.depth(self._motion * 1e-9)
+        depth = self._rendering.depth_for(device, dt)
+        answer = self._tissue.step(depth, dt)
+        rendered = self._rendering.render(answer, dt)
+        taken = ticker.elapsed - now
+        self._compute_time.add(taken)
+        self._statuses[answer.status] += 1
+        flags = rendered.flags | PAUSED * (not moves)
+        if flags:
+            for flag in self._flagged:
+                self._flagged[flag] += flags & flag != 0
+        self._largest_force = max(self._largest_force, abs(rendered.force))
+        ring.append(ticker.number, now * 1e-9, math.nan if device is None else device, depth, rendered.force,
+                    answer.force, answer.stiffness, answer.residual, taken * 1e-9, lateness, answer.age, ticker.late,
+                    ticker.missed, answer.status, answer.iterations, flags, answer.inertial)
+
+    def pause(self) -> None:
+        """Let the motion stand still; to the rendering the pose is lost, so that the force fades."""
+        self._paused = True
+
+    def resume(self) -> None:
+        """Let the motion go on from where it stood."""
+        self._paused = False
+
+    def reset(self) -> None:
+        """Begin the motion again, with undeformed tissue and no force.
+
+        Raises:
+            InputError: the tissue cannot be reset.
+        """
+        self._able("reset")()
+        self._rendering.reset()
+        self._motion = 0
+
+    def advance(self, seconds: float) -> None:
+        """Let the motion of a loop that is paused go on for so long."""
+        self._advance += round(seconds * 1e9)
+
+    def follow(self, source: MotionSource, anew: bool = False) -> None:
+        """Take the motion from another source, from its beginning on.
+
+        Args:
+            anew: on undeformed tissue, as `reset`.
+
+        Raises:
+            InputError: the tissue cannot be reset.
+        """
+        if anew:
+            self.reset()
+        self._source, self._motion = source, 0
+
+    def aim(self, depth: float) -> None:
+        """Tell the source where to go, m.
+
+        Raises:
+            InputError: a source that goes where it likes, or a depth that is no number.
+        """
+        aim = getattr(self._source, "aim", None)
+        if aim is None:
+            raise InputError(f"this source of motion ({type(self._source).__name__}) cannot be steered; follow a "
+                             "HandMotion first")
+        aim(depth)
+
+    def set_parameters(self, **values: float) -> None:
+        """Change the tissue while it is felt.
+
+        Raises:
+            InputError: what the tissue refuses.
+        """
+        self._able("set_parameters")(**values)
+
+    def stop(self, ended_by: str = "stop") -> None:
+        """End after this tick."""
+        self._ended_by = ended_by
+
+    def _able(self, name: str) -> Callable[..., None]:
+        method = getattr(self._tissue, name, None)
+        if method is None:
+            raise InputError(f"this tissue ({type(self._tissue).__name__}) has no {name}; use one that has")
+        return method
+
+
+class _Publication:
+    """Something that is published every so many deadlines."""
+
+    def __init__(self, every: int, publish: Callable[[float], Any]):
+        self._every, self._publish, self._next = every, publish, 0
+
+    def at(self, number: int, now: float) -> None:
+        if number >= self._next:
+            self._publish(now)
+            self._next = number + self._every
+
+
+def peak_memory() -> int | None:
+    """The most memory that this process has used, bytes; None where the platform does not say."""
+    # Of this program: what `resource` reports on Linux begins with that of the process which started it.
+    with suppress(OSError):
+        for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) * 1024
+    with suppress(ImportError):
+        import resource
+
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return peak if sys.platform == "darwin" else peak * 1024
+    return None

@@ -1,0 +1,303 @@
+"""The loop as a process of its own: a Taichi kernel holds the interpreter lock, so the loop shares one with nobody."""
+
+from __future__ import annotations
+
+import multiprocessing
+import pickle
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+from haptics.devices.motion_source import MotionSource
+from haptics.loop.child import LoopFiles, run_child
+from haptics.loop.loop import LoopReport, LoopSettings
+from haptics.loop.ring import RingReader
+from haptics.loop.shared_slots import remove, unused_path
+from haptics.loop.snapshot_board import SnapshotReader
+from haptics.loop.surface_board import SurfaceReader
+from haptics.safety.rendering import ForceRendering
+from tissue_sim.child_process import start_without_ctrl_c
+from tissue_sim.errors import InputError
+from tissue_sim.snapshot import Snapshot
+from tissue_sim.tool_force import Tissue
+
+#: How long the loop may take to answer a command, or to end, s.
+PATIENCE = 5.0
+
+
+class LoopError(RuntimeError):
+    """The process of the loop has ended before its time, or does not answer."""
+
+
+class LoopProcess:
+    """A loop in a process of its own. Use it as a context: at its end the process is stopped.
+
+    A script that starts one must do so under ``if __name__ == "__main__":``.
+
+    Args:
+        build_tissue: called in that process, such as ``functools.partial(ts.Simulator, model)``; what it returns is
+            warmed up, where it can be, before the first tick.
+        source: of the tool's motion.
+        rendering: see there.
+        settings: see there.
+        ring_path: file of the ring; None: an unused one in `haptics.loop.shared_slots.runtime_folder`.
+
+    Attributes:
+        ring_path, surface_path, snapshot_path: files for viewers and recorders, while the process lives.
+        pattern: what its snapshots have in common, of the material as it is now; None where it publishes none.
+        message: what the process has last said of itself.
+        report: of a loop that has ended; None before, and of one that died.
+
+    Raises:
+        InputError: the file of the ring exists already.
+    """
+
+    def __init__(self, build_tissue: Callable[[], Tissue], source: MotionSource, rendering: ForceRendering,
+                 settings: LoopSettings | None = None, *, ring_path: str | Path | None = None):
+        self.ring_path = unused_path("ring") if ring_path is None else Path(ring_path)
+        self.surface_path, self.snapshot_path = (self.ring_path.with_name(f"{self.ring_path.name}.{ending}")
+                                                 for ending in ("surface", "snapshots"))
+        self._files = LoopFiles(self.ring_path, self.surface_path, self.snapshot_path)
+        for path in self._files:
+            if path.exists():
+                raise InputError("exists already; remove it or give another name", file=path)
+        self.message, self.report = "not started", None
+        self._asked = (build_tissue, source, rendering, settings or LoopSettings())
+        self._process: multiprocessing.process.BaseProcess | None = None
+        self._connection: Connection | None = None
+        self._lock = threading.RLock()
+        self._ready = False
+        self._failure: Exception | None = None
+        self._answers: list[str] = []
+        self.pattern: Snapshot | None = None
+
+    def start(self) -> None:
+        """Start the process and return at once.
+
+        Raises:
+            InputError: it was started before, or something in it cannot be sent to another process.
+        """
+        if self._process is not None:
+            raise InputError("this loop was started before; make another one")
+        context = multiprocessing.get_context("spawn")  # Taichi and threads do not survive a fork
+        self._connection, far_end = context.Pipe()
+        process = context.Process(target=run_child, args=(far_end, *self._asked, self._files),
+                                  name="tissue-sim loop", daemon=True)
+        try:
+            with start_without_ctrl_c():
+                process.start()
+        except (pickle.PicklingError, AttributeError, TypeError) as error:
+            raise InputError(f"cannot be sent to another process ({error}); use functions and classes of a module, not "
+                             "of a function", field="LoopProcess") from error
+        finally:
+            far_end.close()
+        self._process, self.message = process, "starting"
+
+    def wait_until_ready(self, timeout: float | None = None, progress: Callable[[str], None] | None = None) -> None:
+        """Wait for the first tick. A machine's first run compiles the solver, which takes several seconds.
+
+        Args:
+            timeout: s; None: as long as the process lives.
+            progress: told what the process does.
+
+        Raises:
+            InputError: what the building of the tissue refuses.
+            LoopError: the process has ended, or the time is over.
+        """
+        until = None if timeout is None else time.monotonic() + timeout
+        told = ""
+        ready = False
+        while not ready:
+            ready = self.poll(0.1)
+            if progress is not None and self.message != told:
+                told = self.message
+                progress(told)
+            if not ready and until is not None and time.monotonic() > until:
+                raise LoopError(f"the loop is not ready after {timeout:g} s: {self.message}")
+
+    def poll(self, timeout: float = 0.0) -> bool:
+        """Take in what the process says within `timeout`, s; whether it has come to its first tick.
+
+        Raises:
+            InputError, LoopError: it has ended without a report, and why.
+        """
+        self._read(timeout)
+        return self._ready
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process runs."""
+        return self._process is not None and self._process.is_alive()
+
+    @property
+    def pid(self) -> int | None:
+        """Number of the process; None before it is started."""
+        return None if self._process is None else self._process.pid
+
+    @property
+    def exit_code(self) -> int | None:
+        """0: ended well; minus the signal of one that was killed; None: it runs, or was not started."""
+        return None if self._process is None else self._process.exitcode
+
+    def ring(self) -> RingReader:
+        """A reader of the ring of a loop that is ready; close it."""
+        return RingReader(self.ring_path)
+
+    def surface(self) -> SurfaceReader | None:
+        """A reader of the surface of a loop that is ready; None where it publishes none. Close it."""
+        return SurfaceReader(self.surface_path) if self.surface_path.exists() else None
+
+    def snapshots(self) -> SnapshotReader | None:
+        """A reader of the snapshots of a loop that is ready; None where it publishes none. Close it."""
+        return None if self.pattern is None else SnapshotReader(self.snapshot_path, self.pattern)
+
+    def pause(self) -> None:
+        """Let the motion stand still and the force fade; returns when it is so. Raises as `set_parameters`."""
+        self._ask("pause")
+
+    def resume(self) -> None:
+        """Let the motion go on. Raises as `set_parameters`."""
+        self._ask("resume")
+
+    def reset(self) -> None:
+        """Begin the motion again, with undeformed tissue. Raises as `set_parameters`."""
+        self._ask("reset")
+
+    def advance(self, seconds: float) -> None:
+        """Let the motion of a loop that is paused go on for so long. Raises as `set_parameters`."""
+        self._ask("advance", seconds=seconds)
+
+    def follow(self, source: MotionSource, anew: bool = False) -> None:
+        """Take the motion from another source, from its beginning on; `anew`: on undeformed tissue. Raises as
+        `set_parameters`."""
+        self._ask("follow", source=source, anew=anew)
+
+    def aim(self, depth: float) -> None:
+        """Tell a `HandMotion` where to go, m. Raises as `set_parameters`."""
+        self._ask("aim", depth=depth)
+
+    def set_parameters(self, **values: float) -> None:
+        """Change parameters of the tissue between two ticks.
+
+        Raises:
+            InputError: what the tissue refuses; the loop goes on as before.
+            LoopError: the process has ended, or does not answer.
+        """
+        self._ask("set_parameters", **values)
+
+    def wait(self, timeout: float | None = None) -> LoopReport | None:
+        """Wait for the end of the loop; None where it still runs after `timeout`, s.
+
+        Raises:
+            InputError, LoopError: the process has ended without a report, and why.
+        """
+        until = None if timeout is None else time.monotonic() + timeout
+        while self.report is None:
+            left = 0.5 if until is None else until - time.monotonic()
+            if left <= 0 and until is not None:
+                return None
+            self._read(min(left, 0.5))
+        self._end(PATIENCE)
+        return self.report
+
+    def stop(self) -> LoopReport | None:
+        """End the process, by force where it does not end by itself. Returns its report, None where there is none."""
+        if self._process is None:
+            return None
+        with suppress(LoopError, InputError):  # it has died: there is nothing to stop
+            if self._ready and self.report is None:
+                self._ask("stop")
+                self.wait(PATIENCE)
+        self._end(0.0 if self.report is None and self._failure is None else PATIENCE)
+        return self.report
+
+    def __enter__(self) -> LoopProcess:
+        self.start()
+        return self
+
+    def __exit__(self, *failure) -> None:
+        self.stop()
+
+    def _ask(self, command: str, **values: Any) -> None:
+        """Send a command and wait until it is done."""
+        with self._lock:
+            if self._connection is None or not self._ready:
+                raise LoopError(f"the loop is not ready: {self.message}")
+            self._answers.clear()
+            with suppress(OSError):  # reading says why
+                self._connection.send((command, values))
+            until = time.monotonic() + PATIENCE
+            while not self._answers and self.report is None:
+                self._read(0.1)
+                if time.monotonic() > until:
+                    raise LoopError(f"the loop does not answer within {PATIENCE:g} s")
+            if self._answers and self._answers[0]:
+                raise InputError(self._answers[0])
+
+    def _read(self, timeout: float) -> None:
+        """Take in what the process says within `timeout`, s.
+
+        Raises:
+            InputError, LoopError: it has ended without a report.
+        """
+        if self._process is None:
+            raise LoopError("the loop was not started")
+        with self._lock:
+            if self.report is not None:
+                return
+            if self._failure is None:
+                try:
+                    if self._connection.poll(timeout):
+                        self._take(*self._connection.recv())
+                except (EOFError, OSError):
+                    self._process.join(PATIENCE)
+                    self._failure = LoopError(self._last_words())
+            if self._failure is not None:
+                self._remove_files()
+                raise self._failure
+
+    def _take(self, kind: str, content: Any) -> None:
+        if kind == "doing":
+            self.message = content
+        elif kind == "ready":
+            self.message, self._ready = "running", True
+        elif kind == "pattern":
+            self.pattern = content
+        elif kind == "changed":
+            self.pattern = replace(self.pattern, fields=replace(self.pattern.fields, **content))
+        elif kind == "answer":
+            self._answers.append(content)
+        elif kind == "report":
+            self.message, self.report = "ended", content
+        else:
+            problem, of_input = content
+            self.message, self._failure = problem, InputError(problem) if of_input else LoopError(problem)
+
+    def _last_words(self) -> str:
+        code = self.exit_code
+        how = f"was killed by signal {-code}" if code is not None and code < 0 else f"ended with code {code}"
+        if self.message == "starting":
+            return (f"the process of the loop {how} before it began; a script that starts one must do so under \"if "
+                    "__name__ == '__main__':\", otherwise see what it printed")
+        self.message = f"the process of the loop {how}; before that: {self.message}"
+        return self.message
+
+    def _end(self, patience: float) -> None:
+        """Wait for the end of the process, then enforce it."""
+        process = self._process
+        process.join(patience)
+        for enforce in (process.terminate, process.kill):
+            if process.is_alive():
+                enforce()
+                process.join(PATIENCE)
+        self._connection.close()
+        self._remove_files()
+
+    def _remove_files(self) -> None:
+        for path in self._files:
+            remove(path)

@@ -1,0 +1,105 @@
+"""The whole tissue, for viewers in other processes that draw fields: the newest state, and whether there is a newer."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from haptics.loop.shared_slots import SlotReader, SlotWriter
+from tissue_sim.errors import InputError
+from tissue_sim.snapshot import Snapshot
+
+_KIND = b"tsSNAP\0\0"
+#: A reader has three more publications of time to copy one.
+_SLOTS = 4
+#: Time, depth, datum.
+_HEAD = struct.Struct("<3d")
+
+
+@dataclass(frozen=True, eq=False)
+class PublishedSnapshot:
+    """A snapshot as the loop has published it.
+
+    Attributes:
+        number: of the publication, from 1.
+        time: s since the loop began.
+        snapshot: see there.
+    """
+
+    number: int
+    time: float
+    snapshot: Snapshot
+
+
+class SnapshotBoard(SlotWriter):
+    """Where the loop publishes snapshots; what they have in common, mesh and material, is not among it.
+
+    Args:
+        path: file to make.
+        pattern: a snapshot of the same tissue.
+
+    Raises:
+        InputError: the file is there already or cannot be made.
+    """
+
+    def __init__(self, path: str | Path, pattern: Snapshot):
+        super().__init__(path, _KIND, _SLOTS, _HEAD.size + 8 * sum(_sizes(pattern)))
+
+    def publish(self, time: float, snapshot: Snapshot) -> int:
+        """Make a snapshot the newest one; returns its number.
+
+        Raises:
+            InputError: larger than the pattern.
+        """
+        fields = snapshot.fields
+        arrays = [fields.states] if fields.stresses is None else [fields.states, fields.stresses]
+        return self.write(_HEAD.pack(time, snapshot.depth, snapshot.datum)
+                          + b"".join(np.ascontiguousarray(array, "<f8").tobytes() for array in arrays))
+
+
+class SnapshotReader(SlotReader):
+    """Reads the board of a running loop, from any process that knows the pattern.
+
+    Args:
+        path, pattern: as `LoopProcess` knows them.
+
+    Attributes:
+        pattern: mesh and material of what is read; to be replaced when the material changes.
+        ended: whether the loop has; one that was killed has not said so.
+
+    Raises:
+        InputError: no such file, or not a board of this version.
+    """
+
+    def __init__(self, path: str | Path, pattern: Snapshot):
+        super().__init__(path, _KIND)
+        self.pattern = pattern
+
+    def latest(self, after: int = 0) -> PublishedSnapshot | None:
+        """The newest snapshot; None where there is none with a number above `after`.
+
+        Raises:
+            InputError: the board is of another tissue than the pattern.
+        """
+        if self.written <= after:
+            return None
+        number, content = super().latest()
+        pattern = self.pattern.fields
+        state, stress = _sizes(self.pattern)
+        numbers = np.frombuffer(content, "<f8", offset=_HEAD.size)
+        if numbers.size != state + stress:
+            raise InputError(f"holds {numbers.size} numbers where the pattern has {state + stress}; give the pattern "
+                             "of the loop that writes it", file=self.path)
+        time, depth, datum = _HEAD.unpack_from(content)
+        fields = replace(pattern, states=numbers[:state].reshape(pattern.states.shape),
+                         stresses=numbers[state:].reshape(pattern.stresses.shape) if stress else None)
+        return PublishedSnapshot(number, time, Snapshot(depth, datum, fields))
+
+
+def _sizes(pattern: Snapshot) -> tuple[int, int]:
+    """How many numbers the state has, and the stresses."""
+    fields = pattern.fields
+    return fields.states.size, 0 if fields.stresses is None else fields.stresses.size

@@ -1,0 +1,1 @@
+"""What is between the tissue's force and the hand."""

@@ -1,0 +1,1 @@
+"""The tissue for other programs."""
