@@ -15,7 +15,7 @@ _HOMES = {
     "CalibrationResult": "fit.result", "to_json": "fit.result",
     "calibrate": "pipeline",
     "MeasuredCurve": "campaign.measured", "read_measured": "campaign.measured",
-    "Workers": "tasks.executors", "WorkerError": "tasks.executors",
+    "Workers": "tasks.executors", "WorkerError": "tasks.errors",
 }
 
 __all__ = sorted(_HOMES)

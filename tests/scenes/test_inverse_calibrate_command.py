@@ -17,7 +17,8 @@ from scipy.interpolate import PchipInterpolator
 
 import calibration.fit.work as work
 import tissue_sim as ts
-from calibration.tasks.executors import WorkerError, open_tasks
+from calibration.tasks.errors import WorkerError
+from calibration.tasks.executors import open_tasks
 from scenes.cli import main
 from tissue_sim.errors import ConvergenceError
 
