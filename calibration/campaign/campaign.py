@@ -302,8 +302,11 @@ def _fit_settings(table: FitTable, noise: NoiseTable) -> FitSettings:
     if table.starts is not None and not 1 <= table.starts <= MOST_STARTS:
         raise InputError(f"{table.starts} starts; give 1 to {MOST_STARTS}", field="fit.starts")
     check_unused(table, noise)
-    effects = check_effects(table) if table.method == "inverse_fem" else ()
+    effects = check_effects(table)
     check_parameters(table, effects)
+    if effects and table.strain_points is not None:
+        raise InputError(f"points at even strains have no history, and {effects[0]} needs one; leave it out",
+                         field="fit.strain_points")
     offset_prior = next((value * 1e-3 for value in (table.offset_prior_mm, noise.contact_jitter_mm)
                          if isinstance(value, float | int) and value > 0), DEFAULT_OFFSET_PRIOR)
     zero_prior = next((float(value) for value in (table.zero_prior_N, noise.zero_jitter_N)

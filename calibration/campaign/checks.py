@@ -140,8 +140,7 @@ def check_parameters(table: FitTable, effects: Sequence[str] = ()) -> None:
             field = f"fit.{key}.{name}"
             if name not in known:
                 hint = nearest(name, known)
-                if table.method == "inverse_fem":
-                    hint += '; other parameters of the material are paths in quotes, "viscoelastic.terms[0].g"'
+                hint += '; other parameters of the material are paths in quotes, "viscoelastic.terms[0].g"'
                 raise InputError(f"none of the listed laws has a parameter {name!r}{hint}", field=field)
             if np.isnan(value).any() or (key != "bounds" and not np.isfinite(value).all()):
                 raise InputError(f"{value} is not finite; give a number", field=field)

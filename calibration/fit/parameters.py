@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.analytical.uniaxial import EXPONENT_BOUND
 from calibration.campaign.campaign import Campaign
 from calibration.campaign.effects import build_effect_parts, effect_bounds, is_effect
 from tissue_sim.laws import Law, find_law
@@ -16,6 +15,8 @@ from tissue_sim.material.material import Bulk, Material
 
 #: Sum of the moduli, Pa, at which a material is simulated whose force is proportional to them.
 REFERENCE_MODULUS = 1000.0
+#: How far exponents and other numbers without unit may run where the campaign does not say.
+EXPONENT_BOUND = 50.0
 #: Digits of the ratios of the moduli by which a simulation is found again.
 _DIGITS = 12
 
