@@ -10,6 +10,7 @@ import numpy as np
 
 from calibration.campaign.schema import FitTable, NoiseTable, TestTable
 from tissue_sim.errors import InputError, nearest
+from tissue_sim.experiment.tools.tool import TOOLS, read_shape
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.laws import LAWS
 from tissue_sim.material.material import BULK_RATIOS
@@ -18,8 +19,6 @@ from tissue_sim.recording.formats import check_columns
 
 #: Test kinds with a homogeneous deformation -> mode of `Law.nominal_stress`.
 HOMOGENEOUS = {"lubricated_compression": "uniaxial", "uniaxial_tension": "uniaxial", "simple_shear": "simple_shear"}
-#: What `tool` may say; a profile file beside these.
-TOOLS = ("plate", "flat", "round", "cone", "sphere")
 #: What a friction may say in words; a coefficient beside these.
 FRICTIONS = ("bonded", "stick", "frictionless")
 
@@ -43,17 +42,15 @@ def check_available(entry: TestTable, field: str) -> None:
     if entry.kind not in HOMOGENEOUS:
         raise InputError(f"the analytical method takes {', '.join(HOMOGENEOUS)}; for {entry.kind!r} set fit.method = "
                          "'inverse_fem'", field=f"{field}.kind")
-    if entry.tool not in TOOLS and not Path(entry.tool).suffix:
-        raise InputError(f"unknown tool {entry.tool!r}{nearest(entry.tool, TOOLS)}", field=f"{field}.tool")
-    if entry.tool != "plate":
+    if not TOOLS.find(read_shape(entry.tool)[0], f"{field}.tool").is_plate:
         raise InputError(f"a homogeneous test is done with a plate, not with {entry.tool!r}; leave it out",
                          field=f"{field}.tool")
     for key in ("protocol", "rig"):
         if getattr(entry, key) is not None:
             raise InputError("does not belong to the analytical method; leave it out, or set fit.method = "
                              "'inverse_fem'", field=f"{field}.{key}")
-    for key in ("tool_radius_mm", "edge_radius_mm", "half_angle_deg", "tip_radius_mm", "friction_wall"):
-        if getattr(entry, key):
+    for key, value in {**entry.tool_sizes, "friction_wall": entry.friction_wall}.items():
+        if value:
             raise InputError(f"a plate that covers the specimen has no {key}; leave it out", field=f"{field}.{key}")
     expected = ("frictionless", 0) if entry.kind == "lubricated_compression" else ("bonded",)
     for key in ("friction", "friction_base"):

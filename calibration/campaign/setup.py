@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from calibration.campaign.checks import HOMOGENEOUS, TOOLS
+from calibration.campaign.checks import HOMOGENEOUS
 from calibration.campaign.schema import TestTable
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.errors import InputError
 from tissue_sim.experiment.experiment import Experiment, Specimen, checked_interface
 from tissue_sim.experiment.protocol import Protocol
-from tissue_sim.experiment.tools.tool import Tool
+from tissue_sim.experiment.tools.tool import TOOLS, Tool, read_shape, sizes_of_keys, tool_sizes
 from tissue_sim.rig.file import load_rig
 from tissue_sim.rig.rig import Rig
 
@@ -23,8 +22,7 @@ _FACES: dict[str, tuple[str | None, str | None]] = {
 #: Kinds whose interfaces are what their name says.
 _FIXED_FACES = ("lubricated_compression", "bonded_compression")
 #: Field of an experiment or a tool -> key of the campaign.
-_KEYS = {"tool": "tool", "tool.radius": "tool_radius_mm", "tool.edge_radius": "edge_radius_mm",
-         "tool.half_angle": "half_angle_deg", "tool.tip_radius": "tip_radius_mm", "tool.profile_file": "tool",
+_KEYS = {"tool": "tool", "tool.profile_file": "tool",
          "friction": "friction", "friction_base": "friction_base", "friction_wall": "friction_wall"}
 
 
@@ -71,8 +69,7 @@ def read_setup(entry: TestTable, specimen: Specimen | None, folder: Path, place:
         InputError: keys that do not fit the kind or each other, with the field of the campaign.
     """
     if entry.kind not in _FACES:
-        for key in ("tool_radius_mm", "edge_radius_mm", "half_angle_deg", "tip_radius_mm", "friction",
-                    "friction_base", "friction_wall", "rig"):
+        for key in (*entry.tool_sizes, "friction", "friction_base", "friction_wall", "rig"):
             if getattr(entry, key) is not None:
                 raise InputError(f"a test of kind {entry.kind!r} is gripped on both sides and has none; leave it out",
                                  field=f"{place}.{key}")
@@ -89,10 +86,11 @@ def read_setup(entry: TestTable, specimen: Specimen | None, folder: Path, place:
         probe = Specimen(1.0, 1.0) if specimen is None else specimen
         setup.experiment(probe, Protocol.ramp(1e-3 * probe.height, 2))
     except InputError as error:
-        if error.field not in _KEYS:
+        keys = _KEYS | {f"tool.{name}": key for key, (_, name, _) in tool_sizes().items()}
+        if error.field not in keys:
             raise
         raise InputError(error.problem.replace("give the tool an edge radius", "give edge_radius_mm"),
-                         field=f"{place}.{_KEYS[error.field]}") from None
+                         field=f"{place}.{keys[error.field]}") from None
     return setup
 
 
@@ -108,21 +106,16 @@ def _face(entry: TestTable, key: str, default: str | None, place: str) -> str | 
 
 
 def _tool(entry: TestTable, folder: Path, place: str) -> Tool:
-    shape, profile = entry.tool, None
-    if shape not in TOOLS:
-        if not Path(shape).suffix:
-            raise InputError(f"unknown tool {shape!r}, and no profile file{nearest(shape, TOOLS)}",
-                             field=f"{place}.tool")
-        shape, profile = "profile", folder / shape
+    shape, profile = read_shape(entry.tool, folder)
+    TOOLS.find(shape, f"{place}.tool")
     if entry.kind == "needle_indentation" and entry.tool == "plate":
         raise InputError("needle_indentation needs the shape of its tool: tool = 'flat', 'round', 'cone', 'sphere' or "
                          "a profile file", field=f"{place}.tool")
     if entry.kind != "needle_indentation" and entry.tool != "plate":
         raise InputError(f"{entry.kind} is done with a plate, not with {entry.tool!r}; use kind = 'needle_indentation'",
                          field=f"{place}.tool")
-    sizes = {name: value * factor for name, value, factor in (
-        ("radius", entry.tool_radius_mm, 1e-3), ("edge_radius", entry.edge_radius_mm, 1e-3),
-        ("tip_radius", entry.tip_radius_mm, 1e-3), ("half_angle", entry.half_angle_deg, math.pi / 180)) if value}
+    # A zero says that the tool has no such size.
+    sizes = sizes_of_keys({key: value for key, value in entry.tool_sizes.items() if value})
     return Tool(shape, profile_file=profile, **sizes)
 
 

@@ -239,7 +239,6 @@ def _digests(campaign: Campaign) -> tuple[str, ...]:
     found = []
     for test in campaign.tests:
         if test.setup is not None:
-            outline = test.setup.tool.outline
-            found.append(hashlib.sha256(repr((test.setup.rig, None if outline is None else outline.tolist())).encode()
-                                        ).hexdigest())
+            outline = test.setup.tool.profile.vertices.tolist()
+            found.append(hashlib.sha256(repr((test.setup.rig, outline)).encode()).hexdigest())
     return tuple(found)

@@ -69,8 +69,7 @@ def build_test(test: Test, curves: Sequence[MeasuredCurve], space: ParameterSpac
     depth = min(deepest + max(_MARGIN * contact, _LEAST_MARGIN * deepest), 0.999 * test.specimen.height)
     speed = float(np.median([curve.speed or STUDY_SPEED for curve in curves]))
     setup = test.setup
-    smooth = setup.tool.shape == "plate" or (
-        setup.tool.shape == "flat" and not setup.tool.edge_radius and not setup.slides)
+    smooth = setup.tool.is_plate or (setup.tool.sharp_edge and not setup.slides)
     motion = Loading.to(float(depth), max(speed, 1e-9), smooth=smooth, strain=float(depth / test.specimen.height))
     return SimulatedTest(test.name, test.specimen, test.setup, (motion,), (0,) * len(curves), curves,
                          layered)

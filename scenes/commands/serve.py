@@ -108,14 +108,15 @@ def spin(arguments) -> float:
 def describe(arguments, experiment: Experiment, material_file, simulator) -> dict[str, Any]:
     """What is served, for the command ``describe``; in SI."""
     from scenes.material_summary import summarise
+    from tissue_sim.parameters import declared
 
     specimen, tool = experiment.specimen, experiment.tool
     return {
         "scene": arguments.scene,
         "specimen": {"radius": specimen.radius, "height": specimen.height, "density": specimen.density,
                      "gravity": specimen.gravity},
-        "tool": {"shape": tool.shape, "radius": tool.radius, "edge_radius": tool.edge_radius,
-                 "half_angle": tool.half_angle, "tip_radius": tool.tip_radius},
+        "tool": {"shape": tool.shape, "radius": tool.radius} | {name: getattr(tool, name)
+                                                                for name in declared(type(tool))},
         "interfaces": {name: getattr(experiment, name) for name in ("friction", "friction_base", "friction_wall")},
         "material_file": arguments.material,
         "material": summarise(material_file),
