@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from scenes.catalogue import SCENES
 from scenes.parsing import Parser, at_least, between, interface, not_negative, positive
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.tools.tool import (
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
     from tissue_sim import Experiment, Material, Protocol
     from tissue_sim.parameters import Declaration
 
-#: Names only: scenes need numpy, and help must answer at once. A test holds these against them.
-SCENE_NAMES = ("lubricated_compression", "bonded_compression", "friction_compression", "needle_indentation")
 MOST_POINTS = 100_000
 DEPTH_MM = 10.0
 
@@ -61,8 +60,8 @@ def add_experiment_flags(parser: Parser) -> None:
 
 def check_scene(name: str) -> None:
     """Raises InputError: no such scene."""
-    if name not in SCENE_NAMES:
-        raise InputError(f"unknown scene {name!r}{nearest(name, SCENE_NAMES)}")
+    if name not in SCENES:
+        raise InputError(f"unknown scene {name!r}{nearest(name, SCENES)}")
 
 
 def build_protocol(arguments) -> Protocol:
@@ -88,13 +87,13 @@ def build_experiment(arguments, protocol: Protocol, material: Material) -> Exper
         InputError: flags that do not fit the scene or each other, or what the experiment refuses.
     """
     import tissue_sim as ts
-    from scenes.catalogue import SCENES
     from tissue_sim.experiment.experiment import STANDARD_GRAVITY
 
     scene = SCENES[arguments.scene]
     shape, profile = read_shape(arguments.tool or scene.tool.shape)
-    if TOOLS.find(shape, field="--tool").is_plate != scene.tool.is_plate:
-        fitting = [name for name, other in SCENES.items() if other.tool.is_plate != scene.tool.is_plate]
+    kind = TOOLS.find(shape, field="--tool")
+    if not scene.fits(kind):
+        fitting = [name for name, other in SCENES.items() if other.fits(kind)]
         raise InputError(f"{scene.name} is not done with the tool {shape!r}; use scene {' or '.join(fitting)}",
                          field="--tool")
     weight = {}
@@ -108,7 +107,7 @@ def build_experiment(arguments, protocol: Protocol, material: Material) -> Exper
         if getattr(arguments, name) is not None and not arguments.gravity:
             raise InputError("matters to a specimen that weighs only; add --gravity or leave it out",
                              field=f"--{name.replace('_', '-')}")
-    changes = {name: value for name in ("friction", "friction_base", "friction_wall")
+    changes = {name: value for name in scene.faces
                if (value := getattr(arguments, name)) is not None}
     if (arguments.adhesion_N is None) != (arguments.adhesion_length_mm is None):
         raise InputError("adhesion needs a force and a length; give both or neither",

@@ -11,8 +11,8 @@ import msgspec
 
 from tissue_sim.decode import decode
 from tissue_sim.errors import InputError
+from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.experiment.tools.tool import tool_sizes
-from tissue_sim.recording.file import KINDS
 from tissue_sim.recording.formats.text import read_text
 
 Pair = tuple[float, float]
@@ -53,7 +53,7 @@ class TestTable(_Table, kw_only=True):
     delimiter: str | None = None
     sheet: str | int | None = None
     curve: int | None = None
-    tool: str = "plate"
+    tool: str | None = None
     friction: str | float | None = None
     friction_base: str | float | None = None
     friction_wall: float | None = None

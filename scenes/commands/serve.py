@@ -12,8 +12,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from scenes.catalogue import SCENES
 from scenes.console import progress_console
-from scenes.experiment_flags import SCENE_NAMES, add_experiment_flags, build_experiment, build_protocol, check_scene
+from scenes.experiment_flags import add_experiment_flags, build_experiment, build_protocol, check_scene
 from scenes.parsing import Parser, add_json, at_least, not_negative
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ BUDGET_US, SPIN_US = 800.0, 2000.0
 
 def add_arguments(parser: Parser) -> None:
     parser.add_argument("--scene", metavar="SCENE", default="needle_indentation",
-                        help=f"{' or '.join(SCENE_NAMES)} (default: %(default)s)")
+                        help=f"{' or '.join(SCENES)} (default: %(default)s)")
     parser.add_argument("--material", type=Path, required=True, metavar="FILE", help="NAME.material.json")
     parser.add_argument("--resolution", choices=("realtime", "fast", "accurate"), default="realtime",
                         help="realtime, fast (force within 1 %%) or accurate (within 0.2 %%) (default: realtime)")

@@ -156,6 +156,11 @@ class Experiment:
         return self.tool.contact_radius(depth, self.specimen.radius)
 
     @property
+    def slides(self) -> bool:
+        """Whether tissue may slip against friction, so that the force depends on the way of the tool."""
+        return any(isinstance(value, float) for value in (self.friction, self.friction_base, self.friction_wall))
+
+    @property
     def homogeneous(self) -> bool:
         """Whether a specimen of one material deforms homogeneously, so that closed forms hold."""
         return (self.tool.is_plate and self.friction == self.friction_base == "frictionless"

@@ -16,23 +16,14 @@ import numpy as np
 
 from tissue_sim.atomic_write import write_bytes, write_text
 from tissue_sim.decode import as_json_types, read_json, require_writable
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.errors import InputError
+from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.recording.formats import SEVERAL, find_format, read_columns
 from tissue_sim.recording.recording import CHANNELS, LABELS, Recording
 from tissue_sim.units import to_si
 
 _FILE_UNITS = {"time": "s", "length": "mm", "force": "N", "torque": "Nm", "stress": "Pa", "ratio": "-",
                "temperature": "degC"}
-_FORCE, _STRETCH, _SHEAR = ("displacement", "force"), ("stretch", "nominal stress"), ("shear strain", "nominal stress")
-#: Kind of test -> pairs of channels (motion, load), one of which its recordings must have; those of a rig first.
-KINDS: dict[str, tuple[tuple[str, str], ...]] = {
-    "lubricated_compression": (_FORCE, _STRETCH),
-    "bonded_compression": (_FORCE,),
-    "friction_compression": (_FORCE,),
-    "needle_indentation": (_FORCE,),
-    "uniaxial_tension": (_FORCE, _STRETCH),
-    "simple_shear": (_FORCE, _SHEAR),
-}
 
 
 def read_recording(path: str | Path, *, format: str = "native", columns: Mapping[str, Any] | None = None,
@@ -60,8 +51,8 @@ def read_recording(path: str | Path, *, format: str = "native", columns: Mapping
     """
     path = Path(path)
     reader = find_format(format)
-    if kind is not None and kind not in KINDS:
-        raise InputError(f"unknown kind of test {kind!r}{nearest(str(kind), KINDS)}", field="kind")
+    if kind is not None:
+        KINDS.find(kind, "kind")
     if columns is not None and format not in ("native", "xlsx"):
         raise InputError(f"give either format = {format!r} or columns, not both", field="columns")
     for key, value in (("skip_lines", skip_lines), ("delimiter", delimiter)):
@@ -196,9 +187,7 @@ def _read_sidecar(path: Path, digest: str) -> dict[str, Any]:
 def _require_channels(recording: Recording, kind: str | None, path: Path) -> None:
     has = ", ".join(recording.channels)
     if kind is not None:
-        if not any(set(pair) <= set(recording.channels) for pair in KINDS[kind]):
-            needs = " or ".join(f"{motion!r} and {load!r}" for motion, load in KINDS[kind])
-            raise InputError(f"{kind} needs columns {needs}; this file has {has}", file=path)
+        KINDS.find(kind, "kind").require_channels(recording.channels, f"this file has {has}", file=path)
         return
     for words, names in (("a motion", ("displacement", "stretch", "shear strain")),
                          ("a load", ("force", "nominal stress"))):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from numbers import Integral, Real
 
@@ -15,8 +16,10 @@ from tissue_sim.rig.noise import sensor_noise
 
 _NOT_NEGATIVE = ("compliance", "backlash", "latency", "guide_friction", "rate_damping", "force_resolution",
                  "displacement_resolution", "force_noise", "noise_correlation_time")
-#: What moves the tool; the other fields act on what is read.
+#: What moves the tool, and what is of single samples; every other field acts on the reading of the force.
 _MOTION = ("contact_offset", "displacement_gain", "backlash", "step_loss", "step_loss_depth", "compliance")
+_SAMPLES = ("sampling_rate", "force_noise", "noise_correlation_time", "force_resolution", "displacement_resolution",
+            "seed")
 _RELATIVE = ("displacement_gain", "sensor_gain")
 _MOST_SAMPLES = 10_000_000
 
@@ -98,7 +101,22 @@ class Rig:
     @property
     def motion_only(self) -> Rig:
         """The rig as far as it moves the tool: it reads every force as it is."""
-        return Rig(**{name: getattr(self, name) for name in _MOTION})
+        return self._without(lambda name: name not in _MOTION)
+
+    @property
+    def reading_only(self) -> Rig:
+        """The rig as far as it reads forces: the tool moves as reported, and samples are taken as they are."""
+        return self._without(lambda name: name in (*_MOTION, *_SAMPLES))
+
+    @property
+    def without_noise(self) -> Rig:
+        """The rig without what it does to single samples: rate, noise and resolution."""
+        return self._without(lambda name: name in _SAMPLES)
+
+    def _without(self, left_out: Callable[[str], bool]) -> Rig:
+        ideal = Rig()
+        return replace(self, **{entry.name: getattr(ideal, entry.name) for entry in fields(self)
+                                if left_out(entry.name)})
 
     def readings(self, time: np.ndarray) -> int:
         """How many samples it reports of a recording at these times, s, shape (n,)."""

@@ -10,7 +10,7 @@ import tissue_sim as ts
 from scenes.catalogue import SCENES
 from scenes.viewer.frame import Commands, Frame
 from scenes.viewer.page.notices import answer_to
-from scenes.viewer.setup import Setup
+from scenes.viewer.scene import Scene
 from tissue_sim.experiment.tools.tool import TOOLS, shapes_without_file, tool_sizes
 from tissue_sim.parameters import Declaration
 
@@ -25,7 +25,7 @@ class SceneControls:
     def __init__(self, server: viser.ViserServer, session: Commands, frame: Frame):
         gui = server.gui
         self._titles = {scene.title: name for name, scene in SCENES.items()}
-        self._scene = gui.add_dropdown("scene", tuple(self._titles), initial_value=frame.setup.scene.title)
+        self._scene = gui.add_dropdown("scene", tuple(self._titles), initial_value=frame.setup.kind.title)
         self._needles = tuple(shape for shape in shapes_without_file() if not TOOLS[shape].is_plate)
         self._shape = gui.add_dropdown("tool", self._needles, initial_value=self._needles[0])
         self._known = tool_sizes()
@@ -33,7 +33,7 @@ class SceneControls:
         self._interface = gui.add_dropdown("tool's face", _INTERFACES, initial_value="bonded")
         self._friction = gui.add_number("friction", _FRICTION, min=0.0, max=2.0, step=0.01)
         self._apply = gui.add_button("Apply", icon=viser.Icon.CHECK)
-        self._shown: Setup | None = None
+        self._shown: Scene | None = None
         self.show(frame)
 
         for handle in (self._shape, self._interface):
@@ -42,7 +42,7 @@ class SceneControls:
         @self._scene.on_update
         def _(event: viser.GuiEvent) -> None:
             if event.client is not None:
-                self._hold(SCENES[self._titles[self._scene.value]].friction)
+                self._hold(SCENES[self._titles[self._scene.value]].face.usual)
             self._offer()
 
         @self._apply.on_click
@@ -80,7 +80,7 @@ class SceneControls:
             return
         self._shown = setup
         tool, friction = setup.experiment.tool, setup.experiment.friction
-        self._scene.value = setup.scene.title
+        self._scene.value = setup.kind.title
         if tool.shape in self._needles:
             self._shape.value = tool.shape
             for key, (what, name, shapes) in self._known.items():
