@@ -27,7 +27,7 @@ _HOMES = {
     "Simulator": "simulator", "SimulatorState": "simulator", "DeformedSurface": "fem.axisymmetric.surface",
     "Snapshot": "snapshot",
     "simulate": "simulation", "Fields": "fem.axisymmetric.fields",
-    "LAWS": "laws", "find_law": "laws", "register": "laws", "check_stability": "laws",
+    "FORMATS": "recording.formats", "LAWS": "laws", "find_law": "laws", "register": "laws", "check_stability": "laws",
     "ConvergenceError": "errors", "InputError": "errors", "MissingBackendError": "errors",
 }
 

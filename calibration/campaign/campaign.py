@@ -28,7 +28,7 @@ from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.laws import LAWS
 from tissue_sim.material.material import Bulk
-from tissue_sim.recording.formats import check_delimiter
+from tissue_sim.recording.formats.columns import check_delimiter
 from tissue_sim.rig.rig import Rig
 
 #: Prior standard deviation of a contact offset when neither the fit nor the noise states one, m.

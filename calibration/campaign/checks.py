@@ -16,7 +16,7 @@ from tissue_sim.experiment.tools.tool import TOOLS, read_shape
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.laws import LAWS
 from tissue_sim.material.material import BULK_RATIOS
-from tissue_sim.recording.formats import check_columns
+from tissue_sim.recording.formats.columns import check_columns
 
 
 def require_positive(value: float | None, field: str, unit: str = "") -> None:
