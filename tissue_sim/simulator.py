@@ -13,9 +13,9 @@ from tissue_sim.fem.axisymmetric.newton import StepStatus
 from tissue_sim.fem.axisymmetric.solver import Step
 from tissue_sim.fem.axisymmetric.surface import DeformedSurface, deformed_surface
 from tissue_sim.material.material import Material
-from tissue_sim.material.parameters import with_parameters
 from tissue_sim.material.puncture import PunctureHistory
 from tissue_sim.mesh import Mesh
+from tissue_sim.parameters import with_values
 from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot, snapshot
 from tissue_sim.tool_force import ForceStatus, ToolForce, depth_of
@@ -265,7 +265,7 @@ class Simulator:
         Raises:
             InputError: no such parameter, or a value that the material refuses; nothing is changed.
         """
-        material = with_parameters(self.model.material, values)
+        material = with_values(self.model.material, values)
         _require_same_layers(self.model.material, material)
         self._solver.set_material(material)
         self.model = replace(self.model, material=material)

@@ -87,6 +87,21 @@ def _mesh_of_one_material(experiment: Experiment, resolution: str, element: Elem
     return cylinder_mesh(specimen.radius, specimen.height, counts, element, grading=grading)
 
 
+def moved_mesh(mesh: Mesh, before: Model, after: Model) -> Mesh:
+    """The mesh of a model for one of another geometry: same elements, with the nodes where the new one has them."""
+    lines = [_lines(model) for model in (before, after)]
+    return mesh.moved(*zip(*lines, strict=True))
+
+
+def _lines(model: Model) -> tuple[np.ndarray, np.ndarray]:
+    """Radii and heights at which element boundaries lie in every mesh of a model, m, ascending."""
+    experiment = model.experiment
+    face = [experiment.tool.face_radius] if experiment.tool.face_radius else []
+    interfaces = -np.cumsum([layer.thickness for layer in model.material.layers])
+    return (np.array([0.0, *face, experiment.specimen.radius]),
+            np.array([-experiment.specimen.height, *interfaces[::-1], 0.0]))
+
+
 def build_solver(model: Model, mesh: Mesh) -> AxisymmetricSolver:
     """The boundary-value problem of an experiment on a mesh, at the moment when the tool touches.
 
