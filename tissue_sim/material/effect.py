@@ -23,10 +23,14 @@ class TissueEffect:
     Attributes:
         name: key in material files.
         title: for people.
+        ages: whether the force depends on time because of it.
+        remembers: whether it depends on how the tool came to where it is.
     """
 
     name: ClassVar[str]
     title: ClassVar[str] = ""
+    ages: ClassVar[bool] = False
+    remembers: ClassVar[bool] = False
 
 
 @dataclass(frozen=True, slots=True)

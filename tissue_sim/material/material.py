@@ -146,6 +146,18 @@ class Material:
         return replace(self, parameters={**self.parameters, **values}, **changes)
 
     @property
+    def ages(self) -> bool:
+        """Whether its force depends on time."""
+        return (self.viscoelastic is not None or self.poroelasticity is not None
+                or any(effect.ages for effect in self.effects.values()))
+
+    @property
+    def remembers(self) -> bool:
+        """Whether its force depends on how the tool came to where it is."""
+        return (self.ages or self.softening is not None
+                or any(effect.remembers for effect in self.effects.values()))
+
+    @property
     def energy_law(self) -> Law:
         return find_law(self.law)
 
@@ -206,6 +218,11 @@ class Material:
     def _young(self, mu: float) -> float:
         K = self.bulk_modulus
         return 3.0 * mu if np.isinf(K) else 9.0 * K * mu / (3.0 * K + mu)
+
+
+def bulk_declaration(kind: str) -> Declaration | None:
+    """What the number of a kind of bulk response is; None where there is no such kind."""
+    return _BULK.get(kind)
 
 
 def law_declaration(law: Law, name: str) -> Declaration:
