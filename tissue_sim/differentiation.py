@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from tissue_sim.errors import ConvergenceError, InputError, nearest
 from tissue_sim.experiment.experiment import Model
-from tissue_sim.fem.axisymmetric.discretisation import build_mesh
-from tissue_sim.fem.axisymmetric.sensitivity import Sensitivity
-from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
+from tissue_sim.fem.solver import Derivatives, Solver
 from tissue_sim.material.parameters import parameter_values, with_parameter
-from tissue_sim.mesh import Mesh
 from tissue_sim.recording.recording import Recording
 from tissue_sim.simulation import simulate
 
@@ -47,7 +45,7 @@ class Sensitivities:
 
 
 def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolution: str = "fast",
-                  mesh: Mesh | None = None) -> Sensitivities:
+                  mesh: Any = None, solver: str = "axisymmetric") -> Sensitivities:
     """Simulate a test with its derivatives.
 
     Those with the material are exact: the equations of every converged step are differentiated, history, slip and
@@ -60,7 +58,7 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
     Args:
         model: experiment, material, rig; forces are those on the tool, before the sensor of the rig reads them.
         names: parameters; None: all of the material.
-        resolution, mesh: as `simulate`.
+        resolution, mesh, solver: as `simulate`; of a solver that has no derivatives all are differences.
 
     Raises:
         ConvergenceError: as `simulate`; of differences also where a neighbouring simulation fails.
@@ -78,20 +76,18 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
     if mesh is not None and (shaped := [name for name in names if _shapes_the_mesh(name)]):
         raise InputError("changes the mesh, which is given; leave the mesh out", field=shaped[0])
     exact = np.array([_exact(model, name) for name in names], dtype=bool)
-    if mesh is None:
-        mesh = build_mesh(model.experiment, resolution, layers=model.material.layers)
-        own = {"resolution": resolution}
-    else:
-        own = {"mesh": mesh}
+    options = {"resolution": resolution, "mesh": mesh, "solver": solver}
     watch = _Watch([_pair(model, name) for name, one in zip(names, exact, strict=True) if one])
-    recording = simulate(model, watch=watch, **own)
+    recording = simulate(model, watch=watch, **options)
+    exact &= watch.exact
     values = np.zeros((len(watch.rates), len(names)))
-    values[:, exact] = watch.rates
+    if watch.exact:
+        values[:, exact] = watch.rates
     if not np.isfinite(values).all():
         raise ConvergenceError("the tangent of a converged step is singular, so the force has no derivative there",
                                recording=recording, depth=float(recording.displacement[-1]))
     for k in np.flatnonzero(~exact):
-        values[:, k] = _difference(model, names[k], own)
+        values[:, k] = _difference(model, names[k], options)
     return Sensitivities(recording, names, values, exact, np.array(watch.kinks, dtype=bool))
 
 
@@ -100,15 +96,18 @@ class _Watch:
 
     def __init__(self, pairs: list):
         self._pairs = pairs
+        self._derivatives: Derivatives | None = None
+        self.exact = False
         self.rates: list[np.ndarray] = []
         self.kinks: list[bool] = []
 
-    def begin(self, solver: AxisymmetricSolver) -> None:
-        solver.sensitivity = Sensitivity(solver, self._pairs)
+    def begin(self, solver: Solver) -> None:
+        self._derivatives = solver.differentiate(self._pairs)
+        self.exact = self._derivatives is not None
 
-    def sample(self, solver: AxisymmetricSolver, factor: float) -> None:
-        self.rates.append(factor * solver.sensitivity.force)
-        self.kinks.append(solver.sensitivity.pop_changed())
+    def sample(self, solver: Solver, factor: float) -> None:
+        self.rates.append(factor * self._derivatives.force if self.exact else np.zeros(0))
+        self.kinks.append(self.exact and self._derivatives.pop_changed())
 
 
 def _shapes_the_mesh(name: str) -> bool:
@@ -147,13 +146,13 @@ def _neighbours(change: Callable, value: float, half: float):
     return more, less, high - low
 
 
-def _difference(model: Model, name: str, own: dict) -> np.ndarray:
+def _difference(model: Model, name: str, options: dict) -> np.ndarray:
     """Central difference of two simulations."""
     change, value = _changer(model, name)
     length = model.experiment.tool.radius or model.experiment.specimen.radius
     size = abs(value) or (length if name.startswith(("tool.", "specimen.")) else 1.0)
     more, less, width = _neighbours(change, value, 0.5 * SIMULATION_WIDTH * size)
-    return (simulate(more, **own).force - simulate(less, **own).force) / width
+    return (simulate(more, **options).force - simulate(less, **options).force) / width
 
 
 def _changer(model: Model, name: str) -> tuple[Callable[[float], Model], float]:
