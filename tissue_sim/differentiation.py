@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.experiment import Model
-from tissue_sim.fem.axisymmetric.discretisation import build_mesh, moved_mesh
-from tissue_sim.fem.axisymmetric.sensitivity import Sensitivity
-from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
+from tissue_sim.fem.solver import Derivatives, Solver
 from tissue_sim.material.effect import TissueEffect
-from tissue_sim.mesh import Mesh
 from tissue_sim.parameters import Parameter, full_path, parameter_values, parameters, with_values
 from tissue_sim.recording.recording import Recording
 from tissue_sim.simulation import simulate
@@ -42,7 +40,7 @@ class Sensitivities:
 
 
 def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolution: str = "fast",
-                  mesh: Mesh | None = None) -> Sensitivities:
+                  mesh: Any = None, solver: str = "axisymmetric", topology: Model | None = None) -> Sensitivities:
     """Simulate a test with its derivatives.
 
     Those with the material are exact: the equations of every converged step are differentiated, history, slip and
@@ -56,7 +54,7 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
     Args:
         model: experiment, material, rig; forces are those on the tool, before the sensor of the rig reads them.
         names: parameters; None: all of the material.
-        resolution, mesh: as `simulate`.
+        resolution, mesh, solver, topology: as `simulate`; of a solver that has no derivatives all are differences.
 
     Raises:
         ConvergenceError: as `simulate`; of differences also where a neighbouring simulation fails.
@@ -65,26 +63,23 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
     Source: implicit differentiation at the converged step, as in Michaleris, Tortorelli and Vidal, Int. J. Numer.
     Methods Eng. 37 (1994) 2471.
     """
-    own_mesh = mesh is not None
     known = parameters(model)
     names = tuple(parameter_values(model.material)) if names is None else tuple(names)
     asked = [known[full_path(model, name)] for name in names]
     model = replace(model, rig=model.rig.motion_only)
     exact = np.array([_exact(model, parameter) for parameter in asked], dtype=bool)
-    if mesh is None:
-        mesh = build_mesh(model.experiment, resolution, layers=model.material.layers)
+    options = {"resolution": resolution, "mesh": mesh, "solver": solver, "topology": topology or model}
     watch = _Watch([_pair(model, parameter) for parameter, one in zip(asked, exact, strict=True) if one])
-    recording = simulate(model, mesh=mesh, watch=watch)
-    if not own_mesh:
-        solver = recording.metadata["solver"]
-        recording = recording.with_metadata(solver={**solver, "resolution": resolution})
+    recording = simulate(model, watch=watch, **options)
+    exact &= watch.exact
     values = np.zeros((len(watch.rates), len(names)))
-    values[:, exact] = watch.rates
+    if watch.exact:
+        values[:, exact] = watch.rates
     if not np.isfinite(values).all():
         raise ConvergenceError("the tangent of a converged step is singular, so the force has no derivative there",
                                recording=recording, depth=float(recording.displacement[-1]))
     for k in np.flatnonzero(~exact):
-        values[:, k] = _difference(model, asked[k], mesh)
+        values[:, k] = _difference(model, asked[k], options)
     return Sensitivities(recording, names, values, exact, np.array(watch.kinks, dtype=bool))
 
 
@@ -93,15 +88,18 @@ class _Watch:
 
     def __init__(self, pairs: list):
         self._pairs = pairs
+        self._derivatives: Derivatives | None = None
+        self.exact = False
         self.rates: list[np.ndarray] = []
         self.kinks: list[bool] = []
 
-    def begin(self, solver: AxisymmetricSolver) -> None:
-        solver.sensitivity = Sensitivity(solver, self._pairs)
+    def begin(self, solver: Solver) -> None:
+        self._derivatives = solver.differentiate(self._pairs)
+        self.exact = self._derivatives is not None
 
-    def sample(self, solver: AxisymmetricSolver, factor: float) -> None:
-        self.rates.append(factor * solver.sensitivity.force)
-        self.kinks.append(solver.sensitivity.pop_changed())
+    def sample(self, solver: Solver, factor: float) -> None:
+        self.rates.append(factor * self._derivatives.force if self.exact else np.zeros(0))
+        self.kinks.append(self.exact and self._derivatives.pop_changed())
 
 
 def _exact(model: Model, parameter: Parameter) -> bool:
@@ -138,11 +136,10 @@ def _neighbours(change: Callable, value: float, half: float):
     return more, less, high - low
 
 
-def _difference(model: Model, parameter: Parameter, mesh: Mesh) -> np.ndarray:
+def _difference(model: Model, parameter: Parameter, options: dict) -> np.ndarray:
     """Central difference of two simulations on one mesh, whose nodes move with the geometry."""
     length = model.experiment.tool.radius or model.experiment.specimen.radius
     size = abs(parameter.value) or (length if parameter.declaration.unit == "m" else 1.0)
     more, less, width = _neighbours(lambda new: with_values(model, {parameter.path: new}), parameter.value,
                                     0.5 * SIMULATION_WIDTH * size)
-    forces = [simulate(changed, mesh=moved_mesh(mesh, model, changed)).force for changed in (more, less)]
-    return (forces[0] - forces[1]) / width
+    return (simulate(more, **options).force - simulate(less, **options).force) / width

@@ -38,7 +38,7 @@ class Status:
         self.seen = []
 
     def sample(self, solver, factor):
-        surface = solver.surface
+        surface = solver.equations.surface
         self.seen.append(((surface.forces != 0).any(axis=-1).tobytes(), surface.ways.tobytes()))
 
 

@@ -14,6 +14,7 @@ from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.material.material import Material
 from tissue_sim.material.puncture import Puncture
 from tissue_sim.parameters import parameter
+from tissue_sim.pose import Pose
 from tissue_sim.rig.rig import Rig
 
 #: Gravity where nothing else is said, m/s2.
@@ -155,6 +156,10 @@ class Experiment:
         if slides and self.tool.shape == "flat" and self.tool.edge_radius == 0:
             raise InputError("tissue that slides round a sharp edge has no direction there; give the tool an edge "
                              "radius, or friction 'stick' or 'bonded'", field="tool.edge_radius")
+
+    def tool_pose(self, displacement: float) -> Pose:
+        """Where the tool is when the protocol says this displacement, m: pushed in along the axis."""
+        return Pose.at_depth(displacement)
 
     @property
     def contact_radius(self) -> float:

@@ -168,7 +168,8 @@ class Written:
         self.ring_path, self.snapshot_path = folder / "ring", folder / "snapshots"
         self.writer = RingWriter(self.ring_path)
         empty = np.zeros(0)
-        self.pattern = Snapshot(0.0, 0.0, Fields(None, None, 0.0, np.zeros((1, 2)), empty, empty, empty, empty))
+        self.pattern = Snapshot(ts.Pose.at_depth(0.0), 0.0,
+                                Fields(None, None, 0.0, np.zeros((1, 2)), empty, empty, empty, empty))
         self.board = SnapshotBoard(self.snapshot_path, self.pattern)
         self.message, self.report, self.now, self.number = "running", None, 100.0, 0
 
