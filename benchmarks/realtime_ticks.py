@@ -236,7 +236,8 @@ def rows_of(case: Case, drives: list[Drive], converged: Converged | None) -> lis
         depth = (slowest + 1 if direction == "loading" else count - 1 - slowest) * WAY * 1e3
         rounds = 1e3 * np.median(cpu, axis=1)
         row = {"case": f"{case.name}, {direction}", "grading": case.grading, "elements": len(case.mesh.connectivity),
-               "freedoms": solver.free, "half_band": solver.half_band, "force_N": forces[direction].tolist(),
+               "freedoms": solver.equations.free, "half_band": solver.equations.half_band,
+               "force_N": forces[direction].tolist(),
                ERROR: None if converged is None else percent(forces[direction], converged.forces[direction]),
                "reference_distance_percent": None, **percentiles(cpu), "ticks": cpu.size,
                "cpu_ms_p50_of_rounds": [float(rounds.min()), float(rounds.max())],

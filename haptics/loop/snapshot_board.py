@@ -10,6 +10,7 @@ import numpy as np
 
 from haptics.loop.shared_slots import SlotReader, SlotWriter
 from tissue_sim.errors import InputError
+from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
 
 _KIND = b"tsSNAP\0\0"
@@ -96,7 +97,7 @@ class SnapshotReader(SlotReader):
         time, depth, datum = _HEAD.unpack_from(content)
         fields = replace(pattern, states=numbers[:state].reshape(pattern.states.shape),
                          stresses=numbers[state:].reshape(pattern.stresses.shape) if stress else None)
-        return PublishedSnapshot(number, time, Snapshot(depth, datum, fields))
+        return PublishedSnapshot(number, time, Snapshot(Pose.at_depth(depth), datum, fields))
 
 
 def _sizes(pattern: Snapshot) -> tuple[int, int]:

@@ -18,6 +18,7 @@ from haptics.safety.limits import ForceLimits
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.errors import InputError
 from tissue_sim.fem.axisymmetric.fields import Fields
+from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import ForceStatus, ToolForce
 
@@ -54,7 +55,7 @@ class Gel(Spring):
 
     def snapshot(self):
         depth = self.steps[-1][0] if self.steps else 0.0
-        return Snapshot(depth, 0.0, gel_fields(self.stiffness, [[depth, 2 * depth]]))
+        return Snapshot(Pose.at_depth(depth), 0.0, gel_fields(self.stiffness, [[depth, 2 * depth]]))
 
 
 def gel_fields(material, states, stresses=None):

@@ -16,6 +16,7 @@ from haptics.loop.shared_slots import HEAD_SIZE, SlotReader, SlotWriter, runtime
 from haptics.loop.snapshot_board import SnapshotBoard, SnapshotReader
 from haptics.loop.surface_board import SurfaceBoard, SurfaceReader
 from tissue_sim.errors import InputError
+from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
 
 HERE = Path(__file__).parent
@@ -166,8 +167,9 @@ def test_an_outline_comes_back_and_only_a_newer_one(path):
 
 
 def test_a_snapshot_comes_back_with_its_stresses(path, tissues):
-    pattern = Snapshot(0.0, 0.0, tissues.gel_fields(200.0, np.zeros((1, 7)), np.zeros((1, 2, 3, 4))))
-    sent = Snapshot(3e-3, -1e-4, tissues.gel_fields(200.0, np.arange(7.0)[None], np.arange(24.0).reshape(1, 2, 3, 4)))
+    pattern = Snapshot(Pose.at_depth(0.0), 0.0, tissues.gel_fields(200.0, np.zeros((1, 7)), np.zeros((1, 2, 3, 4))))
+    sent = Snapshot(Pose.at_depth(3e-3), -1e-4,
+                    tissues.gel_fields(200.0, np.arange(7.0)[None], np.arange(24.0).reshape(1, 2, 3, 4)))
     with SnapshotBoard(path, pattern) as board, SnapshotReader(path, pattern) as reader:
         assert reader.latest() is None
         board.publish(0.25, sent)
@@ -176,7 +178,7 @@ def test_a_snapshot_comes_back_with_its_stresses(path, tissues):
         np.testing.assert_array_equal(seen.snapshot.fields.states, sent.fields.states)
         np.testing.assert_array_equal(seen.snapshot.fields.stresses, sent.fields.stresses)
         assert reader.latest(after=1) is None
-        reader.pattern = Snapshot(0.0, 0.0, tissues.gel_fields(200.0, np.zeros((1, 6))))
+        reader.pattern = Snapshot(Pose.at_depth(0.0), 0.0, tissues.gel_fields(200.0, np.zeros((1, 6))))
         with pytest.raises(InputError, match="holds 31 numbers where the pattern has 6"):
             reader.latest()
 

@@ -66,7 +66,7 @@ def _base(experiment: Experiment, mesh: Mesh, side: np.ndarray | None) -> list[P
     mu = coefficient(experiment.friction_base)
     pairs = []
     if experiment.friction_base not in ("bonded", "frictionless"):
-        pairs.append(Pair(plane, mesh.edges("base"), (mu, mu), moves=False, tied=mu == STICK, clings=True,
+        pairs.append(Pair(plane, mesh.edges("base"), (mu, mu), moves=False, tied=mu == STICK, stays=True,
                           at_nodes=True))
     if side is not None:
         pairs.append(Pair(plane, side, (mu, mu), moves=False))
