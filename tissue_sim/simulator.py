@@ -193,10 +193,11 @@ class Simulator:
         anew = not self._bonded
         while status is None:
             started = time.perf_counter()
-            way, part = self._distance(solver.pose, pose), self._share * self._largest_part
+            here = solver.pose
+            way, part = self._distance(here, pose), self._share * self._largest_part
             share = min(1.0, part / way) if way else 1.0
             # The last part ends where the tool is, without rounding.
-            target, dt = between(solver.pose, pose, share), share * self._waiting
+            target, dt = between(here, pose, share), share * self._waiting
             if resumes:
                 target, dt = self._attempt
             # Across a change of contact extrapolation leads astray.

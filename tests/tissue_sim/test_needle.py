@@ -163,7 +163,7 @@ class TestTangent:
         m = model(friction, edge=edge)
         solver = build_solver(m, build_mesh(m.experiment))
         for depth in np.linspace(0, 6e-3, 25):
-            *_, step = _approach(solver, float(depth))
+            *_, step = _approach(solver, ts.Pose.at_depth(float(depth)))
             assert step.status is StepStatus.CONVERGED
         step = solver.step(6.0005e-3, predictor_order=0)
         assert step.status is StepStatus.CONVERGED and step.iterations <= 5
@@ -176,7 +176,7 @@ class TestTangent:
         m = model("frictionless", edge=edge)
         solver = build_solver(m, build_mesh(m.experiment))
         for depth in np.linspace(0, 4e-3, 17):
-            *_, step = _approach(solver, float(depth))
+            *_, step = _approach(solver, ts.Pose.at_depth(float(depth)))
         assert step.status is StepStatus.CONVERGED
         with_contact = solver.tangent()
         solver.equations.counts[newton.CONTACTS] = 0
