@@ -17,7 +17,7 @@ from scenes.viewer.live_simulation import LiveSimulation
 from scenes.viewer.material_files import save_edited
 from scenes.viewer.measurement import Measurement, Residual, motion, residual, typical
 from scenes.viewer.model_curve import ModelCurve
-from scenes.viewer.setup import Setup
+from scenes.viewer.scene import Scene
 from scenes.viewer.trace import Trace
 from tissue_sim.errors import InputError
 from tissue_sim.parameters import parameter_values, with_values
@@ -46,7 +46,7 @@ class Session:
         real_time: ask the system for real-time scheduling of the loop.
     """
 
-    def __init__(self, setup: Setup, *, resolution: str = "realtime", curve_resolution: str = "fast",
+    def __init__(self, setup: Scene, *, resolution: str = "realtime", curve_resolution: str = "fast",
                  real_time: bool = True):
         self.setup = setup
         self._resolution, self._real_time = resolution, real_time
@@ -252,9 +252,9 @@ class Session:
             if reply is not None:
                 reply(problem)
 
-    def _change(self, setup: Setup) -> None:
+    def _change(self, setup: Scene) -> None:
         """Look at something else; what it refuses is refused before anything is changed."""
-        other = setup.scene is not self.setup.scene
+        other = setup.kind is not self.setup.kind
         self.setup = setup
         if other:
             self._curves = Curves()

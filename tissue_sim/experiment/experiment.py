@@ -142,9 +142,9 @@ class Experiment:
         if self.adhesion is not None and self.friction == "bonded":
             raise InputError("a bonded face never lifts off; use 'stick', 'frictionless' or a coefficient of friction "
                              "with adhesion", field="friction")
-        if self.tool.shape in ("plate", "sphere") and self.friction_wall != "frictionless":
+        if not self.tool.has_shaft and self.friction_wall != "frictionless":
             raise InputError(f"a {self.tool.shape} has no shaft; leave it out", field="friction_wall")
-        if self.tool.shape == "plate":
+        if self.tool.is_plate:
             return
         if self.tool.radius >= self.specimen.radius:
             raise InputError(f"the tool's radius, {self.tool.radius * 1e3:g} mm, must be smaller than the specimen's, "
@@ -153,7 +153,7 @@ class Experiment:
             raise InputError(f"a {self.tool.shape} tool has no flat face to be bonded to; use 'stick', 'frictionless' "
                              "or a coefficient of friction", field="friction")
         slides = self.friction not in ("bonded", "stick")
-        if slides and self.tool.shape == "flat" and self.tool.edge_radius == 0:
+        if slides and self.tool.sharp_edge:
             raise InputError("tissue that slides round a sharp edge has no direction there; give the tool an edge "
                              "radius, or friction 'stick' or 'bonded'", field="tool.edge_radius")
 
@@ -168,9 +168,14 @@ class Experiment:
         return self.tool.contact_radius(depth, self.specimen.radius)
 
     @property
+    def slides(self) -> bool:
+        """Whether tissue may slip against friction, so that the force depends on the way of the tool."""
+        return any(isinstance(value, float) for value in (self.friction, self.friction_base, self.friction_wall))
+
+    @property
     def homogeneous(self) -> bool:
         """Whether a specimen of one material deforms homogeneously, so that closed forms hold."""
-        return (self.tool.shape == "plate" and self.friction == self.friction_base == "frictionless"
+        return (self.tool.is_plate and self.friction == self.friction_base == "frictionless"
                 and not self.specimen.specific_weight)
 
 
@@ -185,7 +190,7 @@ class Model:
     @property
     def puncture(self) -> Puncture | None:
         """Puncture of the tissue, where a needle can."""
-        return self.material.puncture if self.experiment.tool.shape != "plate" else None
+        return None if self.experiment.tool.is_plate else self.material.puncture
 
 
 def checked_interface(value: str | float, name: str) -> str | float:

@@ -387,7 +387,7 @@ def test_another_scene_begins_anew_and_forgets_the_curves(springs, pool, needle)
     assert done(springs, "use_scene", name="bonded_compression") is None
     assert springs.simulation is not first and not first.process.alive
     frames = [springs.frame() for _ in range(PLOT_EVERY)]
-    assert frames[-1].setup.scene.name == "bonded_compression"
+    assert frames[-1].setup.kind.name == "bonded_compression"
     assert (frames[-1].curves.model, frames[-1].curves.before) == (None, None)
     assert newest_model(pool).experiment.tool.shape == "plate"
 
