@@ -39,7 +39,7 @@ class Watch(Protocol):
 
 def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields: bool = False,
              progress: Callable[[int, int], None] | None = None, watch: Watch | None = None,
-             solver: str = "axisymmetric") -> Recording:
+             solver: str = "axisymmetric", topology: Model | None = None) -> Recording:
     """Simulate a whole test quasi-statically.
 
     The protocol is the motion that the rig's stage reports; where the load train gives way the tool's true place is
@@ -53,6 +53,8 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
         progress: called with (samples done, samples in all); the first call comes before the kernels are compiled.
         watch: told of the solver.
         solver: name in `tissue_sim.fem.solver.SOLVERS`.
+        topology: a model of another geometry: its mesh (or the one that is given, as one of it) is taken, with the
+            nodes moved, so that a change of geometry does not change the elements.
 
     Returns:
         Recording at the times of the protocol, with its labels, as the model's rig reports it; where the wrench on the
@@ -70,7 +72,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
     started = time.perf_counter()
     protocol, rig = model.experiment.protocol, model.rig
     rig.readings(protocol.time)  # refused now or never
-    tissue = SOLVERS.find(solver, "solver")(model, resolution=resolution, mesh=mesh)
+    tissue = SOLVERS.find(solver, "solver")(model, resolution=resolution, mesh=mesh, topology=topology)
     if watch:
         watch.begin(tissue)
     wrenches, travels, samples = [], [], []

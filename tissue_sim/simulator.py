@@ -11,8 +11,8 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.experiment import Model
 from tissue_sim.fem.solver import SOLVERS, Step, StepStatus, Surface
 from tissue_sim.material.material import Material
-from tissue_sim.material.parameters import with_parameters
 from tissue_sim.material.puncture import PunctureHistory
+from tissue_sim.parameters import with_values
 from tissue_sim.pose import Pose, Screw, between, motion
 from tissue_sim.snapshot import Snapshot, snapshot
 from tissue_sim.tool_force import ForceStatus, Matrix, ToolForce, axial_stiffness, axial_wrench, pose_of
@@ -294,7 +294,7 @@ class Simulator:
         Raises:
             InputError: no such parameter, or a value that the material refuses; nothing is changed.
         """
-        material = with_parameters(self.model.material, values)
+        material = with_values(self.model.material, values)
         _require_same_layers(self.model.material, material)
         self._solver.set_material(material)
         self.model = replace(self.model, material=material)

@@ -20,16 +20,18 @@ from calibration.campaign.checks import (
     read_columns_key,
     require_positive,
 )
-from calibration.campaign.effects import check_effects, is_effect
+from calibration.campaign.parameters import Named, Surroundings, check_values, find_named, stated_material
 from calibration.campaign.schema import CampaignTable, FitTable, NoiseTable, SpecimenTable, TestTable, decode_campaign
 from calibration.campaign.setup import Setup, check_homogeneous, read_setup
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.experiment import STANDARD_GRAVITY, Specimen
+from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.laws import LAWS
-from tissue_sim.material.material import Bulk
+from tissue_sim.material.material import Bulk, Material
 from tissue_sim.recording.file import KINDS
 from tissue_sim.recording.formats import check_delimiter
+from tissue_sim.rig.rig import Rig
 
 #: Prior standard deviation of a contact offset when neither the fit nor the noise states one, m.
 DEFAULT_OFFSET_PRIOR = 0.05e-3
@@ -89,9 +91,9 @@ class FitSettings:
         zero_bound, zero_prior: N; None: ten times the prior, which is five times the noise of the force.
         strain_points: evenly spaced strains that every replicate is interpolated to, or None for its own samples.
         starts: how many an inverse fit tries.
-        start, fixed: parameter -> value, SI; for an inverse fit also other parameters of the material, by the paths of
-            `tissue_sim.material.parameters`, which it then has. prior: parameter -> (mean, standard deviation).
-            bounds: (low, high).
+        named: path -> what it is, of every parameter that the campaign names; see `calibration.campaign.parameters`.
+        start, fixed: path -> value, SI; parts of the material that they name it then has. prior: path -> (mean,
+            standard deviation). bounds: (low, high).
     """
 
     laws: tuple[str, ...]
@@ -104,15 +106,21 @@ class FitSettings:
     strain_points: int | None = None
     starts: int = DEFAULT_STARTS
     method: str = "analytical"
+    named: Mapping[str, Named] = field(default_factory=_read_only)
     start: Mapping[str, float] = field(default_factory=_read_only)
     fixed: Mapping[str, float] = field(default_factory=_read_only)
     prior: Mapping[str, tuple[float, float]] = field(default_factory=_read_only)
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=_read_only)
 
     @property
-    def effects(self) -> tuple[str, ...]:
-        """Paths of the material's parameters beside those of its law."""
-        return tuple(name for name in (*self.start, *self.fixed) if is_effect(name))
+    def others(self) -> tuple[str, ...]:
+        """Paths of the parameters that are fitted or stated beside those of the laws."""
+        return tuple(path for path in (*self.start, *self.fixed) if not self.named[path].of_law)
+
+    @property
+    def material(self) -> Material:
+        """A material of whatever law with the parts that the campaign names: to ask what it does."""
+        return stated_material({**self.start, **self.fixed}, self.named)
 
 
 @dataclass(frozen=True)
@@ -171,7 +179,7 @@ def load_campaign(path: str | Path) -> Campaign:
     try:
         specimens = _specimens(table)
         tests = _tests(table, specimens, path.parent)
-        return Campaign(path, _read_only(specimens), tests, _fit_settings(table.fit, table.noise),
+        return Campaign(path, _read_only(specimens), tests, _fit_settings(table.fit, table.noise, tests),
                         _noise(table.noise, table.fit.method), hashlib.sha256(data).hexdigest(), _density(tests))
     except InputError as error:
         raise error.located(file=path) from None
@@ -286,7 +294,7 @@ def _find_specimen(entry: TestTable, specimens: Mapping[str, Specimen], table: C
     return found
 
 
-def _fit_settings(table: FitTable, noise: NoiseTable) -> FitSettings:
+def _fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ...]) -> FitSettings:
     if not table.laws:
         raise InputError(f"name at least one law; known: {', '.join(LAWS)}", field="fit.laws")
     for i, name in enumerate(table.laws):
@@ -302,8 +310,13 @@ def _fit_settings(table: FitTable, noise: NoiseTable) -> FitSettings:
     if table.starts is not None and not 1 <= table.starts <= MOST_STARTS:
         raise InputError(f"{table.starts} starts; give 1 to {MOST_STARTS}", field="fit.starts")
     check_unused(table, noise)
-    effects = check_effects(table) if table.method == "inverse_fem" else ()
-    check_parameters(table, effects)
+    check_parameters(table)
+    named = find_named(table, [_surroundings(test) for test in tests])
+    check_values(table, named)
+    by_path = {what.path: what for what in named.values()}
+    start, fixed, prior, bounds = (
+        {named[name].path: _in_SI(value, named[name].declaration.factor) for name, value in getattr(table, key).items()}
+        for key in ("start", "fixed", "prior", "bounds"))
     offset_prior = next((value * 1e-3 for value in (table.offset_prior_mm, noise.contact_jitter_mm)
                          if isinstance(value, float | int) and value > 0), DEFAULT_OFFSET_PRIOR)
     zero_prior = next((float(value) for value in (table.zero_prior_N, noise.zero_jitter_N)
@@ -314,8 +327,19 @@ def _fit_settings(table: FitTable, noise: NoiseTable) -> FitSettings:
         offset_bound=DEFAULT_OFFSET_BOUND if table.offset_bounds_mm is None else table.offset_bounds_mm * 1e-3,
         zero_bound=table.zero_bounds_N, zero_prior=zero_prior, strain_points=table.strain_points,
         starts=table.starts or DEFAULT_STARTS, method=table.method,
-        start=_read_only(table.start), fixed=_read_only(table.fixed), prior=_read_only(table.prior),
-        bounds=_read_only(table.bounds))
+        named=_read_only(by_path), start=_read_only(start), fixed=_read_only(fixed), prior=_read_only(prior),
+        bounds=_read_only(bounds))
+
+
+def _surroundings(test: Test) -> Surroundings:
+    if test.setup is None or test.specimen is None:
+        return Surroundings(test.name, None, Rig())
+    probe = Protocol.ramp(1e-3 * test.specimen.height, 2)
+    return Surroundings(test.name, test.setup.experiment(test.specimen, probe), test.setup.rig)
+
+
+def _in_SI(value: float | tuple[float, float], factor: float) -> float | tuple[float, float]:
+    return tuple(factor * each for each in value) if isinstance(value, tuple) else factor * value
 
 
 def _noise(table: NoiseTable, method: str) -> Noise:

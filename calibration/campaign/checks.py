@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,6 @@ import numpy as np
 from calibration.campaign.schema import FitTable, NoiseTable, TestTable
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.frozen_mapping import read_only
-from tissue_sim.laws import LAWS
 from tissue_sim.material.material import BULK_RATIOS
 from tissue_sim.recording.file import KINDS
 from tissue_sim.recording.formats import check_columns
@@ -132,19 +131,12 @@ def check_unused(table: FitTable, noise: NoiseTable) -> None:
                                  "offset out", field=f"noise.{key}")
 
 
-def check_parameters(table: FitTable, effects: Sequence[str] = ()) -> None:
-    """Names and values of start, fixed, prior and bounds; `effects` are names beside those of the laws."""
-    known = [*sorted({parameter for law in table.laws for parameter in LAWS[law].parameters}), *effects]
+def check_parameters(table: FitTable) -> None:
+    """Refuse numbers of start, fixed, prior and bounds that contradict each other or are none."""
     for key in ("start", "fixed", "prior", "bounds"):
         for name, value in getattr(table, key).items():
-            field = f"fit.{key}.{name}"
-            if name not in known:
-                hint = nearest(name, known)
-                if table.method == "inverse_fem":
-                    hint += '; other parameters of the material are paths in quotes, "viscoelastic.terms[0].g"'
-                raise InputError(f"none of the listed laws has a parameter {name!r}{hint}", field=field)
             if np.isnan(value).any() or (key != "bounds" and not np.isfinite(value).all()):
-                raise InputError(f"{value} is not finite; give a number", field=field)
+                raise InputError(f"{value} is not finite; give a number", field=f"fit.{key}.{name}")
     for name, (low, high) in table.bounds.items():
         if not low < high:
             raise InputError(f"[{low:g}, {high:g}] is empty; give the lower bound first", field=f"fit.bounds.{name}")

@@ -84,6 +84,7 @@ class FitTable(_Table, kw_only=True):
     fixed: dict[str, float] = {}
     prior: dict[str, Pair] = {}
     bounds: dict[str, Pair] = {}
+    scope: dict[str, str | list[str]] = {}
 
 
 class NoiseTable(_Table, kw_only=True):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from calibration.campaign.campaign import Campaign
-from calibration.campaign.effects import is_effect
 from calibration.fit.problem import Problem
 from calibration.fit.starts import starts
 from calibration.forward.forces import InfeasibleError
@@ -34,7 +33,7 @@ def check_start(problem: Problem, campaign: Campaign, number: int) -> None:
                          field=f"fit.laws[{number}]")
     theta = starts(space, 1)[0]
     values = space.values(theta)
-    own = {name: value for name, value in values.items() if not is_effect(name)}
+    own = space.of_law(values)
     stated = [name for name in own if name in campaign.fit.start or name in campaign.fit.fixed]
     key = "start" if any(name in campaign.fit.start for name in stated) else "fixed"
     try:

@@ -196,7 +196,7 @@ class InverseWork:
         found = {test.name: (test, error) for test, error in zip(problem.tests, problem.mesh_error, strict=True)}
         for test in self.campaign.tests:
             if test.hold_out:
-                own = build_test(test, self.measured[test.name], problem.space, problem.jitter.contact)
+                own = build_test(test, self.measured[test.name], self.campaign.fit.material, problem.jitter.contact)
                 try:
                     own.refine(problem.space, estimate.theta, self.solves)
                     error = REMAINDERS

@@ -65,7 +65,7 @@ def run(arguments) -> int:
     import tissue_sim as ts
     from haptics.loop.real_time import real_time
     from haptics.server.server import TissueServer
-    from tissue_sim.material.parameters import parameter_values
+    from tissue_sim.parameters import parameter_values
 
     material_file = ts.read_material_file(arguments.material)
     material = material_file.material

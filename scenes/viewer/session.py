@@ -20,7 +20,7 @@ from scenes.viewer.model_curve import ModelCurve
 from scenes.viewer.setup import Setup
 from scenes.viewer.trace import Trace
 from tissue_sim.errors import InputError
-from tissue_sim.material.parameters import parameter_values, with_parameters
+from tissue_sim.parameters import parameter_values, with_values
 
 #: Frames a second, and how many of them until the plots are drawn anew.
 FRAME_RATE, PLOT_EVERY = 30.0, 3
@@ -179,7 +179,7 @@ class Session:
         Raises:
             InputError: what the material or the simulation refuses; nothing is changed.
         """
-        self._take_material(with_parameters(self.setup.material, values), self.setup.source)
+        self._take_material(with_values(self.setup.material, values), self.setup.source)
 
     def use_material(self, material: ts.Material, source: str) -> None:
         """Look at another material; one that differs in its parameters only is felt at once.
@@ -327,7 +327,7 @@ def _differ_in_parameters_only(a: ts.Material, b: ts.Material) -> bool:
     if parameter_values(a).keys() != values.keys():
         return False
     try:
-        return replace(with_parameters(a, values), name=b.name) == b
+        return replace(with_values(a, values), name=b.name) == b
     except InputError:  # on the way from one to the other
         return False
 

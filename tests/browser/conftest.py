@@ -175,14 +175,14 @@ def shown(browser, tmp_path_factory):
     from scenes.viewer.measurement import measurement
     from scenes.viewer.setup import Setup
     from tissue_sim.material.file import MaterialFile
-    from tissue_sim.material.parameters import with_parameter
+    from tissue_sim.parameters import with_values
 
     experiment = NEEDLE.experiment(specimen=ts.Specimen(radius=0.04, height=0.07), protocol=ts.Protocol.ramp(5e-3, 21))
     setup = Setup(NEEDLE, experiment, read_material(None))
     true = ts.simulate(setup.model, resolution="fast")
     replicates = [ts.Rig(force_noise=NOISE, seed=seed).measure(true) for seed in range(3)]
     folder = tmp_path_factory.mktemp("materials")
-    softer = MaterialFile.of(with_parameter(setup.material, "C10", 1200.0), provenance={"method": "written by hand"})
+    softer = MaterialFile.of(with_values(setup.material, {"C10": 1200.0}), provenance={"method": "written by hand"})
     ts.write_material_file(softer, folder / "softer.material.json")
     shown = Shown(replace(setup, measurements={NEEDLE.name: measurement(replicates)}), folder)
     try:

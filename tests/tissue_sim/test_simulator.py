@@ -221,7 +221,7 @@ def test_parameters_change_without_compiling(sim, monkeypatch):
 def test_thickness_of_a_layer_is_refused():
     sim = simulator(*CASES["heavy, layered, softening"])
     with pytest.raises(ts.InputError, match="build another"):
-        sim.set_parameters(**{"layers[0].thickness_mm": 5.0})
+        sim.set_parameters(**{"layers[0].thickness": 5.0})
 
 
 def test_nothing_is_allocated_in_the_loop(sim):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from numbers import Real
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.material.material import Material
 from tissue_sim.material.puncture import Puncture
+from tissue_sim.parameters import parameter
 from tissue_sim.pose import Pose
 from tissue_sim.rig.rig import Rig
 
@@ -35,11 +37,11 @@ class Specimen:
         InputError: a size that is not positive, gravity without a density.
     """
 
-    radius: float
-    height: float
+    radius: float = parameter("R", "m", key="radius_mm", factor=1e-3, bounds=(1e-5, 1.0), shapes_mesh=True)
+    height: float = parameter("H", "m", key="height_mm", factor=1e-3, bounds=(1e-5, 1.0), shapes_mesh=True)
     name: str = "specimen"
-    density: float | None = None
-    gravity: float = 0.0
+    density: float | None = parameter("rho", "kg/m3", key="density_kg_m3", bounds=(1.0, 1e5), default=None)
+    gravity: float = parameter("g0", "m/s2", key="gravity_m_s2", bounds=(0.0, 100.0), absent=0.0, default=0.0)
     height_is: str = "moulded"
 
     def __post_init__(self):
@@ -75,6 +77,11 @@ INTERFACES = ("bonded", "stick", "frictionless")
 LARGEST_FRICTION = 10.0
 
 
+def _friction(symbol: str, key: str, default: str) -> Any:
+    return parameter(symbol, "1", key=key, bounds=(0.0, LARGEST_FRICTION), absent=0.0, words={"frictionless": 0.0},
+                     default=default)
+
+
 @dataclass(frozen=True)
 class Adhesion:
     """Pull between the tool and tissue that has touched it.
@@ -84,8 +91,8 @@ class Adhesion:
         length: m, over which the pull falls to zero as the surfaces part.
     """
 
-    force: float
-    length: float
+    force: float = parameter("F_ad", "N", key="adhesion_N", bounds=(0.0, 1e3), absent=0.0)
+    length: float = parameter("l_ad", "m", key="adhesion_length_mm", factor=1e-3, bounds=(1e-7, 1.0))
 
     def __post_init__(self):
         if not (np.isfinite(self.force) and self.force >= 0):
@@ -115,11 +122,11 @@ class Experiment:
     specimen: Specimen
     protocol: Protocol
     tool: Tool = field(default_factory=Tool)
-    friction: str | float = "bonded"
-    friction_base: str | float = "bonded"
-    friction_wall: str | float = "frictionless"
+    friction: str | float = _friction("mu", "friction", "bonded")
+    friction_base: str | float = _friction("mu_base", "friction_base", "bonded")
+    friction_wall: str | float = _friction("mu_wall", "friction_wall", "frictionless")
     adhesion: Adhesion | None = None
-    tilt: float = 0.0
+    tilt: float = parameter("delta", "m", key="tilt_mm", factor=1e-3, bounds=(0.0, 1.0), absent=0.0, default=0.0)
 
     def __post_init__(self):
         for name in ("friction", "friction_base", "friction_wall"):

@@ -227,13 +227,15 @@ class Solver(ABC):
 class SolverMaker(Protocol):
     """What stands in `SOLVERS`: a class or a function."""
 
-    def __call__(self, model: Model, *, resolution: str, mesh: Any = None) -> Solver:
+    def __call__(self, model: Model, *, resolution: str, mesh: Any = None, topology: Model | None = None) -> Solver:
         """The solver of a model, its tool where it first touches the specimen.
 
         Args:
             model: experiment and material; the rig is not its business.
             resolution: one of the solver's own names, ``"fast"``, ``"accurate"`` and ``"realtime"`` among them.
             mesh: of the solver's own kind, instead.
+            topology: a model whose mesh is taken, or of which `mesh` is one, and moved to the geometry of this one;
+                None: this one's own.
 
         Raises:
             InputError: an unknown resolution, or a model that the solver cannot take.

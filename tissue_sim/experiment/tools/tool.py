@@ -13,6 +13,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError, nearest, require_length
 from tissue_sim.experiment.tools.profile_file import read_profile
+from tissue_sim.parameters import parameter
 
 #: How far a shaft reaches above the face, in tool radii: farther than any tissue.
 SHAFT_LENGTH = 1e3
@@ -156,10 +157,14 @@ class Tool:
     """
 
     shape: str = "plate"
-    radius: float | None = None
-    edge_radius: float = 0.0
-    half_angle: float | None = None
-    tip_radius: float = 0.0
+    radius: float | None = parameter("a", "m", key="tool_radius_mm", factor=1e-3, bounds=(1e-6, 1.0), shapes_mesh=True,
+                                     default=None)
+    edge_radius: float = parameter("r_e", "m", key="edge_radius_mm", factor=1e-3, bounds=(0.0, 1.0), absent=0.0,
+                                   shapes_mesh=True, default=0.0)
+    half_angle: float | None = parameter("theta", "rad", key="half_angle_deg", factor=np.pi / 180, bounds=(0.01, 1.57),
+                                         default=None)
+    tip_radius: float = parameter("r_t", "m", key="tip_radius_mm", factor=1e-3, bounds=(0.0, 1.0), absent=0.0,
+                                  default=0.0)
     profile_file: str | Path | None = None
 
     def __post_init__(self):

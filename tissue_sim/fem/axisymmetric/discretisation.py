@@ -86,15 +86,35 @@ def _mesh_of_one_material(experiment: Experiment, resolution: str, element: Elem
     return cylinder_mesh(specimen.radius, specimen.height, counts, element, grading=grading)
 
 
-def make_solver(model: Model, *, resolution: str = "fast", mesh: Mesh | None = None) -> AxisymmetricSolver:
+def moved_mesh(mesh: Mesh, before: Model, after: Model) -> Mesh:
+    """The mesh of a model for one of another geometry: same elements, with the nodes where the new one has them."""
+    lines = [_lines(model) for model in (before, after)]
+    return mesh.moved(*zip(*lines, strict=True))
+
+
+def _lines(model: Model) -> tuple[np.ndarray, np.ndarray]:
+    """Radii and heights at which element boundaries lie in every mesh of a model, m, ascending."""
+    experiment = model.experiment
+    face = [experiment.tool.face_radius] if experiment.tool.face_radius else []
+    interfaces = -np.cumsum([layer.thickness for layer in model.material.layers])
+    return (np.array([0.0, *face, experiment.specimen.radius]),
+            np.array([-experiment.specimen.height, *interfaces[::-1], 0.0]))
+
+
+def make_solver(model: Model, *, resolution: str = "fast", mesh: Mesh | None = None,
+                topology: Model | None = None) -> AxisymmetricSolver:
     """The axisymmetric solver of a model; see `tissue_sim.fem.solver.SolverMaker`.
 
     Args:
         model: experiment and material.
         resolution: a key of `RESOLUTIONS`.
         mesh: a mesh of your own instead.
+        topology: a model of another geometry, whose mesh is taken (or whose `mesh` is given) and moved to this one's.
     """
-    return build_solver(model, mesh or build_mesh(model.experiment, resolution, layers=model.material.layers))
+    meshed = model if topology is None else topology
+    if mesh is None:
+        mesh = build_mesh(meshed.experiment, resolution, layers=meshed.material.layers)
+    return build_solver(model, moved_mesh(mesh, meshed, model))
 
 
 def build_solver(model: Model, mesh: Mesh) -> AxisymmetricSolver:
