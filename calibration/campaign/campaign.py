@@ -307,7 +307,8 @@ def _fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ...]) -
         raise InputError(f"{table.starts} starts; give 1 to {MOST_STARTS}", field="fit.starts")
     check_unused(table, noise)
     check_parameters(table)
-    named = find_named(table, [Surroundings(test.name, test.experiment, test.rig) for test in tests])
+    named = find_named(table, [
+        Surroundings(test.name, None if test.specimen is None else test.experiment, test.rig) for test in tests])
     check_values(table, named)
     by_path = {what.path: what for what in named.values()}
     start, fixed, prior, bounds = (

@@ -27,10 +27,10 @@ class Cone(Tool):
 
     name = "cone"
     radius: float = radius()
-    half_angle: float = parameter("alpha", "rad", key="half_angle_deg", factor=math.pi / 180,
-                                  bounds=(_SHARPEST, math.pi / 2), shapes_mesh=True)
+    half_angle: float = parameter("theta", "rad", key="half_angle_deg", factor=math.pi / 180,
+                                  bounds=(_SHARPEST, 1.57))
     tip_radius: float = parameter("r_t", "m", key="tip_radius_mm", factor=1e-3, bounds=(0.0, 1.0), absent=0.0,
-                                  shapes_mesh=True, default=0.0)
+                                  default=0.0)
 
     def __post_init__(self):
         self.require_sizes("tip_radius")
