@@ -110,7 +110,7 @@ class FitSettings:
     @property
     def others(self) -> tuple[str, ...]:
         """Paths of the parameters that are fitted or stated beside those of the laws."""
-        return tuple(path for path in (*self.start, *self.fixed) if not self.named[path].of_law)
+        return tuple(path for path in (*self.start, *self.fixed) if path in self.named and not self.named[path].of_law)
 
     @property
     def material(self) -> Material:
@@ -307,7 +307,8 @@ def _fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ...]) -
         raise InputError(f"{table.starts} starts; give 1 to {MOST_STARTS}", field="fit.starts")
     check_unused(table, noise)
     check_parameters(table)
-    named = find_named(table, [_surroundings(test) for test in tests])
+    named = find_named(table, [
+        Surroundings(test.name, None if test.specimen is None else test.experiment, test.rig) for test in tests])
     check_values(table, named)
     by_path = {what.path: what for what in named.values()}
     start, fixed, prior, bounds = (
@@ -325,10 +326,6 @@ def _fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ...]) -
         starts=table.starts or DEFAULT_STARTS, method=table.method,
         named=_read_only(by_path), start=_read_only(start), fixed=_read_only(fixed), prior=_read_only(prior),
         bounds=_read_only(bounds))
-
-
-def _surroundings(test: Test) -> Surroundings:
-    return Surroundings(test.name, None if test.specimen is None else test.experiment, test.rig)
 
 
 def _in_SI(value: float | tuple[float, float], factor: float) -> float | tuple[float, float]:
