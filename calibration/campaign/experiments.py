@@ -39,7 +39,8 @@ def read_experiment(entry: TestTable, specimen: Specimen | None, folder: Path, p
     kind = KINDS[entry.kind]
     if kind.gripped:
         for key in (*entry.tool_sizes, *kind.faces, "rig"):
-            if getattr(entry, key) is not None:
+            face = kind.faces.get(key)
+            if getattr(entry, key) not in (None, face.usual if face is not None and face.fixed else None):
                 raise InputError(f"a test of kind {entry.kind!r} is gripped on both sides and has none; leave it out",
                                  field=f"{place}.{key}")
         if entry.tool is not None and not TOOLS.find(read_shape(entry.tool)[0], f"{place}.tool").is_plate:

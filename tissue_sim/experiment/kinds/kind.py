@@ -88,7 +88,12 @@ class TestKind:
     @property
     def strain_name(self) -> str:
         """What `strain` gives, for axes."""
-        return "nominal strain" if self.closed_form is None or self.closed_form.rest else "shear strain"
+        return "shear strain" if self.both_ways else "nominal strain"
+
+    @property
+    def both_ways(self) -> bool:
+        """Whether the specimen may be loaded to either side, as in shear."""
+        return self.closed_form is not None and self.closed_form.rest == 0
 
     @property
     def interfaces(self) -> dict[str, str | float]:
