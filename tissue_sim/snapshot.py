@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tissue_sim.fem.axisymmetric.fields import Fields
+from tissue_sim.pose import Pose
 
 if TYPE_CHECKING:
     from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
@@ -18,14 +19,19 @@ class Snapshot:
     """An equilibrium.
 
     Attributes:
-        depth: tool displacement, m.
+        pose: of the tool.
         datum: height at which the tool first touches, m: 0 but for a specimen that sags under its own weight.
         fields: of this one sample.
     """
 
-    depth: float
+    pose: Pose
     datum: float
     fields: Fields
+
+    @property
+    def depth(self) -> float:
+        """Tool displacement, m."""
+        return self.pose.depth
 
     @property
     def place(self) -> np.ndarray:
@@ -36,4 +42,4 @@ class Snapshot:
 def snapshot(solver: AxisymmetricSolver) -> Snapshot:
     """The last committed state of a solver."""
     stresses = [solver.memory.total()] if solver.memory.works else []
-    return Snapshot(solver.depth, solver.datum, Fields.of(solver, [solver.state], stresses))
+    return Snapshot(Pose.at_depth(solver.depth), solver.datum, Fields.of(solver, [solver.state], stresses))
