@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from haptics.devices.motion_source import HandMotion, ProtocolMotion, RandomWalk, SineMotion
+from haptics.devices.motions import HandMotion, ProtocolMotion, RandomWalk, SineMotion
 from tissue_sim.errors import InputError
 
 
