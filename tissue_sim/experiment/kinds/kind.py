@@ -26,7 +26,7 @@ SHEAR_STRESS = ("shear strain", "nominal stress")
 
 @dataclass(frozen=True)
 class Face:
-    """How a face holds the tissue in a kind of test; see `tissue_sim.experiment.experiment.INTERFACES`.
+    """How a face holds the tissue in a kind of test; see `tissue_sim.experiment.interfaces`.
 
     Attributes:
         usual: interface, where nothing is said.
