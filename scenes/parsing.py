@@ -63,7 +63,7 @@ def between(lowest: float, highest: float):
     def inside(text: str) -> float:
         value = _number(text)
         if not lowest < value < highest:
-            raise argparse.ArgumentTypeError(f"{text!r} is not a number between {lowest:g} and {highest:g}")
+            raise argparse.ArgumentTypeError(f"{text!r} is not a number between {lowest:.3g} and {highest:.3g}")
         return value
     return inside
 

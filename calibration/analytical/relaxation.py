@@ -39,7 +39,7 @@ class RelaxationFit:
         law: name of the law; None where only a hold of force was fitted.
         parameters: of the law in SI, or ``force`` (``nominal stress``): that of a sudden test to the same depth, N.
         prony: the series, shortest time first; None where nothing relaxes.
-        names: parameters, then paths such as ``viscoelastic.terms[0].tau_s``: the order of the covariance.
+        names: parameters, then paths such as ``viscoelastic.terms[0].tau``: the order of the covariance.
         covariance: SI, shape (k, k). Infinite standard errors: `not_identifiable`.
         not_identifiable: names that the data do not determine.
         residual: model minus data, Pa (N), shape (n,).
@@ -236,7 +236,7 @@ def _told(model, terms: int, best, scale: float, bounds) -> RelaxationFit:
     order = order[shares[order] > SMALLEST_SHARE]
     used = np.concatenate([np.arange(m), m + order, m + terms + order])
     u, k = best.x[used], used.size
-    names = (*model.names, *(f"viscoelastic.terms[{i}].{key}" for i in range(order.size) for key in ("g", "tau_s")))
+    names = (*model.names, *(f"viscoelastic.terms[{i}].{key}" for i in range(order.size) for key in ("g", "tau")))
     final, slope = _instantaneous(u, model.moduli, order.size)
     n, squares = residual.size, float(residual @ residual)
     correlation = model.neighbour_correlation(residual)

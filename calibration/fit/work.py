@@ -196,7 +196,7 @@ class InverseWork:
         found = {test.name: (test, error) for test, error in zip(problem.tests, problem.mesh_error, strict=True)}
         for test in self.campaign.tests:
             if test.hold_out:
-                own = build_test(test, self.measured[test.name], problem.space, problem.jitter.contact)
+                own = build_test(test, self.measured[test.name], self.campaign.fit.material, problem.jitter.contact)
                 try:
                     own.refine(problem.space, estimate.theta, self.solves)
                     error = REMAINDERS
@@ -238,8 +238,7 @@ def _digests(campaign: Campaign) -> tuple[str, ...]:
     """Of rigs and tool profiles."""
     found = []
     for test in campaign.tests:
-        if test.setup is not None:
-            outline = test.setup.tool.outline
-            found.append(hashlib.sha256(repr((test.setup.rig, None if outline is None else outline.tolist())).encode()
-                                        ).hexdigest())
+        if test.experiment is not None:
+            outline = test.experiment.tool.profile.vertices.tolist()
+            found.append(hashlib.sha256(repr((test.rig, outline)).encode()).hexdigest())
     return tuple(found)

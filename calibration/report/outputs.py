@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from calibration.analytical.outputs import format_table
-from calibration.campaign.effects import is_effect
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.fit import Fit
 from calibration.fit.parameters import ParameterSpace
@@ -52,7 +51,7 @@ def material_file(fit: Fit, result: CalibrationResult, measured: Mapping[str, Se
     fitted = [curve for test in campaign.tests if not test.hold_out for curve in measured[test.name]]
     return MaterialFile.of(
         space.material(fit.parameters, campaign.density, f"{campaign.name} {law.title}"),
-        standard_errors=errors, covariance=covariance, others=[name for name in order if is_effect(name)],
+        standard_errors=errors, covariance=covariance, others=[name for name in order if name not in law.parameters],
         valid_range={"stretch": list(fit.stretch_range)},
         provenance={
             "recordings": [{"file": curve.file.name, "sha256": curve.sha256} for curve in fitted],

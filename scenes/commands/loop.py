@@ -7,10 +7,10 @@ from functools import partial
 from pathlib import Path
 
 from haptics.devices.back_ends import HAPTIC_DEVICES, MOTIONS
+from scenes.catalogue import SCENES
 from scenes.console import print_json, progress_console, results_console
 from scenes.experiment_flags import (
     DEPTH_MM,
-    SCENE_NAMES,
     add_experiment_flags,
     build_experiment,
     build_protocol,
@@ -31,7 +31,7 @@ _LOOK_EVERY = 0.25  # s
 
 def add_arguments(parser: Parser) -> None:
     parser.add_argument("scene", metavar="SCENE", nargs="?", default="needle_indentation",
-                        help=f"{' or '.join(SCENE_NAMES)} (default: %(default)s)")
+                        help=f"{' or '.join(SCENES)} (default: %(default)s)")
     parser.add_argument("--material", type=Path, metavar="FILE",
                         help="NAME.material.json (default: the study's silicone, reduced_polynomial_2)")
     parser.add_argument("--seconds", type=positive, metavar="N", default=60.0,

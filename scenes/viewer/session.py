@@ -18,10 +18,10 @@ from scenes.viewer.live_simulation import LiveSimulation
 from scenes.viewer.material_files import save_edited
 from scenes.viewer.measurement import Measurement, Residual, motion, residual, typical
 from scenes.viewer.model_curve import ModelCurve
-from scenes.viewer.setup import Setup
+from scenes.viewer.scene import Scene
 from scenes.viewer.trace import Trace
 from tissue_sim.errors import InputError
-from tissue_sim.material.parameters import parameter_values, with_parameters
+from tissue_sim.parameters import parameter_values, with_values
 
 #: Frames a second, and how many of them until the plots are drawn anew.
 FRAME_RATE, PLOT_EVERY = 30.0, 3
@@ -47,7 +47,7 @@ class Session:
         real_time: ask the system for real-time scheduling of the loop.
     """
 
-    def __init__(self, setup: Setup, *, resolution: str = "realtime", curve_resolution: str = "fast",
+    def __init__(self, setup: Scene, *, resolution: str = "realtime", curve_resolution: str = "fast",
                  real_time: bool = True):
         self.setup = setup
         self._resolution, self._real_time = resolution, real_time
@@ -180,7 +180,7 @@ class Session:
         Raises:
             InputError: what the material or the simulation refuses; nothing is changed.
         """
-        self._take_material(with_parameters(self.setup.material, values), self.setup.source)
+        self._take_material(with_values(self.setup.material, values), self.setup.source)
 
     def use_material(self, material: ts.Material, source: str) -> None:
         """Look at another material; one that differs in its parameters only is felt at once.
@@ -253,9 +253,9 @@ class Session:
             if reply is not None:
                 reply(problem)
 
-    def _change(self, setup: Setup) -> None:
+    def _change(self, setup: Scene) -> None:
         """Look at something else; what it refuses is refused before anything is changed."""
-        other = setup.scene is not self.setup.scene
+        other = setup.kind is not self.setup.kind
         self.setup = setup
         if other:
             self._curves = Curves()
@@ -328,7 +328,7 @@ def _differ_in_parameters_only(a: ts.Material, b: ts.Material) -> bool:
     if parameter_values(a).keys() != values.keys():
         return False
     try:
-        return replace(with_parameters(a, values), name=b.name) == b
+        return replace(with_values(a, values), name=b.name) == b
     except InputError:  # on the way from one to the other
         return False
 

@@ -9,7 +9,6 @@ import pytest
 import tissue_sim as ts
 from scenes.cli import main
 from scenes.commands.simulate import FIELDS
-from scenes.experiment_flags import SCENE_NAMES, SHAPES
 from scenes.parsing import INTERFACES
 from tissue_sim.errors import ConvergenceError
 
@@ -25,17 +24,9 @@ def material(tmp_path_factory):
     return str(path)
 
 
-def test_scene_names_are_those_of_the_scenes():
-    from scenes import SCENES
-
-    assert set(SCENE_NAMES) == set(SCENES)
-
-
-def test_tools_and_interfaces_are_those_of_the_experiment():
+def test_interfaces_are_those_of_the_experiment():
     from tissue_sim.experiment import experiment
-    from tissue_sim.experiment.tools import tool
 
-    assert set(SHAPES) <= set(tool.SHAPES)
     assert INTERFACES == experiment.INTERFACES
 
 

@@ -7,10 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissue_sim.errors import InputError
+from tissue_sim.material.effect import ReducedEffect, ToolHistory
+from tissue_sim.parameters import parameter
 
 
 @dataclass(frozen=True)
-class Puncture:
+class Puncture(ReducedEffect):
     """From the first time that the needle passes `depth` on, its force is (1 - drop) of what it would be.
 
     A reduced form: the tissue is not cut. Plates do not puncture.
@@ -20,8 +22,11 @@ class Puncture:
         drop: share of the force that is lost for good, 0 (absent) to below 1.
     """
 
-    depth: float
-    drop: float
+    name = "puncture"
+    title = "puncture"
+
+    depth: float = parameter("d_p", "m", key="depth_mm", factor=1e-3, bounds=(0.0, 1.0))
+    drop: float = parameter("s", "1", key="drop", bounds=(0.0, 0.99), absent=0.0)
 
     def __post_init__(self):
         if not 0 < self.depth < np.inf:
@@ -29,6 +34,10 @@ class Puncture:
         if not 0 <= self.drop < 1:
             raise InputError(f"{self.drop:g} is outside 0 to 1 (1 excluded); give the share of the force that is lost",
                              field="drop")
+
+    def share(self, history: ToolHistory) -> float:
+        """What the puncture leaves of the force."""
+        return 1.0 - self.drop if history.deepest > self.depth else 1.0
 
 
 class PunctureHistory:

@@ -14,7 +14,7 @@ from haptics.loop.snapshot_board import SnapshotBoard, SnapshotReader
 from scenes.viewer.frame import Phase
 from scenes.viewer.live_simulation import LiveSimulation
 from tissue_sim.fem.axisymmetric.fields import Fields
-from tissue_sim.material.parameters import with_parameter
+from tissue_sim.parameters import with_values
 from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import ForceStatus, ToolForce
@@ -125,7 +125,7 @@ def test_a_changed_material_is_shown_on_the_same_mesh(needle_loop, needle, until
     until(needle_loop, at_rest(2e-3))
     mesh, force = simulation.snapshot.fields.mesh, simulation.readouts.force
     simulation.ask("set_parameters", C10=2000.0)
-    material = with_parameter(needle.material, "C10", 2000.0)
+    material = with_values(needle.material, {"C10": 2000.0})
     seen = until(needle_loop, lambda seen: seen.readouts.force > 1.1 * force and at_rest(2e-3)(seen)
                  and seen.snapshot.fields.material.parameters["C10"] == 2000.0)
     assert seen.snapshot.fields.mesh is mesh

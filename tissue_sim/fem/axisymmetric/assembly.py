@@ -16,11 +16,10 @@ from typing import NamedTuple
 from tissue_sim.fem.axisymmetric import energy as point
 from tissue_sim.fem.axisymmetric.batches import LANES
 from tissue_sim.fem.axisymmetric.elements import ELEMENTS
+from tissue_sim.fem.history import FACTOR, INSTANT, LOSS, LOSS_MODULUS, LOSS_SHARE
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
 
-#: Places in the settings of what happens to the tissue in time.
-FACTOR, INSTANT, LOSS, LOSS_MODULUS, LOSS_SHARE = range(5)
 #: Most nodes, points and pressure modes of an element.
 _NODES, _POINTS, _MODES = 9, 9, 3
 #: Where things of the batch that is worked on stand in the scratch field: motion and forces of nodes, motion still to

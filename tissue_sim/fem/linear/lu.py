@@ -1,55 +1,32 @@
-"""Band LU factorisation and solution, without pivoting, for use inside Taichi kernels.
+"""Band LU factorisation without pivoting: of tangents of slipping contact, which are those of the tissue, symmetric and
+positive definite, with a few entries beside.
 
-For tangents of slipping contact: those of the tissue, which are symmetric and positive definite, with a few entries
-beside. The matrix is kept as two lower bands in the blocks of `tissue_sim.fem.linear.band`: its own lower triangle,
-with the whole blocks of the diagonal, and that of its transpose. So rows of U stand where columns of L do, and both
-halves of the factorisation run like that of Cholesky.
+Rows of U stand where columns of L do, and both halves of the factorisation run like that of Cholesky.
 """
 
 from functools import cache
 
 from tissue_sim.fem.linear.band import BLOCK, subtract_function
+from tissue_sim.fem.linear.solver import KernelFunctions, LinearSolver
 from tissue_sim.fem.taichi.runtime import initialise
 
 
-@cache
-def functions():
-    """Taichi functions of a matrix in ``lower`` and ``upper``, each (rows, width) blocks.
+class BandLU(LinearSolver):
+    """L U, L with a unit diagonal; `init` fails where a pivot is too small against its column."""
 
-    ``mirror(lower, upper, rows, width)`` completes a symmetric matrix of which only the lower triangle is filled in;
-    ``add_any(row, column, value, free, width, lower, upper)`` adds to an entry on either side of the diagonal.
-    ``factorise(lower, upper, inverse, rows, width) -> int`` overwrites both by the factors, L with a unit diagonal, and
-    `inverse` (rows * BLOCK) by the reciprocals of U's; 0 where a pivot is too small against its column.
-    ``solve(lower, upper, inverse, x, rows, width)`` overwrites x.
-    """
+    def functions(self) -> KernelFunctions:
+        return _functions()
+
+
+@cache
+def _functions() -> KernelFunctions:
     ti = initialise()
     subtract = subtract_function()
     lanes = ti.Vector(list(range(BLOCK)))
     unit = [ti.Vector([float(i == c) for i in range(BLOCK)]) for c in range(BLOCK)]
 
     @ti.func
-    def mirror(lower: ti.template(), upper: ti.template(), rows, width):
-        for I in range(rows):
-            for w in range(width):
-                for c in range(BLOCK):
-                    upper[I, w, c] = lower[I, w, c]
-            for c in range(BLOCK):
-                # Above the diagonal of the diagonal block.
-                for r in range(c):
-                    lower[I, width - 1, c][r] = lower[I, width - 1, r][c]
-
-    @ti.func
-    def add_any(row, column, value, free, width, lower: ti.template(), upper: ti.template()):
-        if row < free and column < free:
-            I, J = row // BLOCK, column // BLOCK
-            r, c = row % BLOCK, column % BLOCK
-            if J <= I:
-                lower[I, J - I + width - 1, c, r] = lower[I, J - I + width - 1, c, r] + value
-            else:
-                upper[J, I - J + width - 1, r, c] = upper[J, I - J + width - 1, r, c] + value
-
-    @ti.func
-    def factorise(lower: ti.template(), upper: ti.template(), inverse: ti.template(), rows, width):
+    def init(lower: ti.template(), upper: ti.template(), inverse: ti.template(), rows, width):
         ok = 1
         for I in range(rows):
             first = ti.max(0, I - width + 1)
@@ -106,4 +83,7 @@ def functions():
                 v += unit[c] * (value - v[c])
             x[I] = v
 
-    return mirror, add_any, factorise, solve
+    return KernelFunctions(init, solve)
+
+
+BAND_LU = BandLU()

@@ -1,0 +1,73 @@
+"""Effects of the tissue that can be added: a file each, by name in material files, campaigns and reports.
+
+An effect is a frozen dataclass that derives from one of the classes here and declares its numbers with
+`tissue_sim.parameters.parameter`. `EFFECTS` knows the classes by name; a `Material` carries the effects themselves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, is_dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from tissue_sim.errors import InputError
+from tissue_sim.parameters import declared
+from tissue_sim.registry import Registry
+
+if TYPE_CHECKING:
+    from tissue_sim.experiment.experiment import Experiment
+
+
+class TissueEffect:
+    """What time, loading or place do to a tissue.
+
+    Attributes:
+        name: key in material files.
+        title: for people.
+        ages: whether the force depends on time because of it.
+        remembers: whether it depends on how the tool came to where it is.
+    """
+
+    name: ClassVar[str]
+    title: ClassVar[str] = ""
+    ages: ClassVar[bool] = False
+    remembers: ClassVar[bool] = False
+
+
+@dataclass(frozen=True, slots=True)
+class ToolHistory:
+    """Where the tool has been.
+
+    Attributes:
+        depth: now, m.
+        deepest: so far, this place included, m.
+        time: in the tissue, s.
+    """
+
+    depth: float
+    deepest: float
+    time: float = 0.0
+
+
+class ReducedEffect(TissueEffect):
+    """An effect in reduced form: it scales the force of the tool, and leaves the fields as they are."""
+
+    def acts_in(self, experiment: Experiment) -> bool:
+        """Whether it plays a part in this experiment."""
+        return True
+
+    def share(self, history: ToolHistory) -> float:
+        """Force of the tool over what it would be without the effect; 1 where the parameters are absent."""
+        raise NotImplementedError
+
+
+def _check(name: str, kind: Any) -> None:
+    if not (isinstance(kind, type) and issubclass(kind, TissueEffect) and is_dataclass(kind)):
+        raise InputError(f"{name!r} is no effect of a tissue; register a frozen dataclass that derives from "
+                         "tissue_sim.TissueEffect", field="tissue_sim.effects")
+    if not declared(kind):
+        raise InputError(f"the effect {name!r} has no parameters; declare each with tissue_sim.parameter",
+                         field="tissue_sim.effects")
+
+
+#: Name -> class.
+EFFECTS: Registry[type[TissueEffect]] = Registry("effect of the tissue", "tissue_sim.effects", {}, check=_check)
