@@ -87,8 +87,8 @@ def _loop(connection: Connection, parts: LoopParts, files: LoopFiles) -> LoopRep
             _say(connection, "doing", "loading the solver (a machine's first run compiles it, about 20 s)")
             tissue.warm_up()
         snapshots = None
-        if settings.snapshot_rate and hasattr(tissue, "snapshot"):
-            pattern = tissue.snapshot()
+        pattern = tissue.snapshot() if settings.snapshot_rate and hasattr(tissue, "snapshot") else None
+        if pattern is not None and pattern.fields is not None:
             snapshots = stack.enter_context(SnapshotBoard(files.snapshots, pattern))
             _say(connection, "pattern", pattern)
         loop = Loop(tissue, parts.device, parts.rendering, settings, ring, snapshots=snapshots,
