@@ -62,6 +62,40 @@ class ReducedEffect(TissueEffect):
         raise NotImplementedError
 
 
+class PointEffect(TissueEffect):
+    """An effect with a stress of its own at every point of the tissue, and a memory there.
+
+    The same formula serves elements of every kind, so it is written in three dimensions, in plain Python and numpy's
+    elementary functions (exp, log, sqrt, tanh, sin, cos, tan, abs, maximum, minimum, where): the kernels take it over
+    operation by operation when they are compiled. It may loop, index and call as it likes, but must not branch on a
+    number; fields that are no declared parameters are constants of the formula.
+
+    Attributes:
+        rest: state variables of tissue that nothing has happened to; as many as there are.
+    """
+
+    rest: ClassVar[tuple[float, ...]] = ()
+    remembers: ClassVar[bool] = True
+
+    def response(self, C: list, state: list, dt: Any) -> tuple[list, list[list], list]:
+        """Stress at the end of a step.
+
+        Symmetric tensors are lists of six, 11, 22, 33, 12, 13, 23; in an axisymmetric solid 1 is the radius, 2 the
+        axis and 3 the circumference.
+
+        Args:
+            C: right Cauchy-Green tensor at the end of the step.
+            state: state variables at its start.
+            dt: its length, s; 0: sudden.
+
+        Returns:
+            The second Piola-Kirchhoff stress, Pa, which is added to that of the law, in layers times their ratio; its
+            tangent, six rows of six, dS with the Green strain whose shears are doubled (S_12 with 2 E_12), Pa, which
+            must be symmetric; and the state variables at the end of the step.
+        """
+        raise NotImplementedError
+
+
 class ReducedForce:
     """What effects in reduced form leave of the force on a tool, along its way.
 
