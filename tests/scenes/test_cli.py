@@ -15,7 +15,7 @@ from scenes.commands import COMMANDS, LATER, material
 from tissue_sim.errors import MissingBackendError
 
 ROOT = Path(__file__).resolve().parents[2]
-HEAVY = ("taichi", "viser", "scipy", "numpy", "matplotlib", "sympy", "rich", "msgspec", "serial")
+HEAVY = ("taichi", "viser", "scipy", "numpy", "matplotlib", "sympy", "rich", "msgspec")
 HELPS = [["--help"], [], ["--version"], *([name, "--help"] for name in COMMANDS),
          *(["material", action, "--help"] for action in material.ACTIONS)]
 

@@ -12,7 +12,6 @@ from tissue_sim.experiment.interfaces import LARGEST_FRICTION, checked_interface
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.material.material import Material
-from tissue_sim.material.puncture import Puncture
 from tissue_sim.parameters import parameter
 from tissue_sim.pose import Pose
 from tissue_sim.rig.rig import Rig
@@ -178,8 +177,3 @@ class Model:
     experiment: Experiment
     material: Material
     rig: Rig = field(default_factory=Rig)
-
-    @property
-    def puncture(self) -> Puncture | None:
-        """Puncture of the tissue, where a needle can."""
-        return None if self.experiment.tool.is_plate else self.material.puncture

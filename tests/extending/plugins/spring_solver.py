@@ -50,7 +50,7 @@ class SpringSurface:
 class SpringSolver(Solver):
     """The contract of `tissue_sim.fem.solver.Solver`."""
 
-    def __init__(self, model, *, resolution, mesh=None):
+    def __init__(self, model, *, resolution, mesh=None, topology=None):
         if resolution not in ("realtime", "fast"):
             raise InputError(f"unknown resolution {resolution!r}; a spring has 'realtime' and 'fast'",
                              field="resolution")
