@@ -26,7 +26,7 @@ DEPTH_MM = 10.0
 
 
 def add_experiment_flags(parser: Parser) -> None:
-    """Motion, specimen, tool and interfaces, each in a group of its own."""
+    """Motion, specimen, tool and interfaces, each in a group of its usual."""
     motion = parser.add_argument_group("motion")
     motion.add_argument("--depth-mm", type=positive, metavar="N",
                         help=f"largest tool displacement of a plain ramp (default: {DEPTH_MM:g})")
@@ -129,11 +129,11 @@ def _size(what: Declaration):
     return not_negative if what.absent == 0 else positive if what.unit == "m" else between(low, high)
 
 
-def _tool(arguments, shape: str, profile: Path | None, own: Tool) -> Tool:
-    """The scene's `own` tool with what the flags change in it; the measures of a profile are those of its file."""
+def _tool(arguments, shape: str, profile: Path | None, usual: Tool) -> Tool:
+    """The scene's `usual` tool with what the flags change in it; the measures of a profile are those of its file."""
     known = tool_sizes()
     stated = {key: value for key in known if (value := getattr(arguments, key)) is not None}
-    kept = {name: getattr(own, name) for _, name, shapes in known.values() if {own.shape, shape} <= {*shapes}}
+    kept = {name: getattr(usual, name) for _, name, shapes in known.values() if {usual.shape, shape} <= {*shapes}}
     changes = sizes_of_keys(stated)
     if profile is not None:
         return Tool(shape, profile_file=profile, **changes)
