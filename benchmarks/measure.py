@@ -20,6 +20,7 @@ from scipy.linalg import lapack
 
 import tissue_sim as ts
 from tissue_sim.fem.linear import band
+from tissue_sim.fem.linear.cholesky import BAND_CHOLESKY
 from tissue_sim.fem.taichi.runtime import initialise
 
 
@@ -41,7 +42,7 @@ def summary(spent: list[float]) -> dict:
 def band_kernels() -> tuple[Callable, Callable]:
     """Kernels that factorise a band matrix, and solve with the factor, a number of times each."""
     ti = initialise()
-    factorise, solve = band.functions()
+    init, solve = BAND_CHOLESKY.functions()
     block = ti.types.vector(band.BLOCK, ti.f64)
     one, three = ti.types.ndarray(dtype=block, ndim=1), ti.types.ndarray(dtype=block, ndim=3)
     reals = ti.types.ndarray(dtype=ti.f64, ndim=1)
@@ -49,12 +50,12 @@ def band_kernels() -> tuple[Callable, Callable]:
     @ti.kernel
     def factor(passes: ti.i32, matrix: three, inverse: reals, rows: ti.i32, width: ti.i32):
         for _ in range(passes):
-            factorise(matrix, inverse, rows, width)
+            init(matrix, matrix, inverse, rows, width)
 
     @ti.kernel
     def substitute(passes: ti.i32, matrix: three, inverse: reals, x: one, rows: ti.i32, width: ti.i32):
         for _ in range(passes):
-            solve(matrix, inverse, x, rows, width)
+            solve(matrix, matrix, inverse, x, rows, width)
 
     return factor, substitute
 

@@ -26,8 +26,8 @@ from work_precision import HEIGHT, MATERIAL, MODELS, NEEDLE_RADIUS, RADIUS, unif
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
 from tissue_sim.fem.axisymmetric.elements import Q4P0, Q9P1
-from tissue_sim.fem.axisymmetric.newton import StepStatus
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
+from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh import Mesh, needle_mesh
 
 MODEL = MODELS["needle indentation"]

@@ -9,8 +9,8 @@ from work_precision import uniform_needle_mesh
 from tissue_sim.fem.axisymmetric import newton
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
 from tissue_sim.fem.axisymmetric.elements import Q4P0
-from tissue_sim.fem.axisymmetric.newton import StepStatus
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
+from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh import Mesh
 
 #: The mesh whose ratios stand for all: 1016 equations, half band 44.
@@ -47,7 +47,7 @@ def parts(name: str, mesh: Mesh, repeats: int) -> dict:
     of what was eliminated.
     """
     solver = brought_to(DEPTH, name, mesh)
-    lower, counts = solver.tangent(), solver._counts
+    lower, counts = solver.tangent(), solver.equations.counts
     contacts = int(counts[newton.CONTACTS])
     # (passes, linear solves, contact edges); at a tolerance that nothing meets the state stays as it was.
     kinds = {"iteration": (1, 1, contacts), "tangent": (1, 0, contacts), "bare": (1, 0, 0), "launch": (0, 0, contacts)}
@@ -68,7 +68,8 @@ def parts(name: str, mesh: Mesh, repeats: int) -> dict:
     contact, solve = tangent - bare, both - factor
     found = {"launch_ms": launch, "tangent_ms": bare - launch, "contact_ms": 2 * contact, "factor_ms": factor,
              "solve_ms": solve, "residual_ms": whole - tangent - contact - factor - solve}
-    return {"mesh": name, "elements": len(mesh.connectivity), "freedoms": solver.free, "half_band": solver.half_band,
+    return {"mesh": name, "elements": len(mesh.connectivity), "freedoms": solver.equations.free,
+            "half_band": solver.equations.half_band,
             "iteration_ms": whole, **found, "share_percent": {part: 100 * found[part] / whole for part in PARTS},
             "dpbtrf_ms": dpbtrf, "over_dpbtrf": float(np.median(rounds[:, 0] / rounds[:, -1]))}
 

@@ -87,7 +87,7 @@ def grading_name(growth: float, smallest: float, largest: float) -> str:
 
 def fine_mesh(model: ts.Model) -> Mesh:
     """The mesh of what counts as converged."""
-    if model.experiment.tool.shape == "plate":
+    if model.experiment.tool.is_plate:
         return cylinder_mesh(RADIUS, HEIGHT, (24, 30), Q9P1, grading=(50.0, 10.0))
     return graded_needle_mesh(1.3, 0.1, 6.0)
 
@@ -236,7 +236,8 @@ def rows_of(case: Case, drives: list[Drive], converged: Converged | None) -> lis
         depth = (slowest + 1 if direction == "loading" else count - 1 - slowest) * WAY * 1e3
         rounds = 1e3 * np.median(cpu, axis=1)
         row = {"case": f"{case.name}, {direction}", "grading": case.grading, "elements": len(case.mesh.connectivity),
-               "freedoms": solver.free, "half_band": solver.half_band, "force_N": forces[direction].tolist(),
+               "freedoms": solver.equations.free, "half_band": solver.equations.half_band,
+               "force_N": forces[direction].tolist(),
                ERROR: None if converged is None else percent(forces[direction], converged.forces[direction]),
                "reference_distance_percent": None, **percentiles(cpu), "ticks": cpu.size,
                "cpu_ms_p50_of_rounds": [float(rounds.min()), float(rounds.max())],

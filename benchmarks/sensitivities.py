@@ -31,7 +31,7 @@ def cases():
     ramp = ts.Protocol.ramp(10e-3, 21)
     cycle = ts.Protocol.parse("ramp 6mm; hold 20s; unload 2mm", points=21)
     law = ["C10", "C20"]
-    time = [*law, *(f"viscoelastic.terms[{i}].{name}" for i in range(2) for name in ("g", "tau_s"))]
+    time = [*law, *(f"viscoelastic.terms[{i}].{name}" for i in range(2) for name in ("g", "tau"))]
     yield "bonded ramp", ts.Experiment(SPECIMEN, ramp), ELASTIC, law
     yield "friction 0.1, ramp", ts.Experiment(SPECIMEN, ramp, friction=0.1, friction_base=0.1), ELASTIC, law
     yield "needle, ramp", ts.Experiment(SPECIMEN, ramp, ts.Tool("flat", 8e-3)), ELASTIC, law

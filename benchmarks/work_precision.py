@@ -83,7 +83,8 @@ def measure(test: str, family: str, mesh: Mesh, repeats: int, named: str | None 
     model = MODELS[test]
     forces, error = (np.array(values) for values in REFERENCES[test])
     point = {"test": test, "family": family, "element": mesh.element.name, "elements": len(mesh.connectivity),
-             "freedoms": (solver := build_solver(model, mesh)).free, "half_band": solver.half_band, "named": named}
+             "freedoms": (equations := build_solver(model, mesh).equations).free,
+             "half_band": equations.half_band, "named": named}
     spent = []
     try:
         for _ in range(1 + repeats):

@@ -4,17 +4,21 @@ Public names are listed here once and imported on first use, so that ``import ti
 """
 
 from tissue_sim.public_names import import_on_use as _import_on_use
-
-__version__ = "0.1.0"
+from tissue_sim.version import __version__
 
 _HOMES = {
     "Bulk": "material.material", "Material": "material.material",
     "Adhesion": "experiment.experiment", "Experiment": "experiment.experiment",
     "Model": "experiment.experiment", "Protocol": "experiment.protocol", "Specimen": "experiment.experiment",
-    "Tool": "experiment.tools.tool",
-    "Rig": "rig.rig", "load_rig": "rig.file", "write_rig": "rig.file",
-    "Poroelasticity": "material.viscoelasticity", "Prony": "material.viscoelasticity",
+    "Tool": "experiment.tools.tool", "TOOLS": "experiment.tools.tool",
+    "TestKind": "experiment.kinds.kind", "KINDS": "experiment.kinds.kind",
+    "Rig": "rig.rig", "RigFault": "rig.fault", "FAULTS": "rig.fault", "load_rig": "rig.file", "write_rig": "rig.file",
+    "Poroelasticity": "material.poroelasticity", "Prony": "material.viscoelasticity",
     "PronyTerm": "material.viscoelasticity",
+    "TissueEffect": "material.effect", "ReducedEffect": "material.effect", "ToolHistory": "material.effect",
+    "EFFECTS": "material.effect",
+    "parameter": "parameters", "with_values": "parameters",
+    "Registry": "registry",
     "Layer": "material.layer", "Puncture": "material.puncture", "Softening": "material.softening",
     "nominal_stress_history": "closed_form.histories", "shear_stress_history": "closed_form.histories",
     "Recording": "recording.recording",
@@ -26,7 +30,7 @@ _HOMES = {
     "Simulator": "simulator", "SimulatorState": "simulator", "DeformedSurface": "fem.axisymmetric.surface",
     "Snapshot": "snapshot",
     "simulate": "simulation", "Fields": "fem.axisymmetric.fields",
-    "LAWS": "laws", "find_law": "laws", "register": "laws", "check_stability": "laws",
+    "FORMATS": "recording.formats", "LAWS": "laws", "find_law": "laws", "register": "laws", "check_stability": "laws",
     "ConvergenceError": "errors", "InputError": "errors", "MissingBackendError": "errors",
 }
 

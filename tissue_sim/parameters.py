@@ -34,6 +34,7 @@ class Declaration:
         key: in files, with the file's unit in its name: ``tau_s``, ``radius_mm``.
         factor: SI units in one unit of the file.
         shapes_mesh: whether the mesh depends on it.
+        words: what else may stand there and is a number, such as ``frictionless`` for 0.
     """
 
     symbol: str
@@ -43,6 +44,7 @@ class Declaration:
     key: str = ""
     factor: float = 1.0
     shapes_mesh: bool = False
+    words: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -53,13 +55,25 @@ class Parameter:
         path: from the part that was asked.
         declaration: what it is.
         value: SI.
-        symbol: with a number where there are several of its kind: ``g1``.
+        part: class of the part that it belongs to.
     """
 
     path: str
     declaration: Declaration
     value: float
-    symbol: str
+    part: type
+
+    @property
+    def symbol(self) -> str:
+        """Of its declaration, with a number where there are several of its kind: ``g1``."""
+        return self.declaration.symbol + "".join(str(token + 1) for token in tokens(self.path)
+                                                 if isinstance(token, int))
+
+    @property
+    def file_path(self) -> str:
+        """The path as files write it, its last part with the unit: ``viscoelastic.terms[0].tau_s``."""
+        place, dot, _ = self.path.rpartition(".")
+        return place + dot + self.declaration.key
 
 
 @runtime_checkable
@@ -74,10 +88,11 @@ class HasParameters(Protocol):
 
 
 def parameter(symbol: str, unit: str, *, key: str, factor: float = 1.0, bounds: tuple[float, float] = (-inf, inf),
-              absent: float | None = None, shapes_mesh: bool = False, default: Any = MISSING) -> Any:
+              absent: float | None = None, shapes_mesh: bool = False, words: Mapping[str, float] | None = None,
+              default: Any = MISSING) -> Any:
     """A dataclass field that is a parameter; see `Declaration`."""
-    declared = Declaration(symbol, unit, bounds, absent, key, factor, shapes_mesh)
-    return field(default=default, metadata={_KEY: declared})
+    what = Declaration(symbol, unit, bounds, absent, key, factor, shapes_mesh, words or {})
+    return field(default=default, metadata={_KEY: what})
 
 
 def declaration(entry: Field) -> Declaration | None:
@@ -92,7 +107,12 @@ def declared(kind: type) -> dict[str, Declaration]:
 
 def parameters(part: Any) -> dict[str, Parameter]:
     """Path -> parameter, of everything in a part: a `Model`, a `Material`, an `Experiment`, a `Rig`."""
-    return {path: Parameter(path, what, value, _symbol(what, path)) for path, what, value in _walk(part, "")}
+    return {each.path: each for each in _walk(part, "")}
+
+
+def parameter_values(part: Any) -> dict[str, float]:
+    """Path -> value, SI, of everything in a part."""
+    return {each.path: each.value for each in _walk(part, "")}
 
 
 def value(part: Any, path: str) -> float:
@@ -107,6 +127,23 @@ def value(part: Any, path: str) -> float:
     return known[path].value
 
 
+def full_path(model: Any, name: str) -> str:
+    """The path of a parameter of a model; ``material.`` may be left out.
+
+    Raises:
+        InputError: no such parameter; names the nearest.
+    """
+    known = parameters(model)
+    for path in (name, f"material.{name}"):
+        if path in known:
+            return path
+        word = _at(model, path)
+        if isinstance(word, str):
+            raise InputError(f"is {word!r} and not a number that could change", field=name)
+    raise InputError(f"unknown parameter{nearest(name, [path.removeprefix('material.') for path in known])}",
+                     field=name)
+
+
 def with_values(part: Part, values: Mapping[str, float]) -> Part:
     """The part with parameters changed, all of them at once.
 
@@ -117,7 +154,7 @@ def with_values(part: Part, values: Mapping[str, float]) -> Part:
     Raises:
         InputError: no such parameter (names the nearest), or what the parts refuse.
     """
-    known = {path for path, *_ in _walk(part, "")}
+    known = {each.path for each in _walk(part, "")}
     tree: dict = {}
     for path, number in values.items():
         if path not in known:
@@ -135,35 +172,46 @@ def tokens(path: str) -> list[str | int]:
     return [name if name else int(index) for name, index in _TOKEN.findall(path)]
 
 
-def _walk(part: Any, place: str) -> Iterator[tuple[str, Declaration, float]]:
-    """(path, declaration, value) of every parameter at and below a part."""
+def _at(part: Any, path: str) -> Any:
+    """What stands at a path; None where nothing does."""
+    for token in tokens(path):
+        if isinstance(token, int):
+            part = part[token] if isinstance(part, tuple) and token < len(part) else None
+        else:
+            part = part.get(token) if isinstance(part, Mapping) else getattr(part, token, None)
+    return part
+
+
+def _walk(part: Any, place: str) -> Iterator[Parameter]:
+    """Every parameter at and below a part."""
     if isinstance(part, HasParameters):
         for name, (what, number) in part.own_parameters().items():
-            yield place + name, what, number
+            yield Parameter(place + name, what, number, type(part))
     for entry in fields(part):
         content = getattr(part, entry.name)
         what = declaration(entry)
         if what is not None:
+            content = what.words.get(content, content) if isinstance(content, str) else content
             if isinstance(content, Real) and not isinstance(content, bool):
-                yield place + entry.name, what, float(content)
+                yield Parameter(place + entry.name, what, float(content), type(part))
         elif is_dataclass(content):
             yield from _walk(content, f"{place}{entry.name}.")
         elif isinstance(content, tuple) and content and all(map(is_dataclass, content)):
             for index, item in enumerate(content):
                 yield from _walk(item, f"{place}{entry.name}[{index}].")
+        elif isinstance(content, Mapping) and content and all(map(is_dataclass, content.values())):
+            for name, item in content.items():
+                yield from _walk(item, f"{place}{entry.name}.{name}.")
 
 
 def _changed(part: Any, tree: Mapping[str | int, Any]) -> Any:
     if isinstance(part, tuple):
         return tuple(_changed(item, tree[index]) if index in tree else item for index, item in enumerate(part))
+    if isinstance(part, Mapping):
+        return {name: _changed(item, tree[name]) if name in tree else item for name, item in part.items()}
     changes = {name: _changed(getattr(part, name), sub) if isinstance(sub, dict) else sub for name, sub in tree.items()}
     if isinstance(part, HasParameters):
         own = {name: changes.pop(name) for name in part.own_parameters() if name in changes}
         if own:
             return part.with_own_parameters(own, **changes)
     return replace(part, **changes)
-
-
-def _symbol(what: Declaration, path: str) -> str:
-    numbers = [token for token in tokens(path) if isinstance(token, int)]
-    return what.symbol + "".join(str(number + 1) for number in numbers)

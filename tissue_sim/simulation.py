@@ -4,41 +4,42 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from typing import Protocol
+from dataclasses import replace
+from typing import Any, Protocol
 
 import numpy as np
 
 from tissue_sim.errors import ConvergenceError
-from tissue_sim.experiment.experiment import Experiment, Model
+from tissue_sim.experiment.experiment import Model
 from tissue_sim.experiment.tilt import tilted
-from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver, sag
-from tissue_sim.fem.axisymmetric.fields import Fields
-from tissue_sim.fem.axisymmetric.newton import StepStatus
-from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver, Step
+from tissue_sim.fem.solver import SOLVERS, Solver, Step, StepStatus
 from tissue_sim.laws import check_stability
-from tissue_sim.material.puncture import PunctureHistory
-from tissue_sim.mesh import Mesh
+from tissue_sim.material.effect import ReducedForce
+from tissue_sim.pose import Pose, Screw, between
 from tissue_sim.recording.recording import Recording
 
 #: A step is cut until it is this small a part of the way between two samples.
 _SMALLEST_CUT = 2.0**-10
 #: The tool of a compliant rig is where it should be to this part of the travel.
 _PLACED, _MOST_TRIALS = 1e-7, 20
-_NOTHING = Step(StepStatus.CONVERGED, 0, 0.0, 0.0)
+_NOTHING = Step.axial(StepStatus.CONVERGED, 0, 0.0, 0.0)
+#: Channels of a wrench that has more than a force along z.
+_WRENCH = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 
 
 class Watch(Protocol):
     """Who follows a solver through a test."""
 
-    def begin(self, solver: AxisymmetricSolver) -> None:
+    def begin(self, solver: Solver) -> None:
         """Before the first step."""
 
-    def sample(self, solver: AxisymmetricSolver, factor: float) -> None:
+    def sample(self, solver: Solver, factor: float) -> None:
         """After each sample; the test's force is `factor` times the solver's."""
 
 
-def simulate(model: Model, *, resolution: str = "fast", mesh: Mesh | None = None, fields: bool = False,
-             progress: Callable[[int, int], None] | None = None, watch: Watch | None = None) -> Recording:
+def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields: bool = False,
+             progress: Callable[[int, int], None] | None = None, watch: Watch | None = None,
+             solver: str = "axisymmetric", topology: Model | None = None) -> Recording:
     """Simulate a whole test quasi-statically.
 
     The protocol is the motion that the rig's stage reports; where the load train gives way the tool's true place is
@@ -46,96 +47,91 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Mesh | None = None
 
     Args:
         model: experiment, material, rig.
-        resolution: ``"fast"`` or ``"accurate"``, see `tissue_sim.fem.axisymmetric.discretisation`.
+        resolution: ``"fast"`` or ``"accurate"``, or another name that the solver knows.
         mesh: a mesh of your own instead.
         fields: keep the converged fields of every sample in ``recording.fields``.
         progress: called with (samples done, samples in all); the first call comes before the kernels are compiled.
         watch: told of the solver.
+        solver: name in `tissue_sim.fem.solver.SOLVERS`.
+        topology: a model of another geometry: its mesh (or the one that is given, as one of it) is taken, with the
+            nodes moved, so that a change of geometry does not change the elements.
 
     Returns:
-        Recording at the times of the protocol, with its labels, as the model's rig reports it. ``metadata["solver"]``
-        holds status, message, warnings, newton_iterations (linear solves), cuts, residual (the largest), wall_s,
-        element, mesh and resolution; with contact also penetration_mm (the largest violation of a contact condition)
-        and penetration_tolerance_mm; with friction slipping_points (the most at once); of a specimen that weighs also
-        self_weight {density_kg_m3, gravity_m_s2, height_is, sag_mm, moulded_height_mm}.
+        Recording at the times of the protocol, with its labels, as the model's rig reports it; where the wrench on the
+        tool is more than a force along z, with the channels Fx to Tz. ``metadata["solver"]`` holds status, message,
+        warnings, newton_iterations (linear solves), cuts, residual (the largest), wall_s, element, mesh and resolution;
+        with contact also penetration_mm (the largest violation of a contact condition) and penetration_tolerance_mm;
+        with friction slipping_points (the most at once); of a specimen that weighs also self_weight {density_kg_m3,
+        gravity_m_s2, height_is, sag_mm, moulded_height_mm}.
 
     Raises:
         ConvergenceError: a step did not converge however small; its `recording` keeps the converged part.
-        InputError: unknown resolution, or a bulk response or layers that do not fit.
+        InputError: unknown solver or resolution, or a bulk response or layers that do not fit.
         MissingBackendError: Taichi is not there.
     """
     started = time.perf_counter()
     protocol, rig = model.experiment.protocol, model.rig
     rig.readings(protocol.time)  # refused now or never
-    own_mesh = mesh is not None
-    mesh = mesh if own_mesh else build_mesh(model.experiment, resolution, layers=model.material.layers)
-    solver = build_solver(model, mesh)
+    tissue = SOLVERS.find(solver, "solver")(model, resolution=resolution, mesh=mesh, topology=topology)
     if watch:
-        watch.begin(solver)
-    forces, depths, states, stresses = [], [], [], []
-    report = {"newton_iterations": 0, "cuts": 0, "residual": 0.0, "element": mesh.element.name,
-              "mesh": {"elements": len(mesh.connectivity), "freedoms": solver.free},
-              "resolution": "own mesh" if own_mesh else resolution}
-    if solver.contact is not None:
-        report |= {"penetration_mm": 0.0, "penetration_tolerance_mm": solver.contact.tolerance * 1e3}
-        if solver.surface.slips:
-            report["slipping_points"] = 0
-    if model.experiment.specimen.specific_weight:
-        report["self_weight"] = _weight_report(model.experiment, solver)
+        watch.begin(tissue)
+    wrenches, travels, samples = [], [], []
+    report = {"newton_iterations": 0, "cuts": 0, "residual": 0.0, **tissue.report(),
+              "resolution": "own mesh" if mesh is not None else resolution}
+    if "self_weight" in report:
+        specimen = model.experiment.specimen
+        report["self_weight"] = {"density_kg_m3": specimen.density, "gravity_m_s2": specimen.gravity,
+                                 "height_is": specimen.height_is, **report["self_weight"]}
 
     def record(status: str, message: str) -> Recording:
-        done = len(forces)
+        done, wrench = len(wrenches), np.array(wrenches).reshape(-1, 6)
         solved = {"status": status, "message": message, "warnings": [], **report,
                   "wall_s": time.perf_counter() - started}
-        true = Recording({"time": protocol.time[:done], "displacement": protocol.displacement[:done], "force": forces},
-                         labels={name: values[:done] for name, values in protocol.labels.items()},
+        channels = {"time": protocol.time[:done], "displacement": protocol.displacement[:done], "force": wrench[:, 2]}
+        if wrench[:, [0, 1, 3, 4, 5]].any():
+            channels |= zip(_WRENCH, wrench.T, strict=True)
+        true = Recording(channels, labels={name: values[:done] for name, values in protocol.labels.items()},
                          metadata={"name": "simulation", "solver": solved},
-                         fields=Fields.of(solver, states, stresses) if fields else None)
-        return rig.read(tilted(true, model.experiment.tilt, np.array(depths)))
+                         fields=tissue.fields(samples) if fields else None)
+        return rig.read(tilted(true, model.experiment.tilt, np.array(travels)))
 
     if progress:
         progress(0, protocol.displacement.size)
-    dropped, train = PunctureHistory(model.puncture), _LoadTrain(rig.compliance)
+    drive = _Drive(tissue, model)
     places = rig.tool_motion(protocol.displacement)
     waits, first = _from_the_touch(places, protocol.time)
     for sample, (place, dt) in enumerate(zip(places.tolist(), waits.tolist(), strict=True)):
         # Before that the tool is in the air, and the specimen waits for it.
-        steps = _sample(solver, place, dt, train, dropped) if sample >= first else [_NOTHING]
-        for step in steps:
+        for step in drive.to(place, dt) if sample >= first else [_NOTHING]:
             report["newton_iterations"] += step.iterations
             report["cuts"] += step.status is not StepStatus.CONVERGED
         if step.status is not StepStatus.CONVERGED:
-            message = (f"stopped at {solver.depth * 1e3:.4g} mm on the way to {place * 1e3:.4g} mm (sample "
+            depth = tissue.pose.depth
+            message = (f"stopped at {depth * 1e3:.4g} mm on the way to {place * 1e3:.4g} mm (sample "
                        f"{sample + 1}), the step cut to {_SMALLEST_CUT:.1g} of its length: {step.status.message}")
             if step.status is StepStatus.INDEFINITE:
                 message += f"; the law alone is {check_stability(model.material.energy_law, model.material.values)}"
-            partial = record("not_converged", message) if forces else None
-            raise ConvergenceError(message, recording=partial, depth=solver.depth)
-        report["residual"] = max(report["residual"], step.residual)
-        if "penetration_mm" in report:
-            report["penetration_mm"] = max(report["penetration_mm"], step.violation * 1e3)
-        if "slipping_points" in report:
-            report["slipping_points"] = max(report["slipping_points"], step.slipping)
-        forces.append(dropped(solver.depth, step.force))
-        depths.append(min(place, 0.0) if sample < first else solver.depth)
-        train.note(solver.depth, forces[-1])
+            raise ConvergenceError(message, recording=record("not_converged", message) if wrenches else None,
+                                   depth=depth)
+        _note_largest(report, step)
+        wrenches.append(drive.arrive(step.wrench, dt))
+        travels.append(min(place, 0.0) if sample < first else drive.travel)
         if watch:
-            watch.sample(solver, dropped.at(solver.depth, 1.0))
+            watch.sample(tissue, drive.share)
         if fields:
-            states.append(solver.state)
-            if solver.memory.works:
-                stresses.append(solver.memory.total())
+            samples.append(tissue.sample())
         if progress:
             progress(sample + 1, protocol.displacement.size)
     cuts = report["cuts"]
     return record("converged", f"converged at every sample{f', step cuts: {cuts}' if cuts else ''}")
 
 
-def _weight_report(experiment: Experiment, solver: AxisymmetricSolver) -> dict:
-    specimen = experiment.specimen
-    height = -float(solver.mesh.nodes[:, 1].min())
-    return {"density_kg_m3": specimen.density, "gravity_m_s2": specimen.gravity, "height_is": specimen.height_is,
-            "sag_mm": sag(solver) * 1e3, "moulded_height_mm": height * 1e3}
+def _note_largest(report: dict, step: Step) -> None:
+    """What a report says of the largest of all samples."""
+    for name, value in (("residual", step.residual), ("penetration_mm", step.violation * 1e3),
+                        ("slipping_points", step.slipping)):
+        if name in report:
+            report[name] = max(report[name], value)
 
 
 def _from_the_touch(places: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, int]:
@@ -168,50 +164,80 @@ class _LoadTrain:
         return d1 + (place - d1 - self.compliance * f1) / growth, growth
 
 
-def _sample(solver: AxisymmetricSolver, place: float, dt: float, train: _LoadTrain,
-            dropped: PunctureHistory) -> Iterator[Step]:
-    """Steps to one sample; yields each, the last one is that of the sample.
+class _Drive:
+    """Takes the tool along the experiment's motion: through a load train that may give way, in steps that converge.
 
-    Args:
-        place: where the tool would be with a rigid load train, m.
-        dt: time since the sample before, s.
-        train: what gives way.
+    Attributes:
+        travel: of the tool along its motion at the last sample, m.
     """
-    if not train.compliance:
-        yield from _approach(solver, place, dt)
-        return
-    saved = solver.save()
-    depth, growth = train.expect(place)
-    before = None
-    for trial in range(_MOST_TRIALS):
-        if trial:
-            solver.restore(saved)
-        for step in _approach(solver, depth, dt):
-            yield step
-        if step.status is not StepStatus.CONVERGED:
+
+    def __init__(self, solver: Solver, model: Model):
+        self._solver, self._experiment = solver, model.experiment
+        self._train = _LoadTrain(model.rig.compliance)
+        self._reduced = ReducedForce(model.material.reduced_effects(model.experiment))
+        self.travel = 0.0
+
+    @property
+    def share(self) -> float:
+        """What effects in reduced form leave of a force on the tool where it has come to."""
+        return self._reduced.share(self._solver.pose.depth)
+
+    def arrive(self, wrench: Screw, dt: float) -> Screw:
+        """The tool has come to a sample with this wrench, dt s after the one before; returns what is left of it."""
+        share = self._reduced.go(self._solver.pose.depth, dt)
+        wrench = tuple(share * part for part in wrench)
+        self._train.note(self.travel, wrench[2])
+        return wrench
+
+    def to(self, place: float, dt: float) -> Iterator[Step]:
+        """Steps to one sample; yields each, the last one is that of the sample.
+
+        Args:
+            place: where the tool would be with a rigid load train, m.
+            dt: time since the sample before, s.
+        """
+        solver, train = self._solver, self._train
+        if not train.compliance:
+            self.travel = place
+            yield from _approach(solver, self._pose(place), dt)
             return
-        excess = depth + train.compliance * dropped.at(depth, step.force) - place
-        if abs(excess) <= _PLACED * max(abs(place), abs(depth), 1e-6):
-            return
-        # The secant; where tissue softens as it goes the load train still gives way by at least its own travel.
-        if before is not None and depth != before[0]:
-            growth = max((excess - before[1]) / (depth - before[0]), 1.0)
-        before, depth = (depth, excess), depth - excess / growth
-    yield Step(StepStatus.SLOW, 0, step.residual, step.force, step.violation)
+        saved = solver.save()
+        depth, growth = train.expect(place)
+        before = None
+        for trial in range(_MOST_TRIALS):
+            if trial:
+                solver.restore(saved)
+            self.travel = depth
+            for step in _approach(solver, self._pose(depth), dt):
+                yield step
+            if step.status is not StepStatus.CONVERGED:
+                return
+            share = self._reduced.share(solver.pose.depth, dt)
+            excess = depth + train.compliance * share * step.force - place
+            if abs(excess) <= _PLACED * max(abs(place), abs(depth), 1e-6):
+                return
+            # The secant; where tissue softens as it goes the load train still gives way by at least its own travel.
+            if before is not None and depth != before[0]:
+                growth = max((excess - before[1]) / (depth - before[0]), 1.0)
+            before, depth = (depth, excess), depth - excess / growth
+        yield replace(step, status=StepStatus.SLOW, iterations=0)
+
+    def _pose(self, travel: float) -> Pose:
+        return self._solver.follow(self._experiment.tool_pose(travel))
 
 
-def _approach(solver: AxisymmetricSolver, target: float, dt: float = 0.0) -> Iterator[Step]:
-    """Steps to `target`, halved where they fail and doubled where they succeed; yields each `Step`.
+def _approach(solver: Solver, target: Pose, dt: float = 0.0) -> Iterator[Step]:
+    """Steps to a pose along a rigid motion, halved where they fail and doubled where they succeed; yields each `Step`.
 
     Time passes evenly along the way, `dt` (s) in all.
     """
-    start, way = solver.depth, target - solver.depth
+    start = solver.pose
     done, length, order = 0.0, 1.0, 2
     while True:
         share = min(length, 1.0 - done)
         last = done + share >= 1.0 - 1e-9
         # Extrapolation leads astray where contact changes; the linear solution for the tool's way does not.
-        step = solver.step(target if last else start + (done + share) * way, share * dt, predictor_order=order)
+        step = solver.step(target if last else between(start, target, done + share), share * dt, predictor_order=order)
         yield step
         if step.status is StepStatus.CONVERGED:
             if last:

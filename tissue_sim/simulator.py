@@ -5,20 +5,17 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass, replace
+from typing import Any
 
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.experiment import Model
-from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
-from tissue_sim.fem.axisymmetric.newton import StepStatus
-from tissue_sim.fem.axisymmetric.solver import Step
-from tissue_sim.fem.axisymmetric.surface import DeformedSurface, deformed_surface
+from tissue_sim.fem.solver import SOLVERS, Step, StepStatus, Surface
+from tissue_sim.material.effect import ReducedForce, ToolHistory
 from tissue_sim.material.material import Material
-from tissue_sim.material.parameters import with_parameters
-from tissue_sim.material.puncture import PunctureHistory
-from tissue_sim.mesh import Mesh
-from tissue_sim.pose import Pose
+from tissue_sim.parameters import with_values
+from tissue_sim.pose import Pose, Screw, between, motion
 from tissue_sim.snapshot import Snapshot, snapshot
-from tissue_sim.tool_force import ForceStatus, ToolForce, depth_of
+from tissue_sim.tool_force import ForceStatus, Matrix, ToolForce, axial_stiffness, axial_wrench, pose_of
 
 #: Unbalanced over balanced forces at which an equilibrium is one.
 TOLERANCE = 1e-6
@@ -39,27 +36,40 @@ _PATIENCE = 10
 _LEARNS, _FORGETS, _DOUBTS = 0.5, 0.1, 0.5
 
 
+@dataclass(frozen=True, slots=True)
+class _Equilibrium:
+    """What the last equilibrium answers; the stiffness holds mass where that was taken into account."""
+
+    wrench: Screw
+    stiffness: Matrix
+    inertial: bool
+
+
+#: Of a tool that touches nothing.
+_AT_REST = _Equilibrium(axial_wrench(0.0), axial_stiffness(0.0), inertial=False)
+
+
 @dataclass(frozen=True, eq=False)
 class SimulatorState:
     """Where a simulator stood; see `Simulator.save`."""
 
-    solver: tuple
+    solver: Any
     answer: ToolForce
-    equilibrium: tuple[float, float, bool]
-    elastic: float
-    depth: float
+    equilibrium: _Equilibrium
+    elastic: Matrix
+    pose: Pose
     waiting: float
     lingers: float
     share: float
     touched: bool
-    deepest: float
+    history: ToolHistory
 
 
 class Simulator:
     """Force on a tool that goes where it likes, step by step.
 
-    A step finds the equilibrium at the new depth, from the one before, in one kernel; a long way is followed in
-    parts, straight and at even speed. Everything that the model's experiment and material state takes part: friction,
+    A step finds the equilibrium at the new pose from the one before; a long way is followed in parts, along a rigid
+    motion at an even rate. Everything that the model's experiment and material state takes part: friction,
     relaxation, softening, layers, adhesion, puncture, self-weight. The rig does not: it belongs to the measurement.
 
     Args:
@@ -72,15 +82,17 @@ class Simulator:
         inertia: ``"auto"``: the mass of the tissue counts where the tool is faster than `INERTIAL_SPEED`; ``"on"``,
             ``"off"``.
         tolerance: unbalanced over balanced nodal forces.
+        solver: name in `tissue_sim.fem.solver.SOLVERS`.
 
     Raises:
-        InputError: an unknown resolution or inertia, a tilted tool, a bulk response or layers that do not fit.
+        InputError: an unknown solver, resolution or inertia, a tilted tool, a bulk response or layers that do not fit.
         ConvergenceError: the specimen does not stand under its own weight.
         MissingBackendError: Taichi is not there.
     """
 
-    def __init__(self, model: Model, *, resolution: str = "realtime", mesh: Mesh | None = None,
-                 budget: float | None = None, inertia: str = "auto", tolerance: float = TOLERANCE):
+    def __init__(self, model: Model, *, resolution: str = "realtime", mesh: Any = None,
+                 budget: float | None = None, inertia: str = "auto", tolerance: float = TOLERANCE,
+                 solver: str = "axisymmetric"):
         if inertia not in ("auto", "on", "off"):
             raise InputError(f"{inertia!r} is not a choice of inertia; use 'auto', 'on' or 'off'", field="inertia")
         if budget is not None and not budget > 0:
@@ -89,8 +101,7 @@ class Simulator:
             raise InputError("a tilted tool is a correction of whole recordings and has no place in real time; leave "
                              "the tilt out", field="tilt")
         self.model, self.budget, self.inertia, self.tolerance = model, budget, inertia, tolerance
-        layers = model.material.layers
-        self._solver = build_solver(model, mesh or build_mesh(model.experiment, resolution, layers=layers))
+        self._solver = SOLVERS.find(solver, "solver")(model, resolution=resolution, mesh=mesh)
         self._solver.ask_for_stiffness()
         self.density = model.experiment.specimen.density or model.material.density or DENSITY
         if inertia != "off":
@@ -98,38 +109,41 @@ class Simulator:
         # Whether the tool stays on the tissue, and whether the tissue can pull at it.
         self._bonded = model.experiment.friction == "bonded"
         self._pulls = self._bonded or model.experiment.adhesion is not None
-        self._largest_part = _LARGEST_PART * model.experiment.contact_radius
-        self._puncture = PunctureHistory(model.puncture)
+        # A turn counts as the way of a point at the edge of the contact.
+        self._radius = model.experiment.contact_radius
+        self._largest_part = _LARGEST_PART * self._radius
+        self._reduced = ReducedForce(model.material.reduced_effects(model.experiment))
         # Wall time of a linear solve with all that belongs to it, s.
         self._solve_time = 1e-9
         self._answer = ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
-        # Of the last equilibrium: force, stiffness, whether mass counted; and the last stiffness without it.
-        self._equilibrium, self._elastic = (0.0, 0.0, False), 0.0
+        # The last equilibrium, and the last stiffness without mass.
+        self._equilibrium, self._elastic = _AT_REST, _AT_REST.stiffness
         # Where the tool is said to be; whether it has touched the tissue; time since the last equilibrium, and since
         # the tool was fast; and the share of the largest part that works.
-        self._depth, self._touched = 0.0, False
+        self._pose, self._touched = self._solver.pose, False
         self._waiting, self._lingers, self._share = 0.0, math.inf, 1.0
-        # Depth and time step of an iteration that the budget ended, and how often it did.
-        self._attempt: tuple[float, float] | None = None
+        # Pose and time step of an iteration that the budget ended, and how often it did.
+        self._attempt: tuple[Pose, float] | None = None
         self._resumed = 0
         self._start = self.save()
 
     @property
-    def mesh(self) -> Mesh:
+    def mesh(self) -> Any:
         """The undeformed mesh."""
         return self._solver.mesh
 
     def warm_up(self) -> None:
         """Compile what a step needs, or load it from the cache, and leave the state as it is. Takes seconds the first
         time on a computer."""
-        saved, depth = self.save(), self._solver.depth
+        saved, pose = self.save(), self._solver.pose
+        x, y, z = pose.position
         spent = []
         for way in (1e-5, 2e-5, 3e-5):
             started = time.perf_counter()
-            step = self._solver.step(depth + way * self.model.experiment.contact_radius, 1e-3,
+            step = self._solver.step(replace(pose, position=(x, y, z - way * self._radius)), 1e-3,
                                      tolerance=self.tolerance)
             spent.append((time.perf_counter() - started) / (1 + step.iterations))
-            self._elastic = step.stiffness
+            self._elastic = step.stiffness_matrix
         self._solve_time = min(spent)
         self.restore(replace(saved, elastic=self._elastic))
         self._start = replace(self._start, elastic=self._elastic)
@@ -146,37 +160,44 @@ class Simulator:
             late the next one takes over the way and the time that are left.
         """
         began = time.perf_counter()
-        depth = depth_of(pose)
-        if not (math.isfinite(depth) and math.isfinite(dt) and dt >= 0.0):
+        pose = self._solver.follow(pose_of(pose))
+        if not (pose.is_finite and math.isfinite(dt) and dt >= 0.0):
             return replace(self._answer, status=ForceStatus.REFUSED, iterations=0,
                            compute_time=time.perf_counter() - began)
-        before, self._depth = self._depth, depth
-        self._lingers = 0.0 if abs(depth - before) >= INERTIAL_SPEED * dt > 0.0 else self._lingers + dt
+        before, self._pose = self._pose, pose
+        self._lingers = 0.0 if self._distance(before, pose) >= INERTIAL_SPEED * dt > 0.0 else self._lingers + dt
         if not self._touched:
-            if depth < 0.0:
+            height, height_before = pose.position[2], before.position[2]
+            if height > 0.0:
                 # In the air, and the tissue rests as it was.
-                self._answer = ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED, depth=depth,
+                self._answer = ToolForce(_AT_REST.wrench, _AT_REST.stiffness, ForceStatus.CONVERGED, pose=pose,
                                          compute_time=time.perf_counter() - began)
                 return self._answer
             self._touched = True
             # The way from the touch on.
-            dt *= depth / (depth - before) if before < 0.0 else 1.0
+            dt *= height / (height - height_before) if height_before > 0.0 else 1.0
         self._waiting += dt
-        self._answer = self._follow(depth, began)
+        self._answer = self._follow(pose, began)
         return self._answer
 
-    def _follow(self, depth: float, began: float) -> ToolForce:
-        """Step to a depth in as many parts as it takes."""
+    def _distance(self, start: Pose, end: Pose) -> float:
+        """How far the points of the contact go at most, m."""
+        x, y, z, a, b, c = motion(start, end)
+        return math.hypot(x, y, z) + self._radius * math.hypot(a, b, c)
+
+    def _follow(self, pose: Pose, began: float) -> ToolForce:
+        """Step to a pose in as many parts as it takes."""
         solver, status, solves, residual = self._solver, None, 0, self._answer.residual
         inertial = self.inertia == "on" or (self.inertia == "auto" and self._lingers < _LINGERS)
         extrapolates, resumes = True, self._attempt is not None
         anew = not self._bonded
         while status is None:
             started = time.perf_counter()
-            way, part = depth - solver.depth, self._share * self._largest_part
-            share = min(1.0, part / abs(way)) if way else 1.0
+            here = solver.pose
+            way, part = self._distance(here, pose), self._share * self._largest_part
+            share = min(1.0, part / way) if way else 1.0
             # The last part ends where the tool is, without rounding.
-            target, dt = depth if share == 1.0 else solver.depth + share * way, share * self._waiting
+            target, dt = between(here, pose, share), share * self._waiting
             if resumes:
                 target, dt = self._attempt
             # Across a change of contact extrapolation leads astray.
@@ -193,11 +214,11 @@ class Simulator:
             solves, residual = solves + step.iterations, step.residual
             self._clock((time.perf_counter() - started) / (1 + step.iterations))
             if step.status is StepStatus.CONVERGED:
-                self._take(step, inertial and dt > 0.0)
+                self._take(step, dt, inertial and dt > 0.0)
                 self._waiting = max(0.0, self._waiting - dt)
                 self._share, self._attempt, self._resumed = min(1.0, 2.0 * self._share), None, 0
                 extrapolates, resumes = True, False
-                if target == depth and (share == 1.0 or self._waiting == 0.0):
+                if target == pose and (share == 1.0 or self._waiting == 0.0):
                     self._waiting, status = 0.0, ForceStatus.CONVERGED
             elif step.status is StepStatus.SLOW and allowed < most and self._resumed < _PATIENCE:
                 # The next step goes on with this iteration, and with what is left of the way then.
@@ -207,28 +228,36 @@ class Simulator:
             elif order:
                 extrapolates = False
             else:
-                self._share, extrapolates = min(self._share, abs(way) / self._largest_part) / 2.0, True
+                self._share, extrapolates = min(self._share, way / self._largest_part) / 2.0, True
                 if self._share < _SMALLEST_CUT and anew:
                     # Press anew from the touch on; what friction remembers begins there.
-                    solver.let_go()
+                    solver.lift_off()
                     self._share, anew = 1.0, False
                 elif self._share < _SMALLEST_CUT:
                     self._share, status = _SMALLEST_CUT, ForceStatus.STOPPED
-        force, stiffness, inertial = self._equilibrium
+        at, stiffness = self._equilibrium, self._equilibrium.stiffness
+        wrench = at.wrench
         if status is not ForceStatus.CONVERGED:
             # Mass resists a motion within the step, not one that goes on.
             stiffness = self._elastic
-            force += stiffness * (depth - solver.depth)
-            if not self._pulls:
-                force = max(force, 0.0)
-        return ToolForce.axial(force, stiffness, status, solves, residual, time.perf_counter() - began, inertial,
-                         self._waiting, solver.depth)
+            wrench = self._carried_on(wrench, motion(solver.pose, pose))
+        return ToolForce(wrench, stiffness, status, solves, residual, time.perf_counter() - began, at.inertial,
+                         self._waiting, solver.pose)
 
-    def _take(self, step: Step, inertial: bool) -> None:
+    def _carried_on(self, wrench: Screw, way: Screw) -> Screw:
+        """The wrench of the last equilibrium a little further on; tissue that cannot pull at the tool does not."""
+        wrench = tuple(force - sum(k * step for k, step in zip(row, way, strict=True))
+                       for force, row in zip(wrench, self._elastic, strict=True))
+        return wrench if self._pulls or wrench[2] > 0.0 else _AT_REST.wrench
+
+    def _take(self, step: Step, dt: float, inertial: bool) -> None:
         """Keep what an equilibrium answers."""
-        depth = self._solver.depth
-        force, stiffness = self._puncture(depth, step.force), self._puncture.at(depth, step.stiffness)
-        self._equilibrium = force, stiffness, inertial
+        left = self._reduced.go(self._solver.pose.depth, dt)
+        wrench, stiffness = step.wrench, step.stiffness_matrix
+        if left != 1.0:
+            wrench, stiffness = tuple(left * part for part in wrench), tuple(
+                tuple(left * part for part in row) for row in stiffness)
+        self._equilibrium = _Equilibrium(wrench, stiffness, inertial)
         if not inertial:
             self._elastic = stiffness
 
@@ -243,16 +272,16 @@ class Simulator:
 
     def save(self) -> SimulatorState:
         """All that the next step depends on, but for the parameters."""
-        return SimulatorState(self._solver.save(), self._answer, self._equilibrium, self._elastic, self._depth,
-                              self._waiting, self._lingers, self._share, self._touched, self._puncture.deepest)
+        return SimulatorState(self._solver.save(), self._answer, self._equilibrium, self._elastic, self._pose,
+                              self._waiting, self._lingers, self._share, self._touched, self._reduced.history)
 
     def restore(self, state: SimulatorState) -> None:
         """Go back to where `save` was called, in this simulator or in one of the same model and mesh."""
         self._solver.restore(state.solver)
         self._answer, self._equilibrium, self._elastic = state.answer, state.equilibrium, state.elastic
-        self._depth = state.depth
+        self._pose = state.pose
         self._waiting, self._lingers, self._share = state.waiting, state.lingers, state.share
-        self._touched, self._puncture.deepest = state.touched, state.deepest
+        self._touched, self._reduced.history = state.touched, state.history
         self._attempt, self._resumed = None, 0
 
     def set_parameters(self, **values: float) -> None:
@@ -265,17 +294,17 @@ class Simulator:
         Raises:
             InputError: no such parameter, or a value that the material refuses; nothing is changed.
         """
-        material = with_parameters(self.model.material, values)
+        material = with_values(self.model.material, values)
         _require_same_layers(self.model.material, material)
         self._solver.set_material(material)
         self.model = replace(self.model, material=material)
-        deepest = self._puncture.deepest
-        self._puncture = PunctureHistory(self.model.puncture)
-        self._puncture.deepest = deepest
+        history = self._reduced.history
+        self._reduced = ReducedForce(material.reduced_effects(self.model.experiment))
+        self._reduced.history = history
 
-    def surface(self) -> DeformedSurface:
+    def surface(self) -> Surface:
         """The surface of the tissue at the last equilibrium."""
-        return deformed_surface(self._solver)
+        return self._solver.surface()
 
     def snapshot(self) -> Snapshot:
         """The whole tissue at the last equilibrium, with its fields."""

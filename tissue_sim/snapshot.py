@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tissue_sim.fem.axisymmetric.fields import Fields
-
-if TYPE_CHECKING:
-    from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
+from tissue_sim.fem.solver import Fields, Solver
+from tissue_sim.pose import Pose
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,22 +15,28 @@ class Snapshot:
     """An equilibrium.
 
     Attributes:
-        depth: tool displacement, m.
+        pose: of the tool.
         datum: height at which the tool first touches, m: 0 but for a specimen that sags under its own weight.
-        fields: of this one sample.
+        fields: of this one sample; None of a tissue that has none.
     """
 
-    depth: float
+    pose: Pose
     datum: float
-    fields: Fields
+    fields: Fields | None
+
+    @property
+    def depth(self) -> float:
+        """Tool displacement, m."""
+        return self.pose.depth
 
     @property
     def place(self) -> np.ndarray:
-        """Where the nodes are (r, z), m, in the frame of the scene, shape (nodes, 2)."""
-        return self.fields.mesh.nodes + self.fields.displacement() - [0.0, self.datum]
+        """Where the nodes are, the height last, m, in the frame of the scene, shape (nodes, 2) or (nodes, 3)."""
+        place = self.fields.mesh.nodes + self.fields.displacement()
+        place[:, -1] -= self.datum
+        return place
 
 
-def snapshot(solver: AxisymmetricSolver) -> Snapshot:
+def snapshot(solver: Solver) -> Snapshot:
     """The last committed state of a solver."""
-    stresses = [solver.memory.total()] if solver.memory.works else []
-    return Snapshot(solver.depth, solver.datum, Fields.of(solver, [solver.state], stresses))
+    return Snapshot(solver.pose, solver.datum, solver.fields([solver.sample()]))

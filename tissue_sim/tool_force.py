@@ -15,6 +15,16 @@ _NONE: Screw = (0.0,) * 6
 _AT_THE_TOUCH = Pose((0.0, 0.0, 0.0))
 
 
+def axial_wrench(force: float) -> Screw:
+    """The wrench of a force along z, N."""
+    return (0.0, 0.0, force, 0.0, 0.0, 0.0)
+
+
+def axial_stiffness(stiffness: float) -> Matrix:
+    """The stiffness matrix of what resists along z only, N/m."""
+    return (_NONE, _NONE, (0.0, 0.0, stiffness, 0.0, 0.0, 0.0), _NONE, _NONE, _NONE)
+
+
 class ForceStatus(IntEnum):
     """How the force of a step came about; every number but that of a refused pose is the best that is known."""
 
@@ -69,9 +79,8 @@ class ToolForce:
               compute_time: float = 0.0, inertial: bool = False, age: float = 0.0, depth: float = 0.0) -> ToolForce:
         """Of a scene that knows the motion along z only: force, N, stiffness, N/m, and depth, m, of the last
         equilibrium."""
-        return cls((0.0, 0.0, force, 0.0, 0.0, 0.0),
-                   (_NONE, _NONE, (0.0, 0.0, stiffness, 0.0, 0.0, 0.0), _NONE, _NONE, _NONE),
-                   status, iterations, residual, compute_time, inertial, age, Pose.at_depth(depth))
+        return cls(axial_wrench(force), axial_stiffness(stiffness), status, iterations, residual, compute_time,
+                   inertial, age, Pose.at_depth(depth))
 
     @property
     def force(self) -> float:
@@ -101,7 +110,11 @@ class ToolForce:
     @property
     def is_finite(self) -> bool:
         """Whether wrench and stiffness are numbers."""
-        return math.isfinite(sum(self.wrench) + sum(map(sum, self.stiffness_matrix)))
+        total = sum(self.wrench)
+        for row in self.stiffness_matrix:
+            if row is not _NONE:
+                total += sum(row)
+        return math.isfinite(total)
 
 
 class Tissue(Protocol):

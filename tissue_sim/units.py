@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 
 from tissue_sim.errors import InputError, nearest
@@ -21,6 +22,9 @@ UNITS: dict[str, tuple[str, float, float]] = {
 }
 _SPELLINGS = {"µm": "um", "μm": "um", "µN": "uN", "μN": "uN", "°C": "degC", "sec": "s", "N.mm": "Nmm",
               "N/mm²": "N/mm^2"}
+#: SI unit -> unit in which people are shown a value, and that many of them in one SI unit; any other as it is.
+_SHOWN = {"Pa": ("kPa", 1e-3), "1/Pa": ("1/MPa", 1e6), "m": ("mm", 1e3), "m2/s": ("mm²/s", 1e6), "m/N": ("mm/N", 1e3),
+          "rad": ("deg", 180.0 / math.pi), "1": ("", 1.0)}
 _HEADER = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]()]*)[\])]\s*$")
 
 
@@ -42,6 +46,11 @@ def to_si(unit: str, quantity: str | None = None) -> tuple[float, float]:
         wanted = ", ".join(name for name, entry in UNITS.items() if entry[0] == quantity)
         raise InputError(f"unit {unit!r} is a {found}, expected a {quantity} ({wanted})")
     return factor, offset
+
+
+def shown(unit: str) -> tuple[str, float]:
+    """The unit in which people are shown values of an SI unit, and the factor that takes them there."""
+    return _SHOWN.get(unit, (unit, 1.0))
 
 
 def split_header(header: str) -> tuple[str, str | None]:

@@ -11,25 +11,26 @@ from typing import Any
 import numpy as np
 
 from calibration.campaign.checks import (
-    HOMOGENEOUS,
     check_available,
     check_bulk_ratio,
+    check_closed,
     check_parameters,
     check_unused,
     find_recordings,
     read_columns_key,
     require_positive,
 )
-from calibration.campaign.effects import check_effects, is_effect
+from calibration.campaign.experiments import read_experiment, read_rig
+from calibration.campaign.parameters import Named, Surroundings, check_values, find_named, stated_material
 from calibration.campaign.schema import CampaignTable, FitTable, NoiseTable, SpecimenTable, TestTable, decode_campaign
-from calibration.campaign.setup import Setup, check_homogeneous, read_setup
 from tissue_sim.errors import InputError, nearest
-from tissue_sim.experiment.experiment import STANDARD_GRAVITY, Specimen
+from tissue_sim.experiment.experiment import STANDARD_GRAVITY, Experiment, Specimen
+from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.laws import LAWS
-from tissue_sim.material.material import Bulk
-from tissue_sim.recording.file import KINDS
-from tissue_sim.recording.formats import check_delimiter
+from tissue_sim.material.material import Bulk, Material
+from tissue_sim.recording.formats.columns import check_delimiter
+from tissue_sim.rig.rig import Rig
 
 #: Prior standard deviation of a contact offset when neither the fit nor the noise states one, m.
 DEFAULT_OFFSET_PRIOR = 0.05e-3
@@ -46,30 +47,27 @@ class Test:
 
     Attributes:
         name: unique in the campaign.
-        kind: a key of `tissue_sim.recording.file.KINDS`.
+        kind: what it is.
         specimen: None where the recordings are stretch and stress already.
         recordings: files, sorted, at least one.
         reading: how to read them, the options of `tissue_sim.read_recordings`.
         max_strain: fitted window of the nominal strain (shear strain for shear), or None for everything.
         hold_out: predicted, not fitted.
         place: where it stands in the campaign file, such as ``test[0]``.
-        setup: tool, interfaces and rig, of an inverse fit; None of tension and shear.
+        experiment: everything but the motion, which is a short one here; None of a gripped specimen.
+        rig: what stands between the tissue and the recordings; without noise and resolution.
     """
 
     name: str
-    kind: str
+    kind: TestKind
     specimen: Specimen | None
     recordings: tuple[Path, ...]
     reading: Mapping[str, Any] = field(default_factory=lambda: _read_only())
     max_strain: float | None = None
     hold_out: bool = False
     place: str = "test"
-    setup: Setup | None = None
-
-    @property
-    def mode(self) -> str:
-        """Mode of `Law.nominal_stress`, of a homogeneous test."""
-        return HOMOGENEOUS[self.kind]
+    experiment: Experiment | None = None
+    rig: Rig = field(default_factory=Rig)
 
 
 def _read_only(values: Mapping | None = None) -> Mapping:
@@ -89,9 +87,9 @@ class FitSettings:
         zero_bound, zero_prior: N; None: ten times the prior, which is five times the noise of the force.
         strain_points: evenly spaced strains that every replicate is interpolated to, or None for its own samples.
         starts: how many an inverse fit tries.
-        start, fixed: parameter -> value, SI; for an inverse fit also other parameters of the material, by the paths of
-            `tissue_sim.material.parameters`, which it then has. prior: parameter -> (mean, standard deviation).
-            bounds: (low, high).
+        named: path -> what it is, of every parameter that the campaign names; see `calibration.campaign.parameters`.
+        start, fixed: path -> value, SI; parts of the material that they name it then has. prior: path -> (mean,
+            standard deviation). bounds: (low, high).
     """
 
     laws: tuple[str, ...]
@@ -104,15 +102,21 @@ class FitSettings:
     strain_points: int | None = None
     starts: int = DEFAULT_STARTS
     method: str = "analytical"
+    named: Mapping[str, Named] = field(default_factory=_read_only)
     start: Mapping[str, float] = field(default_factory=_read_only)
     fixed: Mapping[str, float] = field(default_factory=_read_only)
     prior: Mapping[str, tuple[float, float]] = field(default_factory=_read_only)
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=_read_only)
 
     @property
-    def effects(self) -> tuple[str, ...]:
-        """Paths of the material's parameters beside those of its law."""
-        return tuple(name for name in (*self.start, *self.fixed) if is_effect(name))
+    def others(self) -> tuple[str, ...]:
+        """Paths of the parameters that are fitted or stated beside those of the laws."""
+        return tuple(path for path in (*self.start, *self.fixed) if path in self.named and not self.named[path].of_law)
+
+    @property
+    def material(self) -> Material:
+        """A material of whatever law with the parts that the campaign names: to ask what it does."""
+        return stated_material({**self.start, **self.fixed}, self.named)
 
 
 @dataclass(frozen=True)
@@ -171,7 +175,7 @@ def load_campaign(path: str | Path) -> Campaign:
     try:
         specimens = _specimens(table)
         tests = _tests(table, specimens, path.parent)
-        return Campaign(path, _read_only(specimens), tests, _fit_settings(table.fit, table.noise),
+        return Campaign(path, _read_only(specimens), tests, _fit_settings(table.fit, table.noise, tests),
                         _noise(table.noise, table.fit.method), hashlib.sha256(data).hexdigest(), _density(tests))
     except InputError as error:
         raise error.located(file=path) from None
@@ -232,8 +236,8 @@ def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path
                              field=f"{field}.protocol")
         require_positive(entry.speed_mm_s, f"{field}.speed_mm_s", " mm/s")
         require_positive(entry.max_strain, f"{field}.max_strain")
-        compressed = entry.kind not in ("uniaxial_tension", "simple_shear")
-        if entry.max_strain is not None and compressed and entry.max_strain >= 1:
+        kind = KINDS[entry.kind]
+        if entry.max_strain is not None and kind.sign < 0 and entry.max_strain >= 1:
             raise InputError(f"{entry.max_strain:g} is not below 1, where the specimen would have no height left",
                              field=f"{field}.max_strain")
         if entry.skip_lines is not None and entry.skip_lines < 0:
@@ -245,13 +249,11 @@ def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path
         columns = read_columns_key(entry, field)
         if entry.delimiter is not None:
             check_delimiter(entry.delimiter, f"{field}.delimiter")
-        specimen, setup = _find_specimen(entry, specimens, table, field), None
-        if table.fit.method == "inverse_fem":
-            check_homogeneous(entry.kind, specimen, field)
-            setup = read_setup(entry, specimen, folder, field)
+        specimen = _find_specimen(entry, specimens, table, field)
         tests[name] = Test(
-            name, entry.kind, specimen, find_recordings(entry.recordings, folder, f"{field}.recordings"),
-            _reading(entry, columns), entry.max_strain, entry.hold_out, field, setup)
+            name, kind, specimen, find_recordings(entry.recordings, folder, f"{field}.recordings"),
+            _reading(entry, columns), entry.max_strain, entry.hold_out, field,
+            read_experiment(entry, specimen, folder, field), read_rig(entry, folder, field))
     if all(test.hold_out for test in tests.values()):
         raise InputError("every test is held out, so there is nothing to fit; set hold_out = false on one",
                          field="test[0].hold_out")
@@ -273,20 +275,23 @@ def _find_specimen(entry: TestTable, specimens: Mapping[str, Specimen], table: C
     if entry.specimen is None and len(specimens) > 1:
         raise InputError(f"name one of the specimens: {', '.join(specimens)}", field=f"{field}.specimen")
     found = next(iter(specimens.values()), None) if entry.specimen is None else specimens[entry.specimen]
-    standing = ("lubricated_compression",) if table.fit.method == "analytical" else \
-        tuple(kind for kind in KINDS if kind not in ("uniaxial_tension", "simple_shear"))
-    if found is not None and found.specific_weight and entry.kind not in standing:
+    kind = KINDS[entry.kind]
+    stands = kind.settles if table.fit.method == "analytical" else not kind.gripped
+    if found is not None and found.specific_weight and not stands:
         raise InputError(f"gravity = true is for a specimen that stands under a plate, and {entry.kind} does not say "
                          "how it hangs or lies; give this test a specimen with gravity = false",
                          field=f"{field}.specimen")
     prism = found is not None and table.specimen[list(specimens).index(found.name)].shape == "prism"
-    if prism and entry.kind not in HOMOGENEOUS:
+    if found is None and kind.closed_form is None:
+        raise InputError(f"{entry.kind} is simulated on its specimen; add a [[specimen]] and name it here",
+                         field=f"{field}.specimen")
+    if prism and kind.closed_form is None:
         raise InputError(f"{entry.kind} is simulated on a cylinder, and {found.name!r} is a prism; use shape = "
                          "'cylinder' with radius_mm", field=f"{field}.specimen")
     return found
 
 
-def _fit_settings(table: FitTable, noise: NoiseTable) -> FitSettings:
+def _fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ...]) -> FitSettings:
     if not table.laws:
         raise InputError(f"name at least one law; known: {', '.join(LAWS)}", field="fit.laws")
     for i, name in enumerate(table.laws):
@@ -302,11 +307,16 @@ def _fit_settings(table: FitTable, noise: NoiseTable) -> FitSettings:
     if table.starts is not None and not 1 <= table.starts <= MOST_STARTS:
         raise InputError(f"{table.starts} starts; give 1 to {MOST_STARTS}", field="fit.starts")
     check_unused(table, noise)
-    effects = check_effects(table)
-    check_parameters(table, effects)
-    if effects and table.strain_points is not None:
-        raise InputError(f"points at even strains have no history, and {effects[0]} needs one; leave it out",
-                         field="fit.strain_points")
+    check_parameters(table)
+    named = find_named(table, [
+        Surroundings(test.name, None if test.specimen is None else test.experiment, test.rig) for test in tests])
+    check_values(table, named)
+    if table.method == "analytical":
+        check_closed(table, named)
+    by_path = {what.path: what for what in named.values()}
+    start, fixed, prior, bounds = (
+        {named[name].path: _in_SI(value, named[name].declaration.factor) for name, value in getattr(table, key).items()}
+        for key in ("start", "fixed", "prior", "bounds"))
     offset_prior = next((value * 1e-3 for value in (table.offset_prior_mm, noise.contact_jitter_mm)
                          if isinstance(value, float | int) and value > 0), DEFAULT_OFFSET_PRIOR)
     zero_prior = next((float(value) for value in (table.zero_prior_N, noise.zero_jitter_N)
@@ -317,8 +327,12 @@ def _fit_settings(table: FitTable, noise: NoiseTable) -> FitSettings:
         offset_bound=DEFAULT_OFFSET_BOUND if table.offset_bounds_mm is None else table.offset_bounds_mm * 1e-3,
         zero_bound=table.zero_bounds_N, zero_prior=zero_prior, strain_points=table.strain_points,
         starts=table.starts or DEFAULT_STARTS, method=table.method,
-        start=_read_only(table.start), fixed=_read_only(table.fixed), prior=_read_only(table.prior),
-        bounds=_read_only(table.bounds))
+        named=_read_only(by_path), start=_read_only(start), fixed=_read_only(fixed), prior=_read_only(prior),
+        bounds=_read_only(bounds))
+
+
+def _in_SI(value: float | tuple[float, float], factor: float) -> float | tuple[float, float]:
+    return tuple(factor * each for each in value) if isinstance(value, tuple) else factor * value
 
 
 def _noise(table: NoiseTable, method: str) -> Noise:

@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from calibration.campaign.parameters import SHARED, Named, is_of_material
 from calibration.campaign.schema import FitTable, NoiseTable, TestTable
 from tissue_sim.errors import InputError, nearest
+from tissue_sim.experiment.interfaces import INTERFACES
+from tissue_sim.experiment.kinds.kind import KINDS
+from tissue_sim.experiment.tools.tool import TOOLS, read_shape
 from tissue_sim.frozen_mapping import read_only
-from tissue_sim.laws import LAWS
 from tissue_sim.material.material import BULK_RATIOS
-from tissue_sim.recording.file import KINDS
-from tissue_sim.recording.formats import check_columns
-
-#: Test kinds with a homogeneous deformation -> mode of `Law.nominal_stress`.
-HOMOGENEOUS = {"lubricated_compression": "uniaxial", "uniaxial_tension": "uniaxial", "simple_shear": "simple_shear"}
-#: What `tool` may say; a profile file beside these.
-TOOLS = ("plate", "flat", "round", "cone", "sphere")
-#: What a friction may say in words; a coefficient beside these.
-FRICTIONS = ("bonded", "stick", "frictionless")
+from tissue_sim.recording.formats.columns import check_columns
 
 
 def require_positive(value: float | None, field: str, unit: str = "") -> None:
@@ -40,29 +35,28 @@ def check_bulk_ratio(ratio: float | None) -> None:
 
 def check_available(entry: TestTable, field: str) -> None:
     """Keys of later versions, and keys that contradict a plate on a homogeneous test."""
-    if entry.kind not in HOMOGENEOUS:
-        raise InputError(f"the analytical method takes {', '.join(HOMOGENEOUS)}; for {entry.kind!r} set fit.method = "
-                         "'inverse_fem'", field=f"{field}.kind")
-    if entry.tool not in TOOLS and not Path(entry.tool).suffix:
-        raise InputError(f"unknown tool {entry.tool!r}{nearest(entry.tool, TOOLS)}", field=f"{field}.tool")
-    if entry.tool != "plate":
+    kind = KINDS[entry.kind]
+    if kind.closed_form is None:
+        known = ", ".join(name for name, other in KINDS.items() if other.closed_form is not None)
+        raise InputError(f"the analytical method takes {known}; for {entry.kind!r} set fit.method = 'inverse_fem'",
+                         field=f"{field}.kind")
+    if entry.tool is not None and not TOOLS.find(read_shape(entry.tool)[0], f"{field}.tool").is_plate:
         raise InputError(f"a homogeneous test is done with a plate, not with {entry.tool!r}; leave it out",
                          field=f"{field}.tool")
     for key in ("protocol", "rig"):
         if getattr(entry, key) is not None:
             raise InputError("does not belong to the analytical method; leave it out, or set fit.method = "
                              "'inverse_fem'", field=f"{field}.{key}")
-    for key in ("tool_radius_mm", "edge_radius_mm", "half_angle_deg", "tip_radius_mm", "friction_wall"):
-        if getattr(entry, key):
+    for key, value in {**entry.tool_sizes, "friction_wall": entry.friction_wall}.items():
+        if value:
             raise InputError(f"a plate that covers the specimen has no {key}; leave it out", field=f"{field}.{key}")
-    expected = ("frictionless", 0) if entry.kind == "lubricated_compression" else ("bonded",)
-    for key in ("friction", "friction_base"):
+    for key, face in kind.faces.items():
         value = getattr(entry, key)
-        if isinstance(value, str) and value not in FRICTIONS:
-            raise InputError(f"unknown friction {value!r}{nearest(value, FRICTIONS)}; or give a coefficient",
+        if isinstance(value, str) and value not in INTERFACES:
+            raise InputError(f"unknown friction {value!r}{nearest(value, INTERFACES)}; or give a coefficient",
                              field=f"{field}.{key}")
-        if value is not None and value not in expected:
-            raise InputError(f"{value!r} contradicts kind = {entry.kind!r}, whose faces are {expected[0]}; leave it "
+        if face.fixed and value is not None and (value or "frictionless") != face.usual:
+            raise InputError(f"{value!r} contradicts kind = {entry.kind!r}, whose faces are {face.usual}; leave it "
                              "out", field=f"{field}.{key}")
 
 
@@ -74,10 +68,7 @@ def read_columns_key(entry: TestTable, field: str) -> Mapping[str, Any] | None:
         columns = check_columns(entry.columns)
     except InputError as error:
         raise error.located(field=field) from None
-    pairs = KINDS[entry.kind]
-    if not any(set(pair) <= set(columns) for pair in pairs):
-        raise InputError(f"{entry.kind} needs the columns {' or '.join(' and '.join(pair) for pair in pairs)}",
-                         field=f"{field}.columns")
+    KINDS[entry.kind].require_channels(columns, f"columns has {', '.join(columns)}", field=f"{field}.columns")
     return read_only(columns)
 
 
@@ -132,18 +123,25 @@ def check_unused(table: FitTable, noise: NoiseTable) -> None:
                                  "offset out", field=f"noise.{key}")
 
 
-def check_parameters(table: FitTable, effects: Sequence[str] = ()) -> None:
-    """Names and values of start, fixed, prior and bounds; `effects` are names beside those of the laws."""
-    known = [*sorted({parameter for law in table.laws for parameter in LAWS[law].parameters}), *effects]
+def check_closed(table: FitTable, named: Mapping[str, Named]) -> None:
+    """Refuse parameters that a closed form does not have."""
+    others = [name for name in named if not named[name].of_law]
+    if others and table.strain_points is not None:
+        raise InputError(f"points at even strains have no history, and {others[0]} needs one; leave it out",
+                         field="fit.strain_points")
+    for name, what in named.items():
+        if not is_of_material(name, named) or what.scope != SHARED:
+            key = next(key for key in ("scope", "start", "fixed", "prior", "bounds") if name in getattr(table, key))
+            raise InputError("the analytical method fits one material to all tests; leave it out, or set fit.method = "
+                             "'inverse_fem'", field=f"fit.{key}.{name}")
+
+
+def check_parameters(table: FitTable) -> None:
+    """Refuse numbers of start, fixed, prior and bounds that contradict each other or are none."""
     for key in ("start", "fixed", "prior", "bounds"):
         for name, value in getattr(table, key).items():
-            field = f"fit.{key}.{name}"
-            if name not in known:
-                hint = nearest(name, known)
-                hint += '; other parameters of the material are paths in quotes, "viscoelastic.terms[0].g"'
-                raise InputError(f"none of the listed laws has a parameter {name!r}{hint}", field=field)
             if np.isnan(value).any() or (key != "bounds" and not np.isfinite(value).all()):
-                raise InputError(f"{value} is not finite; give a number", field=field)
+                raise InputError(f"{value} is not finite; give a number", field=f"fit.{key}.{name}")
     for name, (low, high) in table.bounds.items():
         if not low < high:
             raise InputError(f"[{low:g}, {high:g}] is empty; give the lower bound first", field=f"fit.bounds.{name}")

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calibration.campaign.campaign import Campaign, Test
-from calibration.forward.motion import label_segments, number_runs
 from calibration.statistics.sensor_noise import SensorNoise, estimate_shared_noise, spread_stamps
 from calibration.statistics.statistics import estimate_noise, resolution
 from tissue_sim.errors import InputError
-from tissue_sim.recording.file import KINDS, read_recordings
+from tissue_sim.material.material import Material
+from tissue_sim.recording.file import read_recordings
 from tissue_sim.recording.recording import MIN_POINTS, Recording
+from tissue_sim.recording.segmentation import label_motion, number_runs
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -26,7 +27,6 @@ SIZE_TOLERANCE = 0.02
 NOT_LOADING = ("approach", "hold", "unload", "reload", "retract")
 #: Replicates of one test may differ by this share in their speed and in their largest displacement.
 REPLICATE_TOLERANCE = 0.2
-_GRIPPED = ("uniaxial_tension", "simple_shear")
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,19 +70,9 @@ class MeasuredCurve:
         return float(way / duration) if duration > 0 else None
 
 
-def remembers(test: Test, effects: tuple[str, ...]) -> bool:
-    """Whether force depends on the way of the tool and not on its place alone, so that unloading is fitted too.
-
-    Args:
-        test: its friction counts. effects: paths of the material's parameters beside those of its law.
-    """
-    slides = test.setup is not None and test.setup.slides
-    return slides or any(name.startswith(("viscoelastic", "poroelasticity", "softening")) for name in effects)
-
-
-def ages(effects: tuple[str, ...]) -> bool:
-    """Whether force depends on time."""
-    return any(name.startswith(("viscoelastic", "poroelasticity")) for name in effects)
+def remembers(test: Test, material: Material) -> bool:
+    """Whether force depends on the way of the tool and not on its place alone, so that unloading is fitted too."""
+    return material.remembers or (test.experiment is not None and test.experiment.slides)
 
 
 def read_measured(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:
@@ -100,7 +90,7 @@ def read_measured(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:
         curves: list[MeasuredCurve] = []
         for path in test.recordings:
             try:
-                recordings = read_recordings(path, kind=test.kind, **test.reading)
+                recordings = read_recordings(path, kind=test.kind.name, **test.reading)
                 curves += [_curve(recording, name, path, test, campaign)
                            for recording, name in zip(recordings, names_of(recordings, path, test), strict=True)]
             except InputError as error:
@@ -142,16 +132,15 @@ def check_size(recording: Recording, test: Test, campaign: Campaign, path: Path)
 
 
 def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Campaign) -> MeasuredCurve:
-    effects = campaign.fit.effects
+    material, closed = campaign.fit.material, campaign.fit.method == "analytical" or test.experiment is None
     check_size(recording, test, campaign, path)
     displacement, force, stressed = _mechanical(recording, test, path)
-    _check_parts(test, effects, stressed, path)
+    _check_parts(test, material, stressed or closed, path)
     time = np.array(recording.time) if "time" in recording else None
-    rig = None if test.setup is None else test.setup.rig
-    if time is None and rig is not None and (rig.latency or rig.rate_damping or rig.sensor_drift):
+    if time is None and test.rig.needs_time:
         raise InputError(f"{path.name} has no time, and the rig of its test needs it (latency, damping or drift); give "
                          "a time column, or speed_mm_s", field="recordings")
-    remembering, height = remembers(test, effects), 1.0 if test.specimen is None else test.specimen.height
+    remembering, height = remembers(test, material), 1.0 if test.specimen is None else test.specimen.height
     labels = np.char.lower(recording.labels["segment"].astype(str)) if "segment" in recording.labels else None
     keep = np.ones(displacement.size, bool)
     if labels is not None:
@@ -163,7 +152,7 @@ def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Ca
     if remembering:
         if time is None:
             raise InputError(f"{path.name} has no time, and the force of this material depends on it; give a time "
-                             "column, or speed_mm_s" if ages(effects) else
+                             "column, or speed_mm_s" if material.ages else
                              f"{path.name} has no time, which tells loading from unloading; give a time column, or "
                              "speed_mm_s", field="recordings")
         if not np.ptp(time) > 0:
@@ -182,7 +171,7 @@ def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Ca
         later = displacement.size - 1 - int(places[-1]) if time is not None else 0
     loading, inside = places, np.ones(places.size, bool)
     if test.max_strain is not None:
-        reached = np.abs(displacement) if test.kind == "simple_shear" else displacement
+        reached = np.abs(displacement) if test.kind.both_ways else displacement
         inside = reached[places] <= test.max_strain * height * (1 + 1e-9)
         # A window of the loading; what comes after the first sample beyond it had a history outside it.
         beyond = np.flatnonzero(~inside)
@@ -191,8 +180,8 @@ def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Ca
         raise InputError(f"{path.name} has {places.size} points of loading in the window; at least {MIN_POINTS} are "
                          "needed, so sort the file by time or widen max_strain", field="recordings")
     if np.sum(force[places] * displacement[places]) <= 0:
-        raise InputError(f"{path.name} has a force or stress against the load; {test.kind} expects force above zero, "
-                         "so turn the column with sign = -1", field="recordings")
+        raise InputError(f"{path.name} has a force or stress against the load; {test.kind.name} expects force above "
+                         "zero, so turn the column with sign = -1", field="recordings")
     time = None if time is None else time[places]
     if remembering:
         if "speed" in test.reading and (np.diff(time) <= 0).any():
@@ -201,7 +190,7 @@ def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Ca
         if campaign.fit.method != "analytical":
             # A clock that is coarser than the sampling.
             time = spread_stamps(time, time.size)
-        labels = number_runs(label_segments(time, displacement[places]) if labels is None else labels[places])
+        labels = number_runs(label_motion(time, displacement[places]) if labels is None else labels[places])
     curve = MeasuredCurve(name, test, time, displacement[places], force[places], labels if remembering else None, path,
                           str(recording.metadata.get("sha256", "")), stressed, later)
     if campaign.fit.method == "analytical":
@@ -218,7 +207,7 @@ def _check_way(displacement: np.ndarray, height: float, test: Test, path: Path) 
         raise InputError(f"{path.name} does not move: its displacement has the same value in all {displacement.size} "
                          "samples of loading; check which column it is read from", field="recordings")
     largest = float(displacement.max())
-    if test.kind not in _GRIPPED and largest >= height:
+    if not test.kind.gripped and largest >= height:
         raise InputError(f"{path.name} reaches stretch {1 - largest:g}; a stretch is above zero"
                          if test.specimen is None else
                          f"{path.name} goes to {largest * 1e3:g} mm, deeper than the specimen {test.specimen.name!r} "
@@ -258,7 +247,7 @@ def _evenly_spaced(displacement: np.ndarray, curve: MeasuredCurve,
     height = 1.0 if test.specimen is None else test.specimen.height
     limit = np.inf if test.max_strain is None else test.max_strain * height
     way, samples = np.unique(displacement, return_index=True)
-    start = max(way[0], -limit if test.kind == "simple_shear" else 0.0)
+    start = max(way[0], -limit if test.kind.both_ways else 0.0)
     grid = np.linspace(start, min(way[-1], limit), points)
     inside = int(np.sum((way >= grid[0]) & (way <= grid[-1] * (1 + 1e-9))))
     if points > inside:
@@ -271,25 +260,25 @@ def _evenly_spaced(displacement: np.ndarray, curve: MeasuredCurve,
     return grid, csr_array((weights, places), shape=(points, displacement.size))
 
 
-def _check_parts(test: Test, effects: tuple[str, ...], stressed: bool, path: Path) -> None:
+def _check_parts(test: Test, material: Material, closed: bool, path: Path) -> None:
     """Refuse what the closed form of a homogeneous test leaves out."""
-    if test.setup is not None and not stressed:
+    if not closed:
         return
-    if any(name.startswith("layers") for name in effects):
+    if material.layers:
         raise InputError(f"a layered specimen does not deform homogeneously, and {path.name} has a closed form only; "
                          "give displacement and force of a compression or a needle", field="kind")
-    if test.specimen is not None and test.specimen.specific_weight and test.setup is None and remembers(test, effects):
+    if test.specimen is None and material.poroelasticity is not None:
+        raise InputError("a material that drains needs the size of the specimen; add a [[specimen]]", field="specimen")
+    if test.specimen is not None and test.specimen.specific_weight and material.remembers:
         raise InputError("a specimen that weighs has no closed form of a material that remembers; set gravity = false, "
                          "or fit.method = 'inverse_fem'", field="specimen")
-    if test.specimen is None and any(name.startswith("poroelasticity") for name in effects):
-        raise InputError("a material that drains needs the size of the specimen; add a [[specimen]]", field="specimen")
-    if test.setup is not None and not test.setup.rig.ideal:
+    if not test.rig.ideal:
         raise InputError(f"{path.name} holds stress, which no load frame reads; leave the rig out", field="rig")
 
 
 def _mechanical(recording: Recording, test: Test, path: Path) -> tuple[np.ndarray, np.ndarray, bool]:
     """Displacement, m, and force, N, positive under load, and whether they were recorded as strain and stress."""
-    mechanical, *direct = KINDS[test.kind]
+    mechanical, *direct = test.kind.channels
     stated = next((pair for pair in direct if all(name in recording for name in pair)), None)
     if all(name in recording for name in mechanical) and (test.specimen is not None or stated is None):
         if test.specimen is None:
@@ -297,17 +286,16 @@ def _mechanical(recording: Recording, test: Test, path: Path) -> tuple[np.ndarra
                              field="specimen")
         return np.array(recording.displacement), np.array(recording.force), False
     if stated is None:
-        wanted = ", or ".join(" and ".join(pair) for pair in KINDS[test.kind])
-        raise InputError(f"{path.name} has {', '.join(recording.channels)}; {test.kind} needs {wanted}",
+        wanted = ", or ".join(" and ".join(pair) for pair in test.kind.channels)
+        raise InputError(f"{path.name} has {', '.join(recording.channels)}; {test.kind.name} needs {wanted}",
                          field="recordings")
-    if test.setup is None and test.specimen is not None and test.specimen.specific_weight:
+    if test.specimen is not None and test.specimen.specific_weight:
         raise InputError(f"{path.name} holds {' and '.join(stated)}, which differ from slice to slice under gravity = "
                          f"true; give {' and '.join(mechanical)}, or set gravity = false", field="recordings")
     motion, load = stated
-    sign = -1.0 if test.kind == "lubricated_compression" else 1.0
-    rest = 1.0 if motion == "stretch" else 0.0
     height, area = (1.0, 1.0) if test.specimen is None else (test.specimen.height, test.specimen.area)
-    return sign * height * (recording.channel(motion) - rest), sign * area * recording.channel(load), True
+    return (height * test.kind.strain(recording.channel(motion)), test.kind.sign * area * recording.channel(load),
+            True)
 
 
 def _check_replicates(curves: list[MeasuredCurve], test: Test, campaign: Campaign) -> None:

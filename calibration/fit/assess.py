@@ -33,7 +33,7 @@ def assess(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descen
     law, evaluation = find_law(space.law), problem.evaluate(estimate.theta)
     theta = estimate.theta[: len(space.free)]
     values = space.values(theta)
-    moduli = {name: values[name] for name in law.parameters}
+    moduli = space.of_law(values)
     errors: dict[str, float | None] = dict.fromkeys(space.fixed, 0.0)
     errors |= {name: float(e) if np.isfinite(e) else None
                for name, e in zip(space.free, spread.standard_errors, strict=False)}

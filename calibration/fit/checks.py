@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from calibration.campaign.campaign import Campaign
-from calibration.campaign.effects import is_effect
 from calibration.fit.problem import Problem
 from calibration.fit.starts import starts
 from calibration.forward.contract import InfeasibleError
@@ -34,7 +33,7 @@ def check_start(problem: Problem, campaign: Campaign, number: int) -> None:
                          field=f"fit.laws[{number}]")
     theta = starts(space, 1)[0]
     values = space.values(theta)
-    own = {name: value for name, value in values.items() if not is_effect(name)}
+    own = space.of_law(values)
     stated = [name for name in own if name in campaign.fit.start or name in campaign.fit.fixed]
     key = "start" if any(name in campaign.fit.start for name in stated) else "fixed"
     try:
@@ -63,11 +62,11 @@ def check_start(problem: Problem, campaign: Campaign, number: int) -> None:
 def _check_stable(problem: Problem, campaign: Campaign, law, own: dict[str, float], key: str) -> None:
     """Refuse a stated law that loses stability in a homogeneous test inside its data."""
     for test in problem.tests:
-        if not test.homogeneous or test.mode != "uniaxial":
+        if not test.homogeneous or not test.closed_form.rest:
             continue
         strain = max(float(curve.displacement.max()) for curve in test.measured) / test.height
-        low, high = (1 - strain, 1.01) if test.compressed else (0.99, 1 + strain)
-        lower, upper = check_stability(law, law.as_array(own), (min(low, 0.99), high)).limits["uniaxial"]
+        low, high = (1 - strain, 1.01) if test.sign < 0 else (0.99, 1 + strain)
+        lower, upper = check_stability(law, law.as_array(own), (min(low, 0.99), high)).limits[test.closed_form.mode]
         if lower > low or upper < high:
             limit, end = (lower, low) if lower > low else (upper, high)
             raise InputError(f"{law.name} loses stability at stretch {limit:.3g} with this start, inside the data of "

@@ -74,7 +74,7 @@ def _path(test: ForwardTest) -> MeasuredCurve:
         segment = np.full(time.size, "")
     else:
         # Shear may go both ways: there the path leads from one end to the other.
-        start = min(0.0, float(reached.min())) if first.test.kind == "simple_shear" else 0.0
+        start = min(0.0, float(reached.min())) if first.test.kind.both_ways else 0.0
         displacement = np.linspace(start, float(reached.max()), POINTS)
         time = None if first.time is None else np.interp(displacement, first.displacement, first.time)
     return replace(first, time=time, displacement=displacement, force=np.zeros_like(displacement), segment=segment,

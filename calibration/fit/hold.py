@@ -9,11 +9,14 @@ import numpy as np
 
 from calibration.campaign.campaign import Campaign, FitSettings, Noise, Test
 from calibration.campaign.measured import MeasuredCurve, with_noise
+from calibration.campaign.parameters import SHARED, Named
 from calibration.fit.assess import assess
 from calibration.fit.estimate import Estimate
 from calibration.fit.ordinary import Ordinary, fit_law
 from calibration.forward.solves import Solves
 from tissue_sim.errors import ConvergenceError, InputError
+from tissue_sim.experiment.kinds.kind import KINDS
+from tissue_sim.material.parts import find_declaration
 from tissue_sim.material.viscoelasticity import MOST_TERMS, Prony
 from tissue_sim.recording.recording import Recording
 
@@ -75,11 +78,12 @@ def fit_hold(recording: Recording, terms: int = 1, ramp: float = 0.0) -> HoldFit
     strain = np.full(force.size, _SMALL)
     if ramp:
         time, force, strain = np.append(time[0] - ramp, time), np.append(0.0, force), np.append(0.0, strain)
-    paths = [(f"viscoelastic.terms[{i}].g", f"viscoelastic.terms[{i}].tau_s") for i in range(terms)]
+    paths = [(f"viscoelastic.terms[{i}].g", f"viscoelastic.terms[{i}].tau") for i in range(terms)]
     start = {name: value for i, (g, tau) in enumerate(paths) for name, value in (
         (g, 0.5 / terms), (tau, float(np.ptp(time)) * 10.0 ** (i - terms)))}
-    test = Test("hold", "simple_shear", None, (Path("hold"),))
-    campaign = Campaign(Path("hold"), {}, (test,), FitSettings((_LAW,), start=start), Noise(), "")
+    test = Test("hold", KINDS["simple_shear"], None, (Path("hold"),))
+    named = {path: Named(path, find_declaration(path)[1], False, SHARED, (test.name,)) for path in start}
+    campaign = Campaign(Path("hold"), {}, (test,), FitSettings((_LAW,), named=named, start=start), Noise(), "")
     curve = MeasuredCurve(test.name, test, time, strain, force, np.full(force.size, "hold"), Path("hold"), "", True)
     estimator = Ordinary(campaign, {test.name: (replace(curve, noise=with_noise(curve, campaign).noise),)}, Solves())
     descents, estimate = fit_law(estimator.problem(_LAW))

@@ -71,7 +71,7 @@ def suggest_tests(problem: Problem, theta: np.ndarray, spread: Uncertainty) -> l
     mechanical = [curve.noise.deviation for curve in problem.measured if curve.test.specimen is not None]
     noise, jitter = _RIG if not mechanical else (
         float(np.median(mechanical)), (problem.jitter.contact, problem.jitter.zero))
-    for words, experiment in _candidates(problem):
+    for words, experiment in _candidates(problem, theta):
         gained = _information(problem, theta, experiment, spread, noise, jitter)
         if gained is None:
             continue
@@ -85,11 +85,11 @@ def suggest_tests(problem: Problem, theta: np.ndarray, spread: Uncertainty) -> l
     return [suggestion for gain, suggestion in rated[:_MOST_SUGGESTIONS] if gain > worth]
 
 
-def _candidates(problem: Problem) -> Sequence[tuple[str, Experiment]]:
+def _candidates(problem: Problem, theta: np.ndarray) -> Sequence[tuple[str, Experiment]]:
     """Tests in words, as experiments on the campaign's specimen."""
     specimens = [test.specimen for test in problem.tests if getattr(test, "specimen", None) is not None]
     specimen = specimens[0] if specimens else _SPECIMEN
-    ageing = any(name.startswith(("viscoelastic", "poroelasticity", "softening")) for name in problem.space.free)
+    ageing = problem.space.material(problem.space.values(theta)).remembers
     found = []
     for strain in (_STRAIN, min(_DEEPER * _STRAIN, 0.3)):
         depth = strain * specimen.height
@@ -120,12 +120,15 @@ def _information(problem: Problem, theta: np.ndarray, experiment: Experiment, sp
     """Scaled information of three recordings with the jitter marginalised; None where it stops."""
     space = problem.space
     try:
-        answer = sensitivities(Model(experiment, space.material(space.values(theta))), space.free)
+        own = [i for i, name in enumerate(space.free) if space.unknown(name).of_material]
+        answer = sensitivities(Model(experiment, space.material(space.values(theta))),
+                               [space.unknown(space.free[i]).path for i in own])
     except (ConvergenceError, InputError):
         return None
     recording = answer.recording
     weight = np.sqrt(_SAMPLES / recording.force.size) / noise
-    rates = weight * answer.values * spread.sizes
+    rates = np.zeros((recording.force.size, len(space.free)))
+    rates[:, own] = weight * answer.values * spread.sizes[own]
     contact, zero = jitter
     columns = weight * np.column_stack([contact * offset_rate(recording), zero * np.ones_like(recording.force)])
     inner = np.linalg.inv(np.eye(2) + columns.T @ columns)

@@ -101,9 +101,8 @@ class OrdinaryProblem:
     def relaxing(self) -> LongTerm | None:
         """The variables of a law whose relaxing terms are all unknown, where nothing else acts; None elsewhere."""
         law, free = find_law(self.space.law), self.space.free
-        terms = [(f"viscoelastic.terms[{i}].g", f"viscoelastic.terms[{i}].{tau}") for i in range(MOST_TERMS)
-                 for tau in ("tau_s", "tau")]
-        terms = [pair for pair in terms if set(pair) <= set(free)]
+        terms = [pair for i in range(MOST_TERMS) if set(pair := (
+            f"viscoelastic.terms[{i}].g", f"viscoelastic.terms[{i}].tau")) <= set(free)]
         names = [*law.parameters, *(name for pair in terms for name in pair)]
         if not terms or set(names) != set(self.space.names) or set(names) != set(free) or self.shifted \
                 or self.settings.bounds or self.settings.prior:

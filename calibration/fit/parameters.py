@@ -1,39 +1,74 @@
-"""The unknown parameters of a material: names, bounds, priors, and the material that their values make."""
+"""The unknown parameters of a fit: names, bounds, priors, where each of them acts, and the models that they make."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.campaign.campaign import Campaign
-from calibration.campaign.effects import build_effect_parts, effect_bounds, is_effect
-from tissue_sim.laws import Law, find_law
+from calibration.campaign.campaign import Campaign, Test
+from calibration.campaign.parameters import PER_REPLICATE, PER_SPECIMEN, PER_TEST, SHARED, Named, is_of_material
+from tissue_sim.errors import InputError
+from tissue_sim.experiment.experiment import Experiment, Model
+from tissue_sim.laws import find_law
 from tissue_sim.laws.ogden import SMALLEST_EXPONENT
-from tissue_sim.material.material import Bulk, Material
+from tissue_sim.material.material import Bulk, Material, law_declaration
+from tissue_sim.material.parts import make_material
+from tissue_sim.parameters import Declaration, with_values
+from tissue_sim.rig.rig import Rig
 
 #: Sum of the moduli, Pa, at which a material is simulated whose force is proportional to them.
 REFERENCE_MODULUS = 1000.0
-#: How far exponents and other numbers without unit may run where the campaign does not say.
-EXPONENT_BOUND = 50.0
 #: Digits of the ratios of the moduli by which a simulation is found again.
 _DIGITS = 12
+#: A number this small, in the unit of files, counts as this large where its own size is asked for.
+_LEAST = 0.1
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """One number of a fit, free or fixed.
+
+    Attributes:
+        name: its path, with ``@`` and the specimen, test or recording where there are several of it.
+        path: see `calibration.campaign.parameters.Named`. declaration: what it is. of_law: whether it is the law's.
+        of_material: whether it is the material's, its law's included.
+        tests: names of the tests in which it acts; None: all. recording: the one in which it acts; None: all.
+    """
+
+    name: str
+    path: str
+    declaration: Declaration
+    of_law: bool
+    of_material: bool
+    tests: tuple[str, ...] | None = None
+    recording: str | None = None
+
+    def acts_in(self, test: str | None, recording: str | None) -> bool:
+        """Whether it acts in a recording of a test; None stands for any of them."""
+        return ((self.tests is None or test is None or test in self.tests)
+                and (self.recording is None or recording is None or recording == self.recording))
+
+    @property
+    def is_modulus(self) -> bool:
+        """Whether it is a pressure, to which all forces are proportional together with the others."""
+        return self.of_material and self.declaration.unit == "Pa"
 
 
 @dataclass(frozen=True, eq=False)
 class ParameterSpace:
-    """What an inverse fit of one law varies.
+    """What a fit of one law varies.
 
     Attributes:
-        law: its name. names: of all parameters, those of the law first. free: of the unknown ones.
-        fixed: name -> value of the others. start: name -> stated start.
+        law: its name. unknowns: all numbers, those of the law first.
+        free: names of the unknown ones. fixed: name -> value of the others. start: name -> stated start.
         low, high, prior_mean, prior_deviation: of the free ones, SI, shape (p,); deviation inf where there is no prior.
         bulk: bulk response where no path states one.
     """
 
     law: str
-    names: tuple[str, ...]
+    unknowns: tuple[Unknown, ...]
     free: tuple[str, ...]
     fixed: dict[str, float]
     start: dict[str, float]
@@ -44,63 +79,135 @@ class ParameterSpace:
     bulk: Bulk
 
     @classmethod
-    def of(cls, law: str, campaign: Campaign) -> ParameterSpace:
-        """The parameters of a law and those that the campaign's start and fixed add to its material."""
+    def of(cls, law: str, campaign: Campaign, recordings: Mapping[str, Sequence[str]] | None = None) -> ParameterSpace:
+        """The parameters of a law and those that the campaign adds to its models.
+
+        Args:
+            law: its name. campaign: what is asked.
+            recordings: test -> names of its recordings, for what has a value in each of them.
+        """
         settings, own = campaign.fit, find_law(law)
-        names = (*own.parameters, *settings.effects)
-        fixed = {name: settings.fixed[name] for name in names if name in settings.fixed}
-        free = tuple(name for name in names if name not in fixed)
-        bounds = np.array([settings.bounds.get(name, _default_bounds(name, own)) for name in free]).reshape(-1, 2)
-        prior = np.array([settings.prior.get(name, (0.0, np.inf)) for name in free], dtype=float).reshape(-1, 2)
-        start = {name: settings.start[name] for name in free if name in settings.start}
-        return cls(law, names, free, fixed, start, bounds[:, 0], bounds[:, 1], prior[:, 0], prior[:, 1], settings.bulk)
+        everywhere = tuple(test.name for test in campaign.tests)
+        asked = [settings.named.get(name) or Named(name, law_declaration(own, name), True, SHARED, everywhere)
+                 for name in own.parameters]
+        asked += [settings.named[path] for path in settings.others]
+        unknowns = [unknown for named in asked for unknown in _spread(named, campaign.tests, recordings or {})]
+        fixed = {each.name: settings.fixed[each.path] for each in unknowns if each.path in settings.fixed}
+        free = [each for each in unknowns if each.name not in fixed]
+        bounds = np.array([settings.bounds.get(each.path, each.declaration.bounds) for each in free]).reshape(-1, 2)
+        prior = np.array([settings.prior.get(each.path, (0.0, np.inf)) for each in free], dtype=float).reshape(-1, 2)
+        start = {each.name: settings.start[each.path] for each in free if each.path in settings.start}
+        return cls(law, tuple(unknowns), tuple(each.name for each in free), fixed, start, bounds[:, 0], bounds[:, 1],
+                   prior[:, 0], prior[:, 1], settings.bulk)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of all parameters, those of the law first."""
+        return tuple(each.name for each in self.unknowns)
 
     @property
     def moduli(self) -> tuple[str, ...]:
         """Names of the parameters that have the unit of a pressure."""
-        return tuple(name for name in self.names if self.is_modulus(name))
+        return tuple(each.name for each in self.unknowns if each.is_modulus)
+
+    def unknown(self, name: str) -> Unknown:
+        """The number of that name."""
+        return next(each for each in self.unknowns if each.name == name)
 
     def is_modulus(self, name: str) -> bool:
         """Whether a parameter is a pressure, to which all forces are proportional together with the others."""
-        return name.endswith("_Pa") if is_effect(name) else find_law(self.law).units[name] == "Pa"
+        return self.unknown(name).is_modulus
+
+    def is_exponent(self, name: str) -> bool:
+        """Whether a parameter is a number of the law without unit."""
+        return self.unknown(name).of_law and self.unknown(name).declaration.unit == "1"
 
     def values(self, theta: np.ndarray) -> dict[str, float]:
         """All parameters by name; `theta` are the free ones, shape (p,)."""
-        found = self.fixed | dict(zip(self.free, np.asarray(theta).tolist(), strict=True))
-        law = find_law(self.law)
+        known = self.fixed | dict(zip(self.free, np.asarray(theta).tolist(), strict=True))
         # Formulas divide by an exponent, and their limit is reached long before.
-        return {name: (float(np.copysign(SMALLEST_EXPONENT, found[name]))
-                       if name in self.free and not is_effect(name) and law.units[name] == "1"
-                       and abs(found[name]) < SMALLEST_EXPONENT
-                       else found[name]) for name in self.names}
+        return {name: (float(np.copysign(SMALLEST_EXPONENT, known[name]))
+                       if name in self.free and self.is_exponent(name) and abs(known[name]) < SMALLEST_EXPONENT
+                       else known[name]) for name in self.names}
 
-    def material(self, values: Mapping[str, float], density: float | None = None, name: str = "") -> Material:
-        """The material of these values.
+    def of_law(self, values: Mapping[str, float], test: str | None = None) -> dict[str, float]:
+        """Parameters of the law in a test (None: the first that there are), by their names in the law."""
+        chosen: dict[str, float] = {}
+        for each in self.unknowns:
+            if each.of_law and each.acts_in(test, None):
+                chosen.setdefault(each.path, values[each.name])
+        return chosen
+
+    def material(self, values: Mapping[str, float], density: float | None = None, name: str = "", *,
+                 test: str | None = None, recording: str | None = None) -> Material:
+        """The material of these values, as it is in a test and a recording (None: in the first of them).
 
         Raises:
             InputError: values that no material has.
         """
-        own = {key: value for key, value in values.items() if not is_effect(key)}
-        return Material(self.law, own, density=density, name=name, **build_effect_parts(values, self.bulk))
+        acting = self._acting(test, recording)
+        others = {path: values[each.name] for path, each in acting.items() if each.of_material and not each.of_law}
+        own = {path: values[each.name] for path, each in acting.items() if each.of_law}
+        if len(own) < len(find_law(self.law).parameters):
+            raise InputError(f"{test} has a value of its own for a parameter of the law, and nothing tells it; give it "
+                             "the scope 'shared'", field="fit.scope")
+        return make_material(self.law, own, others, self.bulk, density=density, name=name)
+
+    def model(self, values: Mapping[str, float], experiment: Experiment, rig: Rig, *, test: str,
+              recording: str | None = None) -> Model:
+        """The model of a test: its experiment and its rig with what is fitted of them.
+
+        Raises:
+            InputError: values that no model has.
+        """
+        model = Model(experiment, self.material(values, test=test, recording=recording), rig)
+        around = {path: values[each.name] for path, each in self._acting(test, recording).items()
+                  if not each.of_material}
+        return with_values(model, around) if around else model
+
+    def _acting(self, test: str | None, recording: str | None) -> dict[str, Unknown]:
+        """Path -> the number that acts there."""
+        acting: dict[str, Unknown] = {}
+        for each in self.unknowns:
+            if each.acts_in(test, recording):
+                acting.setdefault(each.path, each)
+        return acting
 
     def normalised(self, values: Mapping[str, float]) -> tuple[dict[str, float], float]:
         """Values with moduli that add up to `REFERENCE_MODULUS`, and the factor that was taken out of them."""
-        size = sum(abs(values[name]) for name in self.moduli)
-        factor = size / REFERENCE_MODULUS
+        moduli = set(self.moduli)
+        factor = sum(abs(values[name]) for name in self.moduli) / REFERENCE_MODULUS
         if not (np.isfinite(factor) and factor > 0):
             return dict(values), 1.0
-        return {name: float(f"{value / factor:.{_DIGITS}e}") if self.is_modulus(name) else value
+        return {name: float(f"{value / factor:.{_DIGITS}e}") if name in moduli else value
                 for name, value in values.items()}, factor
 
     def sizes(self, values: Mapping[str, float]) -> np.ndarray:
         """How large a change of each free parameter is a whole one, shape (p,): a modulus that happens to be small
-        counts as a tenth of the shear modulus, another small number as a tenth."""
-        stiffness = find_law(self.law).mu0({k: v for k, v in values.items() if not is_effect(k)})
-        floor = [0.1 * abs(stiffness) if self.is_modulus(name) else 0.1 for name in self.free]
+        counts as a tenth of the shear modulus, another small number as a tenth of the unit of files."""
+        stiffness = abs(find_law(self.law).mu0(self.of_law(values)))
+        free = [self.unknown(name) for name in self.free]
+        floor = [_LEAST * (stiffness if each.is_modulus else each.declaration.factor) for each in free]
         return np.maximum([abs(values[name]) for name in self.free], floor)
 
 
-def _default_bounds(name: str, law: Law) -> tuple[float, float]:
-    if is_effect(name):
-        return effect_bounds(name)
-    return (-EXPONENT_BOUND, EXPONENT_BOUND) if law.units[name] == "1" else (-np.inf, np.inf)
+def _spread(named: Named, tests: Sequence[Test], recordings: Mapping[str, Sequence[str]]) -> list[Unknown]:
+    """The numbers that a named parameter stands for: one, or one for each specimen, test or recording."""
+    of_material = named.of_law or is_of_material(named.path, {named.path: named})
+
+    def one(mark: str = "", where: tuple[str, ...] | None = None, recording: str | None = None) -> Unknown:
+        name = f"{named.path}@{mark}" if mark else named.path
+        return Unknown(name, named.path, named.declaration, named.of_law, of_material, where, recording)
+
+    own = [test for test in tests if test.name in named.tests and not test.hold_out]
+    if named.scope == PER_TEST:
+        return [one(test.name, (test.name,)) for test in own]
+    if named.scope == PER_REPLICATE:
+        return [one(recording, (test.name,), recording) for test in own for recording in recordings.get(test.name, ())]
+    if named.scope == PER_SPECIMEN:
+        specimens = dict.fromkeys(test.specimen.name for test in own if test.specimen is not None)
+        return [one(specimen, tuple(test.name for test in tests
+                                    if test.specimen is not None and test.specimen.name == specimen))
+                for specimen in specimens]
+    shared = named.scope if isinstance(named.scope, tuple) else None if of_material else named.tests
+    return [one(where=shared)]

@@ -6,9 +6,7 @@ from itertools import combinations_with_replacement, cycle
 
 import numpy as np
 
-from calibration.campaign.effects import is_effect
 from calibration.fit.parameters import ParameterSpace
-from tissue_sim.laws import find_law
 
 #: Exponents, first ones first; moduli take care of themselves.
 EXPONENTS = (2.0, 8.0, -4.0, 15.0, -10.0, 4.0, -2.0)
@@ -23,8 +21,7 @@ def starts(space: ParameterSpace, count: int) -> list[np.ndarray]:
     Returns:
         Free parameters, SI, each of shape (p,), inside their bounds.
     """
-    law = find_law(space.law)
-    exponents = [name for name in space.free if not is_effect(name) and law.units[name] == "1"]
+    exponents = [name for name in space.free if space.is_exponent(name)]
     grids = [grid for grid in combinations_with_replacement(EXPONENTS, len(exponents))
              if len(set(grid)) == len(grid)] or [()]
     # The most different ones first: two terms with one sign each before two with the same.

@@ -8,9 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from calibration.campaign.campaign import Campaign, FitSettings, Test
-from calibration.campaign.checks import HOMOGENEOUS
-from calibration.campaign.effects import is_effect
-from calibration.campaign.measured import MeasuredCurve, ages, remembers
+from calibration.campaign.measured import MeasuredCurve, remembers
 from calibration.fit.parameters import ParameterSpace
 from calibration.fit.problem import Problem
 from calibration.forward.closed import ClosedTest
@@ -20,6 +18,7 @@ from calibration.forward.simulated import SimulatedTest
 from calibration.forward.solves import Solves
 from calibration.statistics.jitter import Jitter
 from tissue_sim.experiment.protocol import STUDY_SPEED
+from tissue_sim.material.material import Material
 
 #: Standard deviation of the accurate mesh's own error relative to the force: what is left against independent
 #: solvers, see docs/simulation.md. Between plates, under a flat needle, under a round or pointed one.
@@ -46,21 +45,20 @@ def build_problem(law: str, campaign: Campaign, measured: Mapping[str, Sequence[
     space = ParameterSpace.of(law, campaign)
     fitted = [test for test in campaign.tests if not test.hold_out]
     jitter = first_jitter(campaign, [curve for test in fitted for curve in measured[test.name]])
-    tests = tuple(build_test(test, measured[test.name], space, jitter.contact) for test in fitted)
+    tests = tuple(build_test(test, measured[test.name], campaign.fit.material, jitter.contact) for test in fitted)
     # What the fast mesh is off is no misfit that offsets should make up for.
     return Problem(space, tests, solves, jitter, tuple(remainder(test, FAST_REMAINDERS) for test in tests))
 
 
-def build_test(test: Test, curves: Sequence[MeasuredCurve], space: ParameterSpace,
+def build_test(test: Test, curves: Sequence[MeasuredCurve], material: Material,
                contact: float) -> SimulatedTest | ClosedTest:
     """A test and how it is simulated; `contact` is the standard deviation of the contact offset, m."""
     curves = tuple(curves)
-    if test.setup is None or curves[0].stressed:
+    if test.experiment is None or curves[0].stressed:
         return closed_test(test, curves)
-    effects = tuple(name for name in space.names if is_effect(name))
-    layered = any(name.startswith("layers") for name in effects)
+    layered = bool(material.layers)
     one_way = all(set(curve.segment.tolist()) == {"ramp"} for curve in curves if curve.segment is not None)
-    if ages(effects) or (remembers(test, effects) and not one_way):
+    if material.ages or (remembers(test, material) and not one_way):
         motions, motion_of = [], []
         for curve in curves:
             motion = Timed.of(curve.time, curve.displacement)
@@ -68,23 +66,20 @@ def build_test(test: Test, curves: Sequence[MeasuredCurve], space: ParameterSpac
             if not same:
                 motions.append(motion)
             motion_of.append(same[0] if same else len(motions) - 1)
-        return SimulatedTest(test.name, test.specimen, test.setup, tuple(motions), tuple(motion_of), curves,
-                             layered)
+        return SimulatedTest(test.name, test.experiment, test.rig, tuple(motions), tuple(motion_of), curves, layered)
     deepest = max(curve.displacement.max() for curve in curves)
     depth = min(deepest + max(_MARGIN * contact, _LEAST_MARGIN * deepest), 0.999 * test.specimen.height)
     speed = float(np.median([curve.speed or STUDY_SPEED for curve in curves]))
-    setup = test.setup
-    smooth = setup.tool.shape == "plate" or (
-        setup.tool.shape == "flat" and not setup.tool.edge_radius and not setup.slides)
+    tool = test.experiment.tool
+    smooth = tool.is_plate or (tool.sharp_edge and not test.experiment.slides)
     motion = Loading.to(float(depth), max(speed, 1e-9), smooth=smooth, strain=float(depth / test.specimen.height))
-    return SimulatedTest(test.name, test.specimen, test.setup, (motion,), (0,) * len(curves), curves,
-                         layered)
+    return SimulatedTest(test.name, test.experiment, test.rig, (motion,), (0,) * len(curves), curves, layered)
 
 
 def closed_test(test: Test, curves: Sequence[MeasuredCurve]) -> ClosedTest:
     """A homogeneous test; a cube of 1 m where the recordings are stretch and stress."""
     size = (1.0, 1.0) if test.specimen is None else (test.specimen.height, test.specimen.area)
-    return ClosedTest(test.name, HOMOGENEOUS[test.kind], test.kind == "lubricated_compression", *size, tuple(curves))
+    return ClosedTest(test.name, test.kind, *size, tuple(curves))
 
 
 def analytical_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSettings) -> ClosedTest:
@@ -92,8 +87,8 @@ def analytical_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSe
     plain = closed_test(test, curves)
     if test.specimen is not None and test.specimen.specific_weight:
         reserve = settings.offset_bound if settings.offset == "fit" else 0.0
-        return ColumnTest(plain.name, plain.mode, plain.compressed, plain.height, plain.area, plain.measured,
-                          specimen=test.specimen, reserve=reserve)
+        return ColumnTest(plain.name, plain.kind, plain.height, plain.area, plain.measured, specimen=test.specimen,
+                          reserve=reserve)
     return replace(plain, largest_step=FITTED_STEP)
 
 
@@ -115,5 +110,5 @@ def remainder(test: SimulatedTest | ClosedTest, of: Mapping[str, float]) -> floa
     """Relative standard deviation of what a mesh is off in this test; 0 where every mesh is exact."""
     if test.homogeneous:
         return 0.0
-    shape = test.setup.tool.shape
+    shape = test.experiment.tool.shape
     return of[shape if shape in of else "other"]

@@ -11,7 +11,9 @@ from calibration.fit.parameters import ParameterSpace
 from calibration.forward.contract import InfeasibleError, Reached
 from calibration.forward.solves import Solves
 from tissue_sim.closed_form.histories import LARGEST_STEP, HomogeneousHistory
+from tissue_sim.closed_form.homogeneous import ClosedForm, Homogeneous
 from tissue_sim.errors import InputError
+from tissue_sim.experiment.kinds.kind import TestKind
 from tissue_sim.laws import Law, find_law
 from tissue_sim.material.material import Material
 from tissue_sim.parameters import tokens
@@ -43,15 +45,13 @@ class ClosedTest:
     """Lubricated compression, tension or shear of an incompressible material.
 
     Attributes:
-        name: of the test. mode: of `Law.nominal_stress`. compressed: whether a plate shortens the specimen; it feels
-            nothing before it has arrived.
+        name: of the test. kind: what it is; a plate feels nothing before it has arrived.
         height, area: m and m2. measured: the recordings.
         largest_step: of divided histories, see `HomogeneousHistory`.
     """
 
     name: str
-    mode: str
-    compressed: bool
+    kind: TestKind
     height: float
     area: float
     measured: tuple[MeasuredCurve, ...]
@@ -77,14 +77,18 @@ class ClosedTest:
         return self
 
     @property
+    def closed_form(self) -> ClosedForm:
+        return self.kind.require_closed_form()
+
+    @property
     def sign(self) -> float:
-        """Of the nominal stress under a positive force."""
-        return -1.0 if self.compressed else 1.0
+        """Of strain and nominal stress under load."""
+        return self.kind.sign
 
     def solve(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> ClosedAnswer:
         """As `ForwardTest.solve`; nothing is computed yet."""
         law, values = find_law(space.law), space.values(theta)
-        free = [name for name in space.free if name in law.units]
+        free = [name for name in space.free if name in law.parameters]
         places = [law.parameters.index(name) for name in free], [space.free.index(name) for name in free]
         material = None
         if len(space.names) > len(law.parameters):
@@ -92,8 +96,7 @@ class ClosedTest:
                 material = space.material(values)
             except InputError as error:
                 raise InfeasibleError(f"{self.name}: {error}") from None
-            if material.relaxation(self.radius) is None and material.softening is None:
-                material = None
+            material = material if material.remembers else None
         return ClosedAnswer(space, law, np.array([values[name] for name in law.parameters]), places, values, material)
 
     def evaluate(self, answer: ClosedAnswer, recording: int, offset: float):
@@ -108,15 +111,15 @@ class ClosedTest:
 
     def _elastic(self, answer: ClosedAnswer, displacement: np.ndarray):
         """Force, its derivatives with the free parameters, and with the contact offset."""
-        law, values = answer.law, answer.values
+        law, values, closed_form = answer.law, answer.values, self.closed_form
         strain = self.strain(displacement)
         # Wild trial values overflow; the optimiser turns back from what is not finite.
         with np.errstate(all="ignore"):
-            stress = law.nominal_stress(strain, values, self.mode)
-            derivatives = law.nominal_stress_derivatives(strain, values, self.mode)
-            slope = law.nominal_stress_slope(strain, values, self.mode)
-        if self.compressed:
-            apart = strain > 1.0
+            stress = closed_form.stress(law, strain, values)
+            derivatives = closed_form.derivatives(law, strain, values)
+            slope = closed_form.slope(law, strain, values)
+        if not self.kind.gripped:
+            apart = self.kind.strain(strain) < 0.0
             stress[apart], derivatives[apart], slope[apart] = 0.0, 0.0, 0.0
         return self._as_force(answer, stress, derivatives, -self.sign * slope / self.height)
 
@@ -136,8 +139,8 @@ class ClosedTest:
         except InputError as error:
             raise InfeasibleError(f"{self.name}: {error}") from None
         rates = np.full((force.size, len(answer.space.free)), np.nan)
-        relaxing = material.softening is None and material.poroelasticity is None and (
-            material.instantaneous_factor == 1.0)
+        relaxing = self._divides and not material.effects and material.softening is None and (
+            material.poroelasticity is None and material.instantaneous_factor == 1.0)
         exact = self._relaxing_rates(answer, recording, offset) if relaxing else {}
         for k, name in enumerate(answer.space.free):
             rates[:, k] = exact[name] if name in exact else self._difference(answer, recording, offset, k, force)
@@ -184,17 +187,26 @@ class ClosedTest:
         return (more - less) / (high - low) if high > low else np.full(force.size, np.nan)
 
     def _history_force(self, material: Material, recording: int, offset: float) -> np.ndarray:
+        measured, factor = self.measured[recording], self.sign * self.area
         with np.errstate(all="ignore"):
-            return self.sign * self.area * self.history(recording, offset).nominal_stress(
+            if not self._divides or material.effects:
+                strain = self.strain(measured.displacement - offset)
+                return factor * self.closed_form.history(material, measured.time, strain, self.radius)
+            return factor * self.history(recording, offset).nominal_stress(
                 material.energy_law, material.values, material.relaxation(self.radius), material.softening,
                 material.instantaneous_factor)
+
+    @property
+    def _divides(self) -> bool:
+        """Whether its histories are those of `HomogeneousHistory`."""
+        return isinstance(self.closed_form, Homogeneous) and self.closed_form.law_mode in ("uniaxial", "simple_shear")
 
     def history(self, recording: int, offset: float = 0.0) -> HomogeneousHistory:
         """How a recording deformed the specimen."""
         if offset == 0.0 and recording in self._histories:
             return self._histories[recording]
         measured = self.measured[recording]
-        mode = "simple_shear" if self.mode == "simple_shear" else "uniaxial"
+        mode = "uniaxial" if self.closed_form.rest else "simple_shear"
         found = HomogeneousHistory(mode, measured.time, self.strain(measured.displacement - offset), self.largest_step)
         if offset == 0.0:
             self._histories[recording] = found
@@ -202,8 +214,7 @@ class ClosedTest:
 
     def strain(self, displacement: np.ndarray) -> np.ndarray:
         """Stretch, or shear strain."""
-        rest = 0.0 if self.mode == "simple_shear" else 1.0
-        return rest + self.sign * displacement / self.height
+        return self.kind.abscissa(displacement / self.height)
 
     def refine(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> float:
         """The closed form needs no correction."""
@@ -212,10 +223,8 @@ class ClosedTest:
     def reached(self, space: ParameterSpace, theta: np.ndarray) -> Reached:
         """As `ForwardTest.reached`."""
         strain = np.concatenate([self.strain(curve.displacement) for curve in self.measured])
-        low, high = float(strain.min()), float(strain.max())
-        if self.mode == "simple_shear":
-            # A planar deformation and a rotation, with the principal stretches l - 1/l = gamma.
-            gamma = max(abs(low), abs(high))
-            largest = gamma / 2 + float(np.sqrt(1 + gamma**2 / 4))
-            return Reached("planar", 1 / largest, largest)
-        return Reached("uniaxial", min(low, 1.0), 1.0 if self.compressed else max(high, 1.0))
+        low, high, closed_form = float(strain.min()), float(strain.max()), self.closed_form
+        if not closed_form.rest:
+            return Reached(closed_form.mode, *closed_form.extremes(low, high), closed_form.extremes(low, high))
+        low, high = min(low, 1.0), 1.0 if not self.kind.gripped else max(high, 1.0)
+        return Reached(closed_form.mode, low, high, closed_form.extremes(low, high))

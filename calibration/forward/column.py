@@ -30,7 +30,7 @@ class ColumnTest(ClosedTest):
 
     @property
     def weightless(self) -> ClosedTest:
-        return ClosedTest(self.name, self.mode, self.compressed, self.height, self.area, self.measured)
+        return ClosedTest(self.name, self.kind, self.height, self.area, self.measured)
 
     def _elastic(self, answer: ClosedAnswer, displacement: np.ndarray):
         column, law, values = Column(self.specimen), answer.law, answer.values
@@ -49,4 +49,5 @@ class ColumnTest(ClosedTest):
         law, values = find_law(space.law), space.values(theta)
         displacement = np.concatenate([curve.displacement for curve in self.measured])
         base = Column(self.specimen).base_stretch(law, displacement, [values[name] for name in law.parameters])
-        return Reached("uniaxial", float(np.nanmin(base)), 1.0)
+        low = float(np.nanmin(base))
+        return Reached(self.closed_form.mode, low, 1.0, self.closed_form.extremes(low, 1.0))

@@ -27,18 +27,13 @@ class Reached:
     Attributes:
         mode: of `Stability.limits`; None where the deformation is not homogeneous.
         low, high: the extreme stretches.
+        principal: extremes of all principal stretches, those across the load included.
     """
 
     mode: str | None
     low: float
     high: float
-
-    @property
-    def principal(self) -> tuple[float, float]:
-        """Extremes of all principal stretches, those across the load included."""
-        if self.mode != "uniaxial":
-            return self.low, self.high
-        return min(self.low, self.high**-0.5), max(self.high, self.low**-0.5)
+    principal: tuple[float, float]
 
 
 class ForwardTest(Protocol):

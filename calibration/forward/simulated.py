@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
-from calibration.campaign.setup import Setup
 from calibration.fit.parameters import ParameterSpace
 from calibration.forward.contract import InfeasibleError, Reached
 from calibration.forward.motion import Course, Loading, Timed
 from calibration.forward.solves import SimulatedCurve, Solves, content_key
+from tissue_sim.closed_form.homogeneous import UNIAXIAL, ClosedForm
 from tissue_sim.differentiation import sensitivities
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.experiment import Experiment, Model, Specimen
@@ -22,9 +23,6 @@ from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.recording.recording import Recording
 from tissue_sim.rig.rig import Rig
 from tissue_sim.simulation import simulate
-
-#: What of a rig acts on readings.
-_READING = ("guide_friction", "rate_damping", "latency", "sensor_gain", "zero_offset", "sensor_drift")
 
 #: Shares of the volume that are stretched less, or more, than what counts as the range of the data.
 _TAIL = 0.01
@@ -36,7 +34,7 @@ class SimulatedTest:
 
     Attributes:
         name: of the test.
-        specimen, setup: what is done to what.
+        experiment: what is done to what, with any motion. rig: it is measured with.
         motions: each a `Loading` or `Timed`. motion_of: number of the motion of each recording.
         measured: the recordings.
         layered: whether the material has layers.
@@ -44,25 +42,26 @@ class SimulatedTest:
     """
 
     name: str
-    specimen: Specimen
-    setup: Setup
+    experiment: Experiment
+    rig: Rig
     motions: tuple[Loading | Timed, ...]
     motion_of: tuple[int, ...]
     measured: tuple[MeasuredCurve, ...]
     layered: bool = False
     correction: list[np.ndarray] = field(default_factory=list)
 
-    mode = "uniaxial"
-    compressed = True
-    area = None
+    #: What it is where it is homogeneous.
+    closed_form: ClassVar[ClosedForm] = UNIAXIAL
+    sign: ClassVar[float] = -1.0
+    area: ClassVar[float | None] = None
 
     @property
     def timed(self) -> bool:
         return isinstance(self.motions[0], Timed)
 
     @property
-    def rig(self) -> Rig:
-        return self.setup.rig
+    def specimen(self) -> Specimen:
+        return self.experiment.specimen
 
     @property
     def proportional(self) -> bool:
@@ -133,7 +132,7 @@ class SimulatedTest:
         if self.proportional:
             values, factor = space.normalised(values)
         names: Sequence[str] = () if resolution == "accurate" else space.free
-        experiment = self.setup.experiment(self.specimen, motion.protocol)
+        experiment = self._experiment(motion)
         key = content_key(experiment, self.rig.motion_only, space.law, values, space.bulk, list(names), resolution)
         curve = solves.find(key)
         if curve is None:
@@ -180,28 +179,29 @@ class SimulatedTest:
     @cached_property
     def reading(self) -> Rig | None:
         """The rig as far as it reads forces; None where it reads them as they are."""
-        rig = Rig(**{name: getattr(self.rig, name) for name in _READING})
+        rig = self.rig.reading_only
         return None if rig.ideal else rig
 
     def reached(self, space: ParameterSpace, theta: np.ndarray) -> Reached:
         """Of the volume, without a hundredth at either end."""
         deepest = max(float(curve.displacement.max()) for curve in self.measured)
         if self.homogeneous:
-            return Reached("uniaxial", 1 - deepest / self.height, 1.0)
+            low = 1 - deepest / self.height
+            return Reached(self.closed_form.mode, low, 1.0, self.closed_form.extremes(low, 1.0))
         points = max(3, self.motions[0].protocol.time.size // 2)
-        experiment = self.setup.experiment(self.specimen, Protocol.ramp(deepest, points))
+        experiment = replace(self.experiment, protocol=Protocol.ramp(deepest, points))
         try:
             fields = simulate(Model(experiment, space.material(space.values(theta))), fields=True).fields
         except (ConvergenceError, InputError):
-            return Reached(None, 1 - deepest / self.height, 1.0)
+            return _of_volume(1 - deepest / self.height, 1.0)
         F = fields.deformation_gradient()
         plane = np.linalg.svd(F[..., :4].reshape(*F.shape[:-1], 2, 2), compute_uv=False)
         principal = np.concatenate([plane, F[..., 4:]], axis=-1)
-        return Reached(None, _quantile(principal.min(axis=-1), fields.weights, _TAIL),
-                       _quantile(principal.max(axis=-1), fields.weights, 1 - _TAIL))
+        return _of_volume(_quantile(principal.min(axis=-1), fields.weights, _TAIL),
+                          _quantile(principal.max(axis=-1), fields.weights, 1 - _TAIL))
 
     def _experiment(self, motion: Loading | Timed) -> Experiment:
-        return self.setup.experiment(self.specimen, motion.protocol)
+        return replace(self.experiment, protocol=motion.protocol)
 
 
 def _simulate(space: ParameterSpace, values: dict[str, float], experiment: Experiment, rig: Rig,
@@ -217,6 +217,10 @@ def _simulate(space: ParameterSpace, values: dict[str, float], experiment: Exper
     except (ConvergenceError, InputError) as error:
         return SimulatedCurve([], [], str(error), clock.process_time() - began)
     return SimulatedCurve(force.tolist(), rates.tolist(), "", clock.process_time() - began)
+
+
+def _of_volume(low: float, high: float) -> Reached:
+    return Reached(None, low, high, (low, high))
 
 
 def _quantile(values: np.ndarray, weights: np.ndarray, share: float) -> float:

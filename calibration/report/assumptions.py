@@ -25,12 +25,11 @@ def assumptions(result: CalibrationResult) -> list[str]:
 
 def _of_closed_forms(result: CalibrationResult) -> list[str]:
     fit, noise = result.campaign.fit, result.campaign.noise
-    kinds = {test.kind for test in result.campaign.tests}
     lines = ["The material is incompressible; what it remembers is fitted to ramps, holds and returns."]
-    if not fit.effects:
+    if not fit.others:
         lines = ["The material is incompressible and elastic: only the loading is fitted, and the rate does not "
                  "matter."]
-    if "lubricated_compression" in kinds:
+    if any(test.kind.settles for test in result.campaign.tests):
         lines.append("Lubricated means frictionless: the faces slide freely and every slice deforms homogeneously.")
     if fit.offset == "none":
         lines.append("Contact offsets and zeros are taken as they were recorded (offset = \"none\").")

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.campaign.effects import is_effect
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.fit import Fit
 from calibration.fit.parameters import ParameterSpace
@@ -62,7 +61,7 @@ def material_file(fit: Fit, result: CalibrationResult, measured: Mapping[str, Se
     fitted = [curve for test in campaign.tests if not test.hold_out for curve in measured[test.name]]
     return MaterialFile.of(
         space.material(fit.parameters, campaign.density, f"{campaign.name} {law.title}"),
-        standard_errors=errors, covariance=covariance, others=[name for name in order if is_effect(name)],
+        standard_errors=errors, covariance=covariance, others=[name for name in order if name not in law.parameters],
         valid_range={"stretch": list(fit.stretch_range)},
         provenance={
             "recordings": [{"file": curve.file.name, "sha256": curve.sha256} for curve in fitted],
@@ -137,12 +136,10 @@ def _in_units(test: TestCurves, displacement: float, forces: Sequence[float],
     mechanical = [None, *empty] if asked.specimen is None else [displacement * 1e3, *forces, *errors]
     if test.area is None:
         return [None, None, *mechanical, *empty]
-    sign = -1.0 if asked.kind == "lubricated_compression" else 1.0
-    height = 1.0 if asked.specimen is None else asked.specimen.height
-    name = "shear strain [-]" if asked.kind == "simple_shear" else "stretch [-]"
+    sign, height = asked.kind.sign, 1.0 if asked.specimen is None else asked.specimen.height
+    name, value = asked.kind.require_closed_form().label, asked.kind.abscissa(displacement / height)
     if asked.specimen is not None and asked.specimen.specific_weight:
         name = "1 - displacement/height [-]"
-    value = (0.0 if asked.kind == "simple_shear" else 1.0) + sign * displacement / height
     return [name, value, *mechanical, *(sign * force / test.area for force in forces),
             *(error / test.area for error in errors)]
 

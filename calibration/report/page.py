@@ -9,6 +9,7 @@ from calibration.fit.fit import Fit
 from calibration.report.drawing import as_data_uri, draw_formula, natural_width
 from tissue_sim.laws import find_law
 from tissue_sim.laws.law import Law
+from tissue_sim.material.parts import find_declaration
 
 _STYLE = """
 :root { color-scheme: light; }
@@ -35,8 +36,6 @@ details { margin: .6rem 0; } summary { cursor: pointer; font-weight: 600; } code
 h3 small { font-weight: 400; margin-left: .4rem; }
 small, .quiet { color: #59636e; } .bad { color: #a33c00; }
 """
-#: Ending of a material file's key -> unit.
-_ENDINGS = {"_mm2_per_s": "mm²/s", "_mm": "mm", "_Pa": "Pa", "_s": "s"}
 
 
 def html_page(title: str, parts: Iterable[str]) -> str:
@@ -100,8 +99,8 @@ def plus_minus(error: float | None) -> str:
 
 
 def parameter_unit(law: Law, name: str) -> str:
-    """Unit of a parameter of a law, or of the material's path in `name`; empty for a number."""
-    unit = law.units.get(name) or next((u for ending, u in _ENDINGS.items() if name.endswith(ending)), "1")
+    """SI unit of a parameter of a law, or of another of the material by its path; empty for a number."""
+    unit = law.units.get(name) or find_declaration(name.partition("@")[0])[1].unit
     return "" if unit == "1" else unit
 
 

@@ -124,9 +124,9 @@ class Commands:
 
     def _surface(self, asked: _Surface) -> Iterator[bytes]:
         surface = self._able("surface")()
-        arrays = {"outline": surface.outline}
+        arrays = {} if surface.outline is None else {"outline": surface.outline}
         if asked.segments is not None:
-            arrays["vertices"], arrays["triangles"] = surface.revolve(asked.segments)
+            arrays["vertices"], arrays["triangles"] = surface.triangles(asked.segments)
         return _in_pieces("surface", arrays)
 
     def _save(self, asked: _State) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""`tissue-sim material new|show|check`: material files."""
+"""`tissue-sim material new|show|check|export`: material files."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from scenes.console import print_json, results_console
 from scenes.parsing import Parser, add_json, add_overwrite, new_file, positive
 from tissue_sim.errors import InputError
 
-SUMMARY = "make, read and check material files"
+SUMMARY = "make, read, check and export material files"
 EXAMPLE = "tissue-sim material show phantom.material.json"
-ACTIONS = ("new", "show", "check")
-LATER = ("export", "import")
+ACTIONS = ("new", "show", "check", "export")
+LATER = ("import",)
 
 _NEW = ("write a material file from parameters",
         "tissue-sim material new --law reduced_polynomial_2 --set C10=1404.9 --set C20=699.4 --bulk-ratio 1000 "
@@ -20,6 +20,8 @@ _SHOW = ("formula, parameters, moduli, stability and provenance of a material fi
          "tissue-sim material show m.material.json")
 _CHECK = ("exit 0 when the file is good, 2 when it cannot be read, 1 when the law is unstable in its valid range",
           "tissue-sim material check m.material.json")
+_EXPORT = ("write a material for another program",
+           "tissue-sim material export m.material.json --to abaqus -o m.inp")
 
 
 def add_arguments(parser: Parser) -> None:
@@ -50,6 +52,12 @@ def add_arguments(parser: Parser) -> None:
     add_overwrite(new)
     action("show", _SHOW, run_show).add_argument("file", type=Path, metavar="FILE")
     action("check", _CHECK, run_check).add_argument("file", type=Path, metavar="FILE")
+    export = action("export", _EXPORT, run_export)
+    export.add_argument("file", type=Path, metavar="FILE")
+    export.add_argument("--to", required=True, metavar="PROGRAM", help="abaqus (CalculiX reads it), or what an "
+                                                                       "installed package adds")
+    export.add_argument("-o", dest="output", type=Path, required=True, metavar="OUT", help="file to write")
+    add_overwrite(export)
 
 
 def run_new(arguments) -> int:
@@ -168,3 +176,23 @@ def run_check(arguments) -> int:
         for sentence in (*notes, f"{arguments.file}: {lost or 'good'}"):
             results_console().print(sentence, markup=False, soft_wrap=True)
     return 0 if lost is None else 1
+
+
+def run_export(arguments) -> int:
+    from tissue_sim import load_material
+    from tissue_sim.atomic_write import write_text
+    from tissue_sim.exports import EXPORTERS
+
+    new_file(arguments.output, "-o", overwrite=arguments.overwrite)
+    write = EXPORTERS.find(arguments.to, "--to")
+    material = load_material(arguments.file)
+    try:
+        text = write(material)
+    except InputError as error:
+        raise error.located(file=arguments.file) from None
+    write_text(arguments.output, text)
+    if arguments.json:
+        print_json({"file": str(arguments.output), "to": arguments.to})
+    else:
+        results_console().print(f"wrote {arguments.output} for {arguments.to}", markup=False, soft_wrap=True)
+    return 0

@@ -10,7 +10,8 @@ from pathlib import Path
 from tissue_sim.errors import InputError
 from tissue_sim.material.file import MaterialFile, read_material_file, write_material_file
 from tissue_sim.material.material import BULK_RATIOS, Material
-from tissue_sim.material.parameters import parameter_values, with_parameter
+from tissue_sim.parameters import Parameter, parameters, with_values
+from tissue_sim.units import shown
 
 SUFFIX = ".material.json"
 #: Largest upload, bytes; a material file has some thousands.
@@ -23,9 +24,6 @@ _NEAR_ZERO = 1e-3
 _SOFTEST = 0.01
 #: Steps of a slider, about.
 _STEPS = 500
-#: Last part of a parameter's name -> (unit on the page, factor from the unit of the name).
-_SHOWN = {"K_Pa": ("kPa", 1e-3), "modulus_Pa": ("kPa", 1e-3), "D1_per_Pa": ("1/MPa", 1e6), "tau_s": ("s", 1.0),
-          "thickness_mm": ("mm", 1.0), "depth_mm": ("mm", 1.0), "diffusivity_mm2_per_s": ("mm²/s", 1.0)}
 
 
 @dataclass(frozen=True)
@@ -35,7 +33,7 @@ class SliderRange:
     Attributes:
         low, high: multiples of `step`, with the value between them.
         unit: on the page; ``""`` of a ratio.
-        factor: number on the page over the parameter's value in `parameter_values`.
+        factor: number on the page over the parameter's value, SI.
     """
 
     low: float
@@ -80,18 +78,19 @@ def read_upload(name: str, content: bytes) -> Material:
 
 
 def parameter_ranges(material: Material) -> dict[str, SliderRange]:
-    """A slider for every parameter that the material has, by its name in `tissue_sim.material.parameters`.
+    """A slider for every parameter that the material has, by its path.
 
     From 0, or from 1/`REACH` of the value where the material refuses zero, to `REACH` times the value, shortened to
     what the material accepts, and the finite elements are checked for, while its other parameters stay; mirrored for a
     negative value. Around zero the slider reaches as far as the shear modulus (of an exponent or a ratio: 1) at either
     side. The numbers on it are round.
     """
-    return {name: _range(material, name, value) for name, value in parameter_values(material).items()}
+    return {name: _range(material, each) for name, each in parameters(material).items()}
 
 
-def _range(material: Material, name: str, value: float) -> SliderRange:
-    unit, factor = _shown(material, name)
+def _range(material: Material, parameter: Parameter) -> SliderRange:
+    name, value = parameter.path, parameter.value
+    unit, factor = shown(parameter.declaration.unit)
     size = material.mu0 if unit == "kPa" else 1.0
     if value == 0 or (name in material.parameters and abs(value) < _NEAR_ZERO * size):
         ends = [_accepted(material, name, value, -size), _accepted(material, name, value, size)]
@@ -99,14 +98,14 @@ def _range(material: Material, name: str, value: float) -> SliderRange:
         inner = 0.0 if _accepts(material, name, 0.0) else value / REACH
         ends = sorted([_accepted(material, name, value, inner), _accepted(material, name, value, REACH * value)])
     low, high = (factor * end for end in ends)
-    shown = factor * value
-    step = 10.0 ** math.floor(math.log10(max(high - low, 1e-3 * abs(shown), 1e-12) / _STEPS))
+    now = factor * value
+    step = 10.0 ** math.floor(math.log10(max(high - low, 1e-3 * abs(now), 1e-12) / _STEPS))
     step *= max(n for n in (1, 2, 5) if n * step <= max((high - low) / _STEPS, step))
     # Rounded inwards to what is accepted, yet never past the value itself.
     low, high = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
     low += not _accepts(material, name, _tidy(low * step) / factor)
     high -= not _accepts(material, name, _tidy(high * step) / factor)
-    return SliderRange(min(_tidy(low * step), shown), max(_tidy(high * step), shown), step, unit, factor)
+    return SliderRange(min(_tidy(low * step), now), max(_tidy(high * step), now), step, unit, factor)
 
 
 def _tidy(number: float) -> float:
@@ -114,16 +113,10 @@ def _tidy(number: float) -> float:
     return float(f"{number:.12g}")
 
 
-def _shown(material: Material, name: str) -> tuple[str, float]:
-    if name in material.parameters:
-        return ("kPa", 1e-3) if material.energy_law.units[name] == "Pa" else ("", 1.0)
-    return _SHOWN.get(name.rsplit(".", 1)[1], ("", 1.0))
-
-
 def _accepts(material: Material, name: str, value: float) -> bool:
     """Whether the material takes the value and stays one that can be simulated."""
     try:
-        changed = with_parameter(material, name, value)
+        changed = with_values(material, {name: value})
     except InputError:
         return False
     if changed.mu0 < _SOFTEST * material.mu0:

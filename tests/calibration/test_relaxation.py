@@ -125,8 +125,8 @@ def test_a_ramp_taken_for_sudden_hides_what_relaxed_in_it():
 def test_the_material_file_holds_the_series_with_its_errors(fit_relaxation):
     found = fit_relaxation(recording(noise=5.0), "reduced_polynomial_2", 2)
     file = ts.read_material_file(found.file)
-    tau, error = next(pair for name, pair in file.effect_parameters.items() if "terms[1].tau" in name)
-    assert (tau, error) == pytest.approx((found.prony.tau[1], found.errors[5]))
+    assert file.material.viscoelastic == found.prony
+    assert file.standard_errors["viscoelastic.terms[1].tau"] == pytest.approx(found.errors[5])
     assert np.array(file.covariance.matrix).shape == (6, 6)
 
 

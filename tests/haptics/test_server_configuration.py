@@ -24,7 +24,7 @@ class Cap:
 
     outline: np.ndarray
 
-    def revolve(self, segments):
+    def triangles(self, segments):
         angle = 2 * np.pi * np.arange(segments) / segments
         vertices = np.concatenate([[(r * np.cos(a), r * np.sin(a), z) for a in angle] for r, z in self.outline])
         return vertices, np.arange(3 * segments).reshape(-1, 3)
@@ -151,7 +151,7 @@ def test_surface_is_the_outline_and_on_demand_a_mesh(line, client):
     answer = line.ask("surface")
     assert answer == {"command": "surface", "outline": [[0.0, -0.005], [0.01, -0.001], [0.04, 0.0], [0.04, -0.07]]}
     answer = line.ask("surface", segments=200)
-    vertices, triangles = SettableTissue().surface().revolve(200)
+    vertices, triangles = SettableTissue().surface().triangles(200)
     assert np.array(answer["vertices"]).shape == vertices.shape == (800, 3)
     np.testing.assert_array_equal(np.array(answer["vertices"])[200:], vertices[200:])
     np.testing.assert_array_equal(answer["triangles"], triangles)

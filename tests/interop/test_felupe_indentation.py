@@ -10,8 +10,8 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.elements import Q4P0, Q9P1
-from tissue_sim.fem.axisymmetric.newton import StepStatus
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
+from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh import needle_mesh
 
 #: Pa. The second set is the one that a warm start meets: other moduli and another ratio of them.

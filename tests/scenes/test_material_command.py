@@ -9,9 +9,10 @@ from scenes.cli import main
 from scenes.commands.material import read_settings
 from tissue_sim.errors import InputError
 from tissue_sim.material.layer import Layer
+from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.material.puncture import Puncture
 from tissue_sim.material.softening import Softening
-from tissue_sim.material.viscoelasticity import Poroelasticity, Prony, PronyTerm
+from tissue_sim.material.viscoelasticity import Prony, PronyTerm
 
 #: The study's reduced polynomial: E0 8429.6 Pa, mu0 2809.8 Pa.
 NEW = ["material", "new", "--law", "reduced_polynomial_2", "--set", "C10=1404.9", "--set", "C20=699.4"]
@@ -90,7 +91,7 @@ def relaxing(tmp_path):
         "reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, name="relaxing",
         viscoelastic=Prony((PronyTerm(0.3, 2.0), PronyTerm(0.1, 40.0)), "long_term"), softening=Softening(0.4, 50.0),
         layers=(Layer(2e-3, 3.0),), poroelasticity=Poroelasticity(0.2, 1e-8), puncture=Puncture(6e-3, 0.25))
-    errors = {"viscoelastic.terms[0].g": 0.01, "viscoelastic.terms[1].tau_s": 4.0, "layers[0].thickness_mm": 0.1}
+    errors = {"viscoelastic.terms[0].g": 0.01, "viscoelastic.terms[1].tau": 4.0, "layers[0].thickness": 0.1e-3}
     ts.write_material_file(ts.MaterialFile.of(material, standard_errors=errors), path)
     return path
 

@@ -6,9 +6,8 @@ from scipy.optimize import brentq
 
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.elements import Q4P0, Q9P1
-from tissue_sim.fem.axisymmetric.newton import StepStatus
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
-from tissue_sim.fem.linear import band
+from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh import cylinder_mesh, graded_line, structured_mesh
 
 LAWS = {
@@ -113,56 +112,19 @@ def test_tangent_is_the_derivative_of_the_residual(element, law):
 
     def nodal_forces(displacement):
         held = AxisymmetricSolver(everything_held, stuff, {"shared": "rz"}, {})
-        assert held.free == 0
-        held._direction[:] = displacement / depth
+        assert held.equations.free == 0
+        held.equations.direction[:] = displacement / depth
         assert held.step(depth, tolerance=1e-13, max_iterations=20).status is StepStatus.CONVERGED
-        return held._residual[held._equation]
+        return held.equations.residual[held.equations.equation]
 
     h = 1e-7
-    unknowns = np.flatnonzero((solver._equation >= 0) & (solver._equation < solver.free))
+    unknowns = np.flatnonzero((solver.equations.equation >= 0) & (solver.equations.equation < solver.equations.free))
     numeric = np.zeros_like(tangent)
     for dof in unknowns:
         step = h * (np.arange(state.size) == dof)
         column = (nodal_forces(state + step) - nodal_forces(state - step)) / (2 * h)
-        numeric[solver._equation[unknowns], solver._equation[dof]] = column[unknowns]
+        numeric[solver.equations.equation[unknowns], solver.equations.equation[dof]] = column[unknowns]
     assert abs(tangent - numeric).max() < 1e-7 * abs(tangent).max()
-
-
-@pytest.mark.parametrize(("size", "half_band"), [(37, 5), (64, 8), (1, 0), (200, 44), (150, 149)])
-def test_band_cholesky_against_lapack(size, half_band):
-    from scipy.linalg import solveh_banded
-
-    from tissue_sim.fem.taichi.runtime import initialise
-
-    ti = initialise()
-    factorise, solve = band.functions()
-    block = ti.types.vector(band.BLOCK, ti.f64)
-    one, three = ti.types.ndarray(dtype=block, ndim=1), ti.types.ndarray(dtype=block, ndim=3)
-    reals = ti.types.ndarray(dtype=ti.f64, ndim=1)
-
-    @ti.kernel
-    def run(passes: ti.i32, matrix: three, inverse: reals, x: one, rows: ti.i32, width: ti.i32, good: reals):
-        for _ in range(passes):
-            good[0] = factorise(matrix, inverse, rows, width)
-            solve(matrix, inverse, x, rows, width)
-
-    rng = np.random.default_rng(size)
-    lower = rng.normal(size=(half_band + 1, size))
-    lower[0] = 3 * half_band + 1
-    for d in range(1, half_band + 1):
-        lower[d, size - d:] = 0
-    right = rng.normal(size=size)
-    blocks = band.pack(lower)
-    np.testing.assert_array_equal(band.unpack(blocks, size, half_band), lower)
-    rows, width = blocks.shape[:2]
-    x, good = np.zeros((rows, band.BLOCK)), np.zeros(1)
-    x.ravel()[:size] = right
-    run(1, blocks.copy(), np.zeros(rows * band.BLOCK), x, rows, width, good)
-    assert good[0] == 1
-    np.testing.assert_allclose(x.ravel()[:size], solveh_banded(lower, right, lower=True), rtol=1e-12, atol=1e-15)
-    lower[0, size // 2] = -1.0
-    run(1, band.pack(lower), np.zeros(rows * band.BLOCK), x, rows, width, good)
-    assert good[0] == 0, "a matrix that is not positive definite is noticed"
 
 
 class TestStepping:
@@ -214,8 +176,8 @@ class TestStepping:
         """The half band follows the shorter side of the mesh, and the answer does not depend on the numbering."""
         flat, tall = (AxisymmetricSolver(cylinder_mesh(0.04, 0.07, counts, Q9P1), material(), {"base": "rz"},
                                          {"top": "rz"}) for counts in ((12, 3), (3, 12)))
-        assert flat.half_band < 40 and tall.half_band < 40
-        dense = np.linalg.solve(_full(flat.tangent()), np.ones(flat.free))
+        assert flat.equations.half_band < 40 and tall.equations.half_band < 40
+        dense = np.linalg.solve(_full(flat.tangent()), np.ones(flat.equations.free))
         assert np.isfinite(dense).all() and flat.step(3e-3).force == pytest.approx(tall.step(3e-3).force, rel=0.02)
 
 
@@ -247,7 +209,7 @@ class TestMesh:
     def test_volume(self, element):
         solver = AxisymmetricSolver(cylinder_mesh(0.04, 0.07, (3, 4), element, grading=(2.0, 2.0)), material(),
                                     {"base": "z"}, {"top": "z"})
-        assert solver.weights.sum() == pytest.approx(np.pi * 0.04**2 * 0.07, rel=1e-12)
+        assert solver.equations.reference.weights.sum() == pytest.approx(np.pi * 0.04**2 * 0.07, rel=1e-12)
 
     def test_mesh_starts_at_the_axis(self):
         with pytest.raises(ts.InputError, match="starts at the axis"):

@@ -68,12 +68,13 @@ class TestSensitivitiesAtTheEndOfTheRange:
     def test_friction_at_none(self):
         """One-sided, and not half of it."""
         slope = ts.sensitivities(ts.Model(experiment(friction="frictionless", friction_base="frictionless"), MATERIAL),
-                                 ["friction"]).values[-1, 0]
+                                 ["experiment.friction"]).values[-1, 0]
         none, some = (force(friction=mu, friction_base="frictionless")[-1] for mu in (0.0, 0.01))
         assert slope == pytest.approx((some - none) / 0.01, rel=0.02)
 
     def test_the_sensor_is_left_out(self):
-        plain, read = (ts.sensitivities(ts.Model(experiment(friction=0.1), MATERIAL, rig), ["friction", "C10"])
+        names = ["experiment.friction", "C10"]
+        plain, read = (ts.sensitivities(ts.Model(experiment(friction=0.1), MATERIAL, rig), names)
                        for rig in (ts.Rig(), ts.Rig(sensor_gain=0.5, force_resolution=0.01, sampling_rate=10.0)))
         np.testing.assert_allclose(read.values, plain.values, rtol=1e-12)
         np.testing.assert_array_equal(read.recording.force, plain.recording.force)
@@ -86,9 +87,11 @@ class TestSensitivitiesAtTheEndOfTheRange:
         assert answer.values[-1, 0] == pytest.approx(-answer.recording.force[-1], rel=1e-6)
         assert answer.values[-1, 1] < 0
 
-    def test_geometry_with_a_given_mesh_is_refused(self):
-        with pytest.raises(ts.InputError, match="leave the mesh out"):
-            ts.sensitivities(ts.Model(experiment(), MATERIAL), ["specimen.radius"], mesh=build_mesh(experiment()))
+    def test_geometry_moves_a_given_mesh(self):
+        given = ts.sensitivities(ts.Model(experiment(), MATERIAL), ["experiment.specimen.radius"],
+                                 mesh=build_mesh(experiment()))
+        named = ts.sensitivities(ts.Model(experiment(), MATERIAL), ["experiment.specimen.radius"])
+        np.testing.assert_array_equal(given.values, named.values)
 
 
 def test_layered_lubricated_specimen_is_not_homogeneous():

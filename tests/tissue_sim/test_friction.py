@@ -12,8 +12,8 @@ from tissue_sim.fem.axisymmetric import newton
 from tissue_sim.fem.axisymmetric.contact import HOLD
 from tissue_sim.fem.axisymmetric.contact_kernels import TOUCHED
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
-from tissue_sim.fem.axisymmetric.newton import StepStatus
 from tissue_sim.fem.linear import band
+from tissue_sim.fem.solver import StepStatus
 from tissue_sim.simulation import _approach
 
 STUDY = {"C10": 1404.9, "C20": 699.4}
@@ -35,7 +35,7 @@ def stepped(friction, tool=None, depth=6e-3, steps=24):
     tested = model(friction, tool)
     solver = build_solver(tested, build_mesh(tested.experiment))
     for place in np.linspace(0.0, depth, steps + 1)[1:]:
-        *_, step = _approach(solver, float(place))
+        *_, step = _approach(solver, ts.Pose.at_depth(float(place)))
         assert step.status is StepStatus.CONVERGED
     return solver
 
@@ -151,12 +151,12 @@ class TestEnergy:
         """Rows of work of the plate, friction's loss and stored energy, J, after each step down to 10 mm and back."""
         tested = model(0.1)
         solver = build_solver(tested, build_mesh(tested.experiment))
-        surface, freedoms = solver.surface, 2 * len(solver.mesh.nodes)
+        surface, freedoms = solver.equations.surface, 2 * len(solver.mesh.nodes)
         rows, work, loss, depth, force = [], 0.0, 0.0, 0.0, 0.0
         radii, tractions = surface.places[..., 0].copy(), surface.forces[..., 0].copy()
         down = np.linspace(0.0, 10e-3, steps + 1)
         for place in [*down[1:], *down[-2::-1]]:
-            *_, step = _approach(solver, float(place))
+            *_, step = _approach(solver, ts.Pose.at_depth(float(place)))
             assert step.status is StepStatus.CONVERGED
             work += 0.5 * (force + step.force) * (place - depth)
             depth, force = place, step.force
@@ -172,12 +172,13 @@ class TestEnergy:
     def stored(solver, displacement):
         """Isochoric energy; that of the volume is 1e-4 of it at K/mu = 1e4."""
         u = displacement[solver.mesh.connectivity]
-        N = solver.node_gradients
+        N = solver.equations.reference.node_gradients
         F = np.zeros((*N.shape[:2], 3, 3))
         F[..., :2, :2] = np.eye(2) + np.einsum("eqaj,eai->eqij", N[..., :2], u)
         F[..., 2, 2] = 1.0 + np.einsum("eqa,ea->eq", N[..., 2], u[..., 0])
         I1 = (F**2).sum(axis=(-1, -2)) * np.linalg.det(F) ** (-2 / 3)
-        return float((solver.weights * (STUDY["C10"] * (I1 - 3) + STUDY["C20"] * (I1 - 3) ** 2)).sum())
+        density = STUDY["C10"] * (I1 - 3) + STUDY["C20"] * (I1 - 3) ** 2
+        return float((solver.equations.reference.weights * density).sum())
 
     def test_work_is_stored_or_lost(self):
         coarse, fine = self.cycle(10), self.cycle(40)
@@ -224,7 +225,7 @@ class TestTangent:
         is not looked at.
         """
         solver = stepped(mu, ts.Tool("flat", RADIUS, edge), depth=4e-3)
-        surface, before = solver.surface, solver.surface.anchors.copy()
+        surface, before = solver.equations.surface, solver.equations.surface.anchors.copy()
         assert solver.step(4.1e-3, predictor_order=0).slipping > 0
         # As within that step: slip is counted from where the points were before it. Those that stick have stuck to
         # where they are, all of their force in the multipliers.
@@ -236,7 +237,7 @@ class TestTangent:
         surface.anchors[:] = before
         with_contact = whole(solver)
         slipping = surface.ways.copy()
-        solver._counts[newton.CONTACTS] = 0
+        solver.equations.counts[newton.CONTACTS] = 0
         added = with_contact - whole(solver)
         assert abs(added - added.T).max() > 1e-3 * abs(added).max(), "slip makes it unsymmetric"
 
@@ -265,30 +266,30 @@ class TestTangent:
             return total.ravel()
 
         h, u = 1e-8, state[:freedoms]
-        free = np.flatnonzero((solver._equation >= 0) & (solver._equation < solver.free))
+        free = np.flatnonzero((solver.equations.equation >= 0) & (solver.equations.equation < solver.equations.free))
         touched = free[np.isin(free // 2, surface.edges[surface.moves])]
         numeric = np.zeros_like(added)
         for dof in touched:
             kick = h * (np.arange(freedoms) == dof)
             column = (nodal_forces(u + kick) - nodal_forces(u - kick)) / (2 * h)
-            numeric[solver._equation[touched], solver._equation[dof]] = column[touched]
+            numeric[solver.equations.equation[touched], solver.equations.equation[dof]] = column[touched]
         assert abs(added - numeric).max() < tolerance * abs(added).max()
 
 
 def whole(solver):
     """The condensed tangent as a full matrix: lower blocks, and upper ones where points slip."""
     solver.tangent()
-    rows, width = solver._entries.shape[:2]
+    rows, width = solver.equations.entries.shape[:2]
     full = np.zeros((rows * band.BLOCK,) * 2)
-    unsymmetric = bool(solver._counts[newton.UNSYMMETRIC])
+    unsymmetric = bool(solver.equations.counts[newton.UNSYMMETRIC])
     for row in range(rows):
         for column in range(max(0, row - width + 1), row + 1):
             i, j = (slice(k * band.BLOCK, (k + 1) * band.BLOCK) for k in (row, column))
             w = column - row + width - 1
-            below = solver._entries[row, w].T
+            below = solver.equations.entries[row, w].T
             if row == column:
                 full[i, j] = below if unsymmetric else np.tril(below) + np.tril(below, -1).T
             else:
                 full[i, j] = below
-                full[j, i] = solver._upper[row, w] if unsymmetric else below.T
-    return full[: solver.free, : solver.free]
+                full[j, i] = solver.equations.upper[row, w] if unsymmetric else below.T
+    return full[: solver.equations.free, : solver.equations.free]

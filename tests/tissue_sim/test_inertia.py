@@ -7,8 +7,8 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.elements import Q9P1
-from tissue_sim.fem.axisymmetric.newton import StepStatus
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
+from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh import cylinder_mesh
 
 RADIUS, HEIGHT, DENSITY = 0.01, 0.05, 1000.0

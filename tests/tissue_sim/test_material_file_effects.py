@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 import tissue_sim as ts
 from tissue_sim.material.file import decode_material_file
 from tissue_sim.material.layer import Layer
+from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.material.puncture import Puncture
 from tissue_sim.material.softening import Softening
-from tissue_sim.material.viscoelasticity import Poroelasticity, Prony, PronyTerm
+from tissue_sim.material.viscoelasticity import Prony, PronyTerm
 
 YEOH = ts.Material("reduced_polynomial_3", {"C10": 7702.0, "C20": -63.0, "C30": 248.0}, ts.Bulk("bulk_ratio", 1e3))
 LOSSY = dataclasses.replace(
@@ -24,21 +25,21 @@ LOSSY = dataclasses.replace(
 
 
 def test_what_time_and_loading_do_comes_back(tmp_path):
-    errors = {"viscoelastic.terms[1].tau_s": 3.0, "softening.loss": 0.05, "layers[1].modulus_ratio": 0.1,
-              "poroelasticity.phi": 0.01, "puncture.depth_mm": 0.2, "C10": 7.0}
+    errors = {"viscoelastic.terms[1].tau": 3.0, "softening.loss": 0.05, "layers[1].ratio": 0.1,
+              "poroelasticity.phi": 0.01, "puncture.depth": 0.2e-3, "C10": 7.0}
     file = ts.MaterialFile.of(LOSSY, standard_errors=errors)
     path = tmp_path / "m.material.json"
     ts.write_material_file(file, path)
     again = ts.read_material_file(path)
     assert again == file and again.material == LOSSY
     assert again.parameters["C10"].standard_error == 7.0
-    stated = {name: error for name, (_, error) in again.effect_parameters.items() if error is not None}
-    assert stated == {name: error for name, error in errors.items() if name != "C10"}
-    assert again.effect_parameters["poroelasticity.diffusivity_mm2_per_s"] == (pytest.approx(2.5e-3), None)
+    assert again.standard_errors == pytest.approx(errors, rel=1e-15)
     data = json.loads(path.read_text(encoding="utf-8"))
     assert data["viscoelastic"] == {
         "terms": [{"g": 0.25, "tau_s": 2.0}, {"standard_errors": {"tau_s": 3.0}, "g": 0.125, "tau_s": 64.0}],
         "moduli": "long_term", "form": "isochoric_second_piola"}
+    assert data["poroelasticity"]["diffusivity_mm2_per_s"] == pytest.approx(2.5e-3)
+    assert data["puncture"] == {"standard_errors": {"depth_mm": 0.2}, "depth_mm": 6.0, "drop": 0.25}
     assert data["layers"][0] == {"thickness_mm": 2.0, "modulus_ratio": 4.0}
 
 
@@ -50,15 +51,19 @@ def test_the_convention_is_written_where_it_is_the_default(tmp_path):
 
 
 def test_covariance_reaches_beyond_the_law(tmp_path):
-    others = ("viscoelastic.terms[0].g", "viscoelastic.terms[0].tau_s")
-    matrix = np.diag([4.0, 9.0, 16.0, 1e-4, 0.25])
+    others = ("viscoelastic.terms[0].g", "layers[1].thickness")
+    matrix = np.diag([4.0, 9.0, 16.0, 1e-4, 0.25e-6])
     matrix[0, 3] = matrix[3, 0] = 0.01
     file = ts.MaterialFile.of(LOSSY, covariance=matrix, others=others)
     ts.write_material_file(file, tmp_path / "m.json")
     again = ts.read_material_file(tmp_path / "m.json")
-    assert again.covariance.order == ("C10", "C20", "C30", *others)
-    np.testing.assert_array_equal(again.covariance.matrix, matrix)
-    assert again.effect_parameters["viscoelastic.terms[0].tau_s"] == (2.0, 0.5)
+    assert again.covariance.order == ("C10", "C20", "C30", "viscoelastic.terms[0].g", "layers[1].thickness_mm")
+    in_file = np.array(again.covariance.matrix)
+    np.testing.assert_allclose(in_file[4, 4], matrix[4, 4] * 1e6, rtol=1e-15)  # mm2
+    paths, back = again.covariance_SI
+    assert paths == ("C10", "C20", "C30", *others)
+    np.testing.assert_allclose(back, matrix, rtol=1e-15)
+    assert again.standard_errors["layers[1].thickness"] == pytest.approx(0.5e-3)
 
 
 #: Written by version 0.1.0 before anything beside the law existed; kept as they were.

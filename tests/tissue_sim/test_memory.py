@@ -10,8 +10,8 @@ from scipy.integrate import trapezoid
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver, element_layers
 from tissue_sim.fem.axisymmetric.elements import Q4P0, Q9P1
-from tissue_sim.fem.axisymmetric.newton import StepStatus
-from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver, Step
+from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
+from tissue_sim.fem.solver import Step, StepStatus
 from tissue_sim.mesh import cylinder_mesh
 from tissue_sim.simulation import _approach
 
@@ -193,10 +193,10 @@ class TestStepping:
         expected = force(ts.Protocol(time[kept], depth[kept]), **self.MEMORY)[asked[kept]]
         step = AxisymmetricSolver.step
 
-        def short(solver, depth, *args, **options):
-            if abs(depth - solver.depth) > 1.5e-3:
-                return Step(StepStatus.SLOW, 1, 1.0, 0.0)
-            return step(solver, depth, *args, **options)
+        def short(solver, pose, *args, **options):
+            if abs(pose.depth - solver.depth) > 1.5e-3:
+                return Step.axial(StepStatus.SLOW, 1, 1.0, 0.0)
+            return step(solver, pose, *args, **options)
 
         monkeypatch.setattr(AxisymmetricSolver, "step", short)
         cut = ts.simulate(model(self.PROTOCOL, **self.MEMORY))
@@ -210,7 +210,7 @@ class TestStepping:
         solver = build_solver(m, build_mesh(m.experiment))
 
         def go(depth, dt):
-            *_, step = _approach(solver, depth, dt)
+            *_, step = _approach(solver, ts.Pose.at_depth(depth), dt)
             assert step.status is StepStatus.CONVERGED
             return step.force
 
@@ -246,32 +246,32 @@ def test_tangent_is_the_derivative_of_the_residual(element):
     solver = AxisymmetricSolver(mesh, stuff, {"base": "rz"}, {"top": "rz"}, element_layers=layers)
     for depth, dt in ((5e-3, 0.5), (10e-3, 1.0), (8e-3, 0.3)):
         assert solver.step(depth, dt).status is StepStatus.CONVERGED
-    assert (solver.memory.energies < solver.memory.largest).mean() > 0.5, "softened in most places"
+    assert (solver.equations.memory.energies < solver.equations.memory.largest).mean() > 0.5, "softened in most places"
     lower = solver.tangent()
-    tangent = np.zeros((solver.free, solver.free))
+    tangent = np.zeros((solver.equations.free, solver.equations.free))
     for d in range(lower.shape[0]):
-        i = np.arange(solver.free - d)
-        tangent[i + d, i] = tangent[i, i + d] = lower[d, : solver.free - d]
+        i = np.arange(solver.equations.free - d)
+        tangent[i + d, i] = tangent[i, i + d] = lower[d, : solver.equations.free - d]
 
     freedoms = 2 * len(mesh.nodes)
-    state, remembered = solver.state[:freedoms], solver.memory.copy()
+    state, remembered = solver.state[:freedoms], solver.equations.memory.save()
     shared = np.unique(mesh.connectivity[:, : element.boundary_nodes])
     everything_held = type(mesh)(element, mesh.nodes, mesh.connectivity, {**mesh.sets, "shared": shared})
 
     def nodal_forces(displacement):
         held = AxisymmetricSolver(everything_held, stuff, {"shared": "rz"}, {}, element_layers=layers)
-        held.memory.restore(remembered)
-        held._direction[:] = displacement / depth
+        held.equations.memory.restore(remembered)
+        held.equations.direction[:] = displacement / depth
         assert held.step(depth, 0.0, tolerance=1e-13).status is StepStatus.CONVERGED
-        return held._residual[held._equation]
+        return held.equations.residual[held.equations.equation]
 
     h = 1e-7
-    unknowns = np.flatnonzero((solver._equation >= 0) & (solver._equation < solver.free))
+    unknowns = np.flatnonzero((solver.equations.equation >= 0) & (solver.equations.equation < solver.equations.free))
     numeric = np.zeros_like(tangent)
     for dof in unknowns:
         kick = h * (np.arange(freedoms) == dof)
         column = (nodal_forces(state + kick) - nodal_forces(state - kick)) / (2 * h)
-        numeric[solver._equation[unknowns], solver._equation[dof]] = column[unknowns]
+        numeric[solver.equations.equation[unknowns], solver.equations.equation[dof]] = column[unknowns]
     assert abs(tangent - numeric).max() < 1e-7 * abs(tangent).max()
 
 

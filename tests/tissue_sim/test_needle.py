@@ -11,7 +11,7 @@ import tissue_sim as ts
 from tissue_sim.fem.axisymmetric import newton
 from tissue_sim.fem.axisymmetric.contact_pairs import NEEDLE_TOLERANCE
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
-from tissue_sim.fem.axisymmetric.newton import StepStatus
+from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh import structured_mesh
 from tissue_sim.simulation import _approach
 
@@ -163,7 +163,7 @@ class TestTangent:
         m = model(friction, edge=edge)
         solver = build_solver(m, build_mesh(m.experiment))
         for depth in np.linspace(0, 6e-3, 25):
-            *_, step = _approach(solver, float(depth))
+            *_, step = _approach(solver, ts.Pose.at_depth(float(depth)))
             assert step.status is StepStatus.CONVERGED
         step = solver.step(6.0005e-3, predictor_order=0)
         assert step.status is StepStatus.CONVERGED and step.iterations <= 5
@@ -176,13 +176,13 @@ class TestTangent:
         m = model("frictionless", edge=edge)
         solver = build_solver(m, build_mesh(m.experiment))
         for depth in np.linspace(0, 4e-3, 17):
-            *_, step = _approach(solver, float(depth))
+            *_, step = _approach(solver, ts.Pose.at_depth(float(depth)))
         assert step.status is StepStatus.CONVERGED
         with_contact = solver.tangent()
-        solver._counts[newton.CONTACTS] = 0
+        solver.equations.counts[newton.CONTACTS] = 0
         added = with_contact - solver.tangent()
 
-        surface, freedoms = solver.surface, 2 * len(solver.mesh.nodes)
+        surface, freedoms = solver.equations.surface, 2 * len(solver.mesh.nodes)
         state, centre = solver.state, np.array([RADIUS - edge, edge])
         multipliers = state[-2 * surface.springs.size:].reshape(*surface.springs.shape, 2)
 
@@ -200,15 +200,16 @@ class TestTangent:
             return total.ravel()
 
         h, u = 1e-8, state[:freedoms]
-        free = np.flatnonzero((solver._equation >= 0) & (solver._equation < solver.free))
+        free = np.flatnonzero((solver.equations.equation >= 0) & (solver.equations.equation < solver.equations.free))
         touched = free[np.isin(free // 2, surface.edges)]
         numeric = np.zeros_like(added)
         for dof in touched:
             kick = h * (np.arange(freedoms) == dof)
             column = (nodal_forces(u + kick) - nodal_forces(u - kick)) / (2 * h)
-            below = touched[solver._equation[touched] >= solver._equation[dof]]
-            near = below[solver._equation[below] - solver._equation[dof] <= solver.half_band]
-            numeric[solver._equation[near] - solver._equation[dof], solver._equation[dof]] = column[near]
+            equation = solver.equations.equation
+            below = touched[equation[touched] >= equation[dof]]
+            near = below[equation[below] - equation[dof] <= solver.equations.half_band]
+            numeric[equation[near] - equation[dof], equation[dof]] = column[near]
         assert abs(added).max() > 0
         assert abs(added - numeric).max() < 1e-5 * abs(added).max()
 

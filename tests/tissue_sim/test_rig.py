@@ -68,7 +68,7 @@ def test_motion_only():
               "latency": 0.1, "sensor_gain": 0.1, "zero_offset": 0.1, "sensor_drift": 0.1, "sampling_rate": 10.0,
               "force_noise": 0.1, "noise_correlation_time": 1.0, "force_resolution": 0.1,
               "displacement_resolution": 1e-4, "seed": 3}
-    assert set(stated) == {entry.name for entry in dataclasses.fields(Rig)}
+    assert {*stated, "faults"} == {entry.name for entry in dataclasses.fields(Rig)}
     rig, moving = Rig(**stated), Rig(**stated).motion_only
     np.testing.assert_array_equal(moving.tool_motion(WAY), rig.tool_motion(WAY))
     np.testing.assert_array_equal(moving.apply(ELASTIC).force, rig.apply(ELASTIC).force)

@@ -8,18 +8,20 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from tissue_sim.rig.file import KEYS, load_rig, write_rig
+from tissue_sim.parameters import declared
+from tissue_sim.rig.file import load_rig, write_rig
 from tissue_sim.rig.rig import Rig
 
 NOT_NEGATIVE = st.floats(1e-12, 1e6)
 ANY = st.floats(-1e6, 1e6).filter(lambda value: abs(value) > 1e-12)
 RELATIVE = st.floats(-0.99, 10.0).filter(lambda value: abs(value) > 1e-12)
 SIGNED = ("contact_offset", "step_loss", "step_loss_depth", "zero_offset", "sensor_drift")
-VALUES = {name: ANY if name in SIGNED else RELATIVE if name.endswith("gain") else NOT_NEGATIVE for name in KEYS}
+VALUES = {name: ANY if name in SIGNED else RELATIVE if name.endswith("gain") else NOT_NEGATIVE
+          for name in declared(Rig)}
 
 
 def test_every_field_has_a_key():
-    assert [*KEYS, "seed"] == [entry.name for entry in fields(Rig)]
+    assert [*declared(Rig), "seed", "faults"] == [entry.name for entry in fields(Rig)]
 
 
 @given(st.fixed_dictionaries({}, optional={**VALUES, "seed": st.integers(0, 2**32)}))

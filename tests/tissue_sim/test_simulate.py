@@ -9,8 +9,7 @@ from scipy.interpolate import CubicSpline
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
 from tissue_sim.fem.axisymmetric.fields import FIELD_UNITS, extrapolate
-from tissue_sim.fem.axisymmetric.newton import StepStatus
-from tissue_sim.fem.axisymmetric.solver import Step
+from tissue_sim.fem.solver import Step, StepStatus
 from tissue_sim.mesh import cylinder_mesh
 from tissue_sim.simulation import _approach
 
@@ -155,24 +154,25 @@ class TestRecordingOfASimulation:
     def test_steps_are_halved_and_doubled(self):
         """A stand-in for the solver that manages 3 mm at a time shows the order of the trials."""
         class Slow:
-            depth = 0.0
+            pose = ts.Pose.at_depth(0.0)
 
             def step(self, trial, dt, predictor_order):
-                good = abs(trial - self.depth) <= 3.0
-                self.depth = trial if good else self.depth
-                return Step(StepStatus.CONVERGED if good else StepStatus.SLOW, 1, 0.0, 0.0)
+                good = abs(trial.depth - self.pose.depth) <= 3.0
+                self.pose = trial if good else self.pose
+                return Step.axial(StepStatus.CONVERGED if good else StepStatus.SLOW, 1, 0.0, 0.0)
 
         solver, trials = Slow(), []
-        for _step in _approach(solver, 10.0):
-            trials.append(solver.depth)
+        for _step in _approach(solver, ts.Pose.at_depth(10.0)):
+            trials.append(solver.pose.depth)
         # 10 and 5 fail with and without extrapolation, 2.5 succeeds, 5 more fail, 2.5 succeeds, ...
         assert trials == [0.0] * 4 + [2.5] * 3 + [5.0] * 3 + [7.5, 10.0]
 
         class Stuck(Slow):
             def step(self, trial, dt, predictor_order):
-                return Step(StepStatus.SLOW, 1, 0.0, 0.0)
+                return Step.axial(StepStatus.SLOW, 1, 0.0, 0.0)
 
-        assert len(list(_approach(Stuck(), 10.0))) == 2 * 11  # 2^0 down to 2^-10 of the way, each twice
+        tried = list(_approach(Stuck(), ts.Pose.at_depth(10.0)))
+        assert len(tried) == 2 * 11  # 2^0 down to 2^-10 of the way, each twice
 
     def test_a_frictionless_plate_lifts_off(self):
         experiment = ts.Experiment(ts.Specimen(0.04, 0.07), ts.Protocol([0.0, 1.0, 2.0], [-1e-3, 0.0, 1e-3]),

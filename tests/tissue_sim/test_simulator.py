@@ -221,7 +221,7 @@ def test_parameters_change_without_compiling(sim, monkeypatch):
 def test_thickness_of_a_layer_is_refused():
     sim = simulator(*CASES["heavy, layered, softening"])
     with pytest.raises(ts.InputError, match="build another"):
-        sim.set_parameters(**{"layers[0].thickness_mm": 5.0})
+        sim.set_parameters(**{"layers[0].thickness": 5.0})
 
 
 def test_nothing_is_allocated_in_the_loop(sim):
@@ -237,7 +237,7 @@ def test_nothing_is_allocated_in_the_loop(sim):
         end, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert end - start < 2048 and peak - start < sim._solver.x.nbytes
+    assert end - start < 2048 and peak - start < sim._solver.state.nbytes
 
 
 class TestSurface:
@@ -263,7 +263,7 @@ class TestSurface:
 
     def test_triangles_look_outward_and_enclose_the_volume(self, sim):
         surface = sim.surface()
-        vertices, triangles = surface.revolve(96)
+        vertices, triangles = surface.triangles(96)
         a, b, c = (vertices[triangles[:, i]] for i in range(3))
         flux = np.einsum("ti,ti->", a, np.cross(b, c)) / 6.0
         # The open base at z = -H adds H A / 3.

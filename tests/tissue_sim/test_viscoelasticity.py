@@ -10,9 +10,10 @@ from scipy.integrate import solve_ivp
 
 import tissue_sim as ts
 from tissue_sim.material.layer import Layer
+from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.material.puncture import Puncture
 from tissue_sim.material.softening import Softening
-from tissue_sim.material.viscoelasticity import Poroelasticity, Prony, PronyTerm, internal_stress
+from tissue_sim.material.viscoelasticity import Prony, PronyTerm, internal_stress
 
 SERIES = Prony((PronyTerm(0.3, 2.0), PronyTerm(0.2, 50.0)))
 NEO_HOOKE = ts.Material("neo_hooke", {"C10": 1000.0})

@@ -2,18 +2,32 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from tissue_sim.fem.axisymmetric.assembly import FACTOR, INSTANT, LOSS, LOSS_MODULUS, LOSS_SHARE
 from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import Prony
+
+#: Places in `Memory.past`.
+FACTOR, INSTANT, LOSS, LOSS_MODULUS, LOSS_SHARE = range(5)
+
+
+@dataclass(frozen=True, eq=False)
+class SavedMemory:
+    """All that a committed step leaves behind; see the attributes of `Memory`."""
+
+    before: np.ndarray
+    internal: np.ndarray
+    largest: np.ndarray
+    stresses: np.ndarray
 
 
 class Memory:
     """Hereditary stresses and the largest load; the arrays that a step's kernel works on.
 
     Attributes:
-        past: how stresses act in this step; places as in `tissue_sim.fem.axisymmetric.assembly`.
+        past: how stresses act in this step; places as named above.
         inherited: isochoric second Piola stress that is left of earlier ones, Pa, shape (elements, q, 4).
         largest: largest isochoric energy density so far, J/m3, shape (elements, q).
         stresses, energies: of the law, softened but not relaxed, in this step; before: those of the step before.
@@ -43,6 +57,8 @@ class Memory:
         self.past[LOSS], self.past[LOSS_MODULUS], self.past[LOSS_SHARE] = (
             (0.0, 1.0, 0.0) if softening is None else (softening.loss, softening.modulus, softening.share))
         self.works = relaxation is not None or softening is not None
+        if relaxation is None:
+            self.inherited[:] = 0.0
         self.prepare(0.0)
 
     def prepare(self, dt: float) -> None:
@@ -80,10 +96,11 @@ class Memory:
             return self.stresses.copy()
         return (1.0 - self._prony.relaxing) * self.before + self.internal.sum(axis=0)
 
-    def copy(self) -> tuple[np.ndarray, ...]:
+    def save(self) -> SavedMemory:
         """All that a committed step leaves behind."""
-        return self.before.copy(), self.internal.copy(), self.largest.copy(), self.stresses.copy()
+        return SavedMemory(self.before.copy(), self.internal.copy(), self.largest.copy(), self.stresses.copy())
 
-    def restore(self, saved: tuple[np.ndarray, ...]) -> None:
-        """Go back to where `copy` was taken, on this mesh or on the same one."""
-        self.before[:], self.internal[:], self.largest[:], self.stresses[:] = saved
+    def restore(self, saved: SavedMemory) -> None:
+        """Go back to where `save` was called, on this mesh or on the same one."""
+        self.before[:], self.internal[:], self.largest[:], self.stresses[:] = (
+            saved.before, saved.internal, saved.largest, saved.stresses)

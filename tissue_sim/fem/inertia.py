@@ -10,10 +10,22 @@ Source: Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, s
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 #: Steps whose ratio to the one before lies here are of second order; the method is stable below 1 + sqrt 2.
 _RATIOS = 0.4, 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class SavedMotion:
+    """All that a committed step leaves behind; see `Motion`."""
+
+    velocity: np.ndarray
+    earlier_place: np.ndarray
+    earlier_velocity: np.ndarray
+    before: float
 
 
 class Motion:
@@ -73,10 +85,11 @@ class Motion:
         """Stand still."""
         self.velocity[:], self.before = 0.0, 0.0
 
-    def copy(self) -> tuple:
+    def save(self) -> SavedMotion:
         """All that a committed step leaves behind."""
-        return self.velocity.copy(), self._earlier_place.copy(), self._earlier_velocity.copy(), self.before
+        return SavedMotion(self.velocity.copy(), self._earlier_place.copy(), self._earlier_velocity.copy(), self.before)
 
-    def restore(self, saved: tuple) -> None:
-        """Go back to where `copy` was taken."""
-        self.velocity[:], self._earlier_place[:], self._earlier_velocity[:], self.before = saved
+    def restore(self, saved: SavedMotion) -> None:
+        """Go back to where `save` was called."""
+        self.velocity[:], self._earlier_place[:], self._earlier_velocity[:], self.before = (
+            saved.velocity, saved.earlier_place, saved.earlier_velocity, saved.before)

@@ -12,18 +12,17 @@ from typing import Any
 import msgspec
 import numpy as np
 
-import tissue_sim
 from tissue_sim.atomic_write import write_text
 from tissue_sim.decode import as_json_types, decode, read_json, require_writable
 from tissue_sim.errors import InputError, nearest
-from tissue_sim.laws import check_stability, find_law
+from tissue_sim.laws import Law, check_stability, find_law
 from tissue_sim.material.material import Bulk, Material
 from tissue_sim.material.schema import (
     BulkEntry,
     CovarianceEntry,
+    Entry,
     LayerEntry,
     ParameterEntry,
-    Part,
     PoroelasticityEntry,
     Provenance,
     PunctureEntry,
@@ -31,20 +30,22 @@ from tissue_sim.material.schema import (
     StabilityEntry,
     ValidRange,
     ViscoelasticEntry,
-    build_effects,
-    effect_parameters,
     entries_of,
+    errors_of,
+    parts_of,
 )
+from tissue_sim.parameters import Parameter, parameters
 from tissue_sim.units import UNITS, to_si
+from tissue_sim.version import __version__
 
 #: Version 1 had a law and a bulk response only; such files are read as they are.
 VERSION = 2
 SCHEMA = f"tissue_sim/material/{VERSION}"
 #: Keys of what a material has beside these.
-EFFECTS = ("viscoelastic", "softening", "layers", "poroelasticity", "puncture")
+EFFECTS = ("viscoelastic", "softening", "layers", "poroelasticity", "puncture", "effects")
 
 
-class MaterialFile(Part, kw_only=True):
+class MaterialFile(Entry, kw_only=True):
     """A material with its uncertainty and its history.
 
     Files may state stresses in Pa, kPa or MPa; the parameters of the law in a `MaterialFile` that was read, or made by
@@ -62,6 +63,7 @@ class MaterialFile(Part, kw_only=True):
     layers: tuple[LayerEntry, ...] | None = None
     poroelasticity: PoroelasticityEntry | None = None
     puncture: PunctureEntry | None = None
+    effects: dict[str, dict[str, Any]] | None = None
     density_kg_m3: float | None = None
     valid_range: ValidRange | None = None
     stability: StabilityEntry | None = None
@@ -75,9 +77,8 @@ class MaterialFile(Part, kw_only=True):
 
         Args:
             material: the material.
-            standard_errors: parameter of the law -> standard error, SI, or path of another parameter, such as
-                ``"viscoelastic.terms[0].tau_s"``, -> in the unit of its key; from the covariance where that is given
-                and this is not.
+            standard_errors: path -> standard error, SI, as in `tissue_sim.parameters`: ``C10``,
+                ``viscoelastic.terms[0].tau``; from the covariance where that is given and this is not.
             covariance: shape (m, m), of the law's parameters in its order, SI.
             others: paths of the parameters that the covariance holds after those of the law; it is then larger.
             valid_range: for example ``{"stretch": [0.8, 1.0]}``.
@@ -86,22 +87,23 @@ class MaterialFile(Part, kw_only=True):
         Raises:
             InputError: a value that the schema refuses, by its dotted field path.
         """
-        law = material.energy_law
-        known = (*law.parameters, *effect_parameters(entries_of(material, {})))
-        errors = dict(standard_errors or {})
-        for name in errors:
+        law, known = material.energy_law, _with_errors(material)
+        errors = {name: float(error) for name, error in (standard_errors or {}).items()}
+        for name in (*errors, *others):
             if name not in known:
-                raise InputError(f"this material has no parameter {name!r}{nearest(name, known)}",
-                                 field=f"standard_errors.{name}")
+                field = f"standard_errors.{name}" if name in errors else "covariance.order"
+                raise InputError(f"this material has no parameter {name!r}{nearest(name, known)}", field=field)
         if covariance is not None:
             matrix = np.asarray(covariance, dtype=float)
             order = (*law.parameters, *others)
-            covariance = decode({"order": order, "matrix": matrix.tolist()}, CovarianceEntry, "covariance")
-            _check_covariance(covariance, law, known)
+            _check_matrix(matrix, len(order))
             errors = errors or dict(zip(order, np.sqrt(np.diag(matrix)).tolist(), strict=True))
+            factors = np.array([known[name].declaration.factor for name in order])
+            covariance = CovarianceEntry(order=tuple(known[name].file_path for name in order),
+                                         matrix=_rows(matrix / np.outer(factors, factors)))
         stability = check_stability(law, material.values)
         given = as_json_types(provenance or {})
-        history = {"software": "tissue-sim", "version": tissue_sim.__version__,
+        history = {"software": "tissue-sim", "version": __version__,
                    "date": datetime.now(UTC).isoformat(timespec="seconds"), **given}
         bulk = {material.bulk.kind: True if material.bulk.value is None else float(material.bulk.value)}
         return checked(cls(
@@ -123,12 +125,23 @@ class MaterialFile(Part, kw_only=True):
                            if value is not None)
         return Material(self.law, {name: entry.value for name, entry in self.parameters.items()},
                         Bulk(kind, None if kind == "incompressible" else value), self.density_kg_m3, self.name,
-                        **build_effects(self._effects))
+                        **parts_of(self._effects))
 
     @property
-    def effect_parameters(self) -> dict[str, tuple[float, float | None]]:
-        """Path of every parameter beside those of the law, such as ``softening.loss`` -> (value, standard error)."""
-        return effect_parameters(self._effects)
+    def standard_errors(self) -> dict[str, float]:
+        """Path, as in `tissue_sim.parameters`, -> standard error, SI, of those that are known; of a file in SI."""
+        law = {name: entry.standard_error for name, entry in self.parameters.items()}
+        return {name: error for name, error in law.items() if error is not None} | errors_of(self._effects)
+
+    @property
+    def covariance_SI(self) -> tuple[tuple[str, ...], np.ndarray] | None:
+        """Paths and their covariance, SI, shape (m, m); None where the file has none."""
+        if self.covariance is None:
+            return None
+        known = {each.file_path: each for each in _with_errors(self.material).values()}
+        stated = [known[name] for name in self.covariance.order]
+        factors = np.array([each.declaration.factor for each in stated])
+        return tuple(each.path for each in stated), np.outer(factors, factors) * np.array(self.covariance.matrix)
 
     @property
     def _effects(self) -> dict[str, Any]:
@@ -232,29 +245,46 @@ def checked(file: MaterialFile) -> MaterialFile:
     _ = file.material  # refuses missing parameters, a shear modulus <= 0, a bulk or density <= 0
     if file.covariance is not None:
         order = file.covariance.order
-        _check_covariance(file.covariance, law, (*law.parameters, *file.effect_parameters))
+        _check_order(order, law, [each.file_path for each in _with_errors(file.material).values()])
         scale = np.array([factors.get(name, 1.0) for name in order])
-        matrix = np.outer(scale, scale) * np.array(file.covariance.matrix)
-        rows = tuple(map(tuple, matrix.tolist()))
-        file = msgspec.structs.replace(file, covariance=CovarianceEntry(order=order, matrix=rows))
+        matrix = np.array(_square(file.covariance.matrix, len(order)), dtype=float)
+        matrix = np.outer(scale, scale) * matrix
+        _check_matrix(matrix, len(order))
+        file = msgspec.structs.replace(file, covariance=CovarianceEntry(order=order, matrix=_rows(matrix)))
+    _ = errors_of(file._effects)
     require_writable(msgspec.to_builtins(file))  # a number near 1e308 MPa does not fit in Pa
     return file
 
 
-def _check_covariance(covariance: CovarianceEntry, law, known: Sequence[str]) -> None:
-    order = covariance.order
+def _with_errors(material: Material) -> dict[str, Parameter]:
+    """Path -> parameter, of those whose uncertainty a file can state: all but the bulk response."""
+    return {path: each for path, each in parameters(material).items() if not path.startswith("bulk.")}
+
+
+def _check_order(order: Sequence[str], law: Law, known: Sequence[str]) -> None:
     m = len(law.parameters)
-    if order[:m] != law.parameters or len(set(order)) != len(order):
+    if tuple(order[:m]) != law.parameters or len(set(order)) != len(order):
         raise InputError(f"is {', '.join(order)}; expected the parameters of {law.name} in its order, "
                          f"{', '.join(law.parameters)}, then others, each once", field="covariance.order")
     for name in order[m:]:
         if name not in known:
             raise InputError(f"this material has no parameter {name!r}{nearest(name, known)}", field="covariance.order")
-    m = len(order)
-    if [len(row) for row in covariance.matrix] != [m] * m:
-        raise InputError(f"has rows of length {[len(row) for row in covariance.matrix]}, expected {m} rows of {m}",
+
+
+def _square(rows: Sequence[Sequence[float]], m: int) -> Sequence[Sequence[float]]:
+    if [len(row) for row in rows] != [m] * m:
+        raise InputError(f"has rows of length {[len(row) for row in rows]}, expected {m} rows of {m}",
                          field="covariance.matrix")
-    matrix = np.array(covariance.matrix, dtype=float)
+    return rows
+
+
+def _rows(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
+    return tuple(map(tuple, matrix.tolist()))
+
+
+def _check_matrix(matrix: np.ndarray, m: int) -> None:
+    if matrix.shape != (m, m):
+        raise InputError(f"has the shape {matrix.shape}, expected {m} rows of {m}", field="covariance.matrix")
     if not np.isfinite(matrix).all():
         raise InputError("holds a number that is not finite", field="covariance.matrix")
     variances = np.diag(matrix)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissue_sim.errors import InputError
+from tissue_sim.parameters import parameter
 
 
 @dataclass(frozen=True)
@@ -18,8 +19,8 @@ class Layer:
         ratio: every modulus of the material, bulk included, times this; 1 is absent.
     """
 
-    thickness: float
-    ratio: float
+    thickness: float = parameter("h", "m", key="thickness_mm", factor=1e-3, bounds=(1e-6, 1.0), shapes_mesh=True)
+    ratio: float = parameter("k", "1", key="modulus_ratio", bounds=(1e-3, 1e3), absent=1.0)
 
     def __post_init__(self):
         if not 0 < self.thickness < np.inf:

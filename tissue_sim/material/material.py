@@ -2,21 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.laws import Law, find_law
+from tissue_sim.material.effect import ReducedEffect, TissueEffect
 from tissue_sim.material.layer import Layer
+from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.material.puncture import Puncture
 from tissue_sim.material.softening import Softening
-from tissue_sim.material.viscoelasticity import MOST_TERMS, Poroelasticity, Prony
+from tissue_sim.material.viscoelasticity import MOST_TERMS, Prony
+from tissue_sim.parameters import Declaration
+
+if TYPE_CHECKING:
+    from tissue_sim.experiment.experiment import Experiment
 
 #: K / mu0 inside which the finite elements are checked; 2.17 is a Poisson's ratio of 0.3.
 BULK_RATIOS = (2.0, 1e6)
+#: What the number of a bulk response is.
+_BULK = {
+    "K_Pa": Declaration("K", "Pa", (1.0, 1e12), key="K_Pa"),
+    "D1_per_Pa": Declaration("D1", "1/Pa", (2e-12, 2.0), key="D1_per_Pa"),
+    "bulk_ratio": Declaration("K/mu", "1", BULK_RATIOS, key="bulk_ratio"),
+}
+#: Exponents and other numbers of a law that have no unit may run so far in a fit.
+EXPONENT_BOUND = 50.0
 
 
 def incompressible_ratio(radius: float, height: float) -> float:
@@ -51,6 +66,14 @@ class Bulk:
         elif self.value is None or not np.isfinite(self.value) or self.value <= 0:
             raise InputError(f"{self.value} is not a positive number", field=f"bulk.{self.kind}")
 
+    def own_parameters(self) -> dict[str, tuple[Declaration, float]]:
+        """The number of this response by its kind; see `tissue_sim.parameters`."""
+        return {} if self.value is None else {self.kind: (_BULK[self.kind], float(self.value))}
+
+    def with_own_parameters(self, values: Mapping[str, float]) -> Bulk:
+        """With another number."""
+        return Bulk(self.kind, values[self.kind])
+
     def modulus(self, mu0: float) -> float:
         """Bulk modulus in Pa for a material of initial shear modulus mu0; infinite for incompressible."""
         match self.kind:
@@ -80,6 +103,8 @@ class Material:
         layers: from the top face down.
         poroelasticity: drainage, with a time of each test's own.
         puncture: under a needle.
+        effects: what was added beside these, by name; see `tissue_sim.material.effect`. A sequence of effects is
+            taken, too.
 
     Raises:
         InputError: unknown law or parameter, parameters whose shear modulus at rest is not positive, or relaxing terms
@@ -96,8 +121,10 @@ class Material:
     layers: tuple[Layer, ...] = ()
     poroelasticity: Poroelasticity | None = None
     puncture: Puncture | None = None
+    effects: Mapping[str, TissueEffect] = field(default_factory=dict)
 
     def __post_init__(self):
+        object.__setattr__(self, "effects", read_only(_by_name(self.effects)))
         object.__setattr__(self, "parameters", read_only(self.energy_law.as_mapping(self.parameters)))
         object.__setattr__(self, "layers", tuple(self.layers))
         if not self.mu0 > 0:
@@ -112,6 +139,31 @@ class Material:
             if not self.mu_long_term > 0:
                 raise InputError("phi and the g of all viscoelastic terms add up to 1 or more; they must stay below 1, "
                                  "or nothing carries a constant load", field="poroelasticity.phi")
+
+    def own_parameters(self) -> dict[str, tuple[Declaration, float]]:
+        """Those of the law, by name; see `tissue_sim.parameters`."""
+        return {name: (law_declaration(self.energy_law, name), value) for name, value in self.parameters.items()}
+
+    def with_own_parameters(self, values: Mapping[str, float], **changes: Any) -> Material:
+        """With other parameters of the law, and other fields."""
+        return replace(self, parameters={**self.parameters, **values}, **changes)
+
+    @property
+    def ages(self) -> bool:
+        """Whether its force depends on time."""
+        return (self.viscoelastic is not None or self.poroelasticity is not None
+                or any(effect.ages for effect in self.effects.values()))
+
+    @property
+    def remembers(self) -> bool:
+        """Whether its force depends on how the tool came to where it is."""
+        return (self.ages or self.softening is not None
+                or any(effect.remembers for effect in self.effects.values()))
+
+    def reduced_effects(self, experiment: Experiment) -> tuple[ReducedEffect, ...]:
+        """The effects in reduced form that play a part in an experiment."""
+        return tuple(part for part in (self.puncture, *self.effects.values())
+                     if isinstance(part, ReducedEffect) and part.acts_in(experiment))
 
     @property
     def energy_law(self) -> Law:
@@ -174,3 +226,33 @@ class Material:
     def _young(self, mu: float) -> float:
         K = self.bulk_modulus
         return 3.0 * mu if np.isinf(K) else 9.0 * K * mu / (3.0 * K + mu)
+
+
+def bulk_declaration(kind: str) -> Declaration | None:
+    """What the number of a kind of bulk response is; None where there is no such kind."""
+    return _BULK.get(kind)
+
+
+def law_declaration(law: Law, name: str) -> Declaration:
+    """What a parameter of a law is."""
+    unit = law.units[name]
+    reach = EXPONENT_BOUND if unit == "1" else np.inf
+    return Declaration(name, unit, (-reach, reach), key=name)
+
+
+def _by_name(effects: Mapping[str, TissueEffect] | Iterable[TissueEffect]) -> dict[str, TissueEffect]:
+    """Effects by their names.
+
+    Raises:
+        InputError: two of one name, or something that is no effect.
+    """
+    given = list(effects.values() if isinstance(effects, Mapping) else effects)
+    by_name: dict[str, TissueEffect] = {}
+    for effect in given:
+        if not isinstance(effect, TissueEffect):
+            raise InputError(f"{type(effect).__name__} is no effect of a tissue; derive it from "
+                             "tissue_sim.TissueEffect", field="effects")
+        if effect.name in by_name:
+            raise InputError(f"{effect.name!r} stands there twice; a material has an effect once", field="effects")
+        by_name[effect.name] = effect
+    return by_name

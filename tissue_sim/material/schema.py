@@ -1,27 +1,36 @@
-"""What stands in a material file, part by part; see `tissue_sim.MaterialFile`."""
+"""What stands in a material file, part by part; see `tissue_sim.MaterialFile`.
+
+The entry of a part of a material follows from what the part declares (`tissue_sim.parameters`).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import MISSING, fields
+from functools import cache
 from typing import Annotated, Any, ClassVar, Literal
 
 import msgspec
 
+from tissue_sim.decode import decode
 from tissue_sim.errors import InputError
+from tissue_sim.material.effect import EFFECTS
 from tissue_sim.material.layer import Layer
 from tissue_sim.material.material import Material
+from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.material.puncture import Puncture
 from tissue_sim.material.softening import Softening
-from tissue_sim.material.viscoelasticity import FORM, Poroelasticity, Prony, PronyTerm
+from tissue_sim.material.viscoelasticity import FORM, Prony, PronyTerm
+from tissue_sim.parameters import declared
 
 Range = tuple[float, float]
 
 
-class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """How every part of the file is read: unknown keys are errors, absent ones are not written."""
 
 
-class ParameterEntry(Part, kw_only=True):
+class ParameterEntry(Entry, kw_only=True):
     """A parameter; value and standard error share the unit."""
 
     value: float
@@ -29,14 +38,14 @@ class ParameterEntry(Part, kw_only=True):
     standard_error: float | None = None
 
 
-class CovarianceEntry(Part, kw_only=True):
+class CovarianceEntry(Entry, kw_only=True):
     """Covariance of the parameters in `order`, in the product of their units."""
 
     order: tuple[str, ...]
     matrix: tuple[tuple[float, ...], ...]
 
 
-class BulkEntry(Part, kw_only=True):
+class BulkEntry(Entry, kw_only=True):
     """Exactly one of the four; see `tissue_sim.Bulk`."""
 
     K_Pa: float | None = None
@@ -45,7 +54,7 @@ class BulkEntry(Part, kw_only=True):
     incompressible: bool | None = None
 
 
-class ValidRange(Part, kw_only=True):
+class ValidRange(Entry, kw_only=True):
     """(lowest, highest) of what the parameters were fitted to."""
 
     stretch: Range | None = None
@@ -53,7 +62,7 @@ class ValidRange(Part, kw_only=True):
     temperature_degC: Range | None = None
 
 
-class StabilityEntry(Part, kw_only=True):
+class StabilityEntry(Entry, kw_only=True):
     """Drucker stability; see `tissue_sim.check_stability`."""
 
     stable_from: float
@@ -62,14 +71,14 @@ class StabilityEntry(Part, kw_only=True):
     text: str = ""
 
 
-class SourceRecording(Part, kw_only=True):
+class SourceRecording(Entry, kw_only=True):
     """A recording that the parameters come from."""
 
     file: str
     sha256: Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
 
 
-class Provenance(Part, kw_only=True):
+class Provenance(Entry, kw_only=True):
     """Where the parameters come from; `residual` such as ``{"RMSE_Pa": 12.0}``, `date` in ISO 8601."""
 
     recordings: tuple[SourceRecording, ...] = ()
@@ -81,111 +90,89 @@ class Provenance(Part, kw_only=True):
     settings: dict[str, Any] = {}
 
 
-class EffectEntry(Part, kw_only=True):
-    """A frozen part of `Material` in the units of the file; `standard_errors` by the file's keys and in its units."""
+class PartEntry(Entry, kw_only=True):
+    """A part of a material in the units of the file; `standard_errors` by the file's keys and in its units."""
 
-    #: Class that it stands for, and for each key of the file the attribute and the factor to SI.
+    #: Class of the part.
     noun: ClassVar[type]
-    attributes: ClassVar[Mapping[str, tuple[str, float]]]
     standard_errors: dict[str, float] = {}
 
     @classmethod
-    def of(cls, noun, place: str, errors: Mapping[str, float]):
-        """The entry of a part of a material, None of None; `errors` are looked up by ``place.key``."""
-        if noun is None:
+    def of(cls, part: Any, place: str, errors: Mapping[str, float]) -> PartEntry | None:
+        """The entry of a part, None of None; `errors`, SI, are looked up by the path of the attribute."""
+        if part is None:
             return None
-        mine = {key: float(errors[f"{place}.{key}"]) for key in cls.attributes if f"{place}.{key}" in errors}
-        return cls(**{key: getattr(noun, name) / factor for key, (name, factor) in cls.attributes.items()},
-                   standard_errors=mine)
+        known = declared(cls.noun).items()
+        mine = {what.key: errors[f"{place}.{name}"] / what.factor for name, what in known
+                if f"{place}.{name}" in errors}
+        return cls(**{what.key: getattr(part, name) / what.factor for name, what in known}, standard_errors=mine)
 
-    def build(self, field: str):
+    def part(self, field: str) -> Any:
         """The part of a material.
 
         Raises:
             InputError: a value that the part refuses, or a bad standard error, with the path below `field`.
         """
+        keys = {what.key: name for name, what in declared(self.noun).items()}
         for key, error in self.standard_errors.items():
-            if key not in self.attributes:
-                raise InputError(f"names no parameter beside it; known: {', '.join(self.attributes)}",
+            if key not in keys:
+                raise InputError(f"names no parameter beside it; known: {', '.join(keys)}",
                                  field=f"{field}.standard_errors.{key}")
             if error < 0:
                 raise InputError(f"{error:g} is negative; give a standard deviation",
                                  field=f"{field}.standard_errors.{key}")
-        keys = {name: key for key, (name, _) in self.attributes.items()}
         try:
-            return self.noun(**{name: factor * getattr(self, key) for key, (name, factor) in self.attributes.items()})
+            return self.noun(**{name: what.factor * getattr(self, what.key)
+                                for name, what in declared(self.noun).items()})
         except InputError as refused:
-            raise InputError(refused.problem, field=f"{field}.{keys[refused.field]}") from None
+            key = next((key for key, name in keys.items() if name == refused.field), refused.field)
+            raise InputError(refused.problem, field=".".join(filter(None, (field, key)))) from None
+
+    def errors(self, place: str) -> dict[str, float]:
+        """Path of the attribute -> standard error, SI."""
+        return {f"{place}.{name}": what.factor * self.standard_errors[what.key]
+                for name, what in declared(self.noun).items() if what.key in self.standard_errors}
 
 
-class PronyTermEntry(EffectEntry, kw_only=True):
-    """See `tissue_sim.material.viscoelasticity.PronyTerm`."""
+@cache
+def entry_of(noun: type) -> type[PartEntry]:
+    """The entry of a class of parts: a key for each parameter that it declares."""
+    keys = []
+    for entry in fields(noun):
+        what = declared(noun).get(entry.name)
+        if what is not None:
+            keys.append((what.key, float) if entry.default is MISSING else
+                        (what.key, float, entry.default / what.factor))
+    return msgspec.defstruct(f"{noun.__name__}Entry", keys, bases=(PartEntry,), namespace={"noun": noun},
+                             frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True)
 
-    noun = PronyTerm
-    attributes = {"g": ("g", 1.0), "tau_s": ("tau", 1.0)}
-    g: float
-    tau_s: float
+
+SofteningEntry, LayerEntry, PoroelasticityEntry, PunctureEntry, PronyTermEntry = map(
+    entry_of, (Softening, Layer, Poroelasticity, Puncture, PronyTerm))
 
 
-class ViscoelasticEntry(Part, kw_only=True, omit_defaults=False):
+class ViscoelasticEntry(Entry, kw_only=True, omit_defaults=False):
     """See `tissue_sim.material.viscoelasticity.Prony`; the convention is always written."""
 
-    terms: tuple[PronyTermEntry, ...]
+    terms: tuple[PronyTermEntry, ...]  # type: ignore[valid-type]
     moduli: Literal["instantaneous", "long_term"] = "instantaneous"
     form: Literal["isochoric_second_piola"] = FORM
 
     @classmethod
     def of(cls, prony: Prony | None, place: str, errors: Mapping[str, float]) -> ViscoelasticEntry | None:
-        """The entry of a Prony series, None of None; `errors` as in `EffectEntry.of`."""
+        """The entry of a Prony series, None of None; `errors` as in `PartEntry.of`."""
         if prony is None:
             return None
         terms = (PronyTermEntry.of(term, f"{place}.terms[{i}]", errors) for i, term in enumerate(prony.terms))
         return cls(terms=tuple(terms), moduli=prony.moduli)
 
-    def build(self, field: str) -> Prony:
-        """The Prony series; errors as `EffectEntry.build`."""
-        terms = tuple(term.build(f"{field}.terms[{i}]") for i, term in enumerate(self.terms))
+    def part(self, field: str) -> Prony:
+        """The Prony series; errors as `PartEntry.part`."""
+        terms = tuple(term.part(f"{field}.terms[{i}]") for i, term in enumerate(self.terms))
         try:
             return Prony(terms, self.moduli)
         except InputError as refused:
             raise refused.located(field=field) from None
-
-
-class SofteningEntry(EffectEntry, kw_only=True):
-    """See `tissue_sim.material.softening.Softening`."""
-
-    noun = Softening
-    attributes = {"loss": ("loss", 1.0), "modulus_Pa": ("modulus", 1.0), "share": ("share", 1.0)}
-    loss: float
-    modulus_Pa: float = 0.0
-    share: float = 1.0
-
-
-class LayerEntry(EffectEntry, kw_only=True):
-    """See `tissue_sim.material.layer.Layer`."""
-
-    noun = Layer
-    attributes = {"thickness_mm": ("thickness", 1e-3), "modulus_ratio": ("ratio", 1.0)}
-    thickness_mm: float
-    modulus_ratio: float
-
-
-class PoroelasticityEntry(EffectEntry, kw_only=True):
-    """See `tissue_sim.material.viscoelasticity.Poroelasticity`."""
-
-    noun = Poroelasticity
-    attributes = {"phi": ("phi", 1.0), "diffusivity_mm2_per_s": ("diffusivity", 1e-6)}
-    phi: float
-    diffusivity_mm2_per_s: float
-
-
-class PunctureEntry(EffectEntry, kw_only=True):
-    """See `tissue_sim.material.puncture.Puncture`."""
-
-    noun = Puncture
-    attributes = {"depth_mm": ("depth", 1e-3), "drop": ("drop", 1.0)}
-    depth_mm: float
-    drop: float
 
 
 def entries_of(material: Material, errors: Mapping[str, float]) -> dict[str, Any]:
@@ -193,36 +180,59 @@ def entries_of(material: Material, errors: Mapping[str, float]) -> dict[str, Any
 
     Args:
         material: the material.
-        errors: standard errors by paths as in `effect_parameters`, in the units of the file.
+        errors: path -> standard error, SI.
     """
     layers = tuple(LayerEntry.of(layer, f"layers[{i}]", errors) for i, layer in enumerate(material.layers))
+    effects = {name: msgspec.to_builtins(entry_of(type(effect)).of(effect, f"effects.{name}", errors))
+               for name, effect in material.effects.items()}
     return {"viscoelastic": ViscoelasticEntry.of(material.viscoelastic, "viscoelastic", errors),
             "softening": SofteningEntry.of(material.softening, "softening", errors),
             "layers": layers or None,
             "poroelasticity": PoroelasticityEntry.of(material.poroelasticity, "poroelasticity", errors),
-            "puncture": PunctureEntry.of(material.puncture, "puncture", errors)}
+            "puncture": PunctureEntry.of(material.puncture, "puncture", errors),
+            "effects": effects or None}
 
 
-def build_effects(entries: Mapping[str, Any]) -> dict[str, Any]:
-    """Keyword arguments of `Material` from what `entries_of` made; errors as `EffectEntry.build`."""
-    built = {key: entry.build(key) for key, entry in entries.items() if entry is not None and key != "layers"}
-    return {**built, "layers": tuple(layer.build(f"layers[{i}]") for i, layer in enumerate(entries["layers"] or ()))}
+def parts_of(entries: Mapping[str, Any]) -> dict[str, Any]:
+    """Keyword arguments of `Material` from what `entries_of` made; errors as `PartEntry.part`."""
+    single = {key: entry.part(key) for key, entry in entries.items()
+              if entry is not None and key not in ("layers", "effects")}
+    layers = tuple(layer.part(f"layers[{i}]") for i, layer in enumerate(entries["layers"] or ()))
+    effects = {name: _effect(name, content).part(f"effects.{name}") for name, content in _effects(entries)}
+    return {**single, "layers": layers, "effects": effects}
 
 
-def effect_parameters(entries: Mapping[str, Any]) -> dict[str, tuple[float, float | None]]:
-    """Dotted path, such as ``viscoelastic.terms[0].tau_s``, -> value and standard error in the units of the file."""
-    found = {}
+def errors_of(entries: Mapping[str, Any]) -> dict[str, float]:
+    """Path -> standard error, SI, of everything beside the law that states one."""
+    stated: dict[str, float] = {}
     for place, entry in _places(entries):
-        for key in entry.attributes:
-            found[f"{place}.{key}"] = (getattr(entry, key), entry.standard_errors.get(key))
-    return found
+        stated |= entry.errors(place)
+    return stated
 
 
-def _places(entries: Mapping[str, Any]) -> Iterator[tuple[str, EffectEntry]]:
+def _effect(name: str, content: Any) -> PartEntry:
+    """The entry of an added effect.
+
+    Raises:
+        InputError: nobody knows an effect of that name, or what `decode` refuses.
+    """
+    if name not in EFFECTS:
+        raise InputError(f"no effect of the tissue is called so here; known: {', '.join(EFFECTS) or 'none'}; install "
+                         "or register the package that brings it", field=f"effects.{name}")
+    return decode(content, entry_of(EFFECTS[name]), f"effects.{name}")
+
+
+def _effects(entries: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    return list((entries.get("effects") or {}).items())
+
+
+def _places(entries: Mapping[str, Any]) -> Iterator[tuple[str, PartEntry]]:
     for key, entry in entries.items():
-        several = entry.terms if isinstance(entry, ViscoelasticEntry) else entry
-        if isinstance(several, tuple):
-            name = f"{key}.terms" if several is not entry else key
-            yield from ((f"{name}[{i}]", item) for i, item in enumerate(several))
+        if key == "effects":
+            yield from ((f"effects.{name}", _effect(name, content)) for name, content in _effects(entries))
+        elif key == "layers":
+            yield from ((f"layers[{i}]", layer) for i, layer in enumerate(entry or ()))
+        elif isinstance(entry, ViscoelasticEntry):
+            yield from ((f"{key}.terms[{i}]", term) for i, term in enumerate(entry.terms))
         elif entry is not None:
             yield key, entry

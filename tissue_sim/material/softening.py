@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissue_sim.errors import InputError
+from tissue_sim.parameters import parameter
 
 
 @dataclass(frozen=True)
@@ -25,9 +26,9 @@ class Softening:
     with a share of Wm as in the Mullins effect of Abaqus.
     """
 
-    loss: float
-    modulus: float = 0.0
-    share: float = 1.0
+    loss: float = parameter("r", "1", key="loss", bounds=(1e-6, 0.99), absent=0.0)
+    modulus: float = parameter("m", "Pa", key="modulus_Pa", bounds=(0.0, 1e9), default=0.0)
+    share: float = parameter("beta", "1", key="share", bounds=(1e-3, 1e3), default=1.0)
 
     def __post_init__(self):
         if not 0 <= self.loss < 1:

@@ -1,4 +1,4 @@
-"""Finite-strain viscoelasticity by Prony series, and drainage in the same form.
+"""Finite-strain viscoelasticity by Prony series.
 
 The hereditary integral acts on the isochoric second Piola-Kirchhoff stress S of the law ("isochoric_second_piola" in
 files): S_visc(t) = (1 - sum g) S(t) + sum Q_i(t), where each Q_i follows g_i S and relaxes with tau_i
@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from tissue_sim.errors import InputError
+from tissue_sim.parameters import parameter
 
 #: A material has at most so many relaxing terms, drainage included: the finite elements keep one stress for each.
 MOST_TERMS = 4
@@ -30,8 +31,8 @@ class PronyTerm:
         tau: relaxation time, s.
     """
 
-    g: float
-    tau: float
+    g: float = parameter("g", "1", key="g", bounds=(1e-6, 0.99), absent=0.0)
+    tau: float = parameter("tau", "s", key="tau_s", bounds=(1e-4, 1e6))
 
     def __post_init__(self):
         if not 0 < self.g < 1:
@@ -138,40 +139,3 @@ def _step(dt, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Decay, and gain over g, of steps of length dt; shape (*dt.shape, terms)."""
     x = np.asarray(dt, dtype=float)[..., None] / tau
     return np.exp(-x), np.where(x > 0, -np.expm1(-x) / np.where(x > 0, x, 1.0), 1.0)
-
-
-@dataclass(frozen=True)
-class Poroelasticity:
-    """Drainage of pore fluid as a reduced form: one relaxing term whose time grows with the contact size.
-
-    Fluid leaves the loaded region by diffusion, so the time is tau = a^2 / D with the contact radius a of each test:
-    the radius of the specimen under a plate, of a flat tool where it indents, and about that of the contact at the
-    largest depth under a pointed one. Displacement and pressure fields are not
-    solved for.
-
-    Attributes:
-        phi: share of the instantaneous stiffness that drainage takes away; 0 is absent.
-        diffusivity: D, m^2/s.
-
-    Source: scaling of Hu, Zhao, Vlassak and Suo, Appl. Phys. Lett. 96 (2010) 121904.
-    """
-
-    phi: float
-    diffusivity: float
-
-    def __post_init__(self):
-        if not 0 <= self.phi < 1:
-            raise InputError(f"{self.phi:g} is outside 0 to 1 (1 excluded); give the share of the stiffness that "
-                             "drainage takes away", field="phi")
-        if not 0 < self.diffusivity < np.inf:
-            raise InputError(f"{self.diffusivity:g} m^2/s is not a positive diffusivity", field="diffusivity")
-
-    def term(self, contact_radius: float) -> PronyTerm | None:
-        """The relaxing term of a test with this contact radius (m); None where phi is 0.
-
-        Raises:
-            InputError: a radius that is not positive and finite.
-        """
-        if not 0 < contact_radius < np.inf:
-            raise InputError(f"{contact_radius:g} m is not a positive contact radius", field="contact_radius")
-        return PronyTerm(self.phi, contact_radius**2 / self.diffusivity) if self.phi > 0 else None

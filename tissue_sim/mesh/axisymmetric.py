@@ -37,6 +37,16 @@ class Mesh:
         """The same mesh, this many times as high."""
         return replace(self, nodes=self.nodes * [1.0, factor])
 
+    def moved(self, r: tuple[np.ndarray, np.ndarray], z: tuple[np.ndarray, np.ndarray]) -> Mesh:
+        """The same mesh with its lines elsewhere.
+
+        Args:
+            r, z: where some lines are and where they shall be, m, each ascending; those between move in proportion.
+        """
+        if np.array_equal(*r) and np.array_equal(*z):
+            return self
+        return replace(self, nodes=np.stack([np.interp(self.nodes[:, 0], *r), np.interp(self.nodes[:, 1], *z)], axis=1))
+
 
 def graded_line(length: float, count: int, grading: float = 1.0, ends: str = "last") -> np.ndarray:
     """Break points of a line divided geometrically.

@@ -5,38 +5,23 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
 from tissue_sim.atomic_write import write_text
 from tissue_sim.decode import decode, read_json, require_writable
-from tissue_sim.errors import InputError
+from tissue_sim.errors import InputError, nearest
+from tissue_sim.parameters import declared
+from tissue_sim.rig.fault import FAULTS, RigFault
 from tissue_sim.rig.rig import Rig
 
 VERSION = 1
 SCHEMA = f"tissue_sim/rig/{VERSION}"
-#: Field of `Rig` -> (key in the file, SI units in one unit of the file).
-KEYS: dict[str, tuple[str, float]] = {
-    "contact_offset": ("contact_offset_mm", 1e-3),
-    "displacement_gain": ("displacement_gain", 1.0),
-    "backlash": ("backlash_mm", 1e-3),
-    "step_loss": ("step_loss_mm", 1e-3),
-    "step_loss_depth": ("step_loss_depth_mm", 1e-3),
-    "compliance": ("compliance_mm_per_N", 1e-3),
-    "guide_friction": ("guide_friction_N", 1.0),
-    "rate_damping": ("rate_damping_N_s_per_mm", 1e3),
-    "latency": ("latency_s", 1.0),
-    "sensor_gain": ("sensor_gain", 1.0),
-    "zero_offset": ("zero_offset_N", 1.0),
-    "sensor_drift": ("sensor_drift_N_per_s", 1.0),
-    "sampling_rate": ("sampling_rate_Hz", 1.0),
-    "force_noise": ("force_noise_N", 1.0),
-    "noise_correlation_time": ("noise_correlation_time_s", 1.0),
-    "force_resolution": ("force_resolution_N", 1.0),
-    "displacement_resolution": ("displacement_resolution_mm", 1e-3),
-}
+_KEYS = {name: what.key for name, what in declared(Rig).items()}
 _RigFile = msgspec.defstruct(
-    "RigFile", [("schema", str), *((key, float | None, None) for key, _ in KEYS.values()), ("seed", int, 0)],
+    "RigFile", [("schema", str), *((key, float | None, None) for key in _KEYS.values()), ("seed", int, 0),
+                ("faults", dict[str, dict[str, float]] | None, None)],
     frozen=True, kw_only=True, forbid_unknown_fields=True)
 
 
@@ -61,12 +46,11 @@ def write_rig(rig: Rig, path: str | Path) -> None:
         InputError: a number too large in the unit of the file, or a place that cannot be written.
     """
     absent = Rig()
-    data: dict[str, str | float | int] = {"schema": SCHEMA}
-    for name, (key, unit) in KEYS.items():
-        if (value := getattr(rig, name)) != getattr(absent, name):
-            data[key] = float(f"{value / unit:.15g}")
+    data: dict[str, Any] = {"schema": SCHEMA, **_in_file(rig, absent)}
     if rig.seed:
         data["seed"] = int(rig.seed)
+    if rig.faults:
+        data["faults"] = {name: _in_file(fault) for name, fault in rig.faults.items()}
     try:
         require_writable(data)
     except InputError as error:
@@ -87,9 +71,32 @@ def _decode(data) -> Rig:
                          field="schema")
     file = decode(data, _RigFile)
     require_writable(data)
-    stated = {name: unit * getattr(file, key) for name, (key, unit) in KEYS.items() if getattr(file, key) is not None}
+    stated = {name: what.factor * getattr(file, what.key) for name, what in declared(Rig).items()
+              if getattr(file, what.key) is not None}
+    faults = [_fault(name, content) for name, content in (file.faults or {}).items()]
     try:
-        return Rig(**stated, seed=file.seed)
+        return Rig(**stated, seed=file.seed, faults=faults)
     except InputError as error:
         name = error.field.removeprefix("rig.")
-        raise InputError(error.problem, field=KEYS.get(name, (name,))[0]) from None
+        raise InputError(error.problem, field=_KEYS.get(name, name)) from None
+
+
+def _in_file(part: Rig | RigFault, absent: Rig | None = None) -> dict[str, float]:
+    """Keys of the file and their values, without those that equal the ones of `absent`."""
+    return {what.key: float(f"{getattr(part, name) / what.factor:.15g}") for name, what in declared(type(part)).items()
+            if absent is None or getattr(part, name) != getattr(absent, name)}
+
+
+def _fault(name: str, content: dict[str, float]) -> RigFault:
+    kind = FAULTS.find(name, f"faults.{name}")
+    names = {what.key: (own, what.factor) for own, what in declared(kind).items()}
+    for key in content:
+        if key not in names:
+            raise InputError(f"unknown key{nearest(key, names)}", field=f"faults.{name}.{key}")
+    try:
+        return kind(**{names[key][0]: names[key][1] * value for key, value in content.items()})
+    except InputError as error:
+        raise error.located(field=f"faults.{name}") from None
+    except TypeError:
+        missing = ", ".join(key for key in names if key not in content)
+        raise InputError(f"needs {missing}", field=f"faults.{name}") from None

@@ -2,23 +2,35 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from math import inf
 from numbers import Integral, Real
+from typing import Any
 
 import numpy as np
 
 from tissue_sim.errors import InputError
+from tissue_sim.frozen_mapping import read_only
+from tissue_sim.parameters import declared, parameter
 from tissue_sim.recording.recording import Recording
 from tissue_sim.rig.backlash import follow
+from tissue_sim.rig.fault import RigFault
 from tissue_sim.rig.loading_curve import LoadingCurve
 from tissue_sim.rig.noise import sensor_noise
 
-_NOT_NEGATIVE = ("compliance", "backlash", "latency", "guide_friction", "rate_damping", "force_resolution",
-                 "displacement_resolution", "force_noise", "noise_correlation_time")
-#: What moves the tool; the other fields act on what is read.
-_MOTION = ("contact_offset", "displacement_gain", "backlash", "step_loss", "step_loss_depth", "compliance")
-_RELATIVE = ("displacement_gain", "sensor_gain")
+#: What a field of the rig acts on: where the tool goes, what is read of the true force, or single samples.
+_TOOL, _READING, _SAMPLES = "tool", "reading", "samples"
+_ACTS_ON = "tissue_sim.acts_on"
+#: A relative error must stay above -1, or it would reverse the reading.
+_REVERSED = -1.0 + 1e-9
 _MOST_SAMPLES = 10_000_000
+
+
+def _effect(acts_on: str, symbol: str, unit: str, key: str, factor: float = 1.0, *, low: float = -inf) -> Any:
+    """A field that is absent at 0."""
+    entry = parameter(symbol, unit, key=key, factor=factor, bounds=(low, inf), absent=0.0)
+    return field(default=0.0, metadata={**entry.metadata, _ACTS_ON: acts_on})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,46 +59,51 @@ class Rig:
         noise_correlation_time: s, of noise with autocorrelation exp(-lag / time); 0 is white.
         force_resolution, displacement_resolution: what the reported numbers are multiples of, N and m.
         seed: of the noise; the same seed gives the same recording.
+        faults: what was added beside these, by name; see `tissue_sim.rig.fault`. A sequence of faults is taken, too.
+            They come first in what moves the tool, and last, before noise and resolution, in what is read.
 
     Raises:
         InputError: a value out of its range, with the field ``rig.NAME``.
     """
 
-    contact_offset: float = 0.0
-    displacement_gain: float = 0.0
-    backlash: float = 0.0
-    step_loss: float = 0.0
-    step_loss_depth: float = 0.0
-    compliance: float = 0.0
-    guide_friction: float = 0.0
-    rate_damping: float = 0.0
-    latency: float = 0.0
-    sensor_gain: float = 0.0
-    zero_offset: float = 0.0
-    sensor_drift: float = 0.0
-    sampling_rate: float | None = None
-    force_noise: float = 0.0
-    noise_correlation_time: float = 0.0
-    force_resolution: float = 0.0
-    displacement_resolution: float = 0.0
+    contact_offset: float = _effect(_TOOL, "d0", "m", "contact_offset_mm", 1e-3)
+    displacement_gain: float = _effect(_TOOL, "eps_d", "1", "displacement_gain", low=_REVERSED)
+    backlash: float = _effect(_TOOL, "b", "m", "backlash_mm", 1e-3, low=0.0)
+    step_loss: float = _effect(_TOOL, "s", "m", "step_loss_mm", 1e-3)
+    step_loss_depth: float = _effect(_TOOL, "d_s", "m", "step_loss_depth_mm", 1e-3)
+    compliance: float = _effect(_TOOL, "c", "m/N", "compliance_mm_per_N", 1e-3, low=0.0)
+    guide_friction: float = _effect(_READING, "F_c", "N", "guide_friction_N", low=0.0)
+    rate_damping: float = _effect(_READING, "eta", "N s/m", "rate_damping_N_s_per_mm", 1e3, low=0.0)
+    latency: float = _effect(_READING, "dt", "s", "latency_s", low=0.0)
+    sensor_gain: float = _effect(_READING, "eps_F", "1", "sensor_gain", low=_REVERSED)
+    zero_offset: float = _effect(_READING, "F0", "N", "zero_offset_N")
+    sensor_drift: float = _effect(_READING, "r", "N/s", "sensor_drift_N_per_s")
+    sampling_rate: float | None = field(default=None, metadata={_ACTS_ON: _SAMPLES, **parameter(
+        "f", "Hz", key="sampling_rate_Hz", bounds=(1e-9, inf)).metadata})
+    force_noise: float = _effect(_SAMPLES, "sigma", "N", "force_noise_N", low=0.0)
+    noise_correlation_time: float = _effect(_SAMPLES, "tau_n", "s", "noise_correlation_time_s", low=0.0)
+    force_resolution: float = _effect(_SAMPLES, "q_F", "N", "force_resolution_N", low=0.0)
+    displacement_resolution: float = _effect(_SAMPLES, "q_d", "m", "displacement_resolution_mm", 1e-3, low=0.0)
     seed: int = 0
+    faults: Mapping[str, RigFault] = field(default_factory=dict)
 
     def __post_init__(self):
-        for name in (entry.name for entry in fields(self)):
-            value = getattr(self, name)
-            if name == "seed":
-                if not isinstance(value, Integral) or isinstance(value, bool) or value < 0:
-                    raise InputError(f"{value!r} is not a seed; give a whole number, 0 or above", field="rig.seed")
-                continue
+        given = self.faults.values() if isinstance(self.faults, Mapping) else self.faults
+        faults = {fault.name: fault for fault in given}
+        object.__setattr__(self, "faults", read_only(faults))
+        if not isinstance(self.seed, Integral) or isinstance(self.seed, bool) or self.seed < 0:
+            raise InputError(f"{self.seed!r} is not a seed; give a whole number, 0 or above", field="rig.seed")
+        for name, what in declared(type(self)).items():
+            value, low = getattr(self, name), what.bounds[0]
             if name == "sampling_rate" and value is None:
                 continue
             if not isinstance(value, Real) or isinstance(value, bool) or not np.isfinite(value):
                 raise InputError(f"{value!r} is not a finite number", field=f"rig.{name}")
-            if name in _NOT_NEGATIVE and value < 0:
-                raise InputError(f"{value:g} is negative; give 0 (absent) or a number above", field=f"rig.{name}")
-            if name in _RELATIVE and value <= -1:
+            if low == _REVERSED and value <= -1:
                 raise InputError(f"{value:g} would reverse the reading; give a relative error above -1, such as 0.01",
                                  field=f"rig.{name}")
+            if low == 0.0 and value < 0:
+                raise InputError(f"{value:g} is negative; give 0 (absent) or a number above", field=f"rig.{name}")
             if name == "sampling_rate" and value <= 0:
                 raise InputError(f"{value:g} Hz is not a rate; give one above 0, or None", field="rig.sampling_rate")
 
@@ -98,7 +115,27 @@ class Rig:
     @property
     def motion_only(self) -> Rig:
         """The rig as far as it moves the tool: it reads every force as it is."""
-        return Rig(**{name: getattr(self, name) for name in _MOTION})
+        return self._acting_on(_TOOL, faults=[fault for fault in self.faults.values() if fault.moves_tool])
+
+    @property
+    def reading_only(self) -> Rig:
+        """The rig as far as it reads forces: the tool is where the stage says, and there is no noise."""
+        return self._acting_on(_READING, faults=self.faults)
+
+    @property
+    def without_noise(self) -> Rig:
+        """The rig without what it does to single samples: noise, resolution, a sampling rate."""
+        return self._acting_on(_TOOL, _READING, faults=self.faults)
+
+    @property
+    def needs_time(self) -> bool:
+        """Whether what it reads depends on the time, or on the speed, of the motion."""
+        return any((self.latency, self.rate_damping, self.sensor_drift, self.sampling_rate, self.faults))
+
+    def _acting_on(self, *targets: str, faults: Any) -> Rig:
+        own = {entry.name: getattr(self, entry.name) for entry in fields(self)
+               if entry.metadata.get(_ACTS_ON) in targets}
+        return Rig(**own, faults=faults)
 
     def readings(self, time: np.ndarray) -> int:
         """How many samples it reports of a recording at these times, s, shape (n,)."""
@@ -116,7 +153,7 @@ class Rig:
         Returns:
             m, shape (n,).
         """
-        return follow(self._screw(np.asarray(displacement, dtype=float)), self.backlash)[0]
+        return follow(self._screw(self._faulty(np.asarray(displacement, dtype=float))), self.backlash)[0]
 
     def apply(self, recording: Recording) -> Recording:
         """The true force under this rig for the same reported motion, from an ideal recording and without a new solve.
@@ -132,7 +169,7 @@ class Rig:
         if not len(recording):
             return recording
         # The history of the tissue is what it was when the screw stood where the nut is now.
-        motion, history = follow(self._screw(recording.displacement), self.backlash)
+        motion, history = follow(self._screw(self._faulty(recording.displacement)), self.backlash)
         if not self.compliance and np.array_equal(motion, recording.displacement):
             return recording
         force = LoadingCurve(recording).force_behind(motion, self.compliance, history)
@@ -167,6 +204,11 @@ class Rig:
         force = (1.0 + self.sensor_gain) * force + self.zero_offset
         if self.sensor_drift:
             force = force + self.sensor_drift * (reported.time - reported.time[0])
+        if self.faults:
+            reported = reported.with_channels(force=force)
+            for fault in self.faults.values():
+                reported = fault.reading(reported)
+            force = reported.force
         if self.force_noise:
             force = force + sensor_noise(force.size, self.force_noise, self.seed,
                                          time=reported.time if self.noise_correlation_time else None,
@@ -180,6 +222,12 @@ class Rig:
         An ideal rig returns the recording itself.
         """
         return self.read(self.apply(recording))
+
+    def _faulty(self, reported: np.ndarray) -> np.ndarray:
+        """Where the screw is told to go by what was added, m."""
+        for fault in self.faults.values():
+            reported = fault.tool_motion(reported)
+        return reported
 
     def _screw(self, reported: np.ndarray) -> np.ndarray:
         """Where the lead screw holds the tool while the play is taken up downwards, m."""

@@ -12,7 +12,7 @@ import tissue_sim as ts
 from scenes.viewer.frame import Commands, Frame
 from scenes.viewer.material_files import SUFFIX, list_materials, parameter_ranges, read_upload
 from scenes.viewer.page.notices import answer_to, send_file, tell
-from tissue_sim.material.parameters import parameter_values
+from tissue_sim.parameters import parameter_values
 
 _NONE = "(no file)"
 #: How often the folder is looked at, in calls of `show`.

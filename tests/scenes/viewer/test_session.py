@@ -16,7 +16,7 @@ from scenes.viewer.frame import NullViewer, Phase
 from scenes.viewer.measurement import measurement, motion, residual
 from scenes.viewer.session import CLEARANCE, COMMANDS, PLOT_EVERY, STEP_TIME, Session
 from tissue_sim.errors import ConvergenceError
-from tissue_sim.material.parameters import with_parameter
+from tissue_sim.parameters import with_values
 
 #: Slow enough for the mass of the tissue not to count.
 SPEED = 4.9e-3
@@ -27,7 +27,7 @@ NO_REPLY = object()
 @pytest.fixture(scope="module")
 def measured(needle):
     """The needle with a measurement of a stiffer specimen."""
-    model = replace(needle.model, material=with_parameter(needle.material, "C10", 1700.0),
+    model = replace(needle.model, material=with_values(needle.material, {"C10": 1700.0}),
                     experiment=replace(needle.experiment, protocol=ts.Protocol.parse(TEST, 21, SPEED)))
     return replace(needle, measurements={"needle_indentation": measurement([ts.simulate(model)])})
 
@@ -199,7 +199,7 @@ def test_a_measurement_is_repeated(session, measured, until):
 def test_a_parameter_moves_force_curve_and_residual(session, measured, until):
     done(session, "aim", depth=2e-3)
     before = until(session.frame, lambda frame: at_rest(2e-3)(frame) and frame.message == "running")
-    stiffer = with_parameter(measured.material, "C10", 1700.0)
+    stiffer = with_values(measured.material, {"C10": 1700.0})
     assert done(session, "set_parameters", values={"C10": 1700.0}) is None
     expected = curve_of(stiffer, measured)
     frame = until(session.frame, lambda frame: at_rest(2e-3)(frame) and frame.readouts.force > before.readouts.force
@@ -231,7 +231,7 @@ def test_a_refused_parameter_changes_nothing(session, until):
 def test_a_material_with_other_parameters_is_felt_at_once(session, measured, until):
     done(session, "aim", depth=1e-3)
     before, simulation = until(session.frame, at_rest(1e-3)), session.simulation
-    stiffer = replace(with_parameter(measured.material, "C10", 1700.0), name="stiffer")
+    stiffer = replace(with_values(measured.material, {"C10": 1700.0}), name="stiffer")
     assert done(session, "use_material", material=stiffer, source="stiffer.material.json") is None
     frame = until(session.frame, lambda frame: frame.readouts.force > 1.1 * before.readouts.force)
     assert session.simulation is simulation and frame.phase is Phase.RUNNING
@@ -297,7 +297,7 @@ def test_what_is_no_command_is_a_fault_of_the_caller(session):
     for name in ("close", "frame", "_begin", "fly"):
         with pytest.raises(ValueError, match=f"no command '{name}'"):
             session.post(name)
-    assert all(callable(getattr(Session, name)) for name in COMMANDS)
+    assert all(command is getattr(Session, name) for name, command in COMMANDS.items())
 
 
 def test_nothing_new_is_drawn_where_nothing_is_new(session, until):
@@ -363,7 +363,7 @@ def test_what_comes_too_early_is_refused(springs, pool):
 
 def test_a_material_of_another_make_begins_anew(springs, pool, needle):
     first = springs.simulation
-    material = replace(with_parameter(needle.material, "C10", 1500.0), density=900.0)
+    material = replace(with_values(needle.material, {"C10": 1500.0}), density=900.0)
     assert done(springs, "use_material", material=material, source="mine.material.json") is None
     frame = springs.frame()
     assert (frame.setup.material, frame.setup.source, frame.phase) == (material, "mine.material.json", Phase.STARTING)
@@ -387,7 +387,7 @@ def test_another_scene_begins_anew_and_forgets_the_curves(springs, pool, needle)
     assert done(springs, "use_scene", name="bonded_compression") is None
     assert springs.simulation is not first and not first.process.alive
     frames = [springs.frame() for _ in range(PLOT_EVERY)]
-    assert frames[-1].setup.scene.name == "bonded_compression"
+    assert frames[-1].setup.kind.name == "bonded_compression"
     assert (frames[-1].curves.model, frames[-1].curves.before) == (None, None)
     assert newest_model(pool).experiment.tool.shape == "plate"
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
-from tissue_sim.experiment.tools.tool import Profile
+from tissue_sim.experiment.tools.outline import Profile
 from tissue_sim.mesh import Mesh
 
 #: Spring stiffness in units of mu0 over the length of the element edge.
@@ -21,7 +21,7 @@ STICK = -1.0
 NODE_RULES = {1: (np.array([-1.0, 1.0]), np.array([1.0, 1.0])),
               2: (np.array([-1.0, 0.0, 1.0]), np.array([1.0, 4.0, 1.0]) / 3.0)}
 #: Columns of `ContactPoints.spans`.
-FIRST_LINE, LAST_LINE, SHAFT, MOVES, CLINGS = range(5)
+FIRST_LINE, LAST_LINE, SHAFT, MOVES, STAYS = range(5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class Pair:
         friction: of the body's face and of its shaft: a coefficient, 0 frictionless, `STICK` no slip.
         moves: whether the body moves with the tool or rests.
         tied: whether an interface without slip holds the edges from the start.
-        clings: whether the edges stay on the body even when they are pulled.
+        stays: whether the edges stay on the body even when they are pulled.
         first_line: line of the profile's chain from which on the edges may meet it.
         at_nodes: whether contact is watched at the nodes instead of Gauss points.
     """
@@ -44,7 +44,7 @@ class Pair:
     friction: tuple[float, float]
     moves: bool = True
     tied: bool = False
-    clings: bool = False
+    stays: bool = False
     first_line: int = 0
     at_nodes: bool = False
 
@@ -74,7 +74,8 @@ class ContactPoints:
     Attributes:
         count: edges that are looked at.
         edges: their nodes, shape (m, a).
-        spans: per edge first and last line, first line of the shaft, whether the body moves, whether it clings, (m, 5).
+        spans: per edge first and last line, first line of the shaft, whether the body moves, whether the edge stays on
+            it, (m, 5).
         vertices: chains of all bodies, one behind the other, shape (v, 2).
         rounding: of each edge's body, m, shape (m,).
         friction: of the face and of the shaft of each edge's body, shape (m, 2).
@@ -106,7 +107,7 @@ class ContactPoints:
         ends = np.cumsum([len(pair.profile.vertices) for pair in pairs])
         starts = ends - [len(pair.profile.vertices) for pair in pairs]
         self.spans = np.ascontiguousarray(of_edges([
-            (start + pair.first_line, end - 2, start + pair.profile.shaft, pair.moves, pair.clings)
+            (start + pair.first_line, end - 2, start + pair.profile.shaft, pair.moves, pair.stays)
             for pair, start, end in zip(pairs, starts, ends, strict=True)], np.int32))
         self.rounding = of_edges([pair.profile.rounding for pair in pairs])
         self.friction = of_edges([pair.friction for pair in pairs])

@@ -13,9 +13,8 @@ slip thus makes the tangent unsymmetric.
 from functools import cache
 from typing import NamedTuple
 
-from tissue_sim.fem.axisymmetric.contact import CLINGS, FIRST_LINE, HOLD, LAST_LINE, MOVES, SHAFT
-from tissue_sim.fem.linear import band_lu
-from tissue_sim.fem.linear.band import add_entry_function
+from tissue_sim.fem.axisymmetric.contact import FIRST_LINE, HOLD, LAST_LINE, MOVES, SHAFT, STAYS
+from tissue_sim.fem.linear.band import add_any_function, add_entry_function
 from tissue_sim.fem.taichi.runtime import initialise
 
 #: How a point is bound to the body: not at all, held by an interface without slip, touching with friction.
@@ -42,8 +41,7 @@ class ContactFunctions(NamedTuple):
 def functions(slips: bool) -> ContactFunctions:
     """See the functions themselves; without `slips` nothing ever does."""
     ti = initialise()
-    add_entry = add_entry_function()
-    _, add_any, _, _ = band_lu.functions()
+    add_entry, add_any = add_entry_function(), add_any_function()
     far = 1e30
 
     @ti.func
@@ -109,7 +107,7 @@ def functions(slips: bool) -> ContactFunctions:
                 at = multipliers + 2 * (m * places.shape[1] + q)
                 along = x[at + 1] * nr - x[at] * nz
                 normal = x[at] * nr + x[at + 1] * nz
-                if spans[m, CLINGS] == 0:
+                if spans[m, STAYS] == 0:
                     normal = ti.min(normal, 0.0)
                 normal += spring * gap
                 fr, fz, krr, krz, kzr, kzz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -126,7 +124,7 @@ def functions(slips: bool) -> ContactFunctions:
                     fr, fz = x[at] + spring * dr, x[at + 1] + spring * dz
                     krr, kzz = spring, spring
                     violation = ti.max(violation, ti.sqrt(dr * dr + dz * dz))
-                elif spring > 0.0 and (normal < 0.0 or gap < slack or spans[m, CLINGS] == 1):
+                elif spring > 0.0 and (normal < 0.0 or gap < slack or spans[m, STAYS] == 1):
                     tr, tz = -nz, nr
                     fr, fz = normal * nr, normal * nz
                     # Rates along the normal and the tangent: nn, nt, tn, tt.
@@ -250,9 +248,9 @@ def functions(slips: bool) -> ContactFunctions:
     @ti.func
     def add_tool_rates(count, free, edges: ti.template(), spans: ti.template(), shapes: ti.template(),
                        rates: ti.template(), direction: ti.template(), equation: ti.template(), pull: ti.template(),
-                       lean: ti.template()):
+                       reaction: ti.template()):
         """Add the rates of the contact forces with the depth of the tool, the tissue held, to `pull`, and those of the
-        force on the tool with the tissue's motion to `lean`; returns that of the force itself, N/m."""
+        force on the tool with the tissue's motion to `reaction`; returns that of the force itself, N/m."""
         n, stiff = shapes.shape[2], 0.0
         for m in range(count):
             for q in range(rates.shape[1]):
@@ -270,10 +268,10 @@ def functions(slips: bool) -> ContactFunctions:
                         share = shapes[m, q, a] * apart
                         if ir < free:
                             pull[ir] = pull[ir] + share * krz
-                            lean[ir] = lean[ir] + share * kzr
+                            reaction[ir] = reaction[ir] + share * kzr
                         if iz < free:
                             pull[iz] = pull[iz] + share * kzz
-                            lean[iz] = lean[iz] + share * kzz
+                            reaction[iz] = reaction[iz] + share * kzz
         return stiff
 
     @ti.func
@@ -296,7 +294,7 @@ def functions(slips: bool) -> ContactFunctions:
                     r, z = places[m, q, 0] + held[m, q, 1], places[m, q, 1] + held[m, q, 2]
                     _, nr, nz, _, _ = nearest(r, z, m, spans, vertices, rounding)
                     pull += nr * forces[m, q, 0] + nz * forces[m, q, 1]
-            if pull > 0.0 and spans[m, CLINGS] == 0:
+            if pull > 0.0 and spans[m, STAYS] == 0:
                 for q in range(forces.shape[1]):
                     if held[m, q, 0] == HELD:
                         released += 1

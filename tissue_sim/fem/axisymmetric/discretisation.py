@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.integrate import simpson
 
 from tissue_sim.errors import ConvergenceError, InputError, nearest
 from tissue_sim.experiment.experiment import Experiment, Model, Specimen
 from tissue_sim.fem.axisymmetric.contact_pairs import build_contact
 from tissue_sim.fem.axisymmetric.elements import Q9P1, Element
-from tissue_sim.fem.axisymmetric.newton import StepStatus
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
+from tissue_sim.fem.solver import StepStatus
 from tissue_sim.material.layer import Layer
 from tissue_sim.mesh import Mesh, cylinder_mesh, needle_mesh, structured_mesh, tip_mesh, with_lines
 
@@ -87,6 +86,37 @@ def _mesh_of_one_material(experiment: Experiment, resolution: str, element: Elem
     return cylinder_mesh(specimen.radius, specimen.height, counts, element, grading=grading)
 
 
+def moved_mesh(mesh: Mesh, before: Model, after: Model) -> Mesh:
+    """The mesh of a model for one of another geometry: same elements, with the nodes where the new one has them."""
+    lines = [_lines(model) for model in (before, after)]
+    return mesh.moved(*zip(*lines, strict=True))
+
+
+def _lines(model: Model) -> tuple[np.ndarray, np.ndarray]:
+    """Radii and heights at which element boundaries lie in every mesh of a model, m, ascending."""
+    experiment = model.experiment
+    face = [experiment.tool.face_radius] if experiment.tool.face_radius else []
+    interfaces = -np.cumsum([layer.thickness for layer in model.material.layers])
+    return (np.array([0.0, *face, experiment.specimen.radius]),
+            np.array([-experiment.specimen.height, *interfaces[::-1], 0.0]))
+
+
+def make_solver(model: Model, *, resolution: str = "fast", mesh: Mesh | None = None,
+                topology: Model | None = None) -> AxisymmetricSolver:
+    """The axisymmetric solver of a model; see `tissue_sim.fem.solver.SolverMaker`.
+
+    Args:
+        model: experiment and material.
+        resolution: a key of `RESOLUTIONS`.
+        mesh: a mesh of your own instead.
+        topology: a model of another geometry, whose mesh is taken (or whose `mesh` is given) and moved to this one's.
+    """
+    meshed = model if topology is None else topology
+    if mesh is None:
+        mesh = build_mesh(meshed.experiment, resolution, layers=meshed.material.layers)
+    return build_solver(model, moved_mesh(mesh, meshed, model))
+
+
 def build_solver(model: Model, mesh: Mesh) -> AxisymmetricSolver:
     """The boundary-value problem of an experiment on a mesh, at the moment when the tool touches.
 
@@ -105,7 +135,7 @@ def build_solver(model: Model, mesh: Mesh) -> AxisymmetricSolver:
         mesh = start.mesh
     held = {}
     if experiment.friction == "bonded":
-        held = {"top" if experiment.tool.shape == "plate" else "face": "rz"}
+        held = {"top" if experiment.tool.is_plate else "face": "rz"}
     return AxisymmetricSolver(mesh, model.material, _supports(experiment), held,
                               contact=build_contact(experiment, mesh, homogeneous=uniform), specific_weight=weight,
                               element_layers=layers, contact_radius=experiment.contact_radius, start=start)
@@ -115,13 +145,6 @@ def element_layers(mesh: Mesh, layers: tuple[Layer, ...]) -> np.ndarray:
     """Number of the layer in which the centre of each element lies, that after the last for none, shape (elements,)."""
     depth = -mesh.nodes[mesh.connectivity[:, :4], 1].mean(axis=1)
     return np.searchsorted(np.cumsum([layer.thickness for layer in layers]), depth)
-
-
-def sag(solver: AxisymmetricSolver) -> float:
-    """How much lower the top stands, on the mean of its area, than it was moulded when the tool touches, m."""
-    top = solver.mesh.sets["top"]
-    r = solver.mesh.nodes[top, 0]
-    return -float(simpson(solver.start[2 * top + 1] * r, x=r) / simpson(r, x=r))
 
 
 def _supports(experiment: Experiment) -> dict[str, str]:
@@ -139,7 +162,7 @@ def _settled(model: Model, mesh: Mesh, layers: np.ndarray) -> AxisymmetricSolver
                                     contact=build_contact(model.experiment, moulded, tool=False), element_layers=layers,
                                     contact_radius=model.experiment.contact_radius)
         _let_settle(solver, specimen.specific_weight)
-        stands = factor * height - sag(solver)
+        stands = factor * height - solver.sag
         if specimen.height_is == "moulded" or abs(stands / height - 1) < 1e-10:
             return solver
         # The sag grows with the square of the height: one Newton step on factor - c factor^2 = 1.
@@ -153,7 +176,7 @@ def _let_settle(solver: AxisymmetricSolver, specific_weight: float) -> None:
     """Put weight on in as many parts as it takes."""
     carried, part = 0.0, 1.0
     while carried < 1.0:
-        solver.specific_weight = min(1.0, carried + part) * specific_weight
+        solver.equations.specific_weight = min(1.0, carried + part) * specific_weight
         # It has stood for long.
         step = solver.step(0.0, np.inf)
         if step.status is StepStatus.CONVERGED:
@@ -164,4 +187,5 @@ def _let_settle(solver: AxisymmetricSolver, specific_weight: float) -> None:
             if part < 2.0**-10:
                 raise ConvergenceError("the specimen does not stand under its own weight: it stopped settling at "
                                        f"{carried:.0%} of it ({step.status.message}); check density and moduli")
-    solver.start[:] = solver.state[: solver.start.size]
+    start = solver.equations.start
+    start[:] = solver.state[: start.size]

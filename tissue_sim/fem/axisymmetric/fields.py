@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.material.material import Material
 from tissue_sim.mesh import Mesh
-
-if TYPE_CHECKING:
-    from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 
 #: Field -> unit.
 FIELD_UNITS = {"displacement": "m", "von_mises": "Pa", "cauchy_rr": "Pa", "cauchy_zz": "Pa", "cauchy_rz": "Pa",
@@ -49,12 +45,6 @@ class Fields:
     weights: np.ndarray
     moduli: np.ndarray
     stresses: np.ndarray | None = None
-
-    @classmethod
-    def of(cls, solver: AxisymmetricSolver, states: list[np.ndarray], stresses: Sequence[np.ndarray] = ()) -> Fields:
-        """Fields of the states that a solver went through, with the stresses of its memory where it has one."""
-        return cls(solver.mesh, solver.material, solver.bulk_modulus, np.array(states), solver.node_gradients,
-                   solver.pressure_modes, solver.weights, solver.moduli, np.array(stresses) if len(stresses) else None)
 
     def displacement(self, sample: int = -1) -> np.ndarray:
         """Nodal displacement (r, z), m, shape (nodes, 2)."""

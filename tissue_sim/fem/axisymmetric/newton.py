@@ -1,36 +1,17 @@
 """One converged step of the axisymmetric solid as one Taichi kernel."""
 
-from enum import IntEnum
 from functools import cache
 
 from tissue_sim.fem.axisymmetric import contact_kernels
 from tissue_sim.fem.axisymmetric.assembly import element_functions
 from tissue_sim.fem.axisymmetric.batches import LANES
 from tissue_sim.fem.linear import band as band_matrix
-from tissue_sim.fem.linear import band_lu
+from tissue_sim.fem.linear.cholesky import BAND_CHOLESKY
+from tissue_sim.fem.linear.lu import BAND_LU
+from tissue_sim.fem.point_effects import EffectFormula
+from tissue_sim.fem.solver import StepStatus
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
-
-
-class StepStatus(IntEnum):
-    """How a step ended."""
-
-    CONVERGED = 1
-    INVERTED = 2
-    INDEFINITE = 3
-    SLOW = 4
-    DIVERGED = 5
-
-    @property
-    def message(self) -> str:
-        return {
-            StepStatus.CONVERGED: "converged",
-            StepStatus.INVERTED: "an element turned inside out",
-            StepStatus.INDEFINITE: "the tangent lost positive definiteness, so the equilibrium is no longer stable",
-            StepStatus.SLOW: "Newton's iteration did not reach its tolerance",
-            StepStatus.DIVERGED: "Newton's iteration diverged",
-        }[self]
-
 
 #: Friction of a point that is no friction, as a share of the least load that residuals are measured against.
 FRICTION_FLOOR = 1e-9
@@ -44,20 +25,21 @@ LEAK = 0.1
 ALL, CIRCLING = 1_000_000, 8
 #: Places in the kernel's counts, settings and report. KEEPS: 0 a step begins with an extrapolation, 1 with the state as
 #: it is and nothing may change between sticking and slipping, 2 with the state as it is.
-PASSES, FREE, MAX_ITERATIONS, CONTACTS, REMEMBERS, UNSYMMETRIC, CHANGEABLE, KEEPS, LEANS = range(9)
+PASSES, FREE, MAX_ITERATIONS, CONTACTS, REMEMBERS, UNSYMMETRIC, CHANGEABLE, KEEPS, STIFFNESS_ASKED = range(9)
 (DEPTH, PREDICTED, KAPPA, WEIGHT, TOLERANCE, FLOOR, ROUNDING, TOUCH, CONTACT_TOLERANCE, ADHESION,
  ADHESION_LENGTH, INERTIA, DENSITY) = range(13)
 STATUS, ITERATIONS, RESIDUAL, FORCE, VIOLATION, SLIPPING, STIFFNESS = range(7)
 
 
 @cache
-def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
+def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: tuple[EffectFormula, ...] = ()):
     """The compiled step of one element and one family of laws; see `AxisymmetricSolver.step` for its arguments.
 
-    Only where something `slips` against friction it contains the solution of unsymmetric equations.
+    Nothing is compiled of `effects` at the points that are not there; only where something `slips` against friction it
+    contains the solution of unsymmetric equations.
     """
     ti = initialise()
-    work = element_functions(element_name, energy)
+    work = element_functions(element_name, energy, effects)
     vec = ti.types.vector(LANES, ti.f64)
     block = ti.types.vector(band_matrix.BLOCK, ti.f64)
     B = band_matrix.BLOCK
@@ -65,9 +47,8 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
     int1, int2 = (ti.types.ndarray(dtype=ti.i32, ndim=n) for n in (1, 2))
     vector1 = ti.types.ndarray(dtype=vec, ndim=1)
     block1, block3 = (ti.types.ndarray(dtype=block, ndim=n) for n in (1, 3))
-    factorise, solve = band_matrix.functions()
+    mirror, cholesky, lu = band_matrix.mirror_function(), BAND_CHOLESKY.functions(), BAND_LU.functions()
     contact = contact_kernels.functions(slips)
-    mirror, _, factorise_lu, solve_lu = band_lu.functions()
     converged, inverted, indefinite, slow, diverged = (float(status) for status in StepStatus)
 
     # Throughout, `a = a + b` on arrays: `a += b` is an atomic operation in Taichi, four times slower here.
@@ -102,10 +83,11 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
              edges: int2, spans: int2, edge_shapes: real3, edge_places: real3, areas: real2, vertices: real2,
              edge_rounding: real1, friction: real2, springs: real2, held: real3, ways: real2, met: real3,
              forces: real3, contact_rates: real3, known_rates: real3, coefficients: real1, past: real1,
-             inherited: real3, largest: real2, stresses: real3, energies: real2, masses: real1, rest: real1,
-             x: real1, motion: real1, history: real2, slots: int1, weights: real1, entries: real4, blocks: block3,
-             flat: block1, scattered: real1, upper: real4, upper_blocks: block3, inverse: real1, right: block1,
-             residual: real1, pull: real1, lean: real1, report: real1):
+             inherited: real3, largest: real2, stresses: real3, energies: real2, effect_settings: real1,
+             effect_states: real3, effect_states_found: real3, masses: real1, rest: real1, x: real1, motion: real1,
+             history: real2, slots: int1, weights: real1, entries: real4, blocks: block3, flat: block1,
+             scattered: real1, upper: real4, upper_blocks: block3, inverse: real1, right: block1, residual: real1,
+             pull: real1, reaction: real1, report: real1):
         # One pass of one serial task, started without waking a thread pool; the count is an argument so that the loop
         # is not unrolled into many tasks.
         ti.loop_config(serialize=True)
@@ -158,8 +140,8 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
                 for b in range(batches):
                     J = work.integrate(b, tangent, kappa, counts[REMEMBERS], x, pressures, elements, dofs,
                                        gradient_r, gradient_z, value_r, point_weights, mode_values, moduli,
-                                       coefficients, past, inherited, largest, stresses, energies, volume_r, volume_z,
-                                       gap)
+                                       coefficients, past, inherited, largest, stresses, energies, effect_settings,
+                                       effect_states, effect_states_found, volume_r, volume_z, gap)
                     smallest = ti.min(smallest, J)
                     if weight != 0.0:
                         work.add_weight(b, weight, volumes)
@@ -223,8 +205,8 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
                     report[STATUS] = inverted
                 elif ti.math.isnan(ratio) or ti.math.isinf(ratio):
                     report[STATUS] = diverged
-                elif pending == 0 and ratio <= goal and tangent == 0 and counts[LEANS] == 1 and contact.have_changed(
-                        counts[CONTACTS], springs, contact_rates, known_rates) == 1:
+                elif (pending == 0 and ratio <= goal and tangent == 0 and counts[STIFFNESS_ASKED] == 1
+                      and contact.have_changed(counts[CONTACTS], springs, contact_rates, known_rates) == 1):
                     tangent = 1  # the stiffness needs it
                 elif pending == 0 and ratio <= goal:
                     released = contact.augment(counts[CONTACTS], multipliers, adhesion, edge_places, areas, spans,
@@ -244,17 +226,17 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
                     tangent = 1
                 else:
                     solves = 1
-                leans = 1 if report[STATUS] == converged and counts[LEANS] == 1 else 0
-                if solves + leans > 0:
+                asked = 1 if report[STATUS] == converged and counts[STIFFNESS_ASKED] == 1 else 0
+                if solves + asked > 0:
                     stiff = 0.0
-                    if leans == 1:
+                    if asked == 1:
                         # How the forces, and the force on the tool, change when the tool moves and the tissue does
                         # not yet.
                         for i in range(free):
-                            residual[i], lean[i] = pull[i], pull[i]
+                            residual[i], reaction[i] = pull[i], pull[i]
                         stiff = pull[free] + contact.add_tool_rates(
                             counts[CONTACTS], free, edges, spans, edge_shapes, contact_rates, direction, equation,
-                            residual, lean)
+                            residual, reaction)
                         if inertia != 0.0:
                             for dof in range(pressures):
                                 if equation[dof] >= free:
@@ -267,19 +249,19 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
                             entries[i // B, width - 1, i % B, i % B] = 1.0
                         if ti.static(slips):
                             if counts[UNSYMMETRIC] == 1:
-                                definite = factorise_lu(blocks, upper_blocks, inverse, rows, width)
+                                definite = lu.init(blocks, upper_blocks, inverse, rows, width)
                         if counts[UNSYMMETRIC] == 0:
-                            definite = factorise(blocks, inverse, rows, width)
+                            definite = cholesky.init(blocks, upper_blocks, inverse, rows, width)
                         factorised = definite
                     if definite == 1:
                         if ti.static(slips):
                             if counts[UNSYMMETRIC] == 1:
-                                solve_lu(blocks, upper_blocks, inverse, right, rows, width)
+                                lu.solve(blocks, upper_blocks, inverse, right, rows, width)
                         if counts[UNSYMMETRIC] == 0:
-                            solve(blocks, inverse, right, rows, width)
-                    if leans == 1 and definite == 1:
+                            cholesky.solve(blocks, upper_blocks, inverse, right, rows, width)
+                    if asked == 1 and definite == 1:
                         for i in range(free):
-                            stiff -= lean[i] * right[i // B][i % B]
+                            stiff -= reaction[i] * right[i // B][i % B]
                         report[STIFFNESS] = stiff
                     elif solves == 1 and definite == 0 and bending > 0.0:
                         bending, last_ratio = 0.0, 0.0

@@ -2,57 +2,51 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from tissue_sim.fem.axisymmetric.assembly import INSTANT
 from tissue_sim.fem.axisymmetric.contact_kernels import HELD
+from tissue_sim.fem.axisymmetric.equations import Equations
 from tissue_sim.fem.axisymmetric.sensitivity_kernel import ALL_POINTS, FRESH, NOTED, PARAMETER, respond_kernel
+from tissue_sim.fem.history import FACTOR, INSTANT, LOSS
+from tissue_sim.fem.solver import Neighbours
 from tissue_sim.fem.taichi.launch import BoundKernel
-from tissue_sim.material.material import Material
-
-if TYPE_CHECKING:
-    from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 
 
 class Sensitivity:
     """Rates of a solver's state with a number of parameters, at its last committed step.
 
     Args:
-        solver: before its first step.
-        pairs: for each parameter the material with a little more and with a little less of it, and the difference:
-            what the parameter does to coefficients, bulk modulus, relaxation, softening and layers is taken from them
-            by a central difference of formulas, which is exact to about ten digits.
+        equations: of a solver before its first step.
+        neighbours: what each parameter does to coefficients, bulk modulus, relaxation, softening and layers is taken
+            from them by a central difference of formulas, which is exact to about ten digits.
 
     Attributes:
         force: dF/dtheta at the last committed step, N per unit, shape (parameters,).
     """
 
-    def __init__(self, solver: AxisymmetricSolver, pairs: list[tuple[Material, Material, float]]):
-        self._solver, self._pairs = solver, pairs
-        m, (elements, q) = len(pairs), solver.weights.shape
-        surface = solver.surface
-        own = solver.inputs(solver.material)
-        rates = [np.zeros((m, *np.shape(array))) for array in own]
-        for k, (up, down, width) in enumerate(pairs):
-            for rate, more, less in zip(rates, solver.inputs(up), solver.inputs(down), strict=True):
+    def __init__(self, equations: Equations, neighbours: Neighbours):
+        self._equations = equations
+        m, (elements, q) = len(neighbours), equations.reference.weights.shape
+        surface, memory = equations.surface, equations.memory
+        here = equations.inputs(equations.material)
+        rates = [np.zeros((m, *np.shape(array))) for array in here]
+        for k, (up, down, width) in enumerate(neighbours):
+            for rate, more, less in zip(rates, equations.inputs(up), equations.inputs(down), strict=True):
                 rate[k] = (more - less) / width
         coefficient_rates, kappa_rates, factor_rates, moduli_rates = rates
-        coefficients = own[0]
-        self._directions = np.concatenate([np.tile(coefficients, (m, 1)), coefficient_rates], axis=1)
-        self._kappa_rates, self._moduli_rates = kappa_rates, moduli_rates
+        self._directions = np.concatenate([np.tile(here[0], (m, 1)), coefficient_rates], axis=1)
         self._past_rates = np.zeros((m, 5))
-        self._past_rates[:, 0] = factor_rates
-        for k, (up, down, width) in enumerate(pairs):
+        self._past_rates[:, FACTOR] = factor_rates
+        for k, (up, down, width) in enumerate(neighbours):
             more, less = (np.array([0.0, 1.0, 0.0] if s is None else [s.loss, s.modulus, s.share])
                           for s in (up.softening, down.softening))
-            self._past_rates[k, 2:] = (more - less) / width
+            self._past_rates[k, LOSS:] = (more - less) / width
         self._inherited_rates = np.zeros((m, elements, q, 4))
         self._before_rates, self._stress_rates = np.zeros((m, elements, q, 4)), np.zeros((m, elements, q, 4))
-        self._internal_rates = np.zeros((m, len(solver.memory.internal), elements, q, 4))
-        self._relaxations = [(solver.relaxation(up), solver.relaxation(down), width) for up, down, width in pairs]
-        self._decay_rates, self._gain_rates = np.zeros((2, m, len(solver.memory.internal)))
+        self._internal_rates = np.zeros((m, len(memory.internal), elements, q, 4))
+        self._relaxations = [(equations.relaxation(up), equations.relaxation(down), width)
+                             for up, down, width in neighbours]
+        self._decay_rates, self._gain_rates = np.zeros((2, m, len(memory.internal)))
         self._largest_rates, self._energy_rates = np.zeros((m, elements, q)), np.zeros((m, elements, q))
         shape = (m, *surface.springs.shape, 2)
         self._multiplier_rates, self._anchor_rates = np.zeros(shape), np.zeros(shape)
@@ -61,12 +55,32 @@ class Sensitivity:
         self._contact = np.zeros((3, *surface.springs.shape))
         # One parameter a launch: Taichi keeps what it has read of an array that the same kernel writes.
         self._which, self._direction = np.zeros(3, np.int32), np.zeros(self._directions.shape[1])
-        self._which[ALL_POINTS] = solver.memory.works or self._moduli_rates.any()
-        scratch = np.zeros((elements, q, NOTED)), np.zeros_like(solver._residual), np.zeros_like(solver.x)
-        self._kernel = BoundKernel(respond_kernel(solver.mesh.element.name, solver.material.energy_law.kernel_energy), (
-            self._which, *solver.response_arrays(), self._kappa_rates, self._moduli_rates, self._past_rates,
-            self._inherited_rates, self._largest_rates, self._multiplier_rates, self._anchor_rates, self._direction,
-            *scratch, self._stress_rates, self._energy_rates, self._point_rates, self.force))
+        self._which[ALL_POINTS] = memory.works or moduli_rates.any()
+        energy = equations.material.energy_law.kernel_energy
+        self._kernel = BoundKernel(respond_kernel(equations.mesh.element.name, energy), {
+            **equations.shared_arrays(), **self._undeformed(), "which": self._which, "kappa_rates": kappa_rates,
+            "moduli_rates": moduli_rates, "past_rates": self._past_rates, "inherited_rates": self._inherited_rates,
+            "largest_rates": self._largest_rates, "multiplier_rates": self._multiplier_rates,
+            "anchor_rates": self._anchor_rates, "direction": self._direction, "stress_rates": self._stress_rates,
+            "energy_rates": self._energy_rates, "point_rates": self._point_rates, "force_rates": self.force,
+            **self._scratch()})
+
+    def _undeformed(self) -> dict[str, np.ndarray]:
+        """Arrays of the kernel that depend on the mesh alone."""
+        mesh, reference = self._equations.mesh, self._equations.reference
+        moved = self._equations.direction[1::2][mesh.connectivity]
+        return {"connectivity": np.ascontiguousarray(mesh.connectivity, dtype=np.int32),
+                "node_gradients": reference.node_gradients, "element_moduli": self._equations.moduli,
+                "quadrature": np.ascontiguousarray(
+                    np.concatenate([reference.weights[..., None], reference.pressure_modes], axis=-1)),
+                "along": np.einsum("eqai,ea->eqi", reference.node_gradients[..., :2], moved)}
+
+    def _scratch(self) -> dict[str, np.ndarray]:
+        equations, element = self._equations, self._equations.mesh.element
+        points = equations.reference.weights.shape
+        return {"gap_rates": np.zeros((points[0], element.pressure_modes)), "node_forces": np.zeros((element.nodes, 2)),
+                "centre_force": np.zeros((points[0], 2)), "law": np.zeros((*points, NOTED)),
+                "base": np.zeros_like(equations.residual), "dx": np.zeros_like(equations.state.x)}
 
     def pop_changed(self) -> bool:
         """Whether since the last call points came into contact, left it, or changed between sticking and slipping: the
@@ -76,7 +90,7 @@ class Sensitivity:
 
     def advance(self) -> None:
         """After a step that converged, before it is committed."""
-        solver, memory = self._solver, self._solver.memory
+        memory = self._equations.memory
         decay, gain = memory.step
         for k, (up, down, width) in enumerate(self._relaxations):
             if up == down:
@@ -92,7 +106,7 @@ class Sensitivity:
                 + np.einsum("t,kteqi->keqi", decay, self._internal_rates)
                 - self._gain_rates.sum(axis=1)[:, None, None, None] * memory.before - gain.sum() * self._before_rates)
         change = memory.stresses - memory.before
-        solver.respond(self._launch)
+        self._equations.respond(self._launch)
         if memory.works:
             self._internal_rates *= _each(decay)
             self._internal_rates += _each(self._decay_rates) * memory.internal + _each(self._gain_rates) * change
@@ -112,7 +126,7 @@ class Sensitivity:
 
     def _follow_contact(self) -> None:
         """Where a point was bound anew its anchor moves with it along the surface; where it parted nothing presses."""
-        surface = self._solver.surface
+        surface = self._equations.surface
         normals = surface.rates[..., 4:6]
         anew = (surface.held[..., 0] > 0) & (surface.held != surface.anchors).any(axis=-1)
         along = np.stack([-normals[..., 1], normals[..., 0]], axis=-1)

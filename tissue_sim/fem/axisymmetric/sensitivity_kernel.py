@@ -10,15 +10,16 @@ from functools import cache
 import sympy as sp
 
 from tissue_sim.fem.axisymmetric import energy as point
-from tissue_sim.fem.axisymmetric.assembly import FACTOR, INSTANT, LOSS, LOSS_MODULUS, LOSS_SHARE
 from tissue_sim.fem.axisymmetric.batches import LANES
 from tissue_sim.fem.axisymmetric.contact import HOLD, MOVES
 from tissue_sim.fem.axisymmetric.contact_kernels import HELD, TOUCHED
 from tissue_sim.fem.axisymmetric.elements import ELEMENTS
 from tissue_sim.fem.axisymmetric.newton import CONTACTS, KAPPA, REMEMBERS, UNSYMMETRIC
 from tissue_sim.fem.axisymmetric.newton import FREE as FREE_EQUATIONS
+from tissue_sim.fem.history import FACTOR, INSTANT, LOSS, LOSS_MODULUS, LOSS_SHARE
 from tissue_sim.fem.linear import band as band_matrix
-from tissue_sim.fem.linear import band_lu
+from tissue_sim.fem.linear.cholesky import BAND_CHOLESKY
+from tissue_sim.fem.linear.lu import BAND_LU
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
 
@@ -57,8 +58,7 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
     stress_rate = point.function(directional(energy), tangents=False)
     add_volume = point.volume_function()
     soften, relax = point.history_functions()
-    factorise, solve = band_matrix.functions()
-    _, _, factorise_lu, solve_lu = band_lu.functions()
+    cholesky, lu = BAND_CHOLESKY.functions(), BAND_LU.functions()
     row = point.PLACE
 
     @ti.func
@@ -189,15 +189,16 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
 
     @ti.kernel
     def respond(which: int1, counts: int1, settings: real1, connectivity: int2, equation: int1, node_gradients: real4,
-                quadrature: real3, along: real3, edges: int2, spans: int2, shapes: real3, springs: real2, held: real3,
-                ways: real2, contact_rates: real3, coefficients: real1, moduli: real1, past: real1, inherited: real3,
+                quadrature: real3, along: real3, edges: int2, spans: int2, edge_shapes: real3, springs: real2,
+                held: real3, ways: real2, contact_rates: real3, coefficients: real1, element_moduli: real1,
+                past: real1, inherited: real3,
                 largest: real2, x: real1, entries: real4, blocks: block3, upper_blocks: block3, inverse: real1,
                 right: block1, residual: real1, volume_r: real2, volume_z: real2, rows_rr: real2, rows_rz: real2,
-                rows_zr: real2, rows_zz: real2, inverse_rr: real2, inverse_rz: real2, inverse_zz: real2, gap: real2,
-                forces: real2, centre_force: real2, kappa_rates: real1, moduli_rates: real2, past_rates: real2,
-                inherited_rates: real4, largest_rates: real3, multiplier_rates: real4, anchor_rates: real4,
-                direction: real1, law: real3, base: real1, dx: real1, stress_rates: real4, energy_rates: real3,
-                point_rates: real4, force_rates: real1):
+                rows_zr: real2, rows_zz: real2, inverse_rr: real2, inverse_rz: real2, inverse_zz: real2,
+                gap_rates: real2, node_forces: real2, centre_force: real2, kappa_rates: real1, moduli_rates: real2,
+                past_rates: real2, inherited_rates: real4, largest_rates: real3, multiplier_rates: real4,
+                anchor_rates: real4, direction: real1, law: real3, base: real1, dx: real1, stress_rates: real4,
+                energy_rates: real3, point_rates: real4, force_rates: real1):
         ti.loop_config(serialize=True)
         for _ in range(1):
             free, width, rows = counts[FREE_EQUATIONS], entries.shape[1], entries.shape[0]
@@ -208,9 +209,9 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
                     entries[i // B, width - 1, i % B, i % B] = 1.0
                 good = 1
                 if counts[UNSYMMETRIC] == 1:
-                    good = factorise_lu(blocks, upper_blocks, inverse, rows, width)
+                    good = lu.init(blocks, upper_blocks, inverse, rows, width)
                 else:
-                    good = factorise(blocks, inverse, rows, width)
+                    good = cholesky.init(blocks, upper_blocks, inverse, rows, width)
                 which[FRESH] = 1 - good
                 for e in range(elements):
                     for q in range(points):
@@ -221,38 +222,40 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
                             p = 0.0
                             for m in range(modes):
                                 p += quadrature[e, q, 1 + m] * x[pressures + modes * e + m]
-                            look(e, q, F, p, moduli[e], counts[REMEMBERS], coefficients, past, inherited, largest, law)
+                            look(e, q, F, p, element_moduli[e], counts[REMEMBERS], coefficients, past, inherited,
+                                 largest, law)
             for i in range(base.shape[0]):
                 base[i] = 0.0
             for e in range(elements):
-                bulk = settings[KAPPA] * moduli[e]
-                bulk_rate = kappa_rates[k] * moduli[e] + settings[KAPPA] * moduli_rates[k, e]
+                bulk = settings[KAPPA] * element_moduli[e]
+                bulk_rate = kappa_rates[k] * element_moduli[e] + settings[KAPPA] * moduli_rates[k, e]
                 b, l = e // LANES, e % LANES
                 for m in range(modes):
-                    gap[e, m] = x[pressures + modes * e + m] / (bulk * bulk) * bulk_rate
+                    gap_rates[e, m] = x[pressures + modes * e + m] / (bulk * bulk) * bulk_rate
                 for a in range(nodes):
-                    forces[a, 0], forces[a, 1] = 0.0, 0.0
+                    node_forces[a, 0], node_forces[a, 1] = 0.0, 0.0
                     for m in range(modes):
-                        v, scaled = (b * modes + m) * nodes + a, bulk * gap[e, m]
-                        forces[a, 0] = forces[a, 0] + scaled * volume_r[v, l]
-                        forces[a, 1] = forces[a, 1] + scaled * volume_z[v, l]
+                        v, scaled = (b * modes + m) * nodes + a, bulk * gap_rates[e, m]
+                        node_forces[a, 0] = node_forces[a, 0] + scaled * volume_r[v, l]
+                        node_forces[a, 1] = node_forces[a, 1] + scaled * volume_z[v, l]
                 for q in range(points):
                     w = quadrature[e, q, 0]
                     F = noted(e, q, GRADIENT, law)
-                    _dW, _soft, dP = at_point(k, e, q, F, direction, moduli[e], moduli_rates[k, e], counts[REMEMBERS],
-                                              past, past_rates, inherited_rates, largest, largest_rates, law)
+                    _dW, _soft, dP = at_point(k, e, q, F, direction, element_moduli[e], moduli_rates[k, e],
+                                              counts[REMEMBERS], past, past_rates, inherited_rates, largest,
+                                              largest_rates, law)
                     for a in range(nodes):
                         nx, ny, nr = node_gradients[e, q, a, 0], node_gradients[e, q, a, 1], node_gradients[e, q, a, 2]
-                        forces[a, 0] = forces[a, 0] + w * (dP[0] * nx + dP[1] * ny + dP[4] * nr)
-                        forces[a, 1] = forces[a, 1] + w * (dP[2] * nx + dP[3] * ny)
+                        node_forces[a, 0] = node_forces[a, 0] + w * (dP[0] * nx + dP[1] * ny + dP[4] * nr)
+                        node_forces[a, 1] = node_forces[a, 1] + w * (dP[2] * nx + dP[3] * ny)
                 f0, f1 = 0.0, 0.0
                 if ti.static(has_centre):
                     for a in range(nb, nodes):
-                        f0, f1 = forces[a, 0], forces[a, 1]
+                        f0, f1 = node_forces[a, 0], node_forces[a, 1]
                     centre_force[e, 0] = inverse_rr[b, l] * f0 + inverse_rz[b, l] * f1
                     centre_force[e, 1] = inverse_rz[b, l] * f0 + inverse_zz[b, l] * f1
                 for a in range(nb):
-                    fr, fz = forces[a, 0], forces[a, 1]
+                    fr, fz = node_forces[a, 0], node_forces[a, 1]
                     if ti.static(has_centre):
                         at = b * nb + a
                         fr -= f0 * rows_rr[at, l] + f1 * rows_zr[at, l]
@@ -268,17 +271,17 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
                     for q in range(springs.shape[1]):
                         fr, fz = contact_rate(m, q, k, 0.0, 0.0, held, ways, springs, contact_rates,
                                               multiplier_rates, anchor_rates)
-                        for a in range(shapes.shape[2]):
+                        for a in range(edge_shapes.shape[2]):
                             ir, iz = equation[2 * edges[m, a]], equation[2 * edges[m, a] + 1]
-                            residual[ir] = residual[ir] + shapes[m, q, a] * fr
-                            residual[iz] = residual[iz] + shapes[m, q, a] * fz
+                            residual[ir] = residual[ir] + edge_shapes[m, q, a] * fr
+                            residual[iz] = residual[iz] + edge_shapes[m, q, a] * fz
                 for I in range(rows):
                     for i in ti.static(range(B)):
                         right[I][i] = residual[I * B + i] if I * B + i < free else 0.0
                 if counts[UNSYMMETRIC] == 1:
-                    solve_lu(blocks, upper_blocks, inverse, right, rows, width)
+                    lu.solve(blocks, upper_blocks, inverse, right, rows, width)
                 else:
-                    solve(blocks, inverse, right, rows, width)
+                    cholesky.solve(blocks, upper_blocks, inverse, right, rows, width)
                 for dof in range(pressures):
                     i = equation[dof]
                     if i >= free:
@@ -288,9 +291,9 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
                 for m in range(counts[CONTACTS]):
                     for q in range(springs.shape[1]):
                         dr, dz = 0.0, 0.0
-                        for a in range(shapes.shape[2]):
-                            dr += shapes[m, q, a] * dx[2 * edges[m, a]]
-                            dz += shapes[m, q, a] * dx[2 * edges[m, a] + 1]
+                        for a in range(edge_shapes.shape[2]):
+                            dr += edge_shapes[m, q, a] * dx[2 * edges[m, a]]
+                            dz += edge_shapes[m, q, a] * dx[2 * edges[m, a] + 1]
                         fr, fz = contact_rate(m, q, k, dr, dz, held, ways, springs, contact_rates,
                                               multiplier_rates, anchor_rates)
                         changed += (ti.abs(fr - multiplier_rates[k, m, q, 0])
@@ -305,7 +308,7 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
                 for q in range(springs.shape[1]):
                     total += float(spans[m, MOVES]) * multiplier_rates[k, m, q, 1]
             for e in range(elements):
-                bulk = settings[KAPPA] * moduli[e]
+                bulk = settings[KAPPA] * element_moduli[e]
                 b, l = e // LANES, e % LANES
                 if ti.static(has_centre):
                     cr, cz = centre_force[e, 0], centre_force[e, 1]
@@ -316,7 +319,7 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
                         cz += rows_zr[at, l] * ur + rows_zz[at, l] * uz
                     dx[2 * connectivity[e, centre]], dx[2 * connectivity[e, centre] + 1] = -cr, -cz
                 for m in range(modes):
-                    change = gap[e, m]
+                    change = gap_rates[e, m]
                     for a in range(nodes):
                         v = (b * modes + m) * nodes + a
                         change += (volume_r[v, l] * dx[2 * connectivity[e, a]]
@@ -330,7 +333,7 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
                         dp = 0.0
                         for m in range(modes):
                             dp += quadrature[e, q, 1 + m] * dx[pressures + modes * e + m]
-                        dW, soft, dP = at_point(k, e, q, F, direction, moduli[e], moduli_rates[k, e],
+                        dW, soft, dP = at_point(k, e, q, F, direction, element_moduli[e], moduli_rates[k, e],
                                                 counts[REMEMBERS], past, past_rates, inherited_rates, largest,
                                                 largest_rates, law)
                         c, j = F[4], F[0] * F[3] - F[1] * F[2]

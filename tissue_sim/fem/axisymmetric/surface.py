@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
+from tissue_sim.mesh import Mesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +19,7 @@ class DeformedSurface:
 
     outline: np.ndarray
 
-    def revolve(self, segments: int = 48) -> tuple[np.ndarray, np.ndarray]:
+    def triangles(self, segments: int = 48) -> tuple[np.ndarray, np.ndarray]:
         """Triangles of the whole surface.
 
         Args:
@@ -46,10 +44,9 @@ class DeformedSurface:
         return np.concatenate([centre, rings]), np.concatenate([fan, quads + 1])
 
 
-def deformed_surface(solver: AxisymmetricSolver) -> DeformedSurface:
-    """The surface at the last committed state; z counts from where the tool first touches."""
-    mesh = solver.mesh
+def deformed_surface(mesh: Mesh, state: np.ndarray, datum: float) -> DeformedSurface:
+    """The surface of a mesh in a state; z counts from the datum, m, where the tool first touches."""
     top, side = mesh.sets["top"], mesh.sets["side"]
     order = np.concatenate([top[np.argsort(mesh.nodes[top, 0])], side[np.argsort(-mesh.nodes[side, 1])][1:]])
-    place = (mesh.nodes + solver.state[: 2 * len(mesh.nodes)].reshape(-1, 2))[order]
-    return DeformedSurface(place - [0.0, solver.datum])
+    place = (mesh.nodes + state[: 2 * len(mesh.nodes)].reshape(-1, 2))[order]
+    return DeformedSurface(place - [0.0, datum])

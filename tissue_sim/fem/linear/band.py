@@ -1,8 +1,9 @@
-"""Band Cholesky factorisation and solution for use inside Taichi kernels.
+"""Band matrices in blocks, for use inside Taichi kernels.
 
 The lower band is cut into square blocks of `BLOCK` columns. Block (I, J) of block row I lies at ``band[I, w]`` with
 ``w = J - I + width - 1``; it is stored by columns, each a vector over its `BLOCK` rows, so that the inner products
-of the factorisation run on whole vectors.
+of the factorisations run on whole vectors. Of a matrix that is not symmetric there are two such bands: its own lower
+triangle, with the whole blocks of the diagonal, and that of its transpose.
 """
 
 from functools import cache
@@ -91,75 +92,39 @@ def subtract_function():
 
 
 @cache
-def functions():
-    """Taichi functions ``factorise(band, inverse, rows, width) -> int`` and ``solve(band, inverse, x, rows, width)``.
-
-    `band` is overwritten by its Cholesky factor, `inverse` (rows * BLOCK) by the reciprocal of its diagonal.
-    `factorise` returns 1, or 0 when the matrix is not positive definite. `solve` overwrites x.
-    """
+def mirror_function():
+    """Taichi function ``mirror(lower, upper, rows, width)``: complete a symmetric matrix of which only the lower
+    triangle is filled in."""
     ti = initialise()
-    subtract = subtract_function()
-    lanes = ti.Vector(list(range(BLOCK)))
-    unit = [ti.Vector([float(i == c) for i in range(BLOCK)]) for c in range(BLOCK)]
 
     @ti.func
-    def factorise(band: ti.template(), inverse: ti.template(), rows, width):
-        ok = 1
+    def mirror(lower: ti.template(), upper: ti.template(), rows, width):
         for I in range(rows):
-            first = ti.max(0, I - width + 1)
-            for J in range(first, I + 1):
-                w = J - I + width - 1
-                subtract(I, J, first, width, band, band)
-                if J < I:
-                    for c in range(BLOCK):
-                        v = band[I, w, c]
-                        for k in range(c):
-                            v -= band[I, w, k] * band[J, width - 1, k][c]
-                        band[I, w, c] = v * inverse[J * BLOCK + c]
-                else:
-                    for c in range(BLOCK):
-                        v = band[I, w, c]
-                        for k in range(c):
-                            column = band[I, w, k]
-                            v -= column * band[I, w, k][c]
-                        band[I, w, c] = v
-                        pivot = band[I, w, c][c]
-                        # Written so that a NaN pivot fails too.
-                        if not pivot > 0.0:
-                            ok = 0
-                            pivot = 1.0
-                        inverse[I * BLOCK + c] = 1.0 / ti.sqrt(pivot)
-                        # Zeros above the diagonal, which `solve` relies on.
-                        band[I, w, c] = ti.select(lanes >= c, v * inverse[I * BLOCK + c], 0.0)
-            if ok == 0:
-                break
-        return ok
+            for w in range(width):
+                for c in range(BLOCK):
+                    upper[I, w, c] = lower[I, w, c]
+            for c in range(BLOCK):
+                # Above the diagonal of the diagonal block.
+                for r in range(c):
+                    lower[I, width - 1, c][r] = lower[I, width - 1, r][c]
+
+    return mirror
+
+
+@cache
+def add_any_function():
+    """Taichi function ``add_any(row, column, value, free, width, lower, upper)``: add to an entry on either side of the
+    diagonal of the matrix of the first `free` equations."""
+    ti = initialise()
 
     @ti.func
-    def solve(band: ti.template(), inverse: ti.template(), x: ti.template(), rows, width):
-        for I in range(rows):
-            v = x[I]
-            for J in range(ti.max(0, I - width + 1), I):
-                w = J - I + width - 1
-                y = x[J]
-                for k in ti.static(range(BLOCK)):
-                    v -= band[I, w, k] * y[k]
-            for c in ti.static(range(BLOCK)):
-                value = v[c] * inverse[I * BLOCK + c]
-                v += (unit[c] - band[I, width - 1, c]) * value
-            x[I] = v
-        for reverse in range(rows):
-            I = rows - 1 - reverse
-            v = x[I]
-            for below in range(I + 1, ti.min(rows, I + width)):
-                w = I - below + width - 1
-                y = x[below]
-                for k in ti.static(range(BLOCK)):
-                    v -= unit[k] * band[below, w, k].dot(y)
-            for c in ti.static(range(BLOCK - 1, -1, -1)):
-                column = band[I, width - 1, c]
-                value = (v[c] * (1.0 + column[c]) - column.dot(v)) * inverse[I * BLOCK + c]
-                v += unit[c] * (value - v[c])
-            x[I] = v
+    def add_any(row, column, value, free, width, lower: ti.template(), upper: ti.template()):
+        if row < free and column < free:
+            I, J = row // BLOCK, column // BLOCK
+            r, c = row % BLOCK, column % BLOCK
+            if J <= I:
+                lower[I, J - I + width - 1, c, r] = lower[I, J - I + width - 1, c, r] + value
+            else:
+                upper[J, I - J + width - 1, r, c] = upper[J, I - J + width - 1, r, c] + value
 
-    return factorise, solve
+    return add_any

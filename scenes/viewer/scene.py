@@ -1,0 +1,92 @@
+"""What is looked at: an experiment of some kind, a material and measurements of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import tissue_sim as ts
+from scenes.catalogue import SCENES
+from scenes.viewer.measurement import Measurement, measurement
+from tissue_sim.experiment.kinds.kind import TestKind
+
+#: Of a material that comes from no file.
+BUILT_IN = "silicone of the study"
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Everything that the pictures depend on but for the motion of the tool.
+
+    Attributes:
+        kind: of test.
+        experiment: with specimen, tool and interfaces; its protocol is what the model's curve is computed for where
+            nothing was measured, and its largest depth is where the slider ends.
+        material: as it is now.
+        source: where the material comes from, for people.
+        measurements: by the name of the kind that they belong to.
+    """
+
+    kind: TestKind
+    experiment: ts.Experiment
+    material: ts.Material
+    source: str = BUILT_IN
+    measurements: Mapping[str, Measurement] = field(default_factory=dict)
+
+    @property
+    def model(self) -> ts.Model:
+        """Experiment and material."""
+        return ts.Model(self.experiment, self.material)
+
+    @property
+    def measurement(self) -> Measurement | None:
+        """That of this scene; None where there is none."""
+        return self.measurements.get(self.kind.name)
+
+    @property
+    def deepest(self) -> float:
+        """Largest tool displacement, m."""
+        return self.experiment.protocol.depth
+
+    def with_scene(self, name: str, *, tool: ts.Tool | None = None, friction: str | float | None = None) -> Scene:
+        """Another kind of test, tool or interface of the tool's face, on the same specimen with the same protocol.
+
+        Args:
+            name: of a scene in `scenes.SCENES`.
+            tool: None: the one at hand where it fits the kind, else the kind's own.
+            friction: None: the one at hand for the same kind, else the kind's own.
+
+        Raises:
+            InputError: no such scene, or what does not fit it.
+        """
+        if name not in SCENES:
+            raise ts.InputError(f"no scene {name!r}; known: {', '.join(SCENES)}", field="scene")
+        kind, before = SCENES[name], self.experiment
+        if tool is None:
+            tool = before.tool if kind.fits(before.tool) else kind.tool
+        if not kind.fits(tool):
+            raise ts.InputError(f"{kind.title.lower()} is not done with the tool {tool.shape!r}", field="tool")
+        changes = kind.interfaces
+        if kind is self.kind:
+            changes = {key: getattr(before, key) for key in changes}
+        if friction is not None:
+            changes["friction"] = friction
+        return replace(self, kind=kind, experiment=replace(before, tool=tool, **changes))
+
+
+def read_measurements(paths: Sequence[str | Path], scene: str) -> dict[str, Measurement]:
+    """Recordings by the scene that they belong to: the kind of test in their sidecar, or else `scene`.
+
+    Raises:
+        InputError: an unreadable file, or one of a kind that is no scene.
+    """
+    found: dict[str, list[ts.Recording]] = {}
+    for path in paths:
+        recording = ts.read_recording(path)
+        kind = str(recording.metadata.get("kind", scene))
+        if kind not in SCENES:
+            raise ts.InputError(f"is of kind {kind!r}, for which there is no scene; known: {', '.join(SCENES)}",
+                                file=path, field="kind")
+        found.setdefault(kind, []).append(recording)
+    return {kind: measurement(recordings) for kind, recordings in found.items()}

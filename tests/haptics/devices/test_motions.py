@@ -1,0 +1,134 @@
+"""Motions without a device: the same for the same seed and time, within their bounds of depth, speed and frequency."""
+
+import math
+
+import numpy as np
+import pytest
+from device_contracts import MotionContract
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import tissue_sim as ts
+from haptics.devices.back_ends import MOTIONS, open_motion
+from haptics.devices.motions import HandMotion, ProtocolMotion, RandomWalk, SineMotion
+from tissue_sim.errors import InputError
+from tissue_sim.pose import Pose
+
+
+@pytest.mark.parametrize("name", ["random:seed=3", "sine", "protocol:ramp 4mm @2mm/s; unload", "hand:depth_mm=2"])
+class TestMotions(MotionContract):
+    @pytest.fixture
+    def device(self, name):
+        return open_motion(name)
+
+
+def test_every_built_in_motion_is_opened_by_its_name():
+    assert list(MOTIONS) == ["random", "sine", "protocol", "hand"]
+    walk = open_motion("random:seed=7,depth_mm=6,lift=0.5,top_speed_mm_s=100")
+    np.testing.assert_array_equal(depths(walk, range(9)), depths(RandomWalk(7, 6e-3, -3e-3, 0.1), range(9)))
+    np.testing.assert_allclose(depths(open_motion("sine:depth_mm=5,frequency_hz=2"), [0.0, 0.25]), [-1e-3, 5e-3])
+    repeated = open_motion("protocol:ramp 4mm @2mm/s; unload")
+    assert repeated.depth(6.0) == pytest.approx(4e-3), "it repeats where it closes"
+    hand = open_motion("hand:depth_mm=2,speed_mm_s=10")
+    assert (hand.depth(0.0), hand.depth(0.1)) == (0.0, pytest.approx(1e-3)) and hand.depth(9.0) == pytest.approx(2e-3)
+    with pytest.raises(InputError, match=r"unknown motion 'sin'; did you mean 'sine'\?"):
+        open_motion("sin:depth_mm=5")
+
+
+def test_a_pose_is_upright_and_on_the_axis():
+    assert SineMotion(5e-3).pose(0.25) == Pose((0.0, 0.0, -SineMotion(5e-3).depth(0.25)))
+
+
+def depths(motion, times):
+    return np.array([motion.depth(time) for time in times])
+
+
+def test_a_protocol_is_followed_and_held_at_its_ends():
+    protocol = ts.Protocol([10.0, 12.0, 13.0], [0.0, 4e-3, 1e-3])
+    motion = ProtocolMotion(protocol)
+    times = np.linspace(-1, 5, 61)
+    np.testing.assert_allclose(depths(motion, times), np.interp(times, [0, 2, 3], [0, 4e-3, 1e-3]), atol=1e-15)
+    assert motion.duration == 3.0
+
+
+def test_a_protocol_repeats_where_it_closes():
+    motion = ProtocolMotion(ts.Protocol.parse("ramp 4mm @2mm/s; hold 1s; unload"), repeat=True)
+    assert motion.duration == pytest.approx(5.0)
+    times = np.linspace(0, 4.999, 100)
+    np.testing.assert_allclose(depths(motion, times + 5 * motion.duration), depths(motion, times), atol=1e-9)
+    assert motion.depth(2.5) == pytest.approx(4e-3)
+    for protocol in (ts.Protocol.ramp(4e-3), ts.Protocol([0.0], [1e-3])):
+        with pytest.raises(InputError, match="unload") as caught:
+            ProtocolMotion(protocol, repeat=True)
+        assert caught.value.field == "protocol"
+
+
+def test_a_sine_begins_above_and_at_rest():
+    motion = SineMotion(deepest=6e-3, highest=-2e-3, frequency=2.0)
+    np.testing.assert_allclose(depths(motion, [0, 0.125, 0.25, 0.5]), [-2e-3, 2e-3, 6e-3, -2e-3], atol=1e-15)
+    assert abs(motion.depth(1e-4) - motion.depth(0)) < 1e-8
+
+
+@pytest.mark.parametrize("step", [1e-3, 0.02])
+@pytest.mark.parametrize(("start", "target"), [(0.0, 5e-3), (5e-3, -2e-3)])
+def test_a_hand_comes_to_its_target_smoothly(start, target, step):
+    """As x'' + 2 w x' + w^2 (x - target) = 0 from rest, whatever the time step."""
+    hand = HandMotion(start, speed=10.0, response=30.0)
+    hand.aim(target)
+    times = np.arange(0.0, 0.5, step)
+    away = (start - target) * (1 + 30.0 * times) * np.exp(-30.0 * times)
+    np.testing.assert_allclose(depths(hand, times), target + away, atol=1e-12)
+
+
+def test_a_hand_is_no_faster_than_it_may_be():
+    hand = HandMotion(0.0, speed=0.05)
+    hand.aim(0.02)
+    way = depths(hand, np.arange(0.0, 1.0, 1e-3))
+    assert np.diff(way).max() == pytest.approx(0.05e-3) and way[-1] == pytest.approx(0.02) and way.max() < 0.0201
+    with pytest.raises(InputError, match="nan is not a depth"):
+        hand.aim(math.nan)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**32), deepest=st.floats(1e-3, 30e-3), lift=st.floats(0, 5e-3), speed=st.floats(0.01, 0.5))
+def test_a_random_walk_keeps_its_bounds(seed, deepest, lift, speed):
+    motion = RandomWalk(seed, deepest, -lift, speed)
+    times = np.arange(0, 8, 2e-3)
+    path = depths(motion, times)
+    assert path.min() >= -lift - 1e-12 and path.max() <= deepest + 1e-12
+    assert np.abs(np.diff(path)).max() <= speed * 2e-3 * (1 + 1e-9)
+    assert path[0] == pytest.approx(-lift, abs=1e-15)
+    assert abs(path[1] - path[0]) < 1e-6, "it begins at rest"
+
+
+def test_a_random_walk_depends_on_seed_and_time_alone():
+    times = np.linspace(0, 20, 333)
+    path = depths(RandomWalk(7), times)
+    backwards = RandomWalk(7)
+    np.testing.assert_array_equal(depths(backwards, times[::-1])[::-1], path)
+    assert np.abs(depths(RandomWalk(8), times) - path).max() > 1e-3
+    assert RandomWalk(7).depth(-1.0) == RandomWalk(7).depth(0.0)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_random_walk_is_as_irregular_as_a_hand(seed):
+    """Over a minute: quick and calm, deep and lifted off, and next to nothing above 10 Hz."""
+    times = np.arange(0, 60, 1e-3)
+    path = depths(RandomWalk(seed), times)
+    speed = np.abs(np.diff(path)) / 1e-3
+    power = np.abs(np.fft.rfft((path - path.mean()) * np.hanning(path.size)))**2
+    assert power[np.fft.rfftfreq(path.size, 1e-3) > 10].sum() < 0.01 * power.sum()
+    assert speed.max() > 0.1 and np.median(speed) < 0.05
+    assert 0.05 < (path < 0).mean() < 0.4 and path.max() > 6e-3
+    assert np.count_nonzero(np.diff((path > 0).astype(int)) == 1) > 20
+    assert np.count_nonzero(np.diff(np.sign(np.diff(path)))) > 120, "reversals"
+
+
+@pytest.mark.parametrize("wrong", [
+    lambda: SineMotion(0.0, 1e-3), lambda: SineMotion(1e-3, frequency=0.0), lambda: SineMotion(math.nan),
+    lambda: RandomWalk(deepest=-3e-3), lambda: RandomWalk(speed=0.0), lambda: RandomWalk(speed=math.inf),
+    lambda: RandomWalk(highest=-math.inf),
+])
+def test_motions_that_make_no_sense_are_refused(wrong):
+    with pytest.raises(InputError):
+        wrong()

@@ -1,0 +1,99 @@
+"""What is looked at: another scene, tool or interface, and measurements that find their scene."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import tissue_sim as ts
+from scenes.catalogue import SCENES
+from scenes.viewer.measurement import measurement
+from scenes.viewer.scene import Scene, read_measurements
+
+PUNCH = ts.Tool("flat", radius=0.006, edge_radius=0.001)
+
+
+def tried(force=1.0, **metadata):
+    """A ramp to 4 mm."""
+    depth = np.linspace(0.0, 4e-3, 41)
+    return ts.Recording({"time": depth / 1e-3, "displacement": depth, "force": force * 200 * depth}, {}, metadata)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_scene_brings_its_tool_and_interfaces(needle, name):
+    there = needle.with_scene(name)
+    kind, experiment = SCENES[name], there.experiment
+    assert there.kind is kind
+    assert (experiment.tool.shape, experiment.tool.radius) == (kind.tool.shape, kind.tool.radius)
+    assert {name: getattr(experiment, name) for name in kind.interfaces} == kind.interfaces
+    assert experiment.specimen is needle.experiment.specimen and experiment.protocol is needle.experiment.protocol
+    assert (there.material, there.source) == (needle.material, needle.source)
+    assert there.model.experiment is experiment and there.deepest == 4e-3
+    back = there.with_scene("needle_indentation")
+    assert back.experiment.tool == needle.experiment.tool and back.experiment.friction == "bonded"
+
+
+def test_another_tool_keeps_the_interfaces(needle):
+    own = replace(needle, experiment=replace(needle.experiment, friction="stick", friction_base=0.4, friction_wall=0.2))
+    there = own.with_scene("needle_indentation", tool=PUNCH)
+    assert there.experiment.tool is PUNCH
+    assert (there.experiment.friction, there.experiment.friction_base, there.experiment.friction_wall) == \
+        ("stick", 0.4, 0.2)
+    there = there.with_scene("needle_indentation", friction=0.3)
+    assert there.experiment.tool is PUNCH, "the tool at hand stays"
+    assert (there.experiment.friction, there.experiment.friction_base) == (0.3, 0.4)
+
+
+def test_another_scene_forgets_the_interfaces(needle):
+    plates = needle.with_scene("friction_compression", friction=0.2)
+    assert (plates.experiment.friction, plates.experiment.friction_base) == (0.2, 0.7)
+    bonded = plates.with_scene("bonded_compression")
+    assert (bonded.experiment.friction, bonded.experiment.friction_base) == ("bonded", "bonded")
+
+
+@pytest.mark.parametrize(("name", "changes", "expected"), [
+    ("needle", {}, "scene: no scene 'needle'; known: lubricated_compression"),
+    ("bonded_compression", {"tool": PUNCH}, "tool: bonded compression is not done with the tool 'flat'"),
+    ("needle_indentation", {"tool": ts.Tool()}, "tool: needle indentation is not done with the tool 'plate'"),
+    ("needle_indentation", {"friction": "sticky"}, "friction"),
+    ("needle_indentation", {"friction": 0.3}, "give the tool an edge radius"),
+    ("needle_indentation", {"tool": ts.Tool("sphere", radius=0.005)}, "no flat face to be bonded to"),
+    ("needle_indentation", {"tool": ts.Tool("flat", radius=0.05)}, "must be smaller than the specimen's"),
+])
+def test_what_does_not_fit_is_refused(needle, name, changes, expected):
+    before = needle.experiment
+    with pytest.raises(ts.InputError) as caught:
+        needle.with_scene(name, **changes)
+    assert expected in str(caught.value) and "\n" not in str(caught.value)
+    assert needle.experiment is before
+
+
+def test_a_measurement_belongs_to_its_scene(needle):
+    measured = measurement([tried()])
+    setup = replace(needle, measurements={"bonded_compression": measured})
+    assert setup.measurement is None
+    there = setup.with_scene("bonded_compression")
+    assert isinstance(there, Scene) and there.measurement is measured
+    assert there.with_scene("needle_indentation").measurement is None
+
+
+def test_measurements_find_their_scene(tmp_path):
+    paths = [tmp_path / f"{name}.csv" for name in "abcd"]
+    for path, recording in zip(paths, (tried(1.0, kind="bonded_compression"), tried(2.0),
+                                       tried(3.0, kind="bonded_compression"), tried(4.0)), strict=True):
+        ts.write_recording(recording, path)
+    found = read_measurements(paths, "needle_indentation")
+    assert set(found) == {"bonded_compression", "needle_indentation"}
+    for kind, factors in (("bonded_compression", (1.0, 3.0)), ("needle_indentation", (2.0, 4.0))):
+        assert [each.force[-1] for each in found[kind].recordings] == pytest.approx([0.8 * each for each in factors])
+    assert read_measurements([], "needle_indentation") == {}
+
+
+def test_a_measurement_of_something_else_is_refused(tmp_path):
+    path = tmp_path / "pulled.csv"
+    ts.write_recording(tried(kind="tension"), path)
+    with pytest.raises(ts.InputError) as caught:
+        read_measurements([path], "needle_indentation")
+    assert str(caught.value).startswith(f"{path}: kind: is of kind 'tension', for which there is no scene; known: lubr")
+    with pytest.raises(ts.InputError, match=r"nowhere\.csv"):
+        read_measurements([tmp_path / "nowhere.csv"], "needle_indentation")

@@ -1,0 +1,239 @@
+"""The equations of the axisymmetric solid: their arrays, and the kernel that brings them into equilibrium."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from tissue_sim.errors import InputError
+from tissue_sim.fem.axisymmetric import contact as contacts
+from tissue_sim.fem.axisymmetric import contact_kernels, newton
+from tissue_sim.fem.axisymmetric.batches import ElementBatches
+from tissue_sim.fem.axisymmetric.contact import HOLD, Contact, ContactPoints
+from tissue_sim.fem.axisymmetric.numbering import number_equations
+from tissue_sim.fem.axisymmetric.reference import integrate
+from tissue_sim.fem.axisymmetric.state import State
+from tissue_sim.fem.history import Memory
+from tissue_sim.fem.linear import band
+from tissue_sim.fem.point_effects import PointEffects
+from tissue_sim.fem.taichi.launch import BoundKernel
+from tissue_sim.fem.taichi.runtime import LOCK
+from tissue_sim.laws import KernelEnergy
+from tissue_sim.material.material import BULK_RATIOS, Material, incompressible_ratio
+from tissue_sim.material.viscoelasticity import Prony
+from tissue_sim.mesh import Mesh
+
+#: Unbalanced forces are measured against the reactions, but at least this share of the largest load so far: what is
+#: left of it when the tool has lifted off need not be resolved any closer.
+FLOOR_SHARE = 0.1
+
+
+class Equations:
+    """Equilibrium of a mesh of one material; see `AxisymmetricSolver` for the arguments.
+
+    Attributes:
+        equation, direction: of each freedom, see `tissue_sim.fem.axisymmetric.numbering`; free, half_band: of them.
+        reference: integrals over the undeformed mesh.
+        specific_weight: N/m3.
+        surface: contact points; memory: of the tissue, effects: what was added
+            to it; state: what a step works on.
+        moduli: of the elements in units of the material's, shape (elements,); bulk_modulus: Pa.
+        counts, settings: what a step is told, places as in `tissue_sim.fem.axisymmetric.newton`; report: its answer.
+        entries, upper: blocks of the tangent, and of its transpose where contact slips; residual: unbalanced forces.
+        masses, rest: of inertia, see `tissue_sim.fem.inertia`.
+    """
+
+    def __init__(self, mesh: Mesh, material: Material, supports: dict[str, str], tool: dict[str, str],
+                 contact: Contact | None, specific_weight: float, element_layers: np.ndarray | None,
+                 contact_radius: float, start: Equations | None):
+        self.mesh, self.contact, self.specific_weight = mesh, contact, specific_weight
+        self.equation, self.direction, self.free, self.half_band = number_equations(mesh, supports, tool)
+        self.reference = reference = integrate(mesh)
+        self.batches = ElementBatches(mesh, reference.node_gradients, reference.weights, reference.pressure_modes,
+                                      reference.volumes)
+        self.surface, self.memory = ContactPoints(mesh, contact), Memory(reference.weights.shape)
+        self.effects = PointEffects(reference.weights.shape)
+        self._tangent_arrays()
+        elements, freedoms = len(mesh.connectivity), 2 * len(mesh.nodes)
+        self._element_layers, self._contact_radius, self.moduli = element_layers, contact_radius, np.ones(elements)
+        x = np.zeros(freedoms + mesh.element.pressure_modes * elements + 2 * self.surface.springs.size)
+        if start is not None:
+            settled, bound = start.state.latest, start.surface
+            x[: settled.size] = settled
+            self.surface.anchors[: bound.count], self.surface.slipped[: bound.count] = (
+                bound.anchors[: bound.count], bound.slipped[: bound.count])
+        self.state = State(x, self.surface, self.memory, self.effects)
+        self.start = x[:freedoms].copy()
+        self._target, self._motion, self.masses, self.rest = np.zeros((4, freedoms))
+        self.weights, self._predicted = np.array([1.0, 0.0, 0.0]), 0.0
+        self.report, self.settings = np.zeros(7), np.zeros(13)
+        if contact is not None:
+            self.settings[newton.CONTACT_TOLERANCE: newton.INERTIA] = (
+                contact.tolerance, contact.adhesion, contact.adhesion_length)
+        self.counts = np.array([1, self.free, 0, self.surface.count, 0, 0, 0, 0, 0], dtype=np.int32)
+        self.set_material(material)
+        if start is not None:
+            self.memory.restore(start.memory.save())
+            self.effects.states[:] = start.effects.states
+
+    def _tangent_arrays(self) -> None:
+        rows, width = band.block_shape(self.free, self.half_band)
+        self.batches.number(self.mesh, self.equation, self.free, self.direction, (rows, width))
+        # What is scattered to nobody goes to the end.
+        self._scattered = np.zeros(rows * width * band.BLOCK**2 + 1)
+        self.entries = self._scattered[:-1].reshape(rows, width, band.BLOCK, band.BLOCK)
+        # The upper half, of a tangent of slipping contact.
+        self.upper = np.zeros_like(self.entries if self.surface.slips else self.entries[:1])
+        self._inverse = np.zeros(rows * band.BLOCK)
+        self._right = np.zeros((rows, band.BLOCK))
+        self.residual = np.zeros(max(rows * band.BLOCK, int(self.equation.max()) + 1) + 1)
+        self._pull, self._reaction = np.zeros(self.free + 1), np.zeros(self.free + 1)
+
+    def set_material(self, material: Material) -> None:
+        """Change parameters, bulk response or law.
+
+        Raises:
+            InputError: bulk ratio outside `BULK_RATIOS`.
+        """
+        energy: KernelEnergy = material.energy_law.kernel_energy
+        coefficients, bulk_modulus, factor, moduli = self.inputs(material)
+        ratio = bulk_modulus / material.mu0
+        low, high = BULK_RATIOS
+        if not low <= ratio <= high:
+            raise InputError(f"K/mu0 is {ratio:g}; the finite elements are checked from {low:g} to {high:g}",
+                             field="bulk")
+        self.material, self.bulk_modulus = material, bulk_modulus
+        self.moduli[:] = moduli
+        self.batches.set_moduli(moduli)
+        self._coefficients = np.array(coefficients)
+        self.memory.set_material(self.relaxation(material), material.softening, factor)
+        self.effects.set_effects(material.effects.values())
+        self.counts[newton.REMEMBERS] = self.remembers
+        with LOCK:
+            kernel = newton.step_kernel(self.mesh.element.name, energy, self.surface.slips, self.effects.formulas)
+            self._kernel = BoundKernel(kernel, self._kernel_arrays())
+        self.surface.set_stiffness(contacts.STIFFNESS * material.mu0)
+        # Displacements are rounded, and so are the forces of what is stiff: per m of depth, and of the places.
+        height = np.ptp(self.mesh.nodes[:, 1])
+        stiff = self.bulk_modulus * float(np.linalg.norm(self.reference.rounding * self.moduli))
+        self._rounding_rate = stiff + self.surface.rounding_rate * HOLD
+        self._rounding_of_places = self.surface.rounding_rate * height
+        self._sag = self.specific_weight * height**2 / (6.0 * material.mu0)
+        top = self.mesh.nodes[self.mesh.sets["top"], 0].max()
+        # Below this force, N, nothing is loaded: the residual is measured against it instead of the reactions.
+        self._floor = 1e-6 * material.mu0 * np.pi * top**2
+
+    def inputs(self, material: Material) -> tuple[np.ndarray, float, float, np.ndarray]:
+        """What a material is to the kernels: coefficients of its law, bulk modulus (Pa), instantaneous factor, and
+        moduli of the elements in units of the law's, shape (elements,)."""
+        radius, height = np.ptp(self.mesh.nodes, axis=0)
+        K = material.bulk_modulus
+        if np.isinf(K):
+            K = incompressible_ratio(radius, height) * material.mu0
+        moduli = np.ones(len(self.mesh.connectivity))
+        if self._element_layers is not None:
+            moduli = np.array([*(layer.ratio for layer in material.layers), 1.0])[self._element_layers]
+        coefficients = material.energy_law.kernel_coefficients(material.parameters)
+        return coefficients, K, material.instantaneous_factor, moduli
+
+    def relaxation(self, material: Material) -> Prony | None:
+        """All that relaxes in this material here."""
+        return material.relaxation(self._contact_radius)
+
+    @property
+    def remembers(self) -> bool:
+        """Whether the tissue has a memory, which the kernel then keeps with its stresses."""
+        return self.memory.works or bool(self.effects.formulas)
+
+    def prepare(self, dt: float) -> None:
+        """Before a step of dt, s."""
+        self.memory.prepare(dt)
+        self.effects.prepare(dt)
+
+    def predict(self, weights: list[float]) -> None:
+        """Begin the next step with this combination of the latest states."""
+        self.weights[:] = weights
+        self._predicted = sum(weight * place for weight, place in zip(weights, self.state.depths, strict=False))
+
+    def solve(self, depth: float, tolerance: float, max_iterations: int, *, goes_on_from: float | None = None) -> None:
+        """Look for the equilibrium at a depth, m, from what `predict` said; the answer is in `report` and `state.x`.
+
+        Args:
+            depth: m.
+            tolerance: unbalanced over balanced nodal forces.
+            max_iterations: linear solves.
+            goes_on_from: the depth, m, for which state.x was meant; None: begin with an extrapolation.
+        """
+        resumes = goes_on_from is not None
+        rounding = self._rounding_rate * (abs(depth) + self._sag) + self._rounding_of_places
+        self.settings[: newton.TOUCH] = (
+            depth, goes_on_from if resumes else self._predicted, self.bulk_modulus, self.specific_weight,
+            tolerance,
+            max(self._floor, FLOOR_SHARE * self.state.largest_force), rounding)
+        self.counts[newton.MAX_ITERATIONS], self.counts[newton.KEEPS] = max_iterations, 2 * resumes
+        if not resumes:
+            self.surface.held[:], self.surface.ways[:] = self.surface.anchors, self.surface.slipped
+        with LOCK:
+            self._kernel()
+
+    def respond(self, launch) -> None:
+        """Assemble the exact tangent at the equilibrium just found, with the contact as it was in the step, and call
+        `launch` there."""
+        surface, after = self.surface, self.surface.held.copy()
+        remembered = [(array, array.copy()) for array in (
+            self.memory.stresses, self.memory.energies, self.effects.found)]
+        surface.held[:] = surface.anchors
+        released = (surface.anchors[..., 0] == contact_kernels.HELD) & (after != surface.anchors).any(axis=-1)
+        surface.held[released] = 0.0
+        self.settings[newton.PREDICTED] = self.settings[newton.DEPTH]
+        self.settings[newton.TOLERANCE] = -1.0
+        self.counts[newton.MAX_ITERATIONS], self.counts[newton.KEEPS] = 0, 1
+        with LOCK:
+            self._kernel()
+            launch()
+        self.counts[newton.KEEPS] = 0
+        surface.held[:] = after
+        # With the tangent they come out rounded otherwise.
+        for array, before in remembered:
+            array[:] = before
+
+    def tangent(self) -> np.ndarray:
+        """Condensed tangent at the last committed state: lower band in LAPACK's storage, (half_band + 1, free), N/m."""
+        self.predict([1.0, 0.0, 0.0])
+        self.prepare(0.0)
+        # No residual is small enough and no iteration is allowed: the matrix stays as it was assembled.
+        self.solve(self.state.depths[0], -1.0, 0)
+        return band.unpack(self.entries, self.free, self.half_band)
+
+    @cached_property
+    def node_masses(self) -> np.ndarray:
+        """Volume that each freedom of a shared node stands for, m3, shape (freedoms,)."""
+        shared, volumes = self.mesh.element.boundary_nodes, np.zeros(len(self.mesh.nodes))
+        np.add.at(volumes, self.mesh.connectivity[:, :shared], self.reference.volumes[:, :shared])
+        return np.repeat(volumes, 2)
+
+    def shared_arrays(self) -> dict[str, np.ndarray]:
+        """Arrays of this solver that its kernel and that of `tissue_sim.fem.axisymmetric.sensitivity_kernel` both work
+        on, by the name that they have in both."""
+        surface, memory, state = self.surface, self.memory, self.state
+        return {"counts": self.counts, "settings": self.settings, "equation": self.equation, "edges": surface.edges,
+                "spans": surface.spans, "edge_shapes": surface.shapes, "springs": surface.springs,
+                "held": surface.held, "ways": surface.ways, "contact_rates": surface.rates,
+                "coefficients": self._coefficients, "past": memory.past, "inherited": memory.inherited,
+                "largest": memory.largest, "x": state.x, "entries": self.entries, "blocks": self.entries,
+                "upper_blocks": self.upper, "inverse": self._inverse, "right": self._right,
+                "residual": self.residual, **self.batches.eliminated()}
+
+    def _kernel_arrays(self) -> dict[str, np.ndarray]:
+        surface, memory, state = self.surface, self.memory, self.state
+        return {**self.shared_arrays(), **self.batches.arrays(), "direction": self.direction, "start": self.start,
+                "target": self._target, "edge_places": surface.places, "areas": surface.areas,
+                "vertices": surface.vertices, "edge_rounding": surface.rounding, "friction": surface.friction,
+                "met": surface.met, "forces": surface.forces, "known_rates": surface.known_rates,
+                "stresses": memory.stresses, "energies": memory.energies,
+                "effect_settings": self.effects.settings, "effect_states": self.effects.states,
+                "effect_states_found": self.effects.found, "masses": self.masses, "rest": self.rest,
+                "motion": self._motion, "history": state.history, "slots": state.slots, "weights": self.weights,
+                "flat": self._scattered[:-1].reshape(-1, band.BLOCK), "scattered": self._scattered,
+                "upper": self.upper, "pull": self._pull, "reaction": self._reaction, "report": self.report}

@@ -1,0 +1,113 @@
+"""What the axisymmetric solver knows of the past: committed states, memory of the tissue, contact and motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissue_sim.fem.axisymmetric.contact import ContactPoints
+from tissue_sim.fem.axisymmetric.predictor import KEPT
+from tissue_sim.fem.history import Memory, SavedMemory
+from tissue_sim.fem.inertia import Motion, SavedMotion
+from tissue_sim.fem.point_effects import PointEffects
+
+
+@dataclass(frozen=True, eq=False)
+class SavedState:
+    """All that a committed step leaves behind; see the attributes of `State`."""
+
+    history: np.ndarray
+    slots: np.ndarray
+    depths: tuple[float, ...]
+    anchors: np.ndarray
+    slipped: np.ndarray
+    memory: SavedMemory
+    effects: np.ndarray
+    motion: SavedMotion | None
+    largest_force: float
+    unchanged: int
+    touching: tuple[bytes, bytes]
+
+
+class State:
+    """The state that a step works on, and those that were committed.
+
+    Args:
+        x: where the first step begins, shape (unknowns,): nodal displacements, pressure amplitudes, contact forces.
+        surface: points of the contact; memory: of the tissue; effects: at its points.
+
+    Attributes:
+        x: the state that a step works on.
+        history: the latest committed states, shape (`KEPT`, unknowns), and `slots` their places, the latest first;
+            depths: of the tool there, m.
+        largest_force: so far, N.
+        unchanged: equilibria since points last met the tool, left it, stuck or slipped, where contact is `watched`.
+        motion: velocities, where somebody asked for inertia.
+    """
+
+    def __init__(self, x: np.ndarray, surface: ContactPoints, memory: Memory, effects: PointEffects):
+        self.x, self.surface, self.memory, self.effects = x, surface, memory, effects
+        self.history = np.zeros((KEPT, x.size))
+        self.history[0] = x
+        self.slots = np.arange(KEPT, dtype=np.int32)
+        self.depths = [0.0]
+        self.largest_force = 0.0
+        self.unchanged, self._touching = 0, (b"", b"")
+        self.motion: Motion | None = None
+        self._untouched = x.copy()
+
+    @property
+    def latest(self) -> np.ndarray:
+        """The last committed state; a view."""
+        return self.history[self.slots[0]]
+
+    def commit(self, depth: float, watched: bool) -> None:
+        """Take over x as the equilibrium at a depth, m, and what memory and contact became there."""
+        if depth in self.depths:
+            # Coming back to a known depth: newest first, without a second sample at the same place.
+            place = self.depths.index(depth)
+            order = [place, *(i for i in range(KEPT) if i != place)]
+            slots = self.slots.tolist()
+            self.slots[:] = [slots[i] for i in order]
+            self.depths = [self.depths[i] for i in order if i < len(self.depths)]
+        else:
+            self.slots[1], self.slots[2], self.slots[0] = self.slots.tolist()
+            self.depths = [depth, *self.depths][:KEPT]
+        self.history[self.slots[0]] = self.x
+        self.memory.commit()
+        self.effects.commit()
+        surface = self.surface
+        surface.anchors[:], surface.slipped[:] = surface.held, surface.ways
+        if watched:
+            touching = surface.forces.any(axis=-1).tobytes(), surface.ways.tobytes()
+            self.unchanged = self.unchanged + 1 if touching == self._touching else 0
+            self._touching = touching
+
+    def lift_off(self) -> None:
+        """Back to the displacements before the touch; memory stays."""
+        surface, moves = self.surface, self.surface.moves
+        self.slots[:], self.depths, self.unchanged = np.arange(KEPT), [0.0], 0
+        self.history[0] = self._untouched
+        surface.anchors[moves], surface.slipped[moves] = 0.0, 0.0
+        if self.motion is not None:
+            self.motion.stop()
+
+    def save(self) -> SavedState:
+        """All that a committed step leaves behind."""
+        surface = self.surface
+        return SavedState(self.history.copy(), self.slots.copy(), tuple(self.depths), surface.anchors.copy(),
+                          surface.slipped.copy(), self.memory.save(), self.effects.states.copy(),
+                          None if self.motion is None else self.motion.save(), self.largest_force, self.unchanged,
+                          self._touching)
+
+    def restore(self, saved: SavedState) -> None:
+        """Go back to where `save` was called."""
+        surface = self.surface
+        self.history[:], self.slots[:], self.depths = saved.history, saved.slots, list(saved.depths)
+        surface.anchors[:], surface.slipped[:] = saved.anchors, saved.slipped
+        self.memory.restore(saved.memory)
+        self.effects.states[:] = saved.effects
+        self.largest_force, self.unchanged, self._touching = saved.largest_force, saved.unchanged, saved.touching
+        if self.motion is not None and saved.motion is not None:
+            self.motion.restore(saved.motion)

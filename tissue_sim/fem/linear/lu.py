@@ -1,0 +1,89 @@
+"""Band LU factorisation without pivoting: of tangents of slipping contact, which are those of the tissue, symmetric and
+positive definite, with a few entries beside.
+
+Rows of U stand where columns of L do, and both halves of the factorisation run like that of Cholesky.
+"""
+
+from functools import cache
+
+from tissue_sim.fem.linear.band import BLOCK, subtract_function
+from tissue_sim.fem.linear.solver import KernelFunctions, LinearSolver
+from tissue_sim.fem.taichi.runtime import initialise
+
+
+class BandLU(LinearSolver):
+    """L U, L with a unit diagonal; `init` fails where a pivot is too small against its column."""
+
+    def functions(self) -> KernelFunctions:
+        return _functions()
+
+
+@cache
+def _functions() -> KernelFunctions:
+    ti = initialise()
+    subtract = subtract_function()
+    lanes = ti.Vector(list(range(BLOCK)))
+    unit = [ti.Vector([float(i == c) for i in range(BLOCK)]) for c in range(BLOCK)]
+
+    @ti.func
+    def init(lower: ti.template(), upper: ti.template(), inverse: ti.template(), rows, width):
+        ok = 1
+        for I in range(rows):
+            first = ti.max(0, I - width + 1)
+            for J in range(first, I):
+                w = J - I + width - 1
+                subtract(I, J, first, width, lower, upper)
+                subtract(I, J, first, width, upper, lower)
+                for c in range(BLOCK):
+                    v, u = lower[I, w, c], upper[I, w, c]
+                    for k in range(c):
+                        v -= lower[I, w, k] * lower[J, width - 1, c][k]
+                        u -= upper[I, w, k] * lower[J, width - 1, k][c]
+                    lower[I, w, c], upper[I, w, c] = v * inverse[J * BLOCK + c], u
+            subtract(I, I, first, width, lower, upper)
+            for c in range(BLOCK):
+                v = lower[I, width - 1, c]
+                largest = ti.abs(v[c])
+                for k in range(c):
+                    v -= ti.select(lanes > k, lower[I, width - 1, k], 0.0) * v[k]
+                pivot = v[c]
+                # Written so that a NaN pivot fails too.
+                if not ti.abs(pivot) > 1e-14 * largest:
+                    ok = 0
+                    pivot = 1.0
+                inverse[I * BLOCK + c] = 1.0 / pivot
+                lower[I, width - 1, c] = ti.select(lanes > c, v / pivot, v)
+            if ok == 0:
+                break
+        return ok
+
+    @ti.func
+    def solve(lower: ti.template(), upper: ti.template(), inverse: ti.template(), x: ti.template(), rows, width):
+        for I in range(rows):
+            v = x[I]
+            for J in range(ti.max(0, I - width + 1), I):
+                w = J - I + width - 1
+                y = x[J]
+                for k in ti.static(range(BLOCK)):
+                    v -= lower[I, w, k] * y[k]
+            for c in ti.static(range(BLOCK)):
+                v -= ti.select(lanes > c, lower[I, width - 1, c], 0.0) * v[c]
+            x[I] = v
+        for reverse in range(rows):
+            I = rows - 1 - reverse
+            v = x[I]
+            for below in range(I + 1, ti.min(rows, I + width)):
+                w = I - below + width - 1
+                y = x[below]
+                for k in ti.static(range(BLOCK)):
+                    v -= unit[k] * upper[below, w, k].dot(y)
+            for c in ti.static(range(BLOCK - 1, -1, -1)):
+                value = v[c] * inverse[I * BLOCK + c]
+                v -= ti.select(lanes < c, lower[I, width - 1, c], 0.0) * value
+                v += unit[c] * (value - v[c])
+            x[I] = v
+
+    return KernelFunctions(init, solve)
+
+
+BAND_LU = BandLU()

@@ -1,0 +1,249 @@
+"""What a solver of the tissue is to the rest of the program: a specimen and a tool, stepped from pose to pose.
+
+`simulate`, `Simulator`, `sensitivities` and what shows the tissue speak to `Solver` only. Solvers stand by name in
+`SOLVERS`; a package adds its own with an entry point of the group ``tissue_sim.solvers``, a program with
+``SOLVERS.register(MySolver, "my_solver")``.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+
+from tissue_sim.experiment.experiment import Model
+from tissue_sim.material.material import Material
+from tissue_sim.pose import Pose, Screw
+from tissue_sim.registry import Registry
+from tissue_sim.tool_force import Matrix, axial_stiffness, axial_wrench
+
+
+class StepStatus(IntEnum):
+    """How a step ended."""
+
+    CONVERGED = 1
+    INVERTED = 2
+    INDEFINITE = 3
+    SLOW = 4
+    DIVERGED = 5
+
+    @property
+    def message(self) -> str:
+        return {
+            StepStatus.CONVERGED: "converged",
+            StepStatus.INVERTED: "an element turned inside out",
+            StepStatus.INDEFINITE: "the tangent lost positive definiteness, so the equilibrium is no longer stable",
+            StepStatus.SLOW: "Newton's iteration did not reach its tolerance",
+            StepStatus.DIVERGED: "Newton's iteration diverged",
+        }[self]
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One step of a solver.
+
+    Attributes:
+        status: how it ended.
+        iterations: linear solves.
+        residual: norm of unbalanced over balanced forces at the end.
+        wrench: force, then torque about the tool's deepest point, on the tool, N and N m; only meaningful when
+            converged.
+        stiffness_matrix: minus the derivative of the wrench with (position, rotation vector) within the step, 6 x 6,
+            where it is asked for; else None.
+        violation: the largest of a contact condition (penetration, or slip of what must not slip), m.
+        slipping: how many points of the surface slip against friction.
+    """
+
+    status: StepStatus
+    iterations: int
+    residual: float
+    wrench: Screw
+    stiffness_matrix: Matrix | None = None
+    violation: float = 0.0
+    slipping: int = 0
+
+    @classmethod
+    def axial(cls, status: StepStatus, iterations: int, residual: float, force: float, violation: float = 0.0,
+              slipping: int = 0, stiffness: float | None = None) -> Step:
+        """Of a solver that knows the motion along z only: force, N, and stiffness, N/m."""
+        return cls(status, iterations, residual, axial_wrench(force),
+                   None if stiffness is None else axial_stiffness(stiffness), violation, slipping)
+
+    @property
+    def force(self) -> float:
+        """On the tool along z, N, positive when the tissue pushes back."""
+        return self.wrench[2]
+
+    @property
+    def stiffness(self) -> float:
+        """How the force along z grows with depth, N/m; 0 where nobody asked."""
+        return 0.0 if self.stiffness_matrix is None else self.stiffness_matrix[2][2]
+
+
+class Fields(Protocol):
+    """Fields of the samples of a simulation, computed when asked for."""
+
+    mesh: Any
+    material: Material
+
+    def displacement(self, sample: int = -1) -> np.ndarray:
+        """Of the nodes, m, shape (nodes, as many as a node has coordinates)."""
+
+    def at_points(self, name: str, sample: int = -1) -> np.ndarray:
+        """A field at the quadrature points, shape (elements, q)."""
+
+    def at_nodes(self, name: str, sample: int = -1) -> np.ndarray:
+        """A field at the nodes, shape (nodes,)."""
+
+
+class Surface(Protocol):
+    """The deformed surface of the tissue, in the frame of the scene.
+
+    Attributes:
+        outline: (r, z) of an axisymmetric specimen, m, shape (n, 2); None of another one.
+    """
+
+    outline: np.ndarray | None
+
+    def triangles(self, segments: int = 48) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices, m, shape (v, 3), and triangles, shape (t, 3), their normals out of the tissue; `segments` around
+        the axis where there is one."""
+
+
+class Derivatives(Protocol):
+    """Rates of the wrench's force along z with parameters of the material, carried along with a solver's steps.
+
+    Attributes:
+        force: dF/dtheta at the last committed step, N per unit, shape (parameters,).
+    """
+
+    force: np.ndarray
+
+    def pop_changed(self) -> bool:
+        """Whether since the last call the contact changed, so that the force has a kink in the parameters."""
+
+
+#: For each parameter the material with a little more and with a little less of it, and the difference.
+Neighbours = Sequence[tuple[Material, Material, float]]
+
+
+class Solver(ABC):
+    """A stateful solver of one boundary-value problem.
+
+    Attributes:
+        mesh: undeformed, in the solver's own terms; None where it has none.
+        datum: height of the tool's deepest point where it first touches, in the frame of the mesh, m.
+        unchanged: equilibria since what touches, sticks or slips last changed; a predictor of higher order than that
+            would lead astray.
+    """
+
+    mesh: Any = None
+    datum: float = 0.0
+    unchanged: int = 2
+    #: Highest order of extrapolation that `step` knows.
+    highest_order: ClassVar[int] = 2
+
+    @property
+    @abstractmethod
+    def pose(self) -> Pose:
+        """Of the tool at the last committed state."""
+
+    def follow(self, pose: Pose) -> Pose:
+        """What this solver takes of a pose: an axisymmetric one the depth only."""
+        return pose
+
+    @abstractmethod
+    def step(self, pose: Pose, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
+             predictor_order: int = 2, inertial: bool = False, resumes: bool = False) -> Step:
+        """Move the tool to a pose and find equilibrium; commits the state only when it converges.
+
+        Args:
+            pose: as `follow` returns it.
+            dt: time since the step before, s; it matters where the material relaxes, and with inertia.
+            tolerance: unbalanced over balanced forces.
+            max_iterations: linear solves before giving up.
+            predictor_order: highest order of extrapolation from earlier steps (0: none).
+            inertial: whether the mass of the tissue counts; `follow_motion` must have been called, and dt be positive.
+            resumes: go on from where the step before, which did not converge, ended; dt counts from the last one that
+                did.
+        """
+
+    @abstractmethod
+    def save(self) -> Any:
+        """All that a committed step leaves behind, for `restore`: a frozen dataclass."""
+
+    @abstractmethod
+    def restore(self, saved: Any) -> None:
+        """Go back to where `save` was called, in this solver or in one of the same model and mesh."""
+
+    @abstractmethod
+    def set_material(self, material: Material) -> None:
+        """Change parameters, bulk response or law; the state is kept.
+
+        Raises:
+            InputError: a material that the solver cannot take; nothing is changed.
+        """
+
+    @abstractmethod
+    def lift_off(self) -> None:
+        """Take the tool away at once: the tissue is where it was before the touch, but remembers what it went
+        through. For a tool that is out of the tissue when no way there was found."""
+
+    @abstractmethod
+    def ask_for_stiffness(self) -> None:
+        """Let every step answer its stiffness matrix from now on."""
+
+    def follow_motion(self, density: float) -> None:  # noqa: B027
+        """Let the tissue have a mass (kg/m3) from now on, for steps that are inertial; a solver without mass ignores
+        it."""
+
+    def differentiate(self, neighbours: Neighbours) -> Derivatives | None:
+        """Carry exact derivatives along from now on, before the first step; None where the solver has none."""
+        return None
+
+    @abstractmethod
+    def sample(self) -> Any:
+        """What `fields` needs of the last committed state."""
+
+    @abstractmethod
+    def fields(self, samples: Sequence[Any]) -> Fields | None:
+        """Fields of states that `sample` gave; None of a solver that has none."""
+
+    @abstractmethod
+    def surface(self) -> Surface:
+        """The surface at the last committed state."""
+
+    @abstractmethod
+    def report(self) -> dict[str, Any]:
+        """What a recording's metadata say of the solver: ``element``, ``mesh``; with contact ``penetration_mm`` and
+        ``penetration_tolerance_mm``, with friction ``slipping_points``, which grow with the steps; of a specimen that
+        weighs ``self_weight`` {sag_mm, moulded_height_mm}."""
+
+
+class SolverMaker(Protocol):
+    """What stands in `SOLVERS`: a class or a function."""
+
+    def __call__(self, model: Model, *, resolution: str, mesh: Any = None, topology: Model | None = None) -> Solver:
+        """The solver of a model, its tool where it first touches the specimen.
+
+        Args:
+            model: experiment and material; the rig is not its business.
+            resolution: one of the solver's own names, ``"fast"``, ``"accurate"`` and ``"realtime"`` among them.
+            mesh: of the solver's own kind, instead.
+            topology: a model whose mesh is taken, or of which `mesh` is one, and moved to the geometry of this one;
+                None: this one's own.
+
+        Raises:
+            InputError: an unknown resolution, or a model that the solver cannot take.
+            ConvergenceError: the specimen does not stand under its own weight.
+            MissingBackendError: Taichi is not there.
+        """
+
+
+SOLVERS: Registry[SolverMaker] = Registry(
+    "solver", "tissue_sim.solvers", {"axisymmetric": "tissue_sim.fem.axisymmetric.discretisation:make_solver"})
+

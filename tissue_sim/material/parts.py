@@ -1,0 +1,113 @@
+"""The parts that a material may have beside its law, by their place in it; and the material that numbers make."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from tissue_sim.errors import InputError, nearest
+from tissue_sim.material.effect import EFFECTS
+from tissue_sim.material.layer import Layer
+from tissue_sim.material.material import Bulk, Material, bulk_declaration
+from tissue_sim.material.poroelasticity import Poroelasticity
+from tissue_sim.material.puncture import Puncture
+from tissue_sim.material.softening import Softening
+from tissue_sim.material.viscoelasticity import Prony, PronyTerm
+from tissue_sim.parameters import Declaration, declared, tokens
+
+#: Place -> class of the part, of what a material may have once, and of what it may have several of.
+SINGLE: dict[str, type] = {"softening": Softening, "poroelasticity": Poroelasticity, "puncture": Puncture}
+SEVERAL: dict[str, type] = {"viscoelastic.terms": PronyTerm, "layers": Layer}
+_NUMBERED = re.compile(r"(.*)\[(?:0|[1-9]\d*)\]")
+#: Paths that messages name where one is not known.
+_EXAMPLES = ("viscoelastic.terms[0].g", "viscoelastic.terms[0].tau", "softening.loss", "softening.share",
+             "layers[0].ratio", "layers[0].thickness", "poroelasticity.phi", "poroelasticity.diffusivity",
+             "puncture.depth", "puncture.drop", "bulk.bulk_ratio")
+
+
+def find_declaration(path: str) -> tuple[str, Declaration]:
+    """What a parameter of a material beside those of its law is, whether a material has it or not.
+
+    Args:
+        path: of the attribute, or as files write it: ``viscoelastic.terms[0].tau`` or ``...tau_s``.
+
+    Returns:
+        The path of the attribute, and what is declared there.
+
+    Raises:
+        InputError: no material has such a parameter; names the nearest.
+    """
+    place, _, last = path.rpartition(".")
+    if place == "bulk" and (found := bulk_declaration(last)) is not None:
+        return path, found
+    kind = _kind_at(place)
+    for name, found in (declared(kind) if kind else {}).items():
+        if last in (name, found.key):
+            return f"{place}.{name}", found
+    raise InputError(f"no material has a parameter {path!r}{nearest(path, _EXAMPLES)}", field=path)
+
+
+def make_material(law: str, parameters: Mapping[str, float], others: Mapping[str, float], bulk: Bulk | None = None,
+                  **options: Any) -> Material:
+    """The material of these numbers.
+
+    Args:
+        law: name of the law. parameters: of it.
+        others: path -> value, SI, of everything else; all of a part together make it.
+        bulk: where no path states the bulk response; None: incompressible.
+        options: as of `Material`: density, name.
+
+    Raises:
+        InputError: a part that lacks a number or refuses one, with its path.
+    """
+    response = bulk or Bulk()
+    terms: dict[str, dict[int, dict[str, float]]] = {place: {} for place in SEVERAL}
+    single: dict[str, dict[str, float]] = {}
+    effects: dict[str, dict[str, float]] = {}
+    for path, value in others.items():
+        *place, last = tokens(find_declaration(path)[0])
+        match place:
+            case ["bulk"]:
+                response = Bulk(str(last), value)
+            case ["effects", name]:
+                effects.setdefault(str(name), {})[str(last)] = value
+            case [*outer, int(index)]:
+                terms[".".join(map(str, outer))].setdefault(index, {})[str(last)] = value
+            case _:
+                single.setdefault(str(place[0]), {})[str(last)] = value
+    parts: dict[str, Any] = {place: _part(SINGLE[place], place, numbers) for place, numbers in single.items()}
+    prony = tuple(_in_order(terms, "viscoelastic.terms"))
+    if prony:
+        try:
+            parts["viscoelastic"] = Prony(prony)
+        except InputError as error:
+            raise error.located(field="viscoelastic") from None
+    return Material(law, parameters, response, layers=tuple(_in_order(terms, "layers")), **parts, **options,
+                    effects=[_part(EFFECTS[name], f"effects.{name}", numbers) for name, numbers in effects.items()])
+
+
+def _kind_at(place: str) -> type | None:
+    numbered = _NUMBERED.fullmatch(place)
+    if numbered:
+        return SEVERAL.get(numbered[1])
+    if place.startswith("effects."):
+        return EFFECTS.get(place.removeprefix("effects."))
+    return SINGLE.get(place)
+
+
+def _in_order(terms: Mapping[str, Mapping[int, Mapping[str, float]]], place: str) -> Iterator[Any]:
+    numbered = terms[place]
+    if sorted(numbered) != list(range(len(numbered))):
+        raise InputError(f"its parts are numbered from 0 without gaps, as {place}[0], {place}[1]", field=place)
+    return (_part(SEVERAL[place], f"{place}[{index}]", numbered[index]) for index in range(len(numbered)))
+
+
+def _part(kind: type, place: str, numbers: Mapping[str, float]) -> Any:
+    try:
+        return kind(**numbers)
+    except InputError as refused:
+        raise InputError(refused.problem, field=f"{place}.{refused.field}") from None
+    except TypeError:
+        missing = next(name for name in declared(kind) if name not in numbers)
+        raise InputError("is missing; add it", field=f"{place}.{missing}") from None

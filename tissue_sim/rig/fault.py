@@ -1,0 +1,52 @@
+"""Faults of a rig that can be added: a file each, by name in rig files.
+
+A fault is a frozen dataclass that derives from `RigFault` and declares its numbers with
+`tissue_sim.parameters.parameter`. `FAULTS` knows the classes by name; a `Rig` carries the faults themselves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import is_dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from tissue_sim.errors import InputError
+from tissue_sim.parameters import declared
+from tissue_sim.recording.recording import Recording
+from tissue_sim.registry import Registry
+
+
+class RigFault:
+    """What a load frame or a sensor does that `Rig` has no field for. Override one of the two methods, or both.
+
+    Attributes:
+        name: key in rig files.
+        title: for people.
+    """
+
+    name: ClassVar[str]
+    title: ClassVar[str] = ""
+
+    @property
+    def moves_tool(self) -> bool:
+        """Whether the tool goes elsewhere than the stage reports."""
+        return type(self).tool_motion is not RigFault.tool_motion
+
+    def tool_motion(self, displacement: np.ndarray) -> np.ndarray:
+        """Where the tool goes when the stage reports these displacements, m, in the order of time, shape (n,)."""
+        return displacement
+
+    def reading(self, recording: Recording) -> Recording:
+        """What is read of a recording of reported displacement and true force, noise apart."""
+        return recording
+
+
+def _check(name: str, kind: Any) -> None:
+    if not (isinstance(kind, type) and issubclass(kind, RigFault) and is_dataclass(kind) and declared(kind)):
+        raise InputError(f"{name!r} is no fault of a rig; register a frozen dataclass that derives from "
+                         "tissue_sim.RigFault and declares its parameters", field="tissue_sim.rig_faults")
+
+
+#: Name -> class.
+FAULTS: Registry[type[RigFault]] = Registry("fault of a rig", "tissue_sim.rig_faults", {}, check=_check)
