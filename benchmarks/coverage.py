@@ -37,7 +37,6 @@ from starts import (
     NOISE,
     PARAMETERS,
     SCENES,
-    SPECIMEN,
     SPEED,
     START,
     TRUTH,
@@ -85,7 +84,7 @@ def true_curves(data: str, scenes: Sequence[str] = JOINT) -> dict[str, tuple[np.
         return {name: (depth, SCENES[name].force(depth)) for name in scenes}
     material = ts.Material(LAW, dict(zip(PARAMETERS, TRUTH.tolist(), strict=True)), BULK)
     protocol = ts.Protocol(depth / SPEED, depth)
-    return {name: (depth, ts.simulate(ts.Model(SCENES[name].setup.experiment(SPECIMEN, protocol), material),
+    return {name: (depth, ts.simulate(ts.Model(SCENES[name].experiment(protocol), material),
                                       resolution="accurate").force) for name in scenes}
 
 

@@ -19,7 +19,7 @@ from realtime_ticks import (
 from work_precision import MATERIAL, NEEDLE_RADIUS
 
 import tissue_sim as ts
-from haptics.devices.motion_source import RandomWalk
+from haptics.devices.motions import RandomWalk
 from tissue_sim.tool_force import ForceStatus
 
 STICKING = ts.Model(ts.Experiment(SPECIMEN, ts.Protocol.ramp(DEEPEST, 21), tool=ts.Tool("flat", NEEDLE_RADIUS, 1e-3),

@@ -87,7 +87,7 @@ def grading_name(growth: float, smallest: float, largest: float) -> str:
 
 def fine_mesh(model: ts.Model) -> Mesh:
     """The mesh of what counts as converged."""
-    if model.experiment.tool.shape == "plate":
+    if model.experiment.tool.is_plate:
         return cylinder_mesh(RADIUS, HEIGHT, (24, 30), Q9P1, grading=(50.0, 10.0))
     return graded_needle_mesh(1.3, 0.1, 6.0)
 

@@ -29,7 +29,6 @@ from scipy.stats import qmc
 import tissue_sim as ts
 from calibration.campaign.campaign import Campaign, FitSettings, Noise, Test
 from calibration.campaign.measured import MeasuredCurve
-from calibration.campaign.setup import Setup
 from calibration.fit.estimate import Stated, settle
 from calibration.fit.levenberg_marquardt import ENOUGH_OF_A_START, descend
 from calibration.fit.uncertainty import assess_uncertainty
@@ -55,11 +54,15 @@ MEDIAN_SOLVES, MOST_SOLVES, CPU_TARGET, MAY_ERR = 5, 9, 2.0, (3e-3, 3e-2)
 
 @dataclass(frozen=True)
 class Scene:
-    """A kind of test, how it is set up, and the curve of an independent solver in tests/reference."""
+    """A kind of test, what its experiment has of its own, and the curve of an independent solver in tests/reference."""
 
     kind: str
-    setup: Setup
+    overrides: dict
     file: str | None
+
+    def experiment(self, protocol: ts.Protocol) -> ts.Experiment:
+        """On `SPECIMEN`."""
+        return ts.KINDS[self.kind].experiment(specimen=SPECIMEN, protocol=protocol, **self.overrides)
 
     def force(self, displacement: np.ndarray) -> np.ndarray:
         """Force at the true moduli, N, interpolated smoothly."""
@@ -73,12 +76,12 @@ class Scene:
 
 
 SCENES = {
-    "lubricated": Scene("lubricated_compression", Setup(), None),
-    "bonded": Scene("bonded_compression", Setup(friction="bonded", friction_base="bonded"), "bonded_RP.csv"),
-    "needle": Scene("needle_indentation", Setup(ts.Tool("flat", NEEDLE_RADIUS), "bonded", "bonded"),
+    "lubricated": Scene("lubricated_compression", {}, None),
+    "bonded": Scene("bonded_compression", {}, "bonded_RP.csv"),
+    "needle": Scene("needle_indentation", {"tool": ts.Tool("flat", NEEDLE_RADIUS)},
                     "punch_bonded_face_side_wall_RP.csv"),
-    "plates, friction 0.7": Scene("friction_compression", Setup(ts.Tool(), 0.7, 0.7), "friction0.7_RP.csv"),
-    "needle, friction 0.7": Scene("needle_indentation", Setup(ts.Tool("flat", NEEDLE_RADIUS, EDGE), 0.7, "bonded"),
+    "plates, friction 0.7": Scene("friction_compression", {}, "friction0.7_RP.csv"),
+    "needle, friction 0.7": Scene("needle_indentation", {"tool": ts.Tool("flat", NEEDLE_RADIUS, EDGE), "friction": 0.7},
                                   "punch_friction0.7_edge0.25mm_RP.csv"),
 }
 JOINT = ("lubricated", "bonded", "needle")
@@ -87,7 +90,8 @@ CAMPAIGNS = {"joint": JOINT, **{name: (name,) for name in SCENES}}
 
 def make_campaign(scenes: Sequence[str], noise: Noise) -> Campaign:
     """A campaign of these scenes whose recordings are in memory."""
-    tests = tuple(Test(name, SCENES[name].kind, SPECIMEN, (), setup=SCENES[name].setup) for name in scenes)
+    tests = tuple(Test(name, ts.KINDS[SCENES[name].kind], SPECIMEN, (),
+                       experiment=SCENES[name].experiment(ts.Protocol.ramp(DEPTH))) for name in scenes)
     settings = FitSettings((LAW,), bulk=BULK, method="inverse_fem", start=dict(zip(PARAMETERS, START, strict=True)))
     return Campaign(Path("synthetic.toml"), {SPECIMEN.name: SPECIMEN}, tests, settings, noise, "")
 

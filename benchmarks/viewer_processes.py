@@ -16,7 +16,7 @@ from viewer_client import READOUTS
 from viewer_ticks import MOTION, SETTLING, TickCount
 
 import tissue_sim as ts
-from haptics.devices.motion_source import ProtocolMotion
+from haptics.devices.motions import ProtocolMotion
 from haptics.loop.loop import LoopSettings
 from haptics.loop.process import LoopProcess
 from haptics.safety.limits import ForceLimits
@@ -152,7 +152,7 @@ def loop_alone(model: ts.Model) -> Iterator[tuple[int, Callable[[float], dict]]]
     motion, with no viewer, and nothing published but its ring."""
     motion = ProtocolMotion(ts.Protocol.parse(MOTION, 21, 5e-3), repeat=True)
     loop = LoopProcess(partial(ts.Simulator, model, budget=BUDGET), motion, ForceRendering(ForceLimits(1e3, 1e3)),
-                       LoopSettings(surface_rate=0.0))
+                       LoopSettings())
     with loop:
         loop.wait_until_ready(120.0)
         loop.pause()

@@ -32,14 +32,14 @@ from viewer_ticks import MOTION, SETTLING, SPEED, STANDING, TEST, TickCount, pea
 import scenes.viewer.page.solid
 import tissue_sim as ts
 from haptics.loop.ring import RingReader
-from scenes.needle import NEEDLE
 from scenes.viewer.cut_away import CutAway
 from scenes.viewer.frame import Frame, NullViewer, Phase, Viewer
 from scenes.viewer.measurement import measurement
 from scenes.viewer.page import Page
 from scenes.viewer.page.readouts import readouts_html
+from scenes.viewer.scene import Scene
 from scenes.viewer.session import Session
-from scenes.viewer.setup import Setup
+from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.fem.axisymmetric.fields import Fields
 
 REPLICATES, SAMPLES, NOISE = 3, 401, 0.02
@@ -101,7 +101,7 @@ class Watched:
         return self._spent["frame"] + self._spent["show"]
 
 
-def study() -> Setup:
+def study() -> Scene:
     """The needle in the study's specimen with three replicates; what plots cost does not depend on their force."""
     experiment = NEEDLE.experiment(specimen=ts.Specimen(0.040, 0.070), protocol=TEST)
     depth, noise = np.linspace(0.0, TEST.depth, SAMPLES), np.random.default_rng(0)
@@ -110,7 +110,7 @@ def study() -> Setup:
                                {}, {"name": f"needle_{number}", "kind": NEEDLE.name}) for number in range(REPLICATES)]
     material = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4),
                            density=1040.0)
-    return Setup(NEEDLE, experiment, material, measurements={NEEDLE.name: measurement(recordings)})
+    return Scene(NEEDLE, experiment, material, measurements={NEEDLE.name: measurement(recordings)})
 
 
 def began_at(ring: RingReader) -> float:

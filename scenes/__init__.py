@@ -6,7 +6,7 @@ Public names are listed here once and imported on first use, so that ``tissue-si
 from tissue_sim.public_names import import_on_use as _import_on_use
 
 _HOMES = {
-    "SCENES": "catalogue", "Scene": "scene",
+    "SCENES": "catalogue",
     "draw_simulation": "figures",
     "run_demo": "demo",
 }

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 import tissue_sim as ts
-from scenes.compression import BONDED, LUBRICATED
-from scenes.needle import NEEDLE
-from scenes.scene import Scene
 from tissue_sim.atomic_write import write_text
+from tissue_sim.experiment.kinds.compression import BONDED, LUBRICATED
+from tissue_sim.experiment.kinds.indentation import NEEDLE
+from tissue_sim.experiment.kinds.kind import TestKind
 
 #: The virtual specimen: the silicone brain phantom of the study, its size, its depth and its sensor.
 SPECIMEN, DEPTH = ts.Specimen(0.040, 0.070, name="virtual phantom"), 0.010
@@ -50,12 +50,12 @@ class Comparison:
     """A predicted test beside its measurement; forces in N.
 
     Attributes:
-        scene: the test.
+        kind: the test.
         measured: the replicates, all on the same displacements.
         predicted: what the calibrated material gives.
     """
 
-    scene: Scene
+    kind: TestKind
     measured: list[ts.Recording]
     predicted: ts.Recording
 
@@ -102,7 +102,7 @@ def run_demo(output: Path, *, overwrite: bool = False, console=None, seed: int =
     seeds = iter(np.random.SeedSequence(seed).generate_state(3 * REPLICATES).tolist())
 
     say("1 measuring the virtual specimen (a machine's first run compiles the solver, about 20 s) ...")
-    measured = {scene: _measure(scene, output / "measured", seeds) for scene in (LUBRICATED, BONDED, NEEDLE)}
+    measured = {kind: _measure(kind, output / "measured", seeds) for kind in (LUBRICATED, BONDED, NEEDLE)}
 
     say(f"2 calibrating {len(LAWS)} laws on the lubricated test ...")
     campaign = output / "campaign.toml"
@@ -113,7 +113,7 @@ def run_demo(output: Path, *, overwrite: bool = False, console=None, seed: int =
 
     say("3 predicting the needle and the bonded test, which the calibration never saw ...")
     material = ts.load_material(material_file)
-    needle, bonded = (_predict(scene, measured[scene], material, output) for scene in (NEEDLE, BONDED))
+    needle, bonded = (_predict(kind, measured[kind], material, output) for kind in (NEEDLE, BONDED))
 
     from scenes.demo_figure import draw_demo
 
@@ -123,7 +123,7 @@ def run_demo(output: Path, *, overwrite: bool = False, console=None, seed: int =
         "figure": str(figure), "report": str(output / "calibration" / "report.html"), "campaign": str(campaign),
         "material_file": str(material_file), "law": material.law, "parameters": dict(material.parameters),
         "prediction_rmse_N": needle.rmse, "prediction_error_N": float(needle.error[-1]),
-        "predictions": [{"test": one.scene.name, "predicted_N": float(one.predicted.force[-1]),
+        "predictions": [{"test": one.kind.name, "predicted_N": float(one.predicted.force[-1]),
                          "measured_N": float(one.mean[-1]), "error_N": float(one.error[-1]), "RMSE_N": one.rmse}
                         for one in (needle, bonded)],
         "noise_N": FORCE_NOISE, "wall_s": time.perf_counter() - started,
@@ -131,31 +131,31 @@ def run_demo(output: Path, *, overwrite: bool = False, console=None, seed: int =
     say(f"\nBest law: {material.energy_law.title}. At {DEPTH * 1e3:.0f} mm, with a sensor noise of {FORCE_NOISE} N:",
         markup=False)
     for one in (needle, bonded):
-        say(f"{one.scene.title.lower():>20}: predicted {one.predicted.force[-1]:.3f} N, measured {one.mean[-1]:.3f} N; "
+        say(f"{one.kind.title.lower():>20}: predicted {one.predicted.force[-1]:.3f} N, measured {one.mean[-1]:.3f} N; "
             f"RMSE over the curve {one.rmse:.3f} N", markup=False, soft_wrap=True)
     for name in ("figure", "report", "material_file"):
         say(f"{name.replace('_', ' '):>20}: {answer[name]}", markup=False, soft_wrap=True)
     return answer
 
 
-def _measure(scene: Scene, folder: Path, seeds) -> list[ts.Recording]:
+def _measure(kind: TestKind, folder: Path, seeds) -> list[ts.Recording]:
     """Three replicates of a test as the virtual rig reports them, written as recordings."""
     truth = ts.Material("reduced_polynomial_2", PHANTOM, ts.Bulk("bulk_ratio", BULK_RATIO), name="virtual phantom")
-    experiment = scene.experiment(specimen=SPECIMEN, protocol=ts.Protocol.ramp(DEPTH, SAMPLES))
+    experiment = kind.experiment(specimen=SPECIMEN, protocol=ts.Protocol.ramp(DEPTH, SAMPLES))
     true = ts.simulate(ts.Model(experiment, truth), resolution="accurate")
     replicates = []
     for number in range(1, REPLICATES + 1):
         rig = ts.Rig(force_noise=FORCE_NOISE, seed=next(seeds))
-        replicate = rig.measure(true).with_metadata(name=f"{scene.name}_{number}", kind=scene.name, virtual=True)
-        ts.write_recording(replicate, folder / f"{scene.name}_{number}.csv")
+        replicate = rig.measure(true).with_metadata(name=f"{kind.name}_{number}", kind=kind.name, virtual=True)
+        ts.write_recording(replicate, folder / f"{kind.name}_{number}.csv")
         replicates.append(replicate)
     return replicates
 
 
-def _predict(scene: Scene, measured: list[ts.Recording], material: ts.Material, output: Path) -> Comparison:
+def _predict(kind: TestKind, measured: list[ts.Recording], material: ts.Material, output: Path) -> Comparison:
     """The same motion with the calibrated material, written as a recording."""
     protocol = ts.Protocol(measured[0].time, measured[0].displacement)
-    experiment = scene.experiment(specimen=SPECIMEN, protocol=protocol)
-    predicted = ts.simulate(ts.Model(experiment, material), resolution="accurate", fields=scene is NEEDLE)
-    ts.write_recording(predicted, output / f"predicted_{scene.name}.csv")
-    return Comparison(scene, measured, predicted)
+    experiment = kind.experiment(specimen=SPECIMEN, protocol=protocol)
+    predicted = ts.simulate(ts.Model(experiment, material), resolution="accurate", fields=kind is NEEDLE)
+    ts.write_recording(predicted, output / f"predicted_{kind.name}.csv")
+    return Comparison(kind, measured, predicted)

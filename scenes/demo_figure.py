@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from scenes.figures import draw_fold, draw_section, save
-from scenes.needle import NEEDLE
 from tissue_sim.experiment.experiment import Specimen
+from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.material.material import Material
 from tissue_sim.recording.recording import Recording
 
@@ -53,9 +53,9 @@ def draw_demo(calibrated_on: list[Recording], material: Material, needle: Compar
         _points(axes, test.measured)
         axes.plot(test.predicted.displacement * 1e3, test.predicted.force, color=colour, linewidth=1.8,
                   label="predicted by finite elements")
-        axes.set_title(f"Prediction: {test.scene.title.lower()}", loc="left", fontweight="bold")
+        axes.set_title(f"Prediction: {test.kind.title.lower()}", loc="left", fontweight="bold")
         error.plot(test.predicted.displacement * 1e3, test.error, color=colour, linewidth=1.2,
-                   label=f"{test.scene.title.lower()}, RMSE {test.rmse:.3f} N")
+                   label=f"{test.kind.title.lower()}, RMSE {test.rmse:.3f} N")
     reach = 2.2 * max(3 * share, abs(needle.error).max(), abs(bonded.error).max())
     error.set_ylim(-reach, reach)
     error.set_title("Predicted − measured", loc="left", fontweight="bold")

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from scenes.catalogue import SCENES
 from scenes.parsing import Parser, at_least, between, interface, not_negative, positive
 from tissue_sim.errors import InputError, nearest
+from tissue_sim.experiment.tools.tool import (
+    TOOLS,
+    Tool,
+    read_shape,
+    shapes_without_file,
+    sizes_of_keys,
+    tool_sizes,
+)
 
 if TYPE_CHECKING:
-    from tissue_sim import Experiment, Material, Protocol, Tool
+    from tissue_sim import Experiment, Material, Protocol
+    from tissue_sim.parameters import Declaration
 
-#: Names only: scenes and tools themselves need numpy, and help must answer at once. A test holds these against them.
-SCENE_NAMES = ("lubricated_compression", "bonded_compression", "friction_compression", "needle_indentation")
-SHAPES = ("plate", "flat", "round", "cone", "sphere")
 MOST_POINTS = 100_000
 DEPTH_MM = 10.0
 
@@ -41,12 +46,10 @@ def add_experiment_flags(parser: Parser) -> None:
                           help="--height-mm is that before (moulded) or after settling (placed; default: moulded)")
     tool = parser.add_argument_group("tool and interfaces (defaults: those of the scene)")
     tool.add_argument("--tool", metavar="SHAPE",
-                      help=f"{', '.join(SHAPES)}, or a file with two columns, r and z of its profile")
-    tool.add_argument("--tool-radius-mm", type=positive, metavar="N", help="of the needle (default: 8)")
-    tool.add_argument("--edge-radius-mm", type=not_negative, metavar="N",
-                      help="of the rounding between a flat face and the shaft (default: 0)")
-    tool.add_argument("--half-angle-deg", type=between(0, 90), metavar="N", help="of a cone, from its axis")
-    tool.add_argument("--tip-radius-mm", type=not_negative, metavar="N", help="of the rounded tip of a cone")
+                      help=f"{', '.join(shapes_without_file())}, or a file with two columns, r and z of its profile")
+    for key, (what, name, shapes) in tool_sizes().items():
+        tool.add_argument(f"--{key.replace('_', '-')}", type=_size(what), metavar="N",
+                          help=f"{name.replace('_', ' ')} of the tool: {', '.join(shapes)}")
     for flag, face in (("--friction", "tool's face"), ("--friction-base", "base"), ("--friction-wall", "shaft")):
         tool.add_argument(flag, type=interface, metavar="HOW",
                           help=f"{face}: bonded, stick (no slip, can lift off), frictionless or a friction coefficient")
@@ -57,8 +60,8 @@ def add_experiment_flags(parser: Parser) -> None:
 
 def check_scene(name: str) -> None:
     """Raises InputError: no such scene."""
-    if name not in SCENE_NAMES:
-        raise InputError(f"unknown scene {name!r}{nearest(name, SCENE_NAMES)}")
+    if name not in SCENES:
+        raise InputError(f"unknown scene {name!r}{nearest(name, SCENES)}")
 
 
 def build_protocol(arguments) -> Protocol:
@@ -84,15 +87,13 @@ def build_experiment(arguments, protocol: Protocol, material: Material) -> Exper
         InputError: flags that do not fit the scene or each other, or what the experiment refuses.
     """
     import tissue_sim as ts
-    from scenes.catalogue import SCENES
     from tissue_sim.experiment.experiment import STANDARD_GRAVITY
 
     scene = SCENES[arguments.scene]
-    shape, profile = _shape(arguments.tool or scene.tool.shape)
-    if shape not in (*SHAPES, "profile"):
-        raise InputError(f"unknown tool shape {shape!r}{nearest(shape, SHAPES)}", field="--tool")
-    if (shape == "plate") != (scene.tool.shape == "plate"):
-        fitting = [name for name, other in SCENES.items() if (other.tool.shape == "plate") == (shape == "plate")]
+    shape, profile = read_shape(arguments.tool or scene.tool.shape)
+    kind = TOOLS.find(shape, field="--tool")
+    if not scene.fits(kind):
+        fitting = [name for name, other in SCENES.items() if other.fits(kind)]
         raise InputError(f"{scene.name} is not done with the tool {shape!r}; use scene {' or '.join(fitting)}",
                          field="--tool")
     weight = {}
@@ -106,7 +107,7 @@ def build_experiment(arguments, protocol: Protocol, material: Material) -> Exper
         if getattr(arguments, name) is not None and not arguments.gravity:
             raise InputError("matters to a specimen that weighs only; add --gravity or leave it out",
                              field=f"--{name.replace('_', '-')}")
-    changes = {name: value for name in ("friction", "friction_base", "friction_wall")
+    changes = {name: value for name in scene.faces
                if (value := getattr(arguments, name)) is not None}
     if (arguments.adhesion_N is None) != (arguments.adhesion_length_mm is None):
         raise InputError("adhesion needs a force and a length; give both or neither",
@@ -122,22 +123,18 @@ def build_experiment(arguments, protocol: Protocol, material: Material) -> Exper
         tool=_tool(arguments, shape, profile, scene.tool), **changes)
 
 
-def _shape(word: str) -> tuple[str, Path | None]:
-    """Shape of the tool and the file of its profile: what is no shape and has an ending or a folder is a file."""
-    path = Path(word)
-    if word in SHAPES or not (path.suffix or len(path.parts) > 1):
-        return word, None
-    return "profile", path
+def _size(what: Declaration):
+    """What a size of a tool may be, in the unit of its flag."""
+    low, high = (bound / what.factor for bound in what.bounds)
+    return not_negative if what.absent == 0 else positive if what.unit == "m" else between(low, high)
 
 
 def _tool(arguments, shape: str, profile: Path | None, own: Tool) -> Tool:
     """The scene's `own` tool with what the flags change in it; the measures of a profile are those of its file."""
-    from tissue_sim import Tool
-
-    changes = {name: value * factor for name, value, factor in (
-        ("radius", arguments.tool_radius_mm, 1e-3), ("edge_radius", arguments.edge_radius_mm, 1e-3),
-        ("tip_radius", arguments.tip_radius_mm, 1e-3), ("half_angle", arguments.half_angle_deg, math.pi / 180),
-    ) if value is not None}
+    known = tool_sizes()
+    stated = {key: value for key in known if (value := getattr(arguments, key)) is not None}
+    kept = {name: getattr(own, name) for _, name, shapes in known.values() if {own.shape, shape} <= {*shapes}}
+    changes = sizes_of_keys(stated)
     if profile is not None:
         return Tool(shape, profile_file=profile, **changes)
-    return replace(own, shape=shape, **changes)
+    return Tool(shape, **(kept | changes))

@@ -52,13 +52,13 @@ def draw_simulation(recording: Recording, model: Model, path: Path, field: str =
         raise InputError("this recording carries no fields; simulate with fields=True", field="fields")
     sample = _drawn_sample(recording, segment)
     specimen, tool = model.experiment.specimen, model.experiment.tool
-    panels = {"section": 1.25} | ({"fold": 0.75} if tool.shape != "plate" else {}) | {"curve": 1.0}
+    panels = {"section": 1.25} | ({"fold": 0.75} if not tool.is_plate else {}) | {"curve": 1.0}
     if specimen.radius > 1.5 * specimen.height:
         figure = Figure(figsize=(10, 6.4), layout="constrained")
         layout = [["section"] * (len(panels) - 1), list(panels)[1:]]
         axes = figure.subplot_mosaic(layout, height_ratios=[1, 1.6])
     else:
-        figure = Figure(figsize=(10 if tool.shape == "plate" else 13, 4.6), layout="constrained")
+        figure = Figure(figsize=(10 if tool.is_plate else 13, 4.6), layout="constrained")
         axes = figure.subplot_mosaic([list(panels)], width_ratios=list(panels.values()))
     draw_section(axes["section"], recording.fields, field, sample, tool=tool)
     if "fold" in axes:
@@ -108,7 +108,7 @@ def draw_section(axes, fields: Fields, name: str, sample: int = -1, *, tool: Too
     width = 1.18 * max(radius, place[:, 0].max())
     base, plate = place[:, 1][mesh.sets["base"]].min(), 0.05 * max(height, 0.5 * radius)
     axes.fill_between([-width, width], base, base - plate, color=RIGID, linewidth=0)
-    if tool.shape == "plate":
+    if tool.is_plate:
         tip = _contact_height(mesh, place, tool)
         axes.fill_between([-width, width], tip, tip + plate, color=RIGID, linewidth=0)
     else:

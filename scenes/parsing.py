@@ -8,9 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from tissue_sim.errors import InputError
-
-#: Words for an interface; a test holds them against those of `tissue_sim.experiment.experiment`, which needs numpy.
-INTERFACES = ("bonded", "stick", "frictionless")
+from tissue_sim.experiment.interfaces import INTERFACES
 
 
 class Parser(argparse.ArgumentParser):
@@ -63,7 +61,7 @@ def between(lowest: float, highest: float):
     def inside(text: str) -> float:
         value = _number(text)
         if not lowest < value < highest:
-            raise argparse.ArgumentTypeError(f"{text!r} is not a number between {lowest:g} and {highest:g}")
+            raise argparse.ArgumentTypeError(f"{text!r} is not a number between {lowest:.3g} and {highest:.3g}")
         return value
     return inside
 

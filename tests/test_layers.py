@@ -19,7 +19,6 @@ IMPORTERS = {  # outside package -> where it may be imported
     "viser": ("scenes/",),
     "rich": ("scenes/", "calibration/"),
     "matplotlib": ("scenes/", "calibration/"),
-    "serial": ("haptics/",),
     "socket": ("haptics/", "scenes/doctor/"),
 }
 VAGUE_NAMES = {"utils", "util", "helpers", "helper", "manager", "core", "misc", "common"}

@@ -10,7 +10,8 @@ _HOMES = {
     "Bulk": "material.material", "Material": "material.material",
     "Adhesion": "experiment.experiment", "Experiment": "experiment.experiment",
     "Model": "experiment.experiment", "Protocol": "experiment.protocol", "Specimen": "experiment.experiment",
-    "Tool": "experiment.tools.tool",
+    "Tool": "experiment.tools.tool", "TOOLS": "experiment.tools.tool",
+    "TestKind": "experiment.kinds.kind", "KINDS": "experiment.kinds.kind",
     "Rig": "rig.rig", "RigFault": "rig.fault", "FAULTS": "rig.fault", "load_rig": "rig.file", "write_rig": "rig.file",
     "Poroelasticity": "material.poroelasticity", "Prony": "material.viscoelasticity",
     "PronyTerm": "material.viscoelasticity",
@@ -29,7 +30,7 @@ _HOMES = {
     "Simulator": "simulator", "SimulatorState": "simulator", "DeformedSurface": "fem.axisymmetric.surface",
     "Snapshot": "snapshot",
     "simulate": "simulation", "Fields": "fem.axisymmetric.fields",
-    "LAWS": "laws", "find_law": "laws", "register": "laws", "check_stability": "laws",
+    "FORMATS": "recording.formats", "LAWS": "laws", "find_law": "laws", "register": "laws", "check_stability": "laws",
     "ConvergenceError": "errors", "InputError": "errors", "MissingBackendError": "errors",
 }
 

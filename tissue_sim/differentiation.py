@@ -11,7 +11,7 @@ import numpy as np
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.experiment import Model
 from tissue_sim.fem.solver import Derivatives, Solver
-from tissue_sim.material.effect import TissueEffect
+from tissue_sim.material.effect import ReducedEffect, TissueEffect
 from tissue_sim.parameters import Parameter, full_path, parameter_values, parameters, with_values
 from tissue_sim.recording.recording import Recording
 from tissue_sim.simulation import simulate
@@ -107,7 +107,8 @@ def _exact(model: Model, parameter: Parameter) -> bool:
     experiment, pores = model.experiment, model.material.poroelasticity
     if experiment.specimen.specific_weight or experiment.adhesion or experiment.tilt or model.rig.compliance:
         return False
-    if issubclass(parameter.part, TissueEffect) or model.material.effects or parameter.declaration.shapes_mesh:
+    added = [effect for effect in model.material.effects.values() if not isinstance(effect, ReducedEffect)]
+    if issubclass(parameter.part, TissueEffect) or added or parameter.declaration.shapes_mesh:
         return False
     if pores is not None and pores.phi == 0 and parameter.part is type(pores):
         return False  # a term that appears

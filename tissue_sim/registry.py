@@ -18,6 +18,8 @@ from tissue_sim.errors import InputError, nearest
 T = TypeVar("T")
 #: Group -> registry, of all that were made in this process.
 _ALL: dict[str, Registry] = {}
+#: Group -> (name, thing) that another process has registered there, until this one makes that registry.
+_WAITING: dict[str, list[tuple[str, Any]]] = {}
 
 
 class Registry(Mapping[str, T], Generic[T]):
@@ -37,6 +39,7 @@ class Registry(Mapping[str, T], Generic[T]):
         self._built_in = frozenset(built_in)
         self._added: dict[str, T] = {}
         _ALL[group] = self
+        register_all((group, name, thing) for name, thing in _WAITING.pop(group, ()))
 
     @cached_property
     def _installed(self) -> dict[str, EntryPoint]:
@@ -126,7 +129,10 @@ def registered() -> list[tuple[str, str, Any]]:
 
 
 def register_all(things: Iterable[tuple[str, str, Any]]) -> None:
-    """Register what another process has; what is there under its name already stays."""
+    """Register what another process has, at once or when the registry is made here; what is there under its name
+    already stays."""
     for group, name, thing in things:
-        if group in _ALL and name not in _ALL[group]:
+        if group not in _ALL:
+            _WAITING.setdefault(group, []).append((name, thing))
+        elif name not in _ALL[group]:
             _ALL[group].register(thing, name)

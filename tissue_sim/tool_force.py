@@ -110,7 +110,11 @@ class ToolForce:
     @property
     def is_finite(self) -> bool:
         """Whether wrench and stiffness are numbers."""
-        return math.isfinite(sum(self.wrench) + sum(map(sum, self.stiffness_matrix)))
+        total = sum(self.wrench)
+        for row in self.stiffness_matrix:
+            if row is not _NONE:
+                total += sum(row)
+        return math.isfinite(total)
 
 
 class Tissue(Protocol):

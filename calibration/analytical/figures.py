@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calibration.analytical.assess import residual_of
-from calibration.analytical.replicates import Replicate, loading_path, strain_of
+from calibration.analytical.replicates import Replicate, loading_path
 from calibration.fit.fit import Fit
 from calibration.report.drawing import STYLE, cloud, counted, line_styles, new_figure, thinned, to_png
 from tissue_sim.laws import find_law
@@ -41,7 +41,7 @@ def draw_test(fits: Sequence[Fit], replicates: Sequence[Replicate]) -> bytes:
             style = cloud(sum(r.stress.size for r in replicates))
             above.plot(to_x(replicate.abscissa[thin]), to_y(replicate.stress[thin]), "o", ms=4.5, label=label, **style)
         abscissa = loading_path(replicates, _CURVE_POINTS)
-        edges = np.linspace(*sorted(strain_of(abscissa[[0, -1]], first.test.kind)), _BINS + 1)
+        edges = np.linspace(*sorted(first.test.kind.strain(abscissa[[0, -1]])), _BINS + 1)
         # Model minus data, with the sign and the unit of the panel above.
         factor = to_y(np.array([1.0]))[0]
         scale, reach = abs(factor), []
@@ -75,7 +75,7 @@ def _axes_of(replicate: Replicate):
     sign = replicate.force_sign
     if replicate.mechanical:
         height, area = replicate.test.specimen.height, replicate.area
-        rest = 0.0 if replicate.mode == "simple_shear" else 1.0
+        rest = replicate.rest
         return (lambda a: sign * (a - rest) * height * 1e3, lambda p: sign * area * p, "displacement [mm]", "force [N]",
                 "model − data [N]")
     stress = "nominal stress, compression positive [kPa]" if sign < 0 else "nominal stress [kPa]"

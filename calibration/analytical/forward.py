@@ -12,6 +12,7 @@ import numpy as np
 
 from calibration.campaign.campaign import Test
 from tissue_sim.closed_form.column import Column
+from tissue_sim.closed_form.homogeneous import UNIAXIAL, ClosedForm
 from tissue_sim.laws import Law
 
 
@@ -20,17 +21,17 @@ class Homogeneous:
     """Every point of the specimen has the stretch, or shear strain, of the abscissa.
 
     Attributes:
-        mode: of `Law.nominal_stress`.
+        closed_form: of its stress.
         plate: compressed by a plate, which feels nothing before it has arrived.
     """
 
-    mode: str
+    closed_form: ClosedForm
     plate: bool
 
     @property
     def abscissa(self) -> str:
         """What the abscissa is, for the head of a table or an axis."""
-        return "shear strain [-]" if self.mode == "simple_shear" else "stretch [-]"
+        return self.closed_form.label
 
     @property
     def weightless(self) -> Homogeneous:
@@ -39,25 +40,22 @@ class Homogeneous:
 
     def stress(self, law: Law, abscissa: np.ndarray, values) -> np.ndarray:
         """Nominal stress, Pa, shape of `abscissa`."""
-        return self._touching(abscissa, law.nominal_stress(abscissa, values, self.mode))
+        return self._touching(abscissa, self.closed_form.stress(law, abscissa, values))
 
     def slope(self, law: Law, abscissa: np.ndarray, values) -> np.ndarray:
         """d(stress)/d(abscissa), Pa, shape of `abscissa`."""
-        return self._touching(abscissa, law.nominal_stress_slope(abscissa, values, self.mode))
+        return self._touching(abscissa, self.closed_form.slope(law, abscissa, values))
 
     def derivatives(self, law: Law, abscissa: np.ndarray, values) -> np.ndarray:
         """d(stress)/d(parameter), shape (*abscissa.shape, m)."""
-        return self._touching(abscissa[..., None], law.nominal_stress_derivatives(abscissa, values, self.mode))
+        return self._touching(abscissa[..., None], self.closed_form.derivatives(law, abscissa, values))
 
     def reached(self, law: Law, abscissa: np.ndarray, values) -> tuple[str, float, float]:
         """Mode of `Stability.limits`, and the extreme principal stretches along the load, rest included."""
         low, high = float(abscissa.min()), float(abscissa.max())
-        if self.mode == "simple_shear":
-            # A planar deformation and a rotation, with the principal stretches l - 1/l = gamma.
-            gamma = max(abs(low), abs(high))
-            largest = gamma / 2 + float(np.sqrt(1 + gamma**2 / 4))
-            return "planar", 1 / largest, largest
-        return "uniaxial", min(low, 1.0), 1.0 if self.plate else max(high, 1.0)
+        if not self.closed_form.rest:
+            return self.closed_form.mode, *self.closed_form.extremes(low, high)
+        return self.closed_form.mode, min(low, 1.0), 1.0 if self.plate else max(high, 1.0)
 
     def _touching(self, abscissa: np.ndarray, values: np.ndarray) -> np.ndarray:
         return np.where(abscissa > 1.0, 0.0, values) if self.plate else values
@@ -84,7 +82,7 @@ class Weighing:
     @property
     def weightless(self) -> Homogeneous:
         """The closed form of the same test."""
-        return Homogeneous("uniaxial", plate=True)
+        return Homogeneous(UNIAXIAL, plate=True)
 
     def stress(self, law: Law, abscissa: np.ndarray, values) -> np.ndarray:
         """Minus force over undeformed cross-section, Pa, NaN beyond what the law carries; shape of `abscissa`."""
@@ -112,4 +110,4 @@ def forward_model(test: Test) -> Homogeneous | Weighing:
     """The forward model of a test; equal tests have equal models."""
     if test.specimen is not None and test.specimen.specific_weight:
         return Weighing(Column(test.specimen))
-    return Homogeneous(test.mode, test.kind == "lubricated_compression")
+    return Homogeneous(test.kind.require_closed_form(), not test.kind.gripped)

@@ -115,9 +115,8 @@ def _rig_units(abscissa: float, stress: float, replicate: Replicate) -> tuple[fl
     """Displacement in mm and force in N, where there is a specimen."""
     if replicate.test.specimen is None:
         return None, None
-    rest = 0.0 if replicate.mode == "simple_shear" else 1.0
     sign = replicate.force_sign
-    return sign * (abscissa - rest) * replicate.test.specimen.height * 1e3, sign * stress * replicate.area
+    return sign * (abscissa - replicate.rest) * replicate.test.specimen.height * 1e3, sign * stress * replicate.area
 
 
 def format_table(header: Sequence[str], rows: Iterable[Sequence]) -> str:

@@ -13,7 +13,7 @@ from calibration.analytical.forward import Homogeneous, Weighing, forward_model
 from calibration.campaign.campaign import Campaign, Test
 from calibration.statistics.statistics import estimate_noise, resolution
 from tissue_sim.errors import InputError
-from tissue_sim.recording.file import KINDS, read_recordings
+from tissue_sim.recording.file import read_recordings
 from tissue_sim.recording.recording import MIN_POINTS, Recording
 
 #: Largest difference of a specimen's size between a recording's own word and the campaign's, as a share.
@@ -50,8 +50,9 @@ class Replicate:
     interpolation: csr_array | None = None
 
     @property
-    def mode(self) -> str:
-        return self.test.mode
+    def rest(self) -> float:
+        """Abscissa of the undeformed specimen."""
+        return self.test.kind.require_closed_form().rest
 
     @property
     def model(self) -> Homogeneous | Weighing:
@@ -61,12 +62,12 @@ class Replicate:
     @property
     def strain(self) -> np.ndarray:
         """Nominal strain (shear strain for shear), positive under load, shape (n,)."""
-        return strain_of(self.abscissa, self.test.kind)
+        return self.test.kind.strain(self.abscissa)
 
     @property
     def offset_slope(self) -> float:
         """d(abscissa)/d(contact offset), 1/m: a later contact means a smaller true displacement."""
-        return (1.0 if self.test.kind == "lubricated_compression" else -1.0) / self.test.specimen.height
+        return -self.force_sign / self.test.specimen.height
 
     @property
     def zero_slope(self) -> float:
@@ -76,7 +77,7 @@ class Replicate:
     @property
     def force_sign(self) -> float:
         """Sign of the nominal stress under a positive force."""
-        return -1.0 if self.test.kind == "lubricated_compression" else 1.0
+        return self.test.kind.sign
 
     @property
     def area(self) -> float | None:
@@ -100,7 +101,7 @@ def read_replicates(campaign: Campaign) -> tuple[Replicate, ...]:
     for test in campaign.tests:
         for path in test.recordings:
             try:
-                recordings = read_recordings(path, kind=test.kind, **test.reading)
+                recordings = read_recordings(path, kind=test.kind.name, **test.reading)
                 found = [_read(recording, name, path, test, campaign)
                          for recording, name in zip(recordings, names_of(recordings, path, test), strict=True)]
             except InputError as error:
@@ -128,15 +129,15 @@ def _read(recording: Recording, name: str, path: Path, test: Test, campaign: Cam
     mechanical, abscissa, stress = _curve(recording, test, path)
     _check_range(abscissa, recording, test, path)
     if mechanical or "time" in recording:
-        loaded = slice(0, int(np.argmax(strain_of(abscissa, test.kind))) + 1)
+        loaded = slice(0, int(np.argmax(test.kind.strain(abscissa))) + 1)
     else:
         # A table of stress and stretch has no order in time; sorted, its neighbours tell the noise.
-        loaded = np.argsort(strain_of(abscissa, test.kind), kind="stable")
+        loaded = np.argsort(test.kind.strain(abscissa), kind="stable")
     abscissa, stress = abscissa[loaded], stress[loaded]
     inside = np.ones(abscissa.size, bool)
     if test.max_strain is not None:
-        strain = strain_of(abscissa, test.kind)
-        inside = (np.abs(strain) if test.mode == "simple_shear" else strain) <= test.max_strain * (1 + 1e-9)
+        strain = test.kind.strain(abscissa)
+        inside = (strain if _one_way(test) else np.abs(strain)) <= test.max_strain * (1 + 1e-9)
     if (mechanical or "time" in recording) and loaded.stop < MIN_POINTS:
         raise InputError(f"{path.name} has its largest strain in sample {loaded.stop}, and what follows counts as "
                          f"unloading; sort the file by time, so that at least {MIN_POINTS} samples load the specimen",
@@ -178,9 +179,9 @@ def _loading(recording: Recording) -> Recording:
     return recording.select(keep) if keep.any() else recording
 
 
-def strain_of(abscissa: np.ndarray, kind: str) -> np.ndarray:
-    """Nominal strain (shear strain for shear), positive under load, of a stretch or shear strain; same shape."""
-    return {"lubricated_compression": 1.0 - abscissa, "uniaxial_tension": abscissa - 1.0}.get(kind, abscissa)
+def _one_way(test: Test) -> bool:
+    """Whether it is loaded to one side only; shear may go both ways."""
+    return test.kind.require_closed_form().rest != 0
 
 
 def loading_path(replicates: Sequence[Replicate], points: int) -> np.ndarray:
@@ -190,57 +191,52 @@ def loading_path(replicates: Sequence[Replicate], points: int) -> np.ndarray:
     """
     first = replicates[0]
     reached = np.concatenate([r.abscissa for r in replicates])
-    if first.mode == "simple_shear":
-        return np.linspace(min(reached.min(), 0.0), reached.max(), points)
-    return np.linspace(1.0, reached[np.argmax(strain_of(reached, first.test.kind))], points)
+    start = first.rest if _one_way(first.test) else min(reached.min(), first.rest)
+    return np.linspace(start, reached[np.argmax(first.test.kind.strain(reached))], points)
 
 
 def _curve(recording: Recording, test: Test, path: Path) -> tuple[bool, np.ndarray, np.ndarray]:
     """Whether it is displacement and force, and the abscissa and nominal stress that they mean."""
-    mechanical, direct = KINDS[test.kind]
+    mechanical, direct = test.kind.channels
     if all(name in recording for name in mechanical) and (test.specimen is not None
                                                           or not all(name in recording for name in direct)):
         if test.specimen is None:
             raise InputError(f"{path.name} holds displacement and force, which need a [[specimen]] to become stress",
                              field="specimen")
         share = recording.displacement / test.specimen.height
-        if test.kind == "lubricated_compression":
-            if share.max() >= 1:
-                raise InputError(
-                    f"{path.name} goes to {recording.displacement.max() * 1e3:g} mm, deeper than the specimen "
-                    f"{test.specimen.name!r} is high ({test.specimen.height * 1e3:g} mm)", field="recordings")
-            return True, 1.0 - share, -recording.force / test.specimen.area
-        rest = 1.0 if test.kind == "uniaxial_tension" else 0.0
-        return True, rest + share, recording.force / test.specimen.area
+        if test.kind.sign < 0 and share.max() >= 1:
+            raise InputError(
+                f"{path.name} goes to {recording.displacement.max() * 1e3:g} mm, deeper than the specimen "
+                f"{test.specimen.name!r} is high ({test.specimen.height * 1e3:g} mm)", field="recordings")
+        return True, test.kind.abscissa(share), test.kind.sign * recording.force / test.specimen.area
     if all(name in recording for name in direct) and isinstance(forward_model(test), Weighing):
         raise InputError(f"{path.name} holds {' and '.join(direct)}, which differ from slice to slice under gravity = "
                          f"true; give {' and '.join(mechanical)}, or set gravity = false", field="recordings")
     if all(name in recording for name in direct):
         return False, np.array(recording.channel(direct[0])), np.array(recording.channel(direct[1]))
-    raise InputError(f"{path.name} has {', '.join(recording.channels)}; {test.kind} needs {' and '.join(mechanical)}, "
-                     f"or {' and '.join(direct)}", field="recordings")
+    raise InputError(f"{path.name} has {', '.join(recording.channels)}; {test.kind.name} needs "
+                     f"{' and '.join(mechanical)}, or {' and '.join(direct)}", field="recordings")
 
 
 def _check_range(abscissa: np.ndarray, recording: Recording, test: Test, path: Path) -> None:
     if np.ptp(abscissa) == 0:
-        names = [name for pair in KINDS[test.kind] for name in pair[:1] if name in recording]
+        names = [name for pair in test.kind.channels for name in pair[:1] if name in recording]
         raise InputError(f"{path.name} does not move: its {names[0]} has the same value in all {abscissa.size} samples "
                          "of loading; check which column it is read from", field="recordings")
-    largest = strain_of(abscissa, test.kind).max()
-    if test.mode == "uniaxial" and abscissa.min() <= 0:
+    largest = test.kind.strain(abscissa).max()
+    if _one_way(test) and abscissa.min() <= 0:
         raise InputError(f"{path.name} reaches stretch {abscissa.min():g}; a stretch is above zero", field="recordings")
     if largest <= 0:
-        raise InputError(f"{path.name} holds no {test.kind.split('_')[-1]}: its largest strain is {largest:g}; "
+        raise InputError(f"{path.name} holds no {test.kind.motion}: its largest strain is {largest:g}; "
                          "check the kind, or turn the column with sign = -1", field="recordings")
 
 
 def _check_sign(abscissa: np.ndarray, stress: np.ndarray, test: Test, path: Path) -> None:
     # Stress and strain together, so that shear may go both ways and a noisy zero does not decide.
-    rest = 0.0 if test.mode == "simple_shear" else 1.0
-    if np.sum(stress * (abscissa - rest)) <= 0:
-        expected = "force above or stress below" if test.kind == "lubricated_compression" else "force or stress above"
-        raise InputError(f"{path.name} has a stress against the load; {test.kind} expects {expected} zero, so turn the "
-                         "column with sign = -1", field="recordings")
+    if np.sum(test.kind.sign * stress * test.kind.strain(abscissa)) <= 0:
+        expected = "force above or stress below" if test.kind.sign < 0 else "force or stress above"
+        raise InputError(f"{path.name} has a stress against the load; {test.kind.name} expects {expected} zero, so "
+                         "turn the column with sign = -1", field="recordings")
 
 
 def _noise(abscissa: np.ndarray, stress: np.ndarray, mechanical: bool, test: Test,
@@ -259,8 +255,8 @@ def _noise(abscissa: np.ndarray, stress: np.ndarray, mechanical: bool, test: Tes
 def _evenly_spaced(abscissa: np.ndarray, test: Test, campaign: Campaign, path: Path) -> tuple[np.ndarray, csr_array]:
     """Evenly spaced strains from rest to the end of the window, and the linear interpolation onto them."""
     points, limit = campaign.fit.strain_points, np.inf if test.max_strain is None else test.max_strain
-    strain, samples = np.unique(strain_of(abscissa, test.kind), return_index=True)
-    start = max(strain[0], -limit if test.mode == "simple_shear" else 0.0)
+    strain, samples = np.unique(test.kind.strain(abscissa), return_index=True)
+    start = max(strain[0], 0.0 if _one_way(test) else -limit)
     grid = np.linspace(start, min(strain[-1], limit), points)
     inside = int(np.sum((strain >= grid[0]) & (strain <= grid[-1] * (1 + 1e-9))))
     if points > inside:
@@ -271,4 +267,4 @@ def _evenly_spaced(abscissa: np.ndarray, test: Test, campaign: Campaign, path: P
     weights = np.concatenate([1.0 - share, share])
     places = np.tile(np.arange(points), 2), np.concatenate([samples[right - 1], samples[right]])
     interpolation = csr_array((weights, places), shape=(points, abscissa.size))
-    return {"lubricated_compression": 1.0 - grid, "uniaxial_tension": 1.0 + grid}.get(test.kind, grid), interpolation
+    return test.kind.abscissa(grid), interpolation

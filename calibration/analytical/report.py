@@ -66,9 +66,8 @@ def _page(result: CalibrationResult, replicates: Sequence[Replicate], figures: b
 def assumptions(result: CalibrationResult) -> list[str]:
     """What the numbers rest on, one sentence each."""
     fit, noise = result.campaign.fit, result.campaign.noise
-    kinds = {test.kind for test in result.campaign.tests}
     lines = ["The material is incompressible and elastic: only the loading is fitted, and the rate does not matter."]
-    if "lubricated_compression" in kinds:
+    if any(test.kind.settles for test in result.campaign.tests):
         lines.append("Lubricated means frictionless: the faces slide freely and every slice deforms homogeneously.")
     lines.append(statement(result.campaign, result.best))
     if fit.offset == "none":

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from calibration.campaign.checks import (
-    HOMOGENEOUS,
     check_available,
     check_bulk_ratio,
     check_parameters,
@@ -20,17 +19,16 @@ from calibration.campaign.checks import (
     read_columns_key,
     require_positive,
 )
+from calibration.campaign.experiments import read_experiment, read_rig
 from calibration.campaign.parameters import Named, Surroundings, check_values, find_named, stated_material
 from calibration.campaign.schema import CampaignTable, FitTable, NoiseTable, SpecimenTable, TestTable, decode_campaign
-from calibration.campaign.setup import Setup, check_homogeneous, read_setup
 from tissue_sim.errors import InputError, nearest
-from tissue_sim.experiment.experiment import STANDARD_GRAVITY, Specimen
-from tissue_sim.experiment.protocol import Protocol
+from tissue_sim.experiment.experiment import STANDARD_GRAVITY, Experiment, Specimen
+from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.laws import LAWS
 from tissue_sim.material.material import Bulk, Material
-from tissue_sim.recording.file import KINDS
-from tissue_sim.recording.formats import check_delimiter
+from tissue_sim.recording.formats.columns import check_delimiter
 from tissue_sim.rig.rig import Rig
 
 #: Prior standard deviation of a contact offset when neither the fit nor the noise states one, m.
@@ -48,30 +46,27 @@ class Test:
 
     Attributes:
         name: unique in the campaign.
-        kind: a key of `tissue_sim.recording.file.KINDS`.
+        kind: what it is.
         specimen: None where the recordings are stretch and stress already.
         recordings: files, sorted, at least one.
         reading: how to read them, the options of `tissue_sim.read_recordings`.
         max_strain: fitted window of the nominal strain (shear strain for shear), or None for everything.
         hold_out: predicted, not fitted.
         place: where it stands in the campaign file, such as ``test[0]``.
-        setup: tool, interfaces and rig, of an inverse fit; None of tension and shear.
+        experiment: everything but the motion, which is a short one here; None of a gripped specimen.
+        rig: what stands between the tissue and the recordings; without noise and resolution.
     """
 
     name: str
-    kind: str
+    kind: TestKind
     specimen: Specimen | None
     recordings: tuple[Path, ...]
     reading: Mapping[str, Any] = field(default_factory=lambda: _read_only())
     max_strain: float | None = None
     hold_out: bool = False
     place: str = "test"
-    setup: Setup | None = None
-
-    @property
-    def mode(self) -> str:
-        """Mode of `Law.nominal_stress`, of a homogeneous test."""
-        return HOMOGENEOUS[self.kind]
+    experiment: Experiment | None = None
+    rig: Rig = field(default_factory=Rig)
 
 
 def _read_only(values: Mapping | None = None) -> Mapping:
@@ -115,7 +110,7 @@ class FitSettings:
     @property
     def others(self) -> tuple[str, ...]:
         """Paths of the parameters that are fitted or stated beside those of the laws."""
-        return tuple(path for path in (*self.start, *self.fixed) if not self.named[path].of_law)
+        return tuple(path for path in (*self.start, *self.fixed) if path in self.named and not self.named[path].of_law)
 
     @property
     def material(self) -> Material:
@@ -240,8 +235,8 @@ def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path
                              field=f"{field}.protocol")
         require_positive(entry.speed_mm_s, f"{field}.speed_mm_s", " mm/s")
         require_positive(entry.max_strain, f"{field}.max_strain")
-        compressed = entry.kind not in ("uniaxial_tension", "simple_shear")
-        if entry.max_strain is not None and compressed and entry.max_strain >= 1:
+        kind = KINDS[entry.kind]
+        if entry.max_strain is not None and kind.sign < 0 and entry.max_strain >= 1:
             raise InputError(f"{entry.max_strain:g} is not below 1, where the specimen would have no height left",
                              field=f"{field}.max_strain")
         if entry.skip_lines is not None and entry.skip_lines < 0:
@@ -253,13 +248,11 @@ def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path
         columns = read_columns_key(entry, field)
         if entry.delimiter is not None:
             check_delimiter(entry.delimiter, f"{field}.delimiter")
-        specimen, setup = _find_specimen(entry, specimens, table, field), None
-        if table.fit.method == "inverse_fem":
-            check_homogeneous(entry.kind, specimen, field)
-            setup = read_setup(entry, specimen, folder, field)
+        specimen = _find_specimen(entry, specimens, table, field)
         tests[name] = Test(
-            name, entry.kind, specimen, find_recordings(entry.recordings, folder, f"{field}.recordings"),
-            _reading(entry, columns), entry.max_strain, entry.hold_out, field, setup)
+            name, kind, specimen, find_recordings(entry.recordings, folder, f"{field}.recordings"),
+            _reading(entry, columns), entry.max_strain, entry.hold_out, field,
+            read_experiment(entry, specimen, folder, field), read_rig(entry, folder, field))
     if all(test.hold_out for test in tests.values()):
         raise InputError("every test is held out, so there is nothing to fit; set hold_out = false on one",
                          field="test[0].hold_out")
@@ -281,14 +274,17 @@ def _find_specimen(entry: TestTable, specimens: Mapping[str, Specimen], table: C
     if entry.specimen is None and len(specimens) > 1:
         raise InputError(f"name one of the specimens: {', '.join(specimens)}", field=f"{field}.specimen")
     found = next(iter(specimens.values()), None) if entry.specimen is None else specimens[entry.specimen]
-    standing = ("lubricated_compression",) if table.fit.method == "analytical" else \
-        tuple(kind for kind in KINDS if kind not in ("uniaxial_tension", "simple_shear"))
-    if found is not None and found.specific_weight and entry.kind not in standing:
+    kind = KINDS[entry.kind]
+    stands = kind.settles if table.fit.method == "analytical" else not kind.gripped
+    if found is not None and found.specific_weight and not stands:
         raise InputError(f"gravity = true is for a specimen that stands under a plate, and {entry.kind} does not say "
                          "how it hangs or lies; give this test a specimen with gravity = false",
                          field=f"{field}.specimen")
     prism = found is not None and table.specimen[list(specimens).index(found.name)].shape == "prism"
-    if prism and entry.kind not in HOMOGENEOUS:
+    if found is None and kind.closed_form is None:
+        raise InputError(f"{entry.kind} is simulated on its specimen; add a [[specimen]] and name it here",
+                         field=f"{field}.specimen")
+    if prism and kind.closed_form is None:
         raise InputError(f"{entry.kind} is simulated on a cylinder, and {found.name!r} is a prism; use shape = "
                          "'cylinder' with radius_mm", field=f"{field}.specimen")
     return found
@@ -311,7 +307,8 @@ def _fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ...]) -
         raise InputError(f"{table.starts} starts; give 1 to {MOST_STARTS}", field="fit.starts")
     check_unused(table, noise)
     check_parameters(table)
-    named = find_named(table, [_surroundings(test) for test in tests])
+    named = find_named(table, [
+        Surroundings(test.name, None if test.specimen is None else test.experiment, test.rig) for test in tests])
     check_values(table, named)
     by_path = {what.path: what for what in named.values()}
     start, fixed, prior, bounds = (
@@ -329,13 +326,6 @@ def _fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ...]) -
         starts=table.starts or DEFAULT_STARTS, method=table.method,
         named=_read_only(by_path), start=_read_only(start), fixed=_read_only(fixed), prior=_read_only(prior),
         bounds=_read_only(bounds))
-
-
-def _surroundings(test: Test) -> Surroundings:
-    if test.setup is None or test.specimen is None:
-        return Surroundings(test.name, None, Rig())
-    probe = Protocol.ramp(1e-3 * test.specimen.height, 2)
-    return Surroundings(test.name, test.setup.experiment(test.specimen, probe), test.setup.rig)
 
 
 def _in_SI(value: float | tuple[float, float], factor: float) -> float | tuple[float, float]:

@@ -10,17 +10,12 @@ import numpy as np
 
 from calibration.campaign.schema import FitTable, NoiseTable, TestTable
 from tissue_sim.errors import InputError, nearest
+from tissue_sim.experiment.interfaces import INTERFACES
+from tissue_sim.experiment.kinds.kind import KINDS
+from tissue_sim.experiment.tools.tool import TOOLS, read_shape
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.material.material import BULK_RATIOS
-from tissue_sim.recording.file import KINDS
-from tissue_sim.recording.formats import check_columns
-
-#: Test kinds with a homogeneous deformation -> mode of `Law.nominal_stress`.
-HOMOGENEOUS = {"lubricated_compression": "uniaxial", "uniaxial_tension": "uniaxial", "simple_shear": "simple_shear"}
-#: What `tool` may say; a profile file beside these.
-TOOLS = ("plate", "flat", "round", "cone", "sphere")
-#: What a friction may say in words; a coefficient beside these.
-FRICTIONS = ("bonded", "stick", "frictionless")
+from tissue_sim.recording.formats.columns import check_columns
 
 
 def require_positive(value: float | None, field: str, unit: str = "") -> None:
@@ -39,29 +34,28 @@ def check_bulk_ratio(ratio: float | None) -> None:
 
 def check_available(entry: TestTable, field: str) -> None:
     """Keys of later versions, and keys that contradict a plate on a homogeneous test."""
-    if entry.kind not in HOMOGENEOUS:
-        raise InputError(f"the analytical method takes {', '.join(HOMOGENEOUS)}; for {entry.kind!r} set fit.method = "
-                         "'inverse_fem'", field=f"{field}.kind")
-    if entry.tool not in TOOLS and not Path(entry.tool).suffix:
-        raise InputError(f"unknown tool {entry.tool!r}{nearest(entry.tool, TOOLS)}", field=f"{field}.tool")
-    if entry.tool != "plate":
+    kind = KINDS[entry.kind]
+    if kind.closed_form is None:
+        known = ", ".join(name for name, other in KINDS.items() if other.closed_form is not None)
+        raise InputError(f"the analytical method takes {known}; for {entry.kind!r} set fit.method = 'inverse_fem'",
+                         field=f"{field}.kind")
+    if entry.tool is not None and not TOOLS.find(read_shape(entry.tool)[0], f"{field}.tool").is_plate:
         raise InputError(f"a homogeneous test is done with a plate, not with {entry.tool!r}; leave it out",
                          field=f"{field}.tool")
     for key in ("protocol", "rig"):
         if getattr(entry, key) is not None:
             raise InputError("does not belong to the analytical method; leave it out, or set fit.method = "
                              "'inverse_fem'", field=f"{field}.{key}")
-    for key in ("tool_radius_mm", "edge_radius_mm", "half_angle_deg", "tip_radius_mm", "friction_wall"):
-        if getattr(entry, key):
+    for key, value in {**entry.tool_sizes, "friction_wall": entry.friction_wall}.items():
+        if value:
             raise InputError(f"a plate that covers the specimen has no {key}; leave it out", field=f"{field}.{key}")
-    expected = ("frictionless", 0) if entry.kind == "lubricated_compression" else ("bonded",)
-    for key in ("friction", "friction_base"):
+    for key, face in kind.faces.items():
         value = getattr(entry, key)
-        if isinstance(value, str) and value not in FRICTIONS:
-            raise InputError(f"unknown friction {value!r}{nearest(value, FRICTIONS)}; or give a coefficient",
+        if isinstance(value, str) and value not in INTERFACES:
+            raise InputError(f"unknown friction {value!r}{nearest(value, INTERFACES)}; or give a coefficient",
                              field=f"{field}.{key}")
-        if value is not None and value not in expected:
-            raise InputError(f"{value!r} contradicts kind = {entry.kind!r}, whose faces are {expected[0]}; leave it "
+        if face.fixed and value is not None and (value or "frictionless") != face.usual:
+            raise InputError(f"{value!r} contradicts kind = {entry.kind!r}, whose faces are {face.usual}; leave it "
                              "out", field=f"{field}.{key}")
 
 
@@ -73,10 +67,7 @@ def read_columns_key(entry: TestTable, field: str) -> Mapping[str, Any] | None:
         columns = check_columns(entry.columns)
     except InputError as error:
         raise error.located(field=field) from None
-    pairs = KINDS[entry.kind]
-    if not any(set(pair) <= set(columns) for pair in pairs):
-        raise InputError(f"{entry.kind} needs the columns {' or '.join(' and '.join(pair) for pair in pairs)}",
-                         field=f"{field}.columns")
+    KINDS[entry.kind].require_channels(columns, f"columns has {', '.join(columns)}", field=f"{field}.columns")
     return read_only(columns)
 
 

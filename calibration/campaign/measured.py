@@ -9,16 +9,15 @@ import numpy as np
 
 from calibration.analytical.replicates import NOT_LOADING, check_size, names_of
 from calibration.campaign.campaign import Campaign, Test
-from calibration.forward.motion import label_segments, number_runs
 from calibration.statistics.sensor_noise import SensorNoise, estimate_shared_noise, spread_stamps
 from tissue_sim.errors import InputError
 from tissue_sim.material.material import Material
-from tissue_sim.recording.file import KINDS, read_recordings
+from tissue_sim.recording.file import read_recordings
 from tissue_sim.recording.recording import MIN_POINTS, Recording
+from tissue_sim.recording.segmentation import label_motion, number_runs
 
 #: Replicates of one test may differ by this share in their speed and in their largest displacement.
 REPLICATE_TOLERANCE = 0.2
-_GRIPPED = ("uniaxial_tension", "simple_shear")
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +61,7 @@ class MeasuredCurve:
 
 def remembers(test: Test, material: Material) -> bool:
     """Whether force depends on the way of the tool and not on its place alone, so that unloading is fitted too."""
-    return material.remembers or (test.setup is not None and test.setup.slides)
+    return material.remembers or (test.experiment is not None and test.experiment.slides)
 
 
 def read_measured(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:
@@ -79,7 +78,7 @@ def read_measured(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:
         curves: list[MeasuredCurve] = []
         for path in test.recordings:
             try:
-                recordings = read_recordings(path, kind=test.kind, **test.reading)
+                recordings = read_recordings(path, kind=test.kind.name, **test.reading)
                 curves += [_curve(recording, name, path, test, campaign)
                            for recording, name in zip(recordings, names_of(recordings, path, test), strict=True)]
             except InputError as error:
@@ -102,8 +101,7 @@ def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Ca
     displacement, force, stressed = _mechanical(recording, test, path)
     _check_parts(test, material, stressed, path)
     time = np.array(recording.time) if "time" in recording else None
-    rig = None if test.setup is None else test.setup.rig
-    if time is None and rig is not None and rig.needs_time:
+    if time is None and test.rig.needs_time:
         raise InputError(f"{path.name} has no time, and the rig of its test needs it (latency, damping or drift); give "
                          "a time column, or speed_mm_s", field="recordings")
     labels = np.char.lower(recording.labels["segment"].astype(str)) if "segment" in recording.labels else None
@@ -116,7 +114,7 @@ def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Ca
         raise InputError(f"{path.name} does not move: its displacement has the same value in all "
                          f"{int(keep.sum())} samples; check which column it is read from", field="recordings")
     height = 1.0 if test.specimen is None else test.specimen.height
-    if test.kind not in _GRIPPED and displacement[keep].max() >= height:
+    if not test.kind.gripped and displacement[keep].max() >= height:
         raise InputError(f"{path.name} goes to {displacement[keep].max() * 1e3:g} mm, deeper than the specimen "
                          f"{test.specimen.name!r} is high ({height * 1e3:g} mm)", field="recordings")
     if displacement[keep].max() <= 0:
@@ -136,7 +134,8 @@ def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Ca
                          f"{path.name} has no time, which tells loading from unloading; give a time column, or "
                          "speed_mm_s", field="recordings")
     if test.max_strain is not None:
-        reached = np.abs(displacement) if test.kind == "simple_shear" else displacement
+        closed_form = test.kind.closed_form
+        reached = displacement if closed_form is None or closed_form.rest else np.abs(displacement)
         inside = reached[places] <= test.max_strain * height * (1 + 1e-9)
         # A window of the loading; what comes after the first sample beyond it had a history outside it.
         beyond = np.flatnonzero(~inside)
@@ -146,8 +145,8 @@ def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Ca
                          "needed, so sort the file by time or widen max_strain", field="recordings")
     displacement, force = displacement[places], force[places]
     if np.sum(force * displacement) <= 0:
-        raise InputError(f"{path.name} has a force against the load; {test.kind} expects force above zero, so turn the "
-                         "column with sign = -1", field="recordings")
+        raise InputError(f"{path.name} has a force against the load; {test.kind.name} expects force above zero, so "
+                         "turn the column with sign = -1", field="recordings")
     time = None if time is None else time[places]
     if remembers(test, material):
         if "speed" in test.reading and (np.diff(time) <= 0).any():
@@ -155,39 +154,39 @@ def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Ca
                              "time column", field="speed_mm_s")
         # A clock that is coarser than the sampling.
         time = spread_stamps(time, time.size)
-        labels = number_runs(label_segments(time, displacement) if labels is None else labels[places])
+        labels = number_runs(label_motion(time, displacement) if labels is None else labels[places])
     return MeasuredCurve(name, test, time, displacement, force, labels, path,
                          str(recording.metadata.get("sha256", "")), stressed, later)
 
 
 def _check_parts(test: Test, material: Material, stressed: bool, path: Path) -> None:
     """Refuse what the closed form of a homogeneous test leaves out."""
-    if test.setup is not None and not stressed:
+    if test.experiment is not None and not stressed:
         return
     if material.layers:
         raise InputError(f"a layered specimen does not deform homogeneously, and {path.name} has a closed form only; "
                          "give displacement and force of a compression or a needle", field="kind")
     if test.specimen is None and material.poroelasticity is not None:
         raise InputError("a material that drains needs the size of the specimen; add a [[specimen]]", field="specimen")
-    if test.setup is not None and not test.setup.rig.ideal:
+    if not test.rig.ideal:
         raise InputError(f"{path.name} holds stress, which no load frame reads; leave the rig out", field="rig")
 
 
 def _mechanical(recording: Recording, test: Test, path: Path) -> tuple[np.ndarray, np.ndarray, bool]:
     """Displacement, m, and force, N, positive under load, and whether they were recorded as strain and stress."""
-    mechanical, *direct = KINDS[test.kind]
+    mechanical, *direct = test.kind.channels
     if all(name in recording for name in mechanical):
         if test.specimen is None:
             raise InputError(f"{path.name} holds displacement and force, which need a [[specimen]]", field="specimen")
         return np.array(recording.displacement), np.array(recording.force), False
     for motion, load in direct:
         if motion in recording and load in recording:
-            sign = -1.0 if test.kind == "lubricated_compression" else 1.0
-            rest = 1.0 if motion == "stretch" else 0.0
             height, area = (1.0, 1.0) if test.specimen is None else (test.specimen.height, test.specimen.area)
-            return sign * height * (recording.channel(motion) - rest), sign * area * recording.channel(load), True
-    wanted = " or ".join(" and ".join(pair) for pair in KINDS[test.kind])
-    raise InputError(f"{path.name} has {', '.join(recording.channels)}; {test.kind} needs {wanted}", field="recordings")
+            return (height * test.kind.strain(recording.channel(motion)),
+                    test.kind.sign * area * recording.channel(load), True)
+    wanted = " or ".join(" and ".join(pair) for pair in test.kind.channels)
+    raise InputError(f"{path.name} has {', '.join(recording.channels)}; {test.kind.name} needs {wanted}",
+                     field="recordings")
 
 
 def _check_replicates(curves: list[MeasuredCurve], test: Test, campaign: Campaign) -> None:

@@ -60,8 +60,9 @@ class Surroundings:
     @property
     def parameters(self) -> dict[str, Parameter]:
         """Path in the model -> parameter."""
-        experiment = {} if self.experiment is None else parameters(self.experiment)
-        return ({f"experiment.{path}": each for path, each in experiment.items()}
+        if self.experiment is None:
+            return {}
+        return ({f"experiment.{path}": each for path, each in parameters(self.experiment).items()}
                 | {f"rig.{path}": each for path, each in parameters(self.rig).items()})
 
 
@@ -71,7 +72,8 @@ def stated_material(values: Mapping[str, float], named: Mapping[str, Named]) -> 
     Raises:
         InputError: an incomplete part, or numbers that it refuses.
     """
-    others = {name: value for name, value in values.items() if is_of_material(name, named) and not named[name].of_law}
+    others = {name: value for name, value in values.items()
+              if name in named and is_of_material(name, named) and not named[name].of_law}
     return make_material("neo_hooke", {"C10": 1.0}, others)
 
 

@@ -11,7 +11,8 @@ import msgspec
 
 from tissue_sim.decode import decode
 from tissue_sim.errors import InputError
-from tissue_sim.recording.file import KINDS
+from tissue_sim.experiment.kinds.kind import KINDS
+from tissue_sim.experiment.tools.tool import tool_sizes
 from tissue_sim.recording.formats.text import read_text
 
 Pair = tuple[float, float]
@@ -40,11 +41,11 @@ class SpecimenTable(_Table, kw_only=True):
 
 
 class TestTable(_Table, kw_only=True):
-    """``[[test]]``."""
+    """``[[test]]``, but for the sizes of its tool, see `campaign_table`."""
 
     name: str | None = None
     specimen: str | None = None
-    kind: Literal[tuple(KINDS)]
+    kind: str
     recordings: list[str] = []
     format: str = "native"
     columns: dict[str, Any] | None = None
@@ -52,11 +53,7 @@ class TestTable(_Table, kw_only=True):
     delimiter: str | None = None
     sheet: str | int | None = None
     curve: int | None = None
-    tool: str = "plate"
-    tool_radius_mm: float | None = None
-    edge_radius_mm: float | None = None
-    half_angle_deg: float | None = None
-    tip_radius_mm: float | None = None
+    tool: str | None = None
     friction: str | float | None = None
     friction_base: str | float | None = None
     friction_wall: float | None = None
@@ -65,6 +62,11 @@ class TestTable(_Table, kw_only=True):
     max_strain: float | None = None
     hold_out: bool = False
     rig: str | None = None
+
+    @property
+    def tool_sizes(self) -> dict[str, float]:
+        """Key of `tissue_sim.experiment.tools.tool.tool_sizes` -> value, of those that are stated."""
+        return {key: value for key in tool_sizes() if (value := getattr(self, key)) is not None}
 
 
 class FitTable(_Table, kw_only=True):
@@ -106,6 +108,14 @@ class CampaignTable(_Table, kw_only=True):
     noise: NoiseTable = NoiseTable()
 
 
+def campaign_table() -> type[CampaignTable]:
+    """The whole file, with the kinds of test and the sizes of tools that there are now, those of packages included."""
+    how = {"frozen": True, "forbid_unknown_fields": True, "kw_only": True}
+    sizes = [(key, float | None, None) for key in tool_sizes()]
+    test = msgspec.defstruct("TestTable", [("kind", Literal[tuple(KINDS)]), *sizes], bases=(TestTable,), **how)
+    return msgspec.defstruct("CampaignTable", [("test", list[test])], bases=(CampaignTable,), **how)
+
+
 def decode_campaign(path: Path) -> tuple[CampaignTable, bytes]:
     """The file's tables with types checked, and its bytes.
 
@@ -127,7 +137,7 @@ def decode_campaign(path: Path) -> tuple[CampaignTable, bytes]:
             raise InputError(f"expected a list of tables, written [[{key}]]", file=path, field=key)
     try:
         _check_by_parameter(content.get("fit"))
-        return decode(content, CampaignTable, words=_WORDS), path.read_bytes()
+        return decode(content, campaign_table(), words=_WORDS), path.read_bytes()
     except InputError as error:
         # TOML has no null: what may be left out is not written.
         problem = error.problem.replace(" or null", "")

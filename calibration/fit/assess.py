@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -137,16 +138,11 @@ def stretches(problem: Problem, evaluation: Evaluation) -> dict[str, tuple[float
     for test in problem.tests:
         deepest = max(float(curve.displacement.max()) for curve in test.measured)
         if test.homogeneous:
-            strain = deepest / test.height
-            if test.mode == "simple_shear":
-                largest = strain / 2 + float(np.sqrt(1 + strain**2 / 4))
-                found[test.name] = (1 / largest, largest)
-            else:
-                axial = 1 - strain if test.compressed else 1 + strain
-                found[test.name] = tuple(sorted((axial, axial**-0.5)))
+            reached = test.closed_form.rest + test.sign * deepest / test.height
+            found[test.name] = test.closed_form.extremes(reached, reached)
             continue
         motion = test.motions[0].protocol
-        experiment = test.setup.experiment(test.specimen, Protocol.ramp(deepest, max(3, motion.time.size // 2)))
+        experiment = replace(test.experiment, protocol=Protocol.ramp(deepest, max(3, motion.time.size // 2)))
         try:
             fields = simulate(Model(experiment, problem.space.material(values)), fields=True).fields
         except (ConvergenceError, InputError):
@@ -169,14 +165,15 @@ def _quantile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
 def _verdict(estimate: Estimate, stability: Stability, ranges: dict) -> tuple[str, str | None]:
     if not estimate.converged:
         return "not_converged", estimate.failure or "it did not converge"
-    lower, upper = stability.limits["uniaxial"]
     for test in estimate.problem.tests:
         low, high = ranges[test.name]
-        if test.homogeneous and test.mode == "uniaxial":
+        if test.homogeneous and test.closed_form.rest:
+            mode = test.closed_form.mode
+            lower, upper = stability.limits[mode]
             # Along the load; across it the stretch follows.
-            low, high = (low, 1.0) if test.compressed else (1.0, high)
+            low, high = (low, 1.0) if test.sign < 0 else (1.0, high)
             if lower > low or upper < high:
-                return "unstable", (f"not stable in uniaxial loading {'below' if lower > low else 'above'} stretch "
+                return "unstable", (f"not stable in {mode} loading {'below' if lower > low else 'above'} stretch "
                                     f"{lower if lower > low else upper:.3g}, where {test.name} has data")
     return "converged", None
 

@@ -62,11 +62,11 @@ def check_start(problem: Problem, campaign: Campaign, number: int) -> None:
 def _check_stable(problem: Problem, campaign: Campaign, law, own: dict[str, float], key: str) -> None:
     """Refuse a stated law that loses stability in a homogeneous test inside its data."""
     for test in problem.tests:
-        if not test.homogeneous or test.mode != "uniaxial":
+        if not test.homogeneous or not test.closed_form.rest:
             continue
         strain = max(float(curve.displacement.max()) for curve in test.measured) / test.height
-        low, high = (1 - strain, 1.01) if test.compressed else (0.99, 1 + strain)
-        lower, upper = check_stability(law, law.as_array(own), (min(low, 0.99), high)).limits["uniaxial"]
+        low, high = (1 - strain, 1.01) if test.sign < 0 else (0.99, 1 + strain)
+        lower, upper = check_stability(law, law.as_array(own), (min(low, 0.99), high)).limits[test.closed_form.mode]
         if lower > low or upper < high:
             limit, end = (lower, low) if lower > low else (upper, high)
             raise InputError(f"{law.name} loses stability at stretch {limit:.3g} with this start, inside the data of "

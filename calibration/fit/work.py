@@ -238,8 +238,7 @@ def _digests(campaign: Campaign) -> tuple[str, ...]:
     """Of rigs and tool profiles."""
     found = []
     for test in campaign.tests:
-        if test.setup is not None:
-            outline = test.setup.tool.outline
-            found.append(hashlib.sha256(repr((test.setup.rig, None if outline is None else outline.tolist())).encode()
-                                        ).hexdigest())
+        if test.experiment is not None:
+            outline = test.experiment.tool.profile.vertices.tolist()
+            found.append(hashlib.sha256(repr((test.rig, outline)).encode()).hexdigest())
     return tuple(found)

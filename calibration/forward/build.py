@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from calibration.campaign.campaign import Campaign, Test
-from calibration.campaign.checks import HOMOGENEOUS
 from calibration.campaign.measured import MeasuredCurve, remembers
 from calibration.fit.parameters import ParameterSpace
 from calibration.fit.problem import Problem
@@ -49,9 +48,9 @@ def build_test(test: Test, curves: Sequence[MeasuredCurve], material: Material,
                contact: float) -> SimulatedTest | ClosedTest:
     """A test and how it is simulated; `contact` is the standard deviation of the contact offset, m."""
     curves = tuple(curves)
-    if test.setup is None or curves[0].stressed:
+    if test.experiment is None or curves[0].stressed:
         size = (1.0, 1.0) if test.specimen is None else (test.specimen.height, test.specimen.area)
-        return ClosedTest(test.name, HOMOGENEOUS[test.kind], test.kind == "lubricated_compression", *size, curves)
+        return ClosedTest(test.name, test.kind, *size, curves)
     layered = bool(material.layers)
     one_way = all(set(curve.segment.tolist()) == {"ramp"} for curve in curves if curve.segment is not None)
     if material.ages or (remembers(test, material) and not one_way):
@@ -62,17 +61,14 @@ def build_test(test: Test, curves: Sequence[MeasuredCurve], material: Material,
             if not same:
                 motions.append(motion)
             motion_of.append(same[0] if same else len(motions) - 1)
-        return SimulatedTest(test.name, test.specimen, test.setup, tuple(motions), tuple(motion_of), curves,
-                             layered)
+        return SimulatedTest(test.name, test.experiment, test.rig, tuple(motions), tuple(motion_of), curves, layered)
     deepest = max(curve.displacement.max() for curve in curves)
     depth = min(deepest + max(_MARGIN * contact, _LEAST_MARGIN * deepest), 0.999 * test.specimen.height)
     speed = float(np.median([curve.speed or STUDY_SPEED for curve in curves]))
-    setup = test.setup
-    smooth = setup.tool.shape == "plate" or (
-        setup.tool.shape == "flat" and not setup.tool.edge_radius and not setup.slides)
+    tool = test.experiment.tool
+    smooth = tool.is_plate or (tool.sharp_edge and not test.experiment.slides)
     motion = Loading.to(float(depth), max(speed, 1e-9), smooth=smooth, strain=float(depth / test.specimen.height))
-    return SimulatedTest(test.name, test.specimen, test.setup, (motion,), (0,) * len(curves), curves,
-                         layered)
+    return SimulatedTest(test.name, test.experiment, test.rig, (motion,), (0,) * len(curves), curves, layered)
 
 
 def first_jitter(campaign: Campaign, curves: Sequence[MeasuredCurve]) -> Jitter:
@@ -93,5 +89,5 @@ def remainder(test: SimulatedTest | ClosedTest, of: Mapping[str, float]) -> floa
     """Relative standard deviation of what a mesh is off in this test; 0 where every mesh is exact."""
     if test.homogeneous:
         return 0.0
-    shape = test.setup.tool.shape
+    shape = test.experiment.tool.shape
     return of[shape if shape in of else "other"]

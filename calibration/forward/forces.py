@@ -4,27 +4,24 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
-from calibration.campaign.setup import Setup
 from calibration.fit.parameters import ParameterSpace
 from calibration.forward.motion import Course, Loading, Timed
 from calibration.forward.solves import SimulatedCurve, Solves, content_key
-from tissue_sim.closed_form.histories import nominal_stress_history, shear_stress_history
+from tissue_sim.closed_form.homogeneous import UNIAXIAL, ClosedForm
 from tissue_sim.differentiation import sensitivities
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.experiment import Experiment, Model, Specimen
+from tissue_sim.experiment.kinds.kind import TestKind
 from tissue_sim.recording.recording import Recording
 from tissue_sim.rig.rig import Rig
 from tissue_sim.simulation import simulate
-
-#: What of a rig acts on readings.
-_READING = ("guide_friction", "rate_damping", "latency", "sensor_gain", "zero_offset", "sensor_drift")
-
 
 #: Half width of a difference with a parameter, in its size.
 _RATE_WIDTH = 1e-6
@@ -40,7 +37,7 @@ class SimulatedTest:
 
     Attributes:
         name: of the test.
-        specimen, setup: what is done to what.
+        experiment: what is done to what, with any motion. rig: it is measured with.
         motions: each a `Loading` or `Timed`. motion_of: number of the motion of each recording.
         measured: the recordings.
         layered: whether the material has layers.
@@ -48,20 +45,21 @@ class SimulatedTest:
     """
 
     name: str
-    specimen: Specimen
-    setup: Setup
+    experiment: Experiment
+    rig: Rig
     motions: tuple[Loading | Timed, ...]
     motion_of: tuple[int, ...]
     measured: tuple[MeasuredCurve, ...]
     layered: bool = False
     correction: list[np.ndarray] = field(default_factory=list)
 
-    mode = "uniaxial"
-    compressed = True
+    #: What it is where it is homogeneous.
+    closed_form: ClassVar[ClosedForm] = UNIAXIAL
+    sign: ClassVar[float] = -1.0
 
     @property
-    def rig(self) -> Rig:
-        return self.setup.rig
+    def specimen(self) -> Specimen:
+        return self.experiment.specimen
 
     @property
     def proportional(self) -> bool:
@@ -132,7 +130,7 @@ class SimulatedTest:
         if self.proportional:
             values, factor = space.normalised(values)
         names: Sequence[str] = () if resolution == "accurate" else space.free
-        experiment = self.setup.experiment(self.specimen, motion.protocol)
+        experiment = replace(self.experiment, protocol=motion.protocol)
         key = content_key(experiment, self.rig.motion_only, space.law, values, space.bulk, list(names), resolution)
         curve = solves.find(key)
         if curve is None:
@@ -179,11 +177,11 @@ class SimulatedTest:
     @cached_property
     def reading(self) -> Rig | None:
         """The rig as far as it reads forces; None where it reads them as they are."""
-        rig = Rig(**{name: getattr(self.rig, name) for name in _READING})
+        rig = self.rig.reading_only
         return None if rig.ideal else rig
 
     def _experiment(self, motion: Loading | Timed) -> Experiment:
-        return self.setup.experiment(self.specimen, motion.protocol)
+        return replace(self.experiment, protocol=motion.protocol)
 
 
 def _simulate(space: ParameterSpace, values: dict[str, float], experiment: Experiment, rig: Rig,
@@ -203,19 +201,27 @@ def _simulate(space: ParameterSpace, values: dict[str, float], experiment: Exper
 
 @dataclass(eq=False)
 class ClosedTest:
-    """Tension or shear: the closed form of the incompressible material.
+    """A test by the closed form of the incompressible material.
 
     Attributes:
-        name: of the test. mode: of `Law.nominal_stress`. compressed: whether displacement shortens the specimen.
+        name: of the test. kind: what it is.
         height, area: m and m2. measured: the recordings.
     """
 
     name: str
-    mode: str
-    compressed: bool
+    kind: TestKind
     height: float
     area: float
     measured: tuple[MeasuredCurve, ...]
+
+    @property
+    def closed_form(self) -> ClosedForm:
+        return self.kind.require_closed_form()
+
+    @property
+    def sign(self) -> float:
+        """Of strain and nominal stress under load."""
+        return self.kind.sign
 
     @property
     def radius(self) -> float:
@@ -241,17 +247,15 @@ class ClosedTest:
         """As `SimulatedTest.evaluate`."""
         space, theta = answer
         measured = self.measured[recording]
-        sign = -1.0 if self.compressed else 1.0
+        closed_form, area = self.closed_form, self.sign * self.area
 
         def force_at(values: dict[str, float], moved: float) -> np.ndarray:
-            rest = 0.0 if self.mode == "simple_shear" else 1.0
-            strain = rest + sign * (measured.displacement - moved) / self.height
+            abscissa = self.kind.abscissa((measured.displacement - moved) / self.height)
             material = space.material(values)
             if material.relaxation(self.radius) is None and material.softening is None:
-                stress = material.energy_law.nominal_stress(strain, material.values, self.mode)
-                return sign * self.area * material.instantaneous_factor * stress
-            history = shear_stress_history if self.mode == "simple_shear" else nominal_stress_history
-            return sign * self.area * history(material, measured.time, strain, self.radius)
+                stress = closed_form.stress(material.energy_law, abscissa, material.values)
+                return area * material.instantaneous_factor * stress
+            return area * closed_form.history(material, measured.time, abscissa, self.radius)
 
         values = space.values(theta)
         try:

@@ -10,6 +10,7 @@ import numpy as np
 
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.recording.recording import Recording
+from tissue_sim.recording.segmentation import STRAIGHT, corners_of
 from tissue_sim.rig.rig import Rig
 
 #: Where the force is smooth: fewest steps to the largest depth, and largest nominal strain of one. A cubic through them
@@ -20,8 +21,6 @@ SMOOTH_STEPS, SMOOTH_STRAIN = 8, 0.018
 SLIDING_STEPS, SLIDING_POWER = 20, 1.5
 #: Steps of a motion in several directions, to its travel.
 TIMED_STEPS = 20
-#: A recorded motion is made of straight lines within this part of its travel.
-STRAIGHT = 3e-3
 #: Of a hold: the first step as a part of it, and how much longer each step is than the one before.
 _HOLD_FIRST, _HOLD_GROWTH = 0.01, 1.6
 
@@ -140,7 +139,7 @@ class Timed:
         The time of the touch is extrapolated where the recording starts below it.
         """
         travel = float(np.ptp(displacement))
-        corners = _corners(time, displacement, STRAIGHT * travel)
+        corners = corners_of(time, displacement, STRAIGHT * travel)
         t, d = time[corners].astype(float), displacement[corners].astype(float)
         if d[0] > STRAIGHT * travel and d.size > 1 and d[1] > d[0]:
             t, d = np.append(t[0] - d[0] * (t[1] - t[0]) / (d[1] - d[0]), t), np.append(0.0, d)
@@ -230,27 +229,6 @@ def offset_rate(recording: Recording) -> np.ndarray:
     return (more - less) / (2 * width)
 
 
-def number_runs(labels: np.ndarray) -> np.ndarray:
-    """Labels of samples, shape (n,), with a number behind each that comes again after another: ``ramp``, ``unload``,
-    ``ramp 2``."""
-    begins = np.flatnonzero(np.append(True, labels[1:] != labels[:-1]))
-    seen: dict[str, int] = {}
-    names = []
-    for label in labels[begins].tolist():
-        seen[label] = seen.get(label, 0) + 1
-        names.append(label if seen[label] == 1 else f"{label} {seen[label]}")
-    return np.repeat(np.array(names), np.diff(np.append(begins, labels.size)))
-
-
-def label_segments(time: np.ndarray, displacement: np.ndarray) -> np.ndarray:
-    """Names of the straight parts of a motion, one a sample: ``ramp``, ``hold``, ``unload``; shapes (n,)."""
-    travel = np.ptp(displacement)
-    corners = _corners(time, displacement, STRAIGHT * travel)
-    way = np.diff(displacement[corners])
-    names = np.where(np.abs(way) <= 2 * STRAIGHT * travel, "hold", np.where(way > 0, "ramp", "unload"))
-    return names[np.clip(np.searchsorted(corners, np.arange(time.size), side="left") - 1, 0, names.size - 1)]
-
-
 def _spline(knots: np.ndarray, values: np.ndarray):
     from scipy.interpolate import CubicSpline, make_interp_spline
 
@@ -261,25 +239,3 @@ def _monotone(knots: np.ndarray, values: np.ndarray):
     from scipy.interpolate import PchipInterpolator
 
     return PchipInterpolator(knots, values)
-
-
-def _corners(time: np.ndarray, displacement: np.ndarray, tolerance: float) -> np.ndarray:
-    """Samples between which the motion is straight within `tolerance`, m.
-
-    Source: Douglas and Peucker, Cartographica 10 (1973) 112.
-    """
-    keep = {0, time.size - 1}
-    parts = [(0, time.size - 1)]
-    while parts:
-        first, last = parts.pop()
-        if last - first < 2:
-            continue
-        inside = slice(first + 1, last)
-        line = np.interp(time[inside], time[[first, last]], displacement[[first, last]])
-        gap = np.abs(displacement[inside] - line)
-        farthest = int(np.argmax(gap))
-        if gap[farthest] > tolerance:
-            middle = first + 1 + farthest
-            keep.add(middle)
-            parts += [(first, middle), (middle, last)]
-    return np.array(sorted(keep))

@@ -17,6 +17,7 @@ import numpy as np
 import tissue_sim
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.experiment.tools.tool import Tool
+from tissue_sim.parameters import declared
 
 
 class SimulatedCurve(msgspec.Struct, frozen=True, array_like=True):
@@ -100,10 +101,9 @@ def _solver_digest() -> str:
 
 def _plain(value: Any) -> Any:
     if isinstance(value, Tool):
-        # A profile counts by its content, not by its file.
-        own = {entry.name: _plain(getattr(value, entry.name)) for entry in fields(value)
-               if entry.name != "profile_file"}
-        return own | {"outline": _plain(value.outline)}
+        # What the tissue meets counts, not the file that it comes from.
+        return [value.shape, _plain({name: getattr(value, name) for name in declared(type(value))}),
+                _plain(value.profile)]
     if is_dataclass(value):
         return [type(value).__name__, {entry.name: _plain(getattr(value, entry.name)) for entry in fields(value)}]
     if isinstance(value, np.ndarray):

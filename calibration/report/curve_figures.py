@@ -89,7 +89,7 @@ def scale_of(test: Test, largest: float) -> Scale:
     if test.specimen is not None:
         return Scale(1e3, 1.0, "displacement [mm]", "N", "force")
     unit, size = pressure_unit(largest)
-    return Scale(1.0, 1 / size, "shear strain" if test.kind == "simple_shear" else "nominal strain", unit,
+    return Scale(1.0, 1 / size, test.kind.strain_name, unit,
                  "nominal stress")
 
 

@@ -195,11 +195,11 @@ def _effort(fit: Fit) -> str:
 
 def _what(test: Test, count: int) -> str:
     """``needle indentation of phantom, flat tool of radius 8 mm, face bonded; 3 recordings``."""
-    words = test.kind.replace("_", " ")
+    words = test.kind.name.replace("_", " ")
     if test.specimen is not None:
         words += f" of {test.specimen.name}"
-    if test.setup is not None:
-        tool, friction = test.setup.tool, test.setup.friction
+    if test.experiment is not None:
+        tool, friction = test.experiment.tool, test.experiment.friction
         if tool.radius is not None:
             words += f", {tool.shape} tool of radius {tool.radius * 1e3:g} mm"
         words += f", face {friction}" if isinstance(friction, str) else f", face with friction {friction:g}"

@@ -47,7 +47,7 @@ def _sentence(specimen: Specimen, fit: Fit, whose: str) -> str:
 def _standing(campaign: Campaign) -> list[Specimen]:
     """Specimens that a plate compresses, each once."""
     return list(dict.fromkeys(test.specimen for test in campaign.tests
-                              if test.kind == "lubricated_compression" and test.specimen is not None))
+                              if test.kind.settles and test.specimen is not None))
 
 
 def _sag(specimen: Specimen, law: Law, values) -> float | None:

@@ -1,4 +1,4 @@
-"""What runs in the process of a loop: build, warm up, tick, report; and end when the parent does."""
+"""What runs in the process of a loop: make the tissue, warm it up, tick, report; and end when the parent does."""
 
 from __future__ import annotations
 
@@ -10,19 +10,20 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from haptics.devices.motion_source import MotionSource
+from haptics.devices.contracts import DeviceError, HapticDevice
+from haptics.loop.commands import COMMANDS
 from haptics.loop.loop import Loop, LoopReport, LoopSettings
 from haptics.loop.ring import RingWriter
 from haptics.loop.shared_slots import remove
 from haptics.loop.snapshot_board import SnapshotBoard
-from haptics.loop.surface_board import SurfaceBoard
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.child_process import follow_parent
 from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError
+from tissue_sim.registry import register_all
 from tissue_sim.tool_force import Tissue
 
 #: Errors that are a sentence for the user, and no fault of the program.
-_EXPECTED = (InputError, ConvergenceError, MissingBackendError)
+_EXPECTED = (InputError, ConvergenceError, MissingBackendError, DeviceError)
 #: How long the loop has to end by itself when its parent is gone, s.
 _GRACE = 0.5
 
@@ -31,13 +32,26 @@ class LoopFiles(NamedTuple):
     """Where other processes read along."""
 
     ring: Path
-    surface: Path
     snapshots: Path
 
 
-def run_child(connection: Connection, build_tissue: Callable[[], Tissue], source: MotionSource,
-              rendering: ForceRendering, settings: LoopSettings, files: LoopFiles) -> None:
+class LoopParts(NamedTuple):
+    """What a loop is made of; its tissue is made where it runs."""
+
+    make_tissue: Callable[[], Tissue]
+    device: HapticDevice
+    rendering: ForceRendering
+    settings: LoopSettings
+
+
+def run_child(connection: Connection, parts: LoopParts, files: LoopFiles, things: list[tuple[str, str, Any]]) -> None:
     """Run a loop for the parent at the other end of the connection.
+
+    Args:
+        connection: to the parent.
+        parts: of the loop.
+        files: to write.
+        things: that were registered in the parent, for those who take their names here.
 
     The parent is told, as pairs: ``doing`` a sentence; ``pattern`` of the snapshots, where there are any; ``ready``;
     ``changed`` with what a change of the material changes in the pattern; ``answer`` to each command, empty where it is
@@ -48,9 +62,10 @@ def run_child(connection: Connection, build_tissue: Callable[[], Tissue], source
         for path in files:
             remove(path)
 
-    follow_parent(_GRACE, remove_files)  # while the tissue is built, nobody listens to the connection
+    follow_parent(_GRACE, remove_files)  # while the tissue is made, nobody listens to the connection
     try:
-        report = _loop(connection, build_tissue, source, rendering, settings, files)
+        register_all(things)
+        report = _loop(connection, parts, files)
     except Exception as error:
         expected = isinstance(error, _EXPECTED)
         sentence = " ".join(str(error).split())
@@ -62,25 +77,26 @@ def run_child(connection: Connection, build_tissue: Callable[[], Tissue], source
     _say(connection, "report", report)
 
 
-def _loop(connection: Connection, build_tissue: Callable[[], Tissue], source: MotionSource, rendering: ForceRendering,
-          settings: LoopSettings, files: LoopFiles) -> LoopReport:
+def _loop(connection: Connection, parts: LoopParts, files: LoopFiles) -> LoopReport:
+    settings = parts.settings
     with ExitStack() as stack:
         ring = stack.enter_context(RingWriter(files.ring, settings.capacity))
         _say(connection, "doing", "building the tissue")
-        tissue = build_tissue()
+        tissue = parts.make_tissue()
         if hasattr(tissue, "warm_up"):
             _say(connection, "doing", "loading the solver (a machine's first run compiles it, about 20 s)")
             tissue.warm_up()
-        board = snapshots = None
-        if settings.surface_rate and hasattr(tissue, "surface"):
-            board = stack.enter_context(SurfaceBoard(files.surface, len(tissue.surface().outline)))
-        if settings.snapshot_rate and hasattr(tissue, "snapshot"):
-            pattern = tissue.snapshot()
+        snapshots = None
+        pattern = tissue.snapshot() if settings.snapshot_rate and hasattr(tissue, "snapshot") else None
+        if pattern is not None and pattern.fields is not None:
             snapshots = stack.enter_context(SnapshotBoard(files.snapshots, pattern))
             _say(connection, "pattern", pattern)
+        loop = Loop(tissue, parts.device, parts.rendering, settings, ring, snapshots=snapshots,
+                    listen=lambda loop: _listen(loop, connection, tissue if snapshots else None))
+        # Last, so that nobody holds a device that waits for a compiler.
+        parts.device.start()
         _say(connection, "ready")
-        return Loop(tissue, source, rendering, settings, ring, board=board, snapshots=snapshots,
-                    listen=lambda loop: _listen(loop, connection, tissue if snapshots else None)).run()
+        return loop.run()
 
 
 def _listen(loop: Loop, connection: Connection, shown: Tissue | None) -> None:
@@ -93,13 +109,13 @@ def _listen(loop: Loop, connection: Connection, shown: Tissue | None) -> None:
         while connection.poll():
             command, values = connection.recv()
             try:
-                getattr(loop, command)(**values)
+                COMMANDS[command](loop, **values)
                 if command == "set_parameters" and shown is not None:
                     fields = shown.snapshot().fields
                     # Not the whole pattern: its arrays would take a good part of a tick.
                     connection.send(("changed", {name: getattr(fields, name) for name in fields.OF_THE_MATERIAL}))
                 connection.send(("answer", ""))
-            except InputError as error:
+            except (InputError, DeviceError) as error:
                 connection.send(("answer", str(error)))
     except (EOFError, OSError):
         loop.stop("parent")

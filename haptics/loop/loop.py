@@ -11,11 +11,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from haptics.devices.motion_source import MotionSource
+from haptics.devices.contracts import HapticDevice
 from haptics.loop.real_time import RealTimeFeature, real_time
 from haptics.loop.ring import CAPACITY, PAUSED, RingWriter
 from haptics.loop.snapshot_board import SnapshotBoard
-from haptics.loop.surface_board import SurfaceBoard
 from haptics.loop.ticker import Quantiles, Ticker, TimeHistogram
 from haptics.safety.rendering import ForceRendering, RenderFlag
 from tissue_sim.errors import InputError
@@ -36,8 +35,7 @@ class LoopSettings:
         spin: how long before a deadline to watch the clock instead of sleeping, s. It keeps a core busy.
         seconds: how long it runs; None: until it is stopped.
         real_time: ask the system for what `haptics.loop.real_time` knows.
-        surface_rate: how often the deformed surface is published, Hz; 0: never.
-        snapshot_rate: how often the whole tissue is, for viewers that draw fields, Hz; 0: never.
+        snapshot_rate: how often the whole tissue is published, for viewers that draw it, Hz; 0: never.
         capacity: ticks that the ring keeps.
 
     Raises:
@@ -48,7 +46,6 @@ class LoopSettings:
     spin: float = 0.0
     seconds: float | None = None
     real_time: bool = True
-    surface_rate: float = 30.0
     snapshot_rate: float = 0.0
     capacity: int = CAPACITY
 
@@ -57,13 +54,13 @@ class LoopSettings:
         if self.seconds is not None and not self.period <= self.seconds < math.inf:
             raise InputError(f"{self.seconds:g} s is no time to run; give at least one period of {self.period:g} s",
                              field="seconds")
-        for name in ("surface_rate", "snapshot_rate"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise InputError(f"{getattr(self, name):g} Hz is not a rate; give 0 or more", field=name)
+        if not 0 <= self.snapshot_rate < math.inf:
+            raise InputError(f"{self.snapshot_rate:g} Hz is not a rate; give 0 or more", field="snapshot_rate")
 
-    def ticks_between(self, rate: float) -> int:
-        """Deadlines from one publication at a rate, Hz, to the next."""
-        return max(round(1 / (rate * self.period)), 1)
+    @property
+    def ticks_between_snapshots(self) -> int | None:
+        """Deadlines from one snapshot to the next; None where there are none."""
+        return max(round(1 / (self.snapshot_rate * self.period)), 1) if self.snapshot_rate else None
 
 
 @dataclass(frozen=True)
@@ -118,27 +115,22 @@ class Loop:
     """The loop in this process; `haptics.loop.process` runs one in a process of its own.
 
     Args:
-        tissue: answers a depth and a time step with a `ToolForce`; warmed up.
-        source: of the tool's motion.
-        rendering: from the device's depth to the tool's, and from the tissue's force to the device's.
+        tissue: answers a pose and a time step with a `ToolForce`; warmed up.
+        device: gives poses and takes forces, or a motion, which ignores them; started. The loop stops it at its end.
+        rendering: from the device's pose to the tool's, and from the tissue's wrench to the device's.
         settings: see there.
         ring: where every tick goes.
-        board: where the surface goes; None: nowhere.
         snapshots: where the whole tissue goes; None: nowhere.
         listen: called between ticks every `LISTEN_EVERY` s, with this loop; it may pause, reset and stop it.
         clock, sleep: as of `Ticker`.
     """
 
-    def __init__(self, tissue: Tissue, source: MotionSource, rendering: ForceRendering, settings: LoopSettings,
-                 ring: RingWriter, *, board: SurfaceBoard | None = None, snapshots: SnapshotBoard | None = None,
+    def __init__(self, tissue: Tissue, device: HapticDevice, rendering: ForceRendering, settings: LoopSettings,
+                 ring: RingWriter, *, snapshots: SnapshotBoard | None = None,
                  listen: Callable[[Loop], None] | None = None, clock: Callable[[], int] = time.monotonic_ns,
                  sleep: Callable[[float], None] = time.sleep):
-        self._tissue, self._source, self._rendering = tissue, source, rendering
-        self._settings, self._ring, self._listen = settings, ring, listen
-        self._publications = [_Publication(settings.ticks_between(rate), publish) for rate, publish in (
-            (settings.surface_rate, board and (lambda now: board.publish(now, tissue.surface().outline))),
-            (settings.snapshot_rate, snapshots and (lambda now: snapshots.publish(now, tissue.snapshot()))),
-        ) if rate and publish]
+        self._tissue, self._device, self._rendering = tissue, device, rendering
+        self._settings, self._ring, self._listen, self._snapshots = settings, ring, listen, snapshots
         self._ticker = Ticker(settings.period, spin=settings.spin, clock=clock, sleep=sleep)
         self._compute_time = TimeHistogram()
         self._statuses = [0] * len(ForceStatus)
@@ -155,18 +147,27 @@ class Loop:
         """Tick until the time is over or the loop is stopped.
 
         Raises:
-            Exception: what the tissue, the source or the listener raised.
+            Exception: what the tissue, the device or the listener raised.
         """
+        try:
+            return self._run()
+        finally:
+            self._device.stop()
+
+    def _run(self) -> LoopReport:
         settings, ticker, ring = self._settings, self._ticker, self._ring
         last = math.inf if settings.seconds is None else round(settings.seconds / settings.period)
         listen_every = max(round(LISTEN_EVERY / settings.period), 1)
+        snapshot_every = None if self._snapshots is None else settings.ticks_between_snapshots
+        next_snapshot = 0 if snapshot_every else math.inf
         with real_time(settings.real_time) as features:
             ticker.start()
             while ticker.number < last and not self._ended_by:
                 lateness = ticker.wait()
                 self._tick(lateness * 1e-9, ring)
-                for publication in self._publications:
-                    publication.at(ticker.number, self._now * 1e-9)
+                if ticker.number >= next_snapshot:
+                    next_snapshot = ticker.number + snapshot_every
+                    self._snapshots.publish(self._now * 1e-9, self._tissue.snapshot())
                 if self._listen is not None and ticker.ticks % listen_every == 0:
                     self._listen(self)
             seconds = self._now * 1e-9
@@ -182,16 +183,18 @@ class Loop:
         now = ticker.elapsed
         passed, self._now = now - self._now, now
         dt = passed * 1e-9
-        device = None
+        pose = None
         moves = not self._paused or self._advance > 0
         if moves:
             going = min(passed, self._advance) if self._paused else passed
             self._advance = self._advance - going if self._paused else 0
             self._motion += going
-            device = self._source.depth(self._motion * 1e-9)
-        depth = self._rendering.depth_for(device, dt)
-        answer = self._tissue.step(depth, dt)
+            pose = self._device.pose(self._motion * 1e-9)
+        tool = self._rendering.pose_for(pose, dt)
+        answer = self._tissue.step(tool, dt)
         rendered = self._rendering.render(answer, dt)
+        wrench = rendered.wrench
+        self._device.render(wrench)
         taken = ticker.elapsed - now
         self._compute_time.add(taken)
         self._statuses[answer.status] += 1
@@ -199,10 +202,11 @@ class Loop:
         if flags:
             for flag in self._flagged:
                 self._flagged[flag] += flags & flag != 0
-        self._largest_force = max(self._largest_force, abs(rendered.force))
-        ring.append(ticker.number, now * 1e-9, math.nan if device is None else device, depth, rendered.force,
-                    answer.force, answer.stiffness, answer.residual, taken * 1e-9, lateness, answer.age, ticker.late,
-                    ticker.missed, answer.status, answer.iterations, flags, answer.inertial)
+        force = math.hypot(wrench[0], wrench[1], wrench[2])
+        if force > self._largest_force:
+            self._largest_force = force
+        ring.append(ticker.number, now * 1e-9, pose, tool, wrench, answer, taken * 1e-9, lateness, ticker.late,
+                    ticker.missed, flags)
 
     def pause(self) -> None:
         """Let the motion stand still; to the rendering the pose is lost, so that the force fades."""
@@ -226,30 +230,32 @@ class Loop:
         """Let the motion of a loop that is paused go on for so long."""
         self._advance += round(seconds * 1e9)
 
-    def follow(self, source: MotionSource, anew: bool = False) -> None:
-        """Take the motion from another source, from its beginning on.
+    def follow(self, device: HapticDevice, anew: bool = False) -> None:
+        """Take the poses from another device or motion, from its beginning on, and give it the forces.
 
         Args:
+            device: not started; the loop goes on with the one before where it cannot be.
             anew: on undeformed tissue, as `reset`.
 
         Raises:
             InputError: the tissue cannot be reset.
+            DeviceError: the device is not there.
         """
-        if anew:
-            self.reset()
-        self._source, self._motion = source, 0
+        reset = self._able("reset") if anew else None
+        device.start()
+        self._device.stop()
+        self._device, self._motion = device, 0
+        if reset is not None:
+            reset()
+            self._rendering.reset()
 
     def aim(self, depth: float) -> None:
-        """Tell the source where to go, m.
+        """Tell the device where to go, m.
 
         Raises:
-            InputError: a source that goes where it likes, or a depth that is no number.
+            InputError: one that goes where it likes, or a depth that is no number.
         """
-        aim = getattr(self._source, "aim", None)
-        if aim is None:
-            raise InputError(f"this source of motion ({type(self._source).__name__}) cannot be steered; follow a "
-                             "HandMotion first")
-        aim(depth)
+        self._device.aim(depth)
 
     def set_parameters(self, **values: float) -> None:
         """Change the tissue while it is felt.
@@ -268,18 +274,6 @@ class Loop:
         if method is None:
             raise InputError(f"this tissue ({type(self._tissue).__name__}) has no {name}; use one that has")
         return method
-
-
-class _Publication:
-    """Something that is published every so many deadlines."""
-
-    def __init__(self, every: int, publish: Callable[[float], Any]):
-        self._every, self._publish, self._next = every, publish, 0
-
-    def at(self, number: int, now: float) -> None:
-        if number >= self._next:
-            self._publish(now)
-            self._next = number + self._every
 
 
 def peak_memory() -> int | None:

@@ -13,16 +13,17 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from haptics.devices.motion_source import MotionSource
-from haptics.loop.child import LoopFiles, run_child
+from haptics.devices.contracts import HapticDevice
+from haptics.loop.child import LoopFiles, LoopParts, run_child
+from haptics.loop.commands import COMMANDS
 from haptics.loop.loop import LoopReport, LoopSettings
 from haptics.loop.ring import RingReader
 from haptics.loop.shared_slots import remove, unused_path
 from haptics.loop.snapshot_board import SnapshotReader
-from haptics.loop.surface_board import SurfaceReader
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.child_process import start_without_ctrl_c
-from tissue_sim.errors import InputError
+from tissue_sim.errors import InputError, nearest
+from tissue_sim.registry import registered
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import Tissue
 
@@ -40,15 +41,15 @@ class LoopProcess:
     A script that starts one must do so under ``if __name__ == "__main__":``.
 
     Args:
-        build_tissue: called in that process, such as ``functools.partial(ts.Simulator, model)``; what it returns is
+        make_tissue: called in that process, such as ``functools.partial(ts.Simulator, model)``; what it returns is
             warmed up, where it can be, before the first tick.
-        source: of the tool's motion.
+        device: gives poses and takes forces, or a motion; it is started in that process, when the tissue is ready.
         rendering: see there.
         settings: see there.
         ring_path: file of the ring; None: an unused one in `haptics.loop.shared_slots.runtime_folder`.
 
     Attributes:
-        ring_path, surface_path, snapshot_path: files for viewers and recorders, while the process lives.
+        ring_path, snapshot_path: files for viewers and recorders, while the process lives.
         pattern: what its snapshots have in common, of the material as it is now; None where it publishes none.
         message: what the process has last said of itself.
         report: of a loop that has ended; None before, and of one that died.
@@ -57,17 +58,16 @@ class LoopProcess:
         InputError: the file of the ring exists already.
     """
 
-    def __init__(self, build_tissue: Callable[[], Tissue], source: MotionSource, rendering: ForceRendering,
+    def __init__(self, make_tissue: Callable[[], Tissue], device: HapticDevice, rendering: ForceRendering,
                  settings: LoopSettings | None = None, *, ring_path: str | Path | None = None):
         self.ring_path = unused_path("ring") if ring_path is None else Path(ring_path)
-        self.surface_path, self.snapshot_path = (self.ring_path.with_name(f"{self.ring_path.name}.{ending}")
-                                                 for ending in ("surface", "snapshots"))
-        self._files = LoopFiles(self.ring_path, self.surface_path, self.snapshot_path)
+        self.snapshot_path = self.ring_path.with_name(f"{self.ring_path.name}.snapshots")
+        self._files = LoopFiles(self.ring_path, self.snapshot_path)
         for path in self._files:
             if path.exists():
                 raise InputError("exists already; remove it or give another name", file=path)
         self.message, self.report = "not started", None
-        self._asked = (build_tissue, source, rendering, settings or LoopSettings())
+        self._parts = LoopParts(make_tissue, device, rendering, settings or LoopSettings())
         self._process: multiprocessing.process.BaseProcess | None = None
         self._connection: Connection | None = None
         self._lock = threading.RLock()
@@ -86,7 +86,7 @@ class LoopProcess:
             raise InputError("this loop was started before; make another one")
         context = multiprocessing.get_context("spawn")  # Taichi and threads do not survive a fork
         self._connection, far_end = context.Pipe()
-        process = context.Process(target=run_child, args=(far_end, *self._asked, self._files),
+        process = context.Process(target=run_child, args=(far_end, self._parts, self._files, registered()),
                                   name="tissue-sim loop", daemon=True)
         try:
             with start_without_ctrl_c():
@@ -148,38 +148,34 @@ class LoopProcess:
         """A reader of the ring of a loop that is ready; close it."""
         return RingReader(self.ring_path)
 
-    def surface(self) -> SurfaceReader | None:
-        """A reader of the surface of a loop that is ready; None where it publishes none. Close it."""
-        return SurfaceReader(self.surface_path) if self.surface_path.exists() else None
-
     def snapshots(self) -> SnapshotReader | None:
         """A reader of the snapshots of a loop that is ready; None where it publishes none. Close it."""
         return None if self.pattern is None else SnapshotReader(self.snapshot_path, self.pattern)
 
     def pause(self) -> None:
         """Let the motion stand still and the force fade; returns when it is so. Raises as `set_parameters`."""
-        self._ask("pause")
+        self.ask("pause")
 
     def resume(self) -> None:
         """Let the motion go on. Raises as `set_parameters`."""
-        self._ask("resume")
+        self.ask("resume")
 
     def reset(self) -> None:
         """Begin the motion again, with undeformed tissue. Raises as `set_parameters`."""
-        self._ask("reset")
+        self.ask("reset")
 
     def advance(self, seconds: float) -> None:
         """Let the motion of a loop that is paused go on for so long. Raises as `set_parameters`."""
-        self._ask("advance", seconds=seconds)
+        self.ask("advance", seconds=seconds)
 
-    def follow(self, source: MotionSource, anew: bool = False) -> None:
-        """Take the motion from another source, from its beginning on; `anew`: on undeformed tissue. Raises as
+    def follow(self, device: HapticDevice, anew: bool = False) -> None:
+        """Go on with another device or motion, from its beginning on; `anew`: on undeformed tissue. Raises as
         `set_parameters`."""
-        self._ask("follow", source=source, anew=anew)
+        self.ask("follow", device=device, anew=anew)
 
     def aim(self, depth: float) -> None:
-        """Tell a `HandMotion` where to go, m. Raises as `set_parameters`."""
-        self._ask("aim", depth=depth)
+        """Tell a `HandMotion`, or a device that one moves, where to go, m. Raises as `set_parameters`."""
+        self.ask("aim", depth=depth)
 
     def set_parameters(self, **values: float) -> None:
         """Change parameters of the tissue between two ticks.
@@ -188,7 +184,30 @@ class LoopProcess:
             InputError: what the tissue refuses; the loop goes on as before.
             LoopError: the process has ended, or does not answer.
         """
-        self._ask("set_parameters", **values)
+        self.ask("set_parameters", **values)
+
+    def ask(self, command: str, **values: Any) -> None:
+        """Send one of `haptics.loop.commands.COMMANDS` with its arguments, and wait until it is done.
+
+        Raises:
+            InputError: no such command (names the nearest), or what the loop refuses; it goes on as before.
+            LoopError: the process has ended, or does not answer.
+        """
+        if command not in COMMANDS:
+            raise InputError(f"a loop has no command {command!r}{nearest(command, COMMANDS)}")
+        with self._lock:
+            if self._connection is None or not self._ready:
+                raise LoopError(f"the loop is not ready: {self.message}")
+            self._answers.clear()
+            with suppress(OSError):  # reading says why
+                self._connection.send((command, values))
+            until = time.monotonic() + PATIENCE
+            while not self._answers and self.report is None:
+                self._read(0.1)
+                if time.monotonic() > until:
+                    raise LoopError(f"the loop does not answer within {PATIENCE:g} s")
+            if self._answers and self._answers[0]:
+                raise InputError(self._answers[0])
 
     def wait(self, timeout: float | None = None) -> LoopReport | None:
         """Wait for the end of the loop; None where it still runs after `timeout`, s.
@@ -211,7 +230,7 @@ class LoopProcess:
             return None
         with suppress(LoopError, InputError):  # it has died: there is nothing to stop
             if self._ready and self.report is None:
-                self._ask("stop")
+                self.ask("stop")
                 self.wait(PATIENCE)
         self._end(0.0 if self.report is None and self._failure is None else PATIENCE)
         return self.report
@@ -222,22 +241,6 @@ class LoopProcess:
 
     def __exit__(self, *failure) -> None:
         self.stop()
-
-    def _ask(self, command: str, **values: Any) -> None:
-        """Send a command and wait until it is done."""
-        with self._lock:
-            if self._connection is None or not self._ready:
-                raise LoopError(f"the loop is not ready: {self.message}")
-            self._answers.clear()
-            with suppress(OSError):  # reading says why
-                self._connection.send((command, values))
-            until = time.monotonic() + PATIENCE
-            while not self._answers and self.report is None:
-                self._read(0.1)
-                if time.monotonic() > until:
-                    raise LoopError(f"the loop does not answer within {PATIENCE:g} s")
-            if self._answers and self._answers[0]:
-                raise InputError(self._answers[0])
 
     def _read(self, timeout: float) -> None:
         """Take in what the process says within `timeout`, s.

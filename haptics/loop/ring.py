@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,12 +10,15 @@ from pathlib import Path
 import numpy as np
 
 from haptics.loop.shared_slots import SlotReader, SlotWriter
+from tissue_sim.pose import Pose, Screw
+from tissue_sim.tool_force import ToolForce
 
-#: One tick. SI units; times in s since the loop began; a depth that is not known is NaN.
+#: One tick. SI units; times in s since the loop began; a pose that is not known is NaN. Depths, forces and the
+#: stiffness of the first part are those along z of the poses, wrenches and the matrix of the second.
 TICK = np.dtype([
     ("tick", "<u8"),            # number of the deadline, from 1; what is not there was missed
     ("time", "<f8"),            # when it began
-    ("device_depth", "<f8"),    # of the device or the source of motion; NaN: no pose
+    ("device_depth", "<f8"),    # of the device or the motion; NaN: no pose
     ("tool_depth", "<f8"),      # of the simulated tool
     ("force", "<f8"),           # rendered: what the device shall give
     ("tissue_force", "<f8"),    # of the tissue on the tool
@@ -29,15 +33,20 @@ TICK = np.dtype([
     ("iterations", "<i4"),
     ("flags", "<u4"),           # of haptics.safety.rendering.RenderFlag, and PAUSED
     ("inertial", "<u4"),        # 1: with the mass of the tissue
+    ("device_pose", "<f8", 7),  # x, y, z, then the quaternion w, x, y, z
+    ("tool_pose", "<f8", 7),
+    ("wrench", "<f8", 6),       # rendered: force, then torque about the tool's deepest point
+    ("tissue_wrench", "<f8", 6),
+    ("stiffness_matrix", "<f8", (6, 6)),
 ])
 #: The bit of `flags` that a loop which is paused adds to those of `haptics.safety.rendering.RenderFlag`.
 PAUSED = 1 << 16
 #: 16 s at 1 kHz.
 CAPACITY = 16384
 _KIND = b"tsTICKS\0"
-_CODES = {"<u8": "Q", "<f8": "d", "<i4": "i", "<u4": "I"}
-_RECORD = struct.Struct("<" + "".join(_CODES[TICK[name].str] for name in TICK.names))
+_RECORD = struct.Struct("<Q10d2Q2i2I62d")
 assert _RECORD.size == TICK.itemsize
+_UNKNOWN = (math.nan,) * 7
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,9 +79,24 @@ class RingWriter(SlotWriter):
         super().__init__(path, _KIND, capacity, TICK.itemsize)
         self._record = bytearray(TICK.itemsize)
 
-    def append(self, *values: float) -> int:
-        """Add a tick, all fields of `TICK` in their order; returns how many were added so far."""
-        _RECORD.pack_into(self._record, 0, *values)
+    def append(self, tick: int, time: float, device: Pose | None, tool: Pose, wrench: Screw, answer: ToolForce,
+               compute_time: float, lateness: float, late: int, missed: int, flags: int) -> int:
+        """Add a tick; returns how many were added so far.
+
+        Args:
+            device: None where no pose has come.
+            tool: where the tissue was stepped to.
+            wrench: rendered.
+            answer: of the tissue.
+            tick, time, compute_time, lateness, late, missed, flags: as in `TICK`.
+        """
+        place = tool.position
+        seen = _UNKNOWN if device is None else device.position + device.orientation
+        tissue, (a, b, c, d, e, f) = answer.wrench, answer.stiffness_matrix
+        _RECORD.pack_into(self._record, 0, tick, time, -seen[2], -place[2], wrench[2], tissue[2], c[2],
+                          answer.residual, compute_time, lateness, answer.age, late, missed, answer.status,
+                          answer.iterations, flags, answer.inertial, *seen, *place, *tool.orientation, *wrench, *tissue,
+                          *a, *b, *c, *d, *e, *f)
         return self.write(self._record)
 
 

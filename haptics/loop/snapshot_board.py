@@ -16,8 +16,8 @@ from tissue_sim.snapshot import Snapshot
 _KIND = b"tsSNAP\0\0"
 #: A reader has three more publications of time to copy one.
 _SLOTS = 4
-#: Time, depth, datum.
-_HEAD = struct.Struct("<3d")
+#: Time, datum, position and orientation of the tool.
+_HEAD = struct.Struct("<2d3d4d")
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class SnapshotBoard(SlotWriter):
         """
         fields = snapshot.fields
         arrays = [fields.states] if fields.stresses is None else [fields.states, fields.stresses]
-        return self.write(_HEAD.pack(time, snapshot.depth, snapshot.datum)
+        return self.write(_HEAD.pack(time, snapshot.datum, *snapshot.pose.position, *snapshot.pose.orientation)
                           + b"".join(np.ascontiguousarray(array, "<f8").tobytes() for array in arrays))
 
 
@@ -94,10 +94,10 @@ class SnapshotReader(SlotReader):
         if numbers.size != state + stress:
             raise InputError(f"holds {numbers.size} numbers where the pattern has {state + stress}; give the pattern "
                              "of the loop that writes it", file=self.path)
-        time, depth, datum = _HEAD.unpack_from(content)
+        time, datum, *pose = _HEAD.unpack_from(content)
         fields = replace(pattern, states=numbers[:state].reshape(pattern.states.shape),
                          stresses=numbers[state:].reshape(pattern.stresses.shape) if stress else None)
-        return PublishedSnapshot(number, time, Snapshot(Pose.at_depth(depth), datum, fields))
+        return PublishedSnapshot(number, time, Snapshot(Pose(tuple(pose[:3]), tuple(pose[3:])), datum, fields))
 
 
 def _sizes(pattern: Snapshot) -> tuple[int, int]:

@@ -5,20 +5,27 @@ from __future__ import annotations
 import math
 
 from tissue_sim.errors import InputError
+from tissue_sim.pose import Pose, Vector
 from tissue_sim.tool_force import ToolForce
+
+_NO_VECTOR: Vector = (0.0, 0.0, 0.0)
 
 
 class VirtualCoupling:
     """Spring-damper between device and proxy (Colgate, Stanley and Brown 1995; Adams and Hannaford 1999).
 
-    The device measures its depth x and is given the force of the coupling; the proxy, at p, touches the tissue:
+    The device says where it is, x, and is given the force of the coupling, f; the proxy, at p, touches the tissue,
+    which pushes it by F(p):
 
-        f = K (x - p) + B (dx/dt - dp/dt),    mass d2p/dt2 = f - F(p)
+        f = K (p - x) + B (dp/dt - dx/dt),    mass d2p/dt2 = F(p) - f
+
+    The coupling is the same in all three directions. The proxy is turned as the device is: rotation is coupled rigidly,
+    and the torque of the tissue goes to the hand as it is.
 
     Every tick the proxy moves by one implicit (backward Euler) step, with the tissue's force taken as linear about the
-    proxy: F + dF/dd (p - p_before). A tissue whose own mass was taken into account answers with a force that belongs to
-    the proxy's motion, so there the linear force is taken about the motion going on: F + dF/dd (step - step_before).
-    Without this the proxy is unstable where the mass of the tissue that it moves is above
+    proxy: F - S (p - p_before), S being the stiffness. A tissue whose own mass was taken into account answers with a
+    force that belongs to the proxy's motion, so there the linear force is taken about the motion going on:
+    F - S (step - step_before). Without this the proxy is unstable where the mass of the tissue that it moves is above
     2 mass + B tick + (K + k) tick^2/2, k being its stiffness at rest.
 
     Passivity. With a zero-order hold of length T, a sampled wall K + B (z - 1)/(T z) on a device of physical damping b
@@ -33,8 +40,8 @@ class VirtualCoupling:
         mass: of the proxy, kg; 0: it is where coupling and tissue balance.
 
     Attributes:
-        depth: of the proxy, m.
-        force: on the device, N, positive out of the tissue.
+        pose: of the proxy; None before the first step.
+        force: on the device, N.
         dissipated: energy taken out by the damper since the last reset, J.
 
     Raises:
@@ -52,9 +59,9 @@ class VirtualCoupling:
 
     def reset(self):
         """Forget the proxy; it is put at the device in the next step."""
-        self.depth, self.force, self.dissipated = math.nan, 0.0, 0.0
-        self._device = math.nan
-        self._motion = 0.0
+        self.pose: Pose | None = None
+        self.force, self.dissipated = _NO_VECTOR, 0.0
+        self._device, self._motion = _NO_VECTOR, _NO_VECTOR
 
     def least_device_damping(self, tick: float, delay_ticks: int = 0) -> float:
         """Physical damping, N s/m, that the device must have more of: (1 + delay)^2 (K tick/2 + B).
@@ -71,35 +78,60 @@ class VirtualCoupling:
         """Whether a device with this physical damping, N s/m, stays passive with any passive tissue."""
         return device_damping > self.least_device_damping(tick, delay_ticks)
 
-    def step(self, device_depth: float, answer: ToolForce | None, dt: float) -> float:
+    def step(self, device: Pose, answer: ToolForce | None, dt: float) -> Pose:
         """Move the proxy by one tick; `force` is then that of the coupling.
 
         Args:
-            device_depth: m.
-            answer: of the tissue, to the proxy's present depth; None where there is none to believe: the proxy stays.
+            device: where the device is.
+            answer: of the tissue, to the proxy's present pose; None where there is none to believe: the proxy stays.
             dt: s.
 
         Returns:
-            The depth at which the tissue is to be asked next, m.
+            Where the tissue is to be asked next.
         """
-        if math.isnan(self.depth):
-            self.depth = self._device = device_depth
-            answer = None  # what there is answers to another depth
-        velocity = (device_depth - self._device) / dt
-        self._device = device_depth
-        before = self._motion
-        self._motion = 0.0 if answer is None else self._balance(device_depth, velocity, answer, before, dt)
-        self.depth += self._motion
-        slip = velocity - self._motion / dt
-        self.force = self.stiffness * (device_depth - self.depth) + self.damping * slip
-        self.dissipated += self.damping * slip * slip * dt
-        return self.depth
+        x, y, z = position = device.position
+        if self.pose is None:
+            self.pose, self._device = device, position
+            answer = None  # what there is answers to another pose
+        last_x, last_y, last_z = self._device
+        self._device = position
+        velocity = vx, vy, vz = (x - last_x) / dt, (y - last_y) / dt, (z - last_z) / dt
+        px, py, pz = self.pose.position
+        moved = (0.0, 0.0, 0.0) if answer is None else self._balance((x - px, y - py, z - pz), velocity, answer, dt)
+        self._motion = mx, my, mz = moved
+        px, py, pz = px + mx, py + my, pz + mz
+        self.pose = Pose((px, py, pz), device.orientation)
+        stiffness, damping = self.stiffness, self.damping
+        vx, vy, vz = mx / dt - vx, my / dt - vy, mz / dt - vz
+        self.force = (stiffness * (px - x) + damping * vx, stiffness * (py - y) + damping * vy,
+                      stiffness * (pz - z) + damping * vz)
+        self.dissipated += (damping * vx * vx + damping * vy * vy + damping * vz * vz) * dt
+        return self.pose
 
-    def _balance(self, device_depth: float, velocity: float, answer: ToolForce, before: float, dt: float) -> float:
-        """Motion of the proxy in this tick, m."""
+    def _balance(self, away: Vector, velocity: Vector, answer: ToolForce, dt: float) -> Vector:
+        """Motion of the proxy in this tick, m, from how far the device is away from it, m, and its velocity, m/s."""
         # A negative stiffness would push the implicit step the wrong way; the next tick mends what is left out.
-        stiffness = max(answer.stiffness, 0.0)
-        load = answer.force - stiffness * before if answer.inertial else answer.force
-        pull = (self.mass / dt**2 * before + self.damping * velocity
-                + self.stiffness * (device_depth - self.depth) - load)
-        return pull / (self.mass / dt**2 + self.damping / dt + self.stiffness + stiffness)
+        (a, b, c, *_), (d, e, f, *_), (g, h, i, *_), *_ = answer.stiffness_matrix
+        a, e, i = max(a, 0.0), max(e, 0.0), max(i, 0.0)
+        before_x, before_y, before_z = self._motion
+        load_x, load_y, load_z = answer.wrench[:3]
+        if answer.inertial:
+            load_x += a * before_x + b * before_y + c * before_z
+            load_y += d * before_x + e * before_y + f * before_z
+            load_z += g * before_x + h * before_y + i * before_z
+        inertia, damping, stiffness = self.mass / dt**2, self.damping, self.stiffness
+        x = inertia * before_x + damping * velocity[0] + stiffness * away[0] + load_x
+        y = inertia * before_y + damping * velocity[1] + stiffness * away[1] + load_y
+        z = inertia * before_z + damping * velocity[2] + stiffness * away[2] + load_z
+        # Elimination. A tissue that resists in every direction makes no pivot smaller than that of the coupling alone.
+        least = inertia + damping / dt + stiffness
+        first = max(least + a, least)
+        d, g = d / first, g / first
+        second = max(least + e - d * b, least)
+        f -= d * c
+        h = (h - g * b) / second
+        third = max(least + i - g * c - h * f, least)
+        y -= d * x
+        z = (z - g * x - h * y) / third
+        y = (y - f * z) / second
+        return ((x - b * y - c * z) / first, y, z)

@@ -5,20 +5,25 @@ from __future__ import annotations
 import math
 
 from tissue_sim.errors import InputError
+from tissue_sim.pose import Pose, Screw, Vector, motion
+
+_NO_WRENCH: Screw = (0.0,) * 6
+_NO_WAY: Screw = (0.0,) * 6
 
 
 class PassivityObserver:
-    """Energy that the hand has put in through one port, from samples of force and depth.
+    """Energy that the hand has put in through one port, from samples of wrench and pose: force along the way, torque
+    along the rotation.
 
-    Force is positive when it pushes the hand back, so pushing in puts energy in and the way back returns it. An elastic
-    tissue returns all of it, a dissipative one less; what returns more is active and can shake.
+    The wrench is that on the hand, so pushing against it puts energy in and the way back returns it. An elastic tissue
+    returns all of it, a dissipative one less; what returns more is active and can shake.
 
-    Two rules: the trapezoidal rule says what the tissue does, as if force and motion were straight lines between ticks;
-    with `held`, the force of a tick acts until the next one, which is what a device with a zero-order hold does to the
-    hand. On a spring of stiffness K the hold gives back (K/2) step^2 too much in every tick.
+    Two rules: the trapezoidal rule says what the tissue does, as if wrench and motion were straight lines between
+    ticks; with `held`, the wrench of a tick acts until the next one, which is what a device with a zero-order hold does
+    to the hand. On a spring of stiffness K the hold gives back (K/2) step^2 too much in every tick.
 
     Args:
-        held: count with the force held over a tick.
+        held: count with the wrench held over a tick.
         tolerance: part of the energy put in that may come out on top before `is_active`; 1e-3 is far above rounding
             and far below what is felt.
 
@@ -36,7 +41,8 @@ class PassivityObserver:
     def reset(self):
         """Start again from zero energy."""
         self.energy_in = self.energy_out = 0.0
-        self._force = self._depth = math.nan
+        self._wrench: Screw = _NO_WRENCH
+        self._pose: Pose | None = None
 
     @property
     def energy(self) -> float:
@@ -46,41 +52,59 @@ class PassivityObserver:
     @property
     def is_active(self) -> bool:
         """Whether more came out than was ever put in, beyond the tolerance."""
-        return self.energy < -self.tolerance * self.energy_in
+        return self.energy_in - self.energy_out < -self.tolerance * self.energy_in
 
-    def work(self, force: float, depth: float) -> float:
-        """Energy, J, that the hand puts in on the way from the last sample to this one; 0 for the first sample."""
-        if math.isnan(self._depth):
-            return 0.0
-        acting = self._force if self.held else (self._force + force) / 2
-        return acting * (depth - self._depth)
+    def way(self, pose: Pose) -> Screw:
+        """From the last sample to a pose, m and rad; none for the first sample."""
+        return _NO_WAY if self._pose is None else motion(self._pose, pose)
 
-    def observe(self, force: float, depth: float):
-        """Take one sample: force from this tick on, N; depth at this tick, m. Samples that are not finite are left out.
+    def work(self, wrench: Screw, way: Screw) -> float:
+        """Energy, J, that the hand puts in on the way from the last sample to one with this wrench."""
+        a, b, c, d, e, f = self._wrench
+        if not self.held:
+            g, h, i, j, k, m = wrench
+            a, b, c, d, e, f = 0.5 * (a + g), 0.5 * (b + h), 0.5 * (c + i), 0.5 * (d + j), 0.5 * (e + k), 0.5 * (f + m)
+        x, y, z, u, v, w = way
+        return -(a * x + b * y + c * z + d * u + e * v + f * w)
 
-        With a velocity instead of a depth, observe the sum of velocity times dt.
+    def observe(self, wrench: Screw, pose: Pose, way: Screw | None = None):
+        """Take one sample: wrench from this tick on, N and N m; pose at this tick. Samples that are not finite are left
+        out.
+
+        Args:
+            wrench, pose: the sample.
+            way: to that pose, where it is known already, and finite.
         """
-        if not (math.isfinite(force) and math.isfinite(depth)):
+        if way is None:
+            if self._pose is None and not pose.is_finite:
+                return
+            way = self.way(pose)
+        work = self.work(wrench, way)
+        # What is not finite in a later pose is in the work.
+        if not math.isfinite(work + sum(wrench)):
             return
-        work = self.work(force, depth)
-        if work > 0:
+        if work > 0.0:
             self.energy_in += work
         else:
             self.energy_out -= work
-        self._force, self._depth = force, depth
+        self._wrench, self._pose = wrench, pose
 
-    def velocity(self, depth: float, dt: float) -> float:
-        """Mean velocity since the last sample, m/s; 0 for the first."""
-        return 0.0 if math.isnan(self._depth) else (depth - self._depth) / dt
+    def velocity(self, pose: Pose, dt: float) -> Vector:
+        """Mean velocity of the tool's tip since the last sample, m/s; 0 for the first."""
+        if self._pose is None:
+            return (0.0, 0.0, 0.0)
+        (x0, y0, z0), (x1, y1, z1) = self._pose.position, pose.position
+        return ((x1 - x0) / dt, (y1 - y0) / dt, (z1 - z0) / dt)
 
 
 class PassivityController:
     """Adds damping while the observer's energy is below zero (Hannaford and Ryu 2002, impedance causality).
 
     The damping takes out in the coming tick, if the speed stays, what has come out too much: -energy/(velocity^2 dt).
+    It acts on the way of the tool's tip; rotation is not damped.
 
     Args:
-        observer: of the same port, with the force held; it must be shown the force that leaves in the end.
+        observer: of the same port, with the wrench held; it must be shown the wrench that leaves in the end.
         damping: most that is added, N s/m. Sampled damping is itself active above the device's own damping: stay below.
 
     Attributes:
@@ -95,10 +119,10 @@ class PassivityController:
                              field="observer")
         self.observer, self.damping, self.added = observer, damping, 0.0
 
-    def force(self, depth: float, dt: float) -> float:
-        """Force, N, to add in this tick; 0 while no energy is missing or the tool rests."""
-        energy = self.observer.energy + self.observer.work(0.0, depth)
-        velocity = self.observer.velocity(depth, dt)
-        power = velocity * velocity * dt
+    def force(self, pose: Pose, dt: float) -> Vector:
+        """Force, N, to add in this tick, against the motion; 0 while no energy is missing or the tool rests."""
+        energy = self.observer.energy + self.observer.work(_NO_WRENCH, self.observer.way(pose))
+        x, y, z = self.observer.velocity(pose, dt)
+        power = (x * x + y * y + z * z) * dt
         self.added = min(-energy / power, self.damping) if energy < 0 and power > 0 else 0.0
-        return self.added * velocity
+        return (-self.added * x, -self.added * y, -self.added * z)

@@ -1,15 +1,16 @@
-"""Force rendering: from the device's depth to the force on the hand, one tick at a time."""
+"""Force rendering: from the device's pose to the wrench on the hand, one tick at a time."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from enum import IntFlag
+from typing import NamedTuple
 
 from haptics.safety.coupling import VirtualCoupling
 from haptics.safety.limits import ForceLimits
 from haptics.safety.passivity import PassivityController, PassivityObserver
 from haptics.safety.watchdog import Watchdog, WatchdogState
+from tissue_sim.pose import Pose, Screw
 from tissue_sim.tool_force import ForceStatus, ToolForce
 
 
@@ -25,27 +26,38 @@ class RenderFlag(IntFlag):
 
 # Plain numbers: arithmetic on enumerations costs a microsecond each.
 _LIMITED, _RATE_LIMITED, _INVALID, _LOST_POSE, _ACTIVE = (flag.value for flag in RenderFlag)
+_NO_WRENCH: Screw = (0.0,) * 6
+_NOT_KNOWN: Screw = (math.nan,) * 6
 
 
-@dataclass(frozen=True, slots=True)
-class RenderedForce:
+class RenderedForce(NamedTuple):
     """What one tick gives to the device.
 
     Attributes:
-        force: along z, N, positive out of the tissue.
-        proxy_depth: where the simulated tool was, m.
+        wrench: force, then torque about the tool's deepest point, on the hand, N and N m.
+        proxy: where the simulated tool was.
         flags: bits of `RenderFlag`.
         state: of the watchdog.
         energy: put in by the hand less given back, J, by the trapezoidal rule.
-        held_energy: the same with the force held over a tick: what the hand really gets.
+        held_energy: the same with the wrench held over a tick: what the hand really gets.
     """
 
-    force: float
-    proxy_depth: float
+    wrench: Screw
+    proxy: Pose
     flags: int
     state: WatchdogState
     energy: float
     held_energy: float
+
+    @property
+    def force(self) -> float:
+        """Along z, N, positive out of the tissue."""
+        return self.wrench[2]
+
+    @property
+    def proxy_depth(self) -> float:
+        """How far the simulated tool was pushed in, m."""
+        return self.proxy.depth
 
     @property
     def limited(self) -> bool:
@@ -76,17 +88,17 @@ class RenderedForce:
 class ForceRendering:
     """One tick: coupling, tissue (stepped by the caller), passivity controller, watchdog, limits, observers.
 
-    Call `depth_for` with what the device says, step the tissue to that depth, then `render` its answer. Neither raises
-    on a missing or bad number: the force goes to zero, by the limits, and the flags say why.
+    Call `pose_for` with what the device says, step the tissue to that pose, then `render` its answer. Neither raises
+    on a missing or bad number: force and torque go to zero, by the limits, and the flags say why.
 
     Args:
         limits: the last in the chain: no other part can jump past them.
-        coupling: between device and simulated tool; None: the device's depth goes to the tissue as it is.
+        coupling: between device and simulated tool; None: the device's pose goes to the tissue as it is.
         watchdog: for a pose that stays away.
         controller_damping: most that a passivity controller may add, N s/m; None: observe only.
 
     Attributes:
-        observer, held_observer: energy at the device, by the trapezoidal rule and with the force held.
+        observer, held_observer: energy at the device, by the trapezoidal rule and with the wrench held.
     """
 
     def __init__(self, limits: ForceLimits, coupling: VirtualCoupling | None = None, watchdog: Watchdog | None = None,
@@ -102,50 +114,60 @@ class ForceRendering:
         for part in (self.limits, self.coupling, self.watchdog, self.observer, self.held_observer):
             if part is not None:
                 part.reset()
-        self._device: float | None = None
+        self._device: Pose | None = None
         self._seen = False
-        self._proxy = 0.0
+        self._proxy = Pose.at_depth(0.0)
         self._answer: ToolForce | None = None
-        self._force = 0.0
+        self._wrench = _NO_WRENCH
 
-    def depth_for(self, device_depth: float | None, dt: float) -> float:
-        """Depth to which the tissue is to be stepped, m.
+    def pose_for(self, device: Pose | None, dt: float) -> Pose:
+        """Pose to which the tissue is to be stepped.
 
         Args:
-            device_depth: m; None, or not a finite number, where no new pose has come: the last one counts.
+            device: where the device is; None, or not finite, where no new pose has come: the last one counts.
             dt: s.
         """
-        self._seen = device_depth is not None and math.isfinite(device_depth)
+        self._seen = device is not None and device.is_finite
         if self._seen:
-            self._device = device_depth
+            self._device = device
         if self._device is not None and 0 < dt < math.inf:
             self._proxy = (self._device if self.coupling is None
                            else self.coupling.step(self._device, self._answer, dt))
         return self._proxy
 
     def render(self, answer: ToolForce, dt: float) -> RenderedForce:
-        """Force for the device, from the tissue's answer to `depth_for`.
+        """Wrench for the device, from the tissue's answer to `pose_for`.
 
-        LATE and STOPPED forces are rendered: they are local models. A REFUSED one, or one that is not a finite number,
-        counts as a lost pose; meanwhile the force is the last that was believed.
+        LATE and STOPPED forces are rendered: they are local models. A REFUSED one, or one that is not finite, counts
+        as a lost pose; meanwhile the wrench is the last that was believed.
         """
-        believed = (answer.status is not ForceStatus.REFUSED and math.isfinite(answer.force)
-                    and math.isfinite(answer.stiffness))
+        believed = answer.status is not ForceStatus.REFUSED and answer.is_finite
         self._answer = answer if believed else None
         if believed and self._device is not None:
-            self._force = answer.force if self.coupling is None else self.coupling.force
-        given = math.nan
+            self._wrench = (answer.wrench if self.coupling is None
+                            else self.coupling.force + answer.wrench[3:])
+        given = _NOT_KNOWN
         if 0 < dt < math.inf:
-            given = self._force
+            given = self._wrench
             if self.controller is not None and self._seen:
-                given += self.controller.force(self._device, dt)
-            given *= self.watchdog.step(self._seen and believed, dt)
-        given = self.limits.step(given)
+                x, y, z = self.controller.force(self._device, dt)
+                given = (given[0] + x, given[1] + y, given[2] + z, *given[3:])
+            gain = self.watchdog.step(self._seen and believed, dt)
+            if gain != 1.0:
+                given = tuple([gain * part for part in given])
+        limits, observer, held = self.limits, self.observer, self.held_observer
+        given = limits.step(given)
         if self._seen:
-            self.observer.observe(given, self._device)
-            self.held_observer.observe(given, self._device)
-        limits = self.limits
-        flags = (_LIMITED * limits.limited | _RATE_LIMITED * limits.rate_limited | _INVALID * limits.invalid
-                 | _LOST_POSE * (self.watchdog.gain < 1.0) | _ACTIVE * self.held_observer.is_active)
-        return RenderedForce(given, self._proxy, flags, self.watchdog.state, self.observer.energy,
-                             self.held_observer.energy)
+            way = held.way(self._device)
+            observer.observe(given, self._device, way)
+            held.observe(given, self._device, way)
+        flags = _ACTIVE if held.is_active else 0
+        if limits.limited:
+            flags |= _LIMITED
+        if limits.rate_limited:
+            flags |= _RATE_LIMITED
+        if limits.invalid:
+            flags |= _INVALID
+        if self.watchdog.gain < 1.0:
+            flags |= _LOST_POSE
+        return RenderedForce(given, self._proxy, flags, self.watchdog.state, observer.energy, held.energy)

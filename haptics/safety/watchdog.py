@@ -51,6 +51,9 @@ class Watchdog:
 
     def step(self, seen: bool, dt: float) -> float:
         """The gain of this tick: whether the pose was seen in it, and its length, s."""
+        if seen and self._progress == 1.0:
+            self.missing, self.state = 0.0, WatchdogState.TRACKING
+            return 1.0
         self.missing = 0.0 if seen else self.missing + dt
         # Sums of ticks miss the timeout by rounding; a tick too late would be a tick of force too many.
         lost = self.missing > self.timeout * (1 - 1e-9)

@@ -44,11 +44,11 @@ def _view(arguments, material_file: Path) -> int:
     """Push the needle into the calibrated material, beside what was measured."""
     import tissue_sim as ts
     from scenes.demo import DEPTH, SPECIMEN
-    from scenes.needle import NEEDLE
     from scenes.viewer.run import run_page
-    from scenes.viewer.setup import Setup, read_measurements
+    from scenes.viewer.scene import Scene, read_measurements
+    from tissue_sim.experiment.kinds.indentation import NEEDLE
 
     experiment = NEEDLE.experiment(specimen=SPECIMEN, protocol=ts.Protocol.ramp(DEPTH))
     measured = read_measurements(sorted((arguments.output / "measured").glob("*.csv")), NEEDLE.name)
-    setup = Setup(NEEDLE, experiment, ts.load_material(material_file), material_file.name, measured)
+    setup = Scene(NEEDLE, experiment, ts.load_material(material_file), material_file.name, measured)
     return run_page(setup, material_file.parent, page_options(arguments), json=arguments.json)

@@ -6,10 +6,11 @@ import sys
 from functools import partial
 from pathlib import Path
 
+from haptics.devices.back_ends import HAPTIC_DEVICES, MOTIONS
+from scenes.catalogue import SCENES
 from scenes.console import print_json, progress_console, results_console
 from scenes.experiment_flags import (
     DEPTH_MM,
-    SCENE_NAMES,
     add_experiment_flags,
     build_experiment,
     build_protocol,
@@ -20,20 +21,17 @@ from tissue_sim.errors import InputError
 
 SUMMARY = "run the 1 kHz loop without a device and report how well it keeps its time"
 EXAMPLE = "tissue-sim loop needle_indentation --material m.material.json --seconds 60 --motion random"
-MOTIONS = ("random", "sine", "protocol")
 #: What stops a mistyped motion, not what a device bears, N and N per tick.
 FORCE_LIMIT, FORCE_RATE = 100.0, 1.0
 #: Wall time of a step in a tick of 1000, us: the rest is for rendering, ring and surface.
 BUDGET = 800.0
 INTERRUPTED = 130
-#: Share of the depth by which a random or sine motion lifts off.
-_LIFT = 0.2
 _LOOK_EVERY = 0.25  # s
 
 
 def add_arguments(parser: Parser) -> None:
     parser.add_argument("scene", metavar="SCENE", nargs="?", default="needle_indentation",
-                        help=f"{' or '.join(SCENE_NAMES)} (default: %(default)s)")
+                        help=f"{' or '.join(SCENES)} (default: %(default)s)")
     parser.add_argument("--material", type=Path, metavar="FILE",
                         help="NAME.material.json (default: the study's silicone, reduced_polynomial_2)")
     parser.add_argument("--seconds", type=positive, metavar="N", default=60.0,
@@ -41,9 +39,14 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument("--resolution", choices=("realtime", "fast", "accurate"), default="realtime",
                         help="realtime, fast (force within 1 %%) or accurate (within 0.2 %%) (default: realtime)")
     source = parser.add_argument_group("source of the motion")
-    source.add_argument("--motion", choices=MOTIONS,
-                        help="random: as of a hand, with lift-offs; sine: up and down; protocol: that of --protocol, "
-                             "repeated where it closes (default: random, or protocol where one is stated)")
+    source.add_argument("--motion", metavar="NAME[:SETTINGS]",
+                        help=f"one of {', '.join(MOTIONS)}. random: as of a hand, with lift-offs; sine: up and down; "
+                             "protocol: that of --protocol, repeated where it closes; hand: stays where it is "
+                             "(default: random, or protocol where one is stated)")
+    source.add_argument("--device", metavar="NAME:SETTINGS",
+                        help="a haptic device, which also feels the force, in place of a motion: one of "
+                             f"{', '.join(HAPTIC_DEVICES)}; 'virtual:sine:depth_mm=5' is a hand that follows that "
+                             "motion and gives way to the force")
     source.add_argument("--top-speed-mm-s", type=positive, metavar="N", default=200.0,
                         help="that a random motion never exceeds (default: 200)")
     source.add_argument("--frequency-hz", type=positive, metavar="N", default=1.0, help="of a sine (default: 1)")
@@ -71,9 +74,11 @@ def add_arguments(parser: Parser) -> None:
 
 def run(arguments) -> int:
     check_scene(arguments.scene)
-    motion = arguments.motion or ("protocol" if arguments.protocol else "random")
-    if motion != "protocol" and arguments.protocol:
-        raise InputError(f"a {motion} motion has none; leave it out, or give --motion protocol", field="--protocol")
+    name = arguments.device or arguments.motion or ("protocol" if arguments.protocol else "random")
+    if arguments.device and arguments.motion:
+        raise InputError("a device moves as it likes; give --motion or --device", field="--motion")
+    if name != "protocol" and arguments.protocol:
+        raise InputError(f"a {name} motion has none; leave it out, or give --motion protocol", field="--protocol")
 
     from haptics.loop.loop import LoopSettings
     from haptics.loop.process import LoopError, LoopProcess
@@ -88,7 +93,7 @@ def run(arguments) -> int:
                             real_time=not arguments.no_real_time)
     build = partial(Simulator, model, resolution=arguments.resolution, inertia=arguments.inertia,
                     budget=arguments.budget_us * 1e-6 or None)
-    process = LoopProcess(build, build_source(arguments, motion, protocol),
+    process = LoopProcess(build, open_named(arguments, name, protocol),
                           ForceRendering(ForceLimits(arguments.force_limit_N, arguments.force_rate_N)), settings,
                           ring_path=arguments.ring)
     try:
@@ -97,7 +102,7 @@ def run(arguments) -> int:
         print(f"tissue-sim: {error}", file=sys.stderr)
         return 1
     if arguments.json:
-        print_json({"scene": arguments.scene, "motion": motion, "resolution": arguments.resolution,
+        print_json({"scene": arguments.scene, "motion": name, "resolution": arguments.resolution,
                     **report.as_json()})
     else:
         from scenes.loop_report import print_report
@@ -118,21 +123,23 @@ def read_material(path: Path | None):
                        density=1040.0)
 
 
-def build_source(arguments, motion: str, protocol):
-    """The source of the motion that the flags ask for.
+def open_named(arguments, name: str, protocol):
+    """The motion or the device that the flags ask for.
 
     Raises:
-        InputError: what the source refuses.
+        InputError: no such motion or device, or what it refuses.
     """
-    from haptics.devices.motion_source import ProtocolMotion, RandomWalk, SineMotion
+    from haptics.devices.back_ends import open_haptic, open_motion
+    from haptics.devices.motions import follow_protocol
 
-    depth = (arguments.depth_mm or DEPTH_MM) * 1e-3
-    if motion == "random":
-        return RandomWalk(arguments.seed, depth, -_LIFT * depth, arguments.top_speed_mm_s * 1e-3)
-    if motion == "sine":
-        return SineMotion(depth, -_LIFT * depth, arguments.frequency_hz)
-    closes = abs(protocol.displacement[-1] - protocol.displacement[0]) < 1e-9
-    return ProtocolMotion(protocol, repeat=bool(closes))
+    if arguments.device:
+        return open_haptic(name)
+    if name == "protocol":
+        return follow_protocol(protocol)
+    depth = f"depth_mm={arguments.depth_mm or DEPTH_MM!r}"
+    by_flags = {"random": f"random:{depth},top_speed_mm_s={arguments.top_speed_mm_s!r},seed={arguments.seed}",
+                "sine": f"sine:{depth},frequency_hz={arguments.frequency_hz!r}"}
+    return open_motion(by_flags.get(name, name))
 
 
 def follow(process, seconds: float, *, quiet: bool):

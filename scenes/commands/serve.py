@@ -12,8 +12,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from scenes.catalogue import SCENES
 from scenes.console import progress_console
-from scenes.experiment_flags import SCENE_NAMES, add_experiment_flags, build_experiment, build_protocol, check_scene
+from scenes.experiment_flags import add_experiment_flags, build_experiment, build_protocol, check_scene
 from scenes.parsing import Parser, add_json, at_least, not_negative
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ BUDGET_US, SPIN_US = 800.0, 2000.0
 
 def add_arguments(parser: Parser) -> None:
     parser.add_argument("--scene", metavar="SCENE", default="needle_indentation",
-                        help=f"{' or '.join(SCENE_NAMES)} (default: %(default)s)")
+                        help=f"{' or '.join(SCENES)} (default: %(default)s)")
     parser.add_argument("--material", type=Path, required=True, metavar="FILE", help="NAME.material.json")
     parser.add_argument("--resolution", choices=("realtime", "fast", "accurate"), default="realtime",
                         help="realtime, fast (force within 1 %%) or accurate (within 0.2 %%) (default: realtime)")
@@ -108,14 +109,15 @@ def spin(arguments) -> float:
 def describe(arguments, experiment: Experiment, material_file, simulator) -> dict[str, Any]:
     """What is served, for the command ``describe``; in SI."""
     from scenes.material_summary import summarise
+    from tissue_sim.parameters import declared
 
     specimen, tool = experiment.specimen, experiment.tool
     return {
         "scene": arguments.scene,
         "specimen": {"radius": specimen.radius, "height": specimen.height, "density": specimen.density,
                      "gravity": specimen.gravity},
-        "tool": {"shape": tool.shape, "radius": tool.radius, "edge_radius": tool.edge_radius,
-                 "half_angle": tool.half_angle, "tip_radius": tool.tip_radius},
+        "tool": {"shape": tool.shape, "radius": tool.radius} | {name: getattr(tool, name)
+                                                                for name in declared(type(tool))},
         "interfaces": {name: getattr(experiment, name) for name in ("friction", "friction_base", "friction_wall")},
         "material_file": arguments.material,
         "material": summarise(material_file),

@@ -5,8 +5,9 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from scenes.catalogue import SCENES
 from scenes.console import print_json, progress_console, results_console
-from scenes.experiment_flags import SCENE_NAMES, add_experiment_flags, build_experiment, build_protocol, check_scene
+from scenes.experiment_flags import add_experiment_flags, build_experiment, build_protocol, check_scene
 from scenes.parsing import Parser, add_json, add_overwrite, new_file
 from scenes.replicates import add_rig_flags, build_rig, output_files, read_replicates
 from scenes.simulation_report import as_json, print_curve, print_solver
@@ -22,7 +23,7 @@ FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
 
 
 def add_arguments(parser: Parser) -> None:
-    parser.add_argument("scene", metavar="SCENE", help=" or ".join(SCENE_NAMES))
+    parser.add_argument("scene", metavar="SCENE", help=" or ".join(SCENES))
     parser.add_argument("--material", type=Path, required=True, metavar="FILE", help="NAME.material.json")
     add_experiment_flags(parser)
     add_rig_flags(parser)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from scenes.catalogue import SCENES
 from scenes.commands.loop import read_material
 from scenes.console import print_json
 from scenes.experiment_flags import (
-    SCENE_NAMES,
     add_experiment_flags,
     build_experiment,
     build_protocol,
@@ -24,7 +24,7 @@ PORT = 8080
 
 def add_arguments(parser: Parser) -> None:
     parser.add_argument("scene", metavar="SCENE", nargs="?", default="needle_indentation",
-                        help=f"{' or '.join(SCENE_NAMES)} (default: %(default)s)")
+                        help=f"{' or '.join(SCENES)} (default: %(default)s)")
     parser.add_argument("--material", type=Path, metavar="FILE",
                         help="NAME.material.json (default: the study's silicone, reduced_polynomial_2)")
     parser.add_argument("--materials", type=Path, metavar="DIR",
@@ -70,13 +70,12 @@ def run(arguments) -> int:
         raise InputError("a tilted tool is a correction of whole recordings and has no place in real time; leave it "
                          "out", field="--tilt-mm")
 
-    from scenes.catalogue import SCENES
     from scenes.viewer.run import run_headless, run_page
-    from scenes.viewer.setup import BUILT_IN, Setup, read_measurements
+    from scenes.viewer.scene import BUILT_IN, Scene, read_measurements
 
     material = read_material(arguments.material)
     experiment = build_experiment(arguments, build_protocol(arguments), material)
-    setup = Setup(SCENES[arguments.scene], experiment, material,
+    setup = Scene(SCENES[arguments.scene], experiment, material,
                   BUILT_IN if arguments.material is None else arguments.material.name,
                   read_measurements(arguments.measured, arguments.scene))
     options = {"resolution": arguments.resolution, "real_time": not arguments.no_real_time}

@@ -22,7 +22,6 @@ def examine(*, clock_seconds: float = 2.0) -> Iterator[Check]:
     yield taichi_backend.compiled_kernels()
     yield clock.ticks(clock_seconds)
     yield clock.real_time_priority()
-    yield platform_services.pseudo_terminals()
     yield platform_services.matplotlib_cache()
     yield platform_services.viewer_port()
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from scenes.doctor.check import Check
 
 OURS = ("tissue_sim", "calibration", "haptics", "scenes")
-NEEDED = ("taichi", "numpy", "scipy", "sympy", "viser", "pyserial", "msgspec", "rich", "matplotlib")
+NEEDED = ("taichi", "numpy", "scipy", "sympy", "viser", "msgspec", "rich", "matplotlib")
 #: Taichi publishes wheels for these only: (sys.platform, machine in lower case).
 TAICHI_PLATFORMS = (("linux", "x86_64"), ("win32", "amd64"), ("darwin", "arm64"))
 PYTHON_RANGE = ((3, 11), (3, 13))

@@ -1,4 +1,4 @@
-"""What the operating system lends us: pseudo-terminals, a cache folder, a port."""
+"""What the operating system lends us: a cache folder, a port."""
 
 from __future__ import annotations
 
@@ -9,21 +9,6 @@ from pathlib import Path
 from scenes.doctor.check import Check, folder_size, readable_size
 
 VIEWER_PORT = 8080
-
-
-def pseudo_terminals() -> Check:
-    """Whether a serial device can be emulated."""
-    if not hasattr(os, "openpty"):
-        return Check("pseudo-terminals", "warn", "this platform has none",
-                     "emulated serial devices need Linux or macOS; everything else works")
-    try:
-        ends = os.openpty()
-    except OSError as error:
-        return Check("pseudo-terminals", "warn", f"cannot be opened ({error.strerror})",
-                     "mount /dev/pts; only emulated serial devices need it")
-    for end in ends:
-        os.close(end)
-    return Check("pseudo-terminals", "ok", "present")
 
 
 def matplotlib_cache() -> Check:

@@ -11,7 +11,7 @@ import numpy as np
 
 import tissue_sim as ts
 from scenes.viewer.measurement import Measurement, Residual
-from scenes.viewer.setup import Setup
+from scenes.viewer.scene import Scene
 from scenes.viewer.trace import Trace
 from tissue_sim.snapshot import Snapshot
 
@@ -90,7 +90,7 @@ class Frame:
 
     phase: Phase
     message: str
-    setup: Setup
+    setup: Scene
     snapshot: Snapshot | None
     readouts: Readouts | None
     curves: Curves

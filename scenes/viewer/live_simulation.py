@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 import tissue_sim as ts
-from haptics.devices.motion_source import MotionSource
+from haptics.devices.contracts import HapticDevice
 from haptics.loop.loop import LoopSettings
 from haptics.loop.process import LoopError, LoopProcess
 from haptics.loop.ring import PAUSED, TICK
@@ -34,7 +34,7 @@ class LiveSimulation:
 
     Args:
         model: what is simulated.
-        source: of the motion.
+        device: gives poses and takes forces, or a motion.
         resolution: of the `Simulator`.
         snapshot_rate: how often the tissue is published, Hz.
         real_time: ask the system for real-time scheduling.
@@ -45,12 +45,12 @@ class LiveSimulation:
         readouts: None before the first tick.
     """
 
-    def __init__(self, model: ts.Model, source: MotionSource, *, resolution: str = "realtime",
+    def __init__(self, model: ts.Model, device: HapticDevice, *, resolution: str = "realtime",
                  snapshot_rate: float = 30.0, real_time: bool = True):
         self._loop = LoopProcess(
-            partial(ts.Simulator, model, resolution=resolution, budget=BUDGET), source,
+            partial(ts.Simulator, model, resolution=resolution, budget=BUDGET), device,
             ForceRendering(ForceLimits(*_LIMITS)),
-            LoopSettings(surface_rate=0.0, snapshot_rate=snapshot_rate, real_time=real_time))
+            LoopSettings(snapshot_rate=snapshot_rate, real_time=real_time))
         self._files = ExitStack()
         self._ring = self._snapshots = None
         self._number, self._published = 0, 0
@@ -116,7 +116,7 @@ class LiveSimulation:
         if self.phase not in (Phase.RUNNING, Phase.PAUSED):
             raise ts.InputError(f"the simulation is not running ({self.message})")
         try:
-            getattr(self._loop, command)(**values)
+            self._loop.ask(command, **values)
         except LoopError as error:
             self._die(str(error))
             raise ts.InputError(str(error)) from error

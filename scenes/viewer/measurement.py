@@ -9,21 +9,19 @@ from pathlib import Path
 
 import numpy as np
 
-from scenes.viewer.trace import HYSTERESIS, Reversals, on_grid, one_way
+from scenes.viewer.trace import on_grid
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import STUDY_SPEED, Protocol
 from tissue_sim.recording.file import read_recordings
 from tissue_sim.recording.recording import MIN_POINTS, Recording
+from tissue_sim.recording.segmentation import load_and_unload
 
 #: Depths of the grid on which replicates are averaged.
 GRID_POINTS = 201
 #: Samples of a motion that is simulated for a comparison: about 25 ms of the fast solver.
 MOTION_SAMPLES = 50
-#: Without labels, a way back of this share of the depth or less is no unloading.
-_NOISE_SHARE = 0.01
 #: How the samples of a motion are shared out: the time counts this much beside the way.
 _TIME_WEIGHT = 0.25
-_IN, _OUT = ("approach", "ramp", "load"), ("unload", "retract")
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,49 +134,6 @@ def measurement(recordings: Sequence[Recording]) -> Measurement:
     if out:
         unload = _envelope([each for each, (_, way) in zip(recordings, ways, strict=True) if way.size], out, -1, grid)
     return Measurement(recordings, grid, _envelope(recordings, [way for way, _ in ways], 1, grid), unload, ways)
-
-
-def load_and_unload(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
-    """Indices of the samples of the first way in and of the first way out after it, without holds.
-
-    By the labels where there are segments, else by where the displacement turns round.
-
-    Returns:
-        Two arrays; the second is empty where the tool never comes out.
-    """
-    depth = recording.displacement
-    load, unload = _labelled(recording.labels["segment"]) if "segment" in recording.labels else _turned(depth)
-    if not load.size:  # labels in words of somebody else
-        load, unload = _turned(depth)
-    return load[one_way(depth[load], 1)], unload[one_way(depth[unload], -1)]
-
-
-def _labelled(segment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Samples of the first run of segments that go in, and of the first run of those that go out."""
-    kinds = np.where(np.isin(segment, _IN), 1, np.where(np.isin(segment, _OUT), -1, 0))
-    kinds[segment == "reload"] = 2
-    out = np.flatnonzero(kinds == -1)
-    first_out = out[0] if out.size else kinds.size
-    load = np.flatnonzero(kinds[:first_out] == 1)
-    again = np.flatnonzero(kinds[first_out:] > 0)
-    last_out = first_out + (again[0] if again.size else kinds.size - first_out)
-    unload = np.flatnonzero(kinds[first_out:last_out] == -1) + first_out
-    # A sample where two segments meet belongs to the first of them.
-    return load, np.concatenate([[unload[0] - 1], unload]) if unload.size and unload[0] > 0 else unload
-
-
-def _turned(depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Samples of the first branch that goes in, and of the one after it."""
-    reach = float(depth.max() - depth.min())
-    # Trembling as that of a hand, less where the whole test is small.
-    reversals = Reversals(min(max(HYSTERESIS, _NOISE_SHARE * reach), 0.1 * reach))
-    for index, value in enumerate(depth.tolist()):
-        reversals.add(index, value)
-    branches = reversals.branches(depth.size - 1)
-    while branches and branches[0][0] < 0:
-        del branches[0]
-    ways = [np.arange(begin, end + 1) for _, begin, end in branches[:2]]
-    return tuple(ways + [np.arange(0)] * (2 - len(ways)))
 
 
 def _envelope(recordings: Sequence[Recording], ways: Sequence[np.ndarray], direction: int,

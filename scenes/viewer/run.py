@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from scenes.viewer.frame import NullViewer, Phase
+from scenes.viewer.scene import Scene
 from scenes.viewer.session import Session
-from scenes.viewer.setup import Setup
 from scenes.viewer.web_server import exposure
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import STUDY_SPEED
@@ -24,7 +24,7 @@ from tissue_sim.experiment.protocol import STUDY_SPEED
 HALF_RESOLUTION = "?fixedDpr=0.5"
 
 
-def run_page(setup: Setup, materials: Path, page: dict[str, Any], *, seconds: float | None = None, json: bool = False,
+def run_page(setup: Scene, materials: Path, page: dict[str, Any], *, seconds: float | None = None, json: bool = False,
              **options: Any) -> int:
     """Serve the page until Ctrl-C, SIGTERM or the end of the time.
 
@@ -71,7 +71,7 @@ def run_page(setup: Setup, materials: Path, page: dict[str, Any], *, seconds: fl
     return 0
 
 
-def run_headless(setup: Setup, seconds: float, *, protocol: str | None = None, speed: float = STUDY_SPEED,
+def run_headless(setup: Scene, seconds: float, *, protocol: str | None = None, speed: float = STUDY_SPEED,
                  **options: Any) -> dict[str, Any]:
     """Play a protocol without a screen, and say what was felt.
 

@@ -11,13 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import tissue_sim as ts
-from haptics.devices.motion_source import HandMotion, MotionSource, ProtocolMotion
+from haptics.devices.contracts import HapticDevice
+from haptics.devices.motions import HandMotion, ProtocolMotion
 from scenes.viewer.frame import Curves, Frame, Phase, Viewer
 from scenes.viewer.live_simulation import LiveSimulation
 from scenes.viewer.material_files import save_edited
 from scenes.viewer.measurement import Measurement, Residual, motion, residual, typical
 from scenes.viewer.model_curve import ModelCurve
-from scenes.viewer.setup import Setup
+from scenes.viewer.scene import Scene
 from scenes.viewer.trace import Trace
 from tissue_sim.errors import InputError
 from tissue_sim.parameters import parameter_values, with_values
@@ -46,7 +47,7 @@ class Session:
         real_time: ask the system for real-time scheduling of the loop.
     """
 
-    def __init__(self, setup: Setup, *, resolution: str = "realtime", curve_resolution: str = "fast",
+    def __init__(self, setup: Scene, *, resolution: str = "realtime", curve_resolution: str = "fast",
                  real_time: bool = True):
         self.setup = setup
         self._resolution, self._real_time = resolution, real_time
@@ -72,7 +73,7 @@ class Session:
         """Ask for one of the commands below, from any thread.
 
         Args:
-            command: name of a method in `COMMANDS`.
+            command: one of `COMMANDS`.
             reply: called with None when it is done, or with a sentence that says why not.
             values: arguments of the command.
         """
@@ -120,7 +121,7 @@ class Session:
         """Let the tool go to a depth, m, as a hand would."""
         depth = min(max(depth, -CLEARANCE), self.setup.deepest)
         if self._motion != "hand":
-            self._simulation.ask("follow", source=HandMotion(self._simulation.tool_depth, HAND_SPEED))
+            self._simulation.ask("follow", device=HandMotion(self._simulation.tool_depth, HAND_SPEED))
             self._motion, self._target = "hand", self._simulation.tool_depth
         self._simulation.ask("aim", depth=depth)
         self._target = depth
@@ -246,15 +247,15 @@ class Session:
             problem = None
             try:
                 if not _overtaken(command, values, wishes[number + 1:]):
-                    getattr(self, command)(**values)
+                    COMMANDS[command](self, **values)
             except InputError as error:
                 problem = str(error)
             if reply is not None:
                 reply(problem)
 
-    def _change(self, setup: Setup) -> None:
+    def _change(self, setup: Scene) -> None:
         """Look at something else; what it refuses is refused before anything is changed."""
-        other = setup.scene is not self.setup.scene
+        other = setup.kind is not self.setup.kind
         self.setup = setup
         if other:
             self._curves = Curves()
@@ -271,12 +272,12 @@ class Session:
                                           real_time=self._real_time)
         self._curve.ask(self._test())
 
-    def _follow(self, kind: str, source: MotionSource) -> None:
+    def _follow(self, kind: str, device: HapticDevice) -> None:
         simulation = self._simulation
         if simulation.phase is Phase.PAUSED:
             simulation.ask("resume")
         # In one command: between two the tool would be drawn out of tissue that it is bonded to.
-        simulation.ask("follow", source=source, anew=True)
+        simulation.ask("follow", device=device, anew=True)
         simulation.forget()
         self._forget_trace()
         self._motion = kind
@@ -342,6 +343,19 @@ def _gap(model: ts.Recording | None, measured: Measurement | None) -> Residual |
         return None
 
 
-#: What a viewer may ask a session for.
-COMMANDS = ("aim", "play", "replay", "pause", "resume", "step", "reset", "set_parameters", "use_material",
-            "save_material", "use_scene", "keep_curve", "restart")
+#: What a viewer may ask a session for, by name; the values of a command are its arguments.
+COMMANDS: dict[str, Callable[..., None]] = {
+    "aim": Session.aim,
+    "play": Session.play,
+    "replay": Session.replay,
+    "pause": Session.pause,
+    "resume": Session.resume,
+    "step": Session.step,
+    "reset": Session.reset,
+    "set_parameters": Session.set_parameters,
+    "use_material": Session.use_material,
+    "save_material": Session.save_material,
+    "use_scene": Session.use_scene,
+    "keep_curve": Session.keep_curve,
+    "restart": Session.restart,
+}

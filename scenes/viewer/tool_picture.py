@@ -59,15 +59,15 @@ class Contact:
 def tool_outline(tool: Tool, specimen: Specimen) -> np.ndarray:
     """What is drawn of a tool, (r, z), from the axis below to the axis above, m, shape (n, 2); z = 0 is its deepest
     point, from which it is drawn `INSET` away."""
-    if tool.shape == "plate":
+    if tool.is_plate:
         radius, top = PLATE_RADIUS * specimen.radius, plate_thickness(specimen)
         outline = np.array([[0.0, 0.0], [radius, 0.0], [radius, top]])
         inset = INSET * specimen.radius
     else:
         profile, radius = tool.profile, tool.radius
         # A ball ends by itself; the others have a shaft.
-        top = 2.0 * radius if tool.shape == "sphere" else max(
-            SHAFT * specimen.height, profile.vertices[-2, 1] + SHAFT_ABOVE_SHOULDER * radius)
+        top = max(SHAFT * specimen.height, profile.vertices[-2, 1] + SHAFT_ABOVE_SHOULDER * radius) if tool.has_shaft \
+            else profile.vertices[-2, 1] + profile.rounding
         outline = profile.outline(top)
         inset = INSET * radius
     shrunk = outline * [1.0 - inset / outline[:, 0].max(), 1.0] + [0.0, inset]

@@ -14,63 +14,15 @@ from haptics.loop.ring import PAUSED
 from tissue_sim.errors import InputError
 from tissue_sim.recording.file import write_recording
 from tissue_sim.recording.recording import Recording
+from tissue_sim.recording.segmentation import HOLD_TIME, HYSTERESIS, Reversals, count_cycles, label_motion, one_way
 
-#: Smallest way back that counts as a reversal, m: a hand trembles less.
-HYSTERESIS = 0.05e-3
 #: At least so long between two kept points, s, and at most so long where nothing moves.
 SHORTEST, LONGEST = 5e-3, 0.1
 #: A point is kept where depth (m), or force as a share of the largest so far, has changed by this much.
 DEPTH_STEP, FORCE_SHARE = 0.02e-3, 0.01
 MOST_POINTS = 20_000
-#: A tool that stays within `HYSTERESIS` for so long holds, s.
-HOLD_TIME = 1.0
 #: A branch that ends on a point of a grid may miss it by so much, m.
 _ROUNDING = 1e-12
-
-
-class Reversals:
-    """Where a motion turns round, found as it comes: a way back of no more than `hysteresis` (m) is noise.
-
-    Attributes:
-        starts: index of the first point of each branch, in order; each branch but the last ends where the next begins.
-        direction: of the last branch: 1 loads, -1 unloads, 0 before the first motion.
-    """
-
-    def __init__(self, hysteresis: float = HYSTERESIS):
-        self._hysteresis = hysteresis
-        self.starts: list[int] = []
-        self.direction = 0
-        self._low = self._high = (np.nan, 0)
-
-    def add(self, index: int, depth: float) -> None:
-        """Take in the next point."""
-        # The first comparison with NaN is false: the first point is both extremes.
-        if not depth >= self._low[0]:
-            self._low = (depth, index)
-        if not depth <= self._high[0]:
-            self._high = (depth, index)
-        if self.direction < 1 and depth - self._low[0] > self._hysteresis:
-            self._turn(1, self._low[1], (depth, index))
-        elif self.direction > -1 and self._high[0] - depth > self._hysteresis:
-            self._turn(-1, self._high[1], (depth, index))
-
-    def _turn(self, direction: int, start: int, here: tuple[float, int]) -> None:
-        self.direction = direction
-        self.starts.append(start)
-        self._low = self._high = here
-
-    def forget_before(self, first: int) -> None:
-        """Points before index `first` are gone."""
-        while len(self.starts) > 1 and self.starts[1] <= first:
-            del self.starts[0]
-        if self.starts:
-            self.starts[0] = max(self.starts[0], first)
-
-    def branches(self, end: int) -> list[tuple[int, int, int]]:
-        """(direction, first, last) of every branch up to index `end`, both ends included."""
-        edges = [*self.starts, end]
-        newest = len(self.starts) - 1
-        return [(self.direction * (-1) ** (newest - i), edges[i], edges[i + 1]) for i in range(newest + 1)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,27 +32,6 @@ class Branch:
     time: np.ndarray
     depth: np.ndarray
     force: np.ndarray
-
-
-def one_way(depth: np.ndarray, direction: int) -> np.ndarray:
-    """Indices of samples of a branch between which depth is strictly monotone; trembling drops out, and so does
-    standing still at either end.
-
-    In the first half of the way that is the last sample at each depth, in the second half the first one.
-
-    Args:
-        depth: m, shape (n,), in the order of time.
-        direction: 1 in, -1 out.
-    """
-    if not len(depth):
-        return np.arange(0)
-    way = direction * np.asarray(depth)
-    middle = int(np.argmax(way >= 0.5 * (way[0] + way.max())))
-    nearest = np.minimum.accumulate(way[middle::-1])[::-1]
-    furthest = np.maximum.accumulate(way[middle:])
-    leaving = np.flatnonzero(np.diff(nearest, append=np.inf) > 0)
-    arriving = np.flatnonzero(np.diff(furthest, prepend=-np.inf) > 0) + middle
-    return np.union1d(leaving, arriving)
 
 
 def on_grid(depth: np.ndarray, force: np.ndarray, direction: int, grid: np.ndarray) -> np.ndarray:
@@ -248,23 +179,10 @@ class Trace:
         """
         if len(self) < 2:
             raise InputError("nothing has been felt yet; push the tool into the tissue first", field="trace")
-        segment, cycle = self._labels()
+        labels = label_motion(self.time, self.depth, 0.5 * HYSTERESIS, shortest_hold=HOLD_TIME)
+        segment, cycle = count_cycles(labels)
         return Recording({"time": self.time - self.time[0], "displacement": self.depth, "force": self.force},
                          {"segment": segment, "cycle": cycle}, dict(metadata))
-
-    def _labels(self) -> tuple[np.ndarray, np.ndarray]:
-        segment, cycle = np.full(len(self), "hold", dtype="U6"), np.ones(len(self), dtype=int)
-        number, withdrawn = 1, False
-        for direction, first, last in self._branches():
-            if direction > 0 and withdrawn:
-                number += 1
-            withdrawn = withdrawn or direction < 0
-            # A sample where two segments meet belongs to the first of them.
-            part = slice(first if first == 0 else first + 1, last + 1)
-            segment[part] = "unload" if direction < 0 else "ramp" if number == 1 else "reload"
-            cycle[part] = number
-        segment[_holds(self.time, self.depth)] = "hold"
-        return segment, cycle
 
     def _branches(self) -> list[tuple[int, int, int]]:
         """As `Reversals.branches`, with indices of `depth`."""
@@ -274,18 +192,6 @@ class Trace:
     def _branch(self, first: int, last: int) -> Branch:
         part = slice(first, last + 1)
         return Branch(self.time[part], self.depth[part], self.force[part])
-
-
-def _holds(time: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """Whether each point belongs to a hold: `HOLD_TIME` or more within `HYSTERESIS` of where the hold began."""
-    holds = np.zeros(len(time), dtype=bool)
-    begin = 0
-    for i in range(1, len(time) + 1):
-        if i == len(time) or abs(depth[i] - depth[begin]) > HYSTERESIS:
-            if time[i - 1] - time[begin] >= HOLD_TIME:
-                holds[begin:i] = True
-            begin = i
-    return holds
 
 
 def recording_csv(recording: Recording) -> bytes:

@@ -156,7 +156,7 @@ class Shown:
         """The tool at the touch, in the tissue of `setup`."""
         first, setup = self.setup, self.session.setup
         if setup.experiment != first.experiment:
-            self.ask("use_scene", name=first.scene.name, tool=first.experiment.tool, friction=first.experiment.friction)
+            self.ask("use_scene", name=first.kind.name, tool=first.experiment.tool, friction=first.experiment.friction)
         if setup.material != first.material or setup.source != first.source:
             self.ask("use_material", material=first.material, source=first.source)
         deadline = time.monotonic() + 60.0
@@ -171,14 +171,14 @@ def shown(browser, tmp_path_factory):
     """One viewer for all tests of its page."""
     import tissue_sim as ts
     from scenes.commands.loop import read_material
-    from scenes.needle import NEEDLE
     from scenes.viewer.measurement import measurement
-    from scenes.viewer.setup import Setup
+    from scenes.viewer.scene import Scene
+    from tissue_sim.experiment.kinds.indentation import NEEDLE
     from tissue_sim.material.file import MaterialFile
     from tissue_sim.parameters import with_values
 
     experiment = NEEDLE.experiment(specimen=ts.Specimen(radius=0.04, height=0.07), protocol=ts.Protocol.ramp(5e-3, 21))
-    setup = Setup(NEEDLE, experiment, read_material(None))
+    setup = Scene(NEEDLE, experiment, read_material(None))
     true = ts.simulate(setup.model, resolution="fast")
     replicates = [ts.Rig(force_noise=NOISE, seed=seed).measure(true) for seed in range(3)]
     folder = tmp_path_factory.mktemp("materials")

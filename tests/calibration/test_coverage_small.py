@@ -86,9 +86,9 @@ def test_a_carried_mesh_error_does_not_pull_the_moduli_down(benchmarks):
     """An error in proportion to noisy data would shrink their noise: with 1203 samples by 12 % at 1 % of error."""
     starts, _ = benchmarks
     campaign = starts.make_campaign(["bonded"], Noise(starts.NOISE, contact_jitter=0.0, zero_jitter=0.0))
-    setup, depth = starts.SCENES["bonded"].setup, np.linspace(0.0, 1.01 * starts.DEPTH, 41)
+    depth = np.linspace(0.0, 1.01 * starts.DEPTH, 41)
     material = ts.Material(starts.LAW, dict(zip(starts.PARAMETERS, starts.TRUTH, strict=True)), starts.BULK)
-    model = ts.Model(setup.experiment(starts.SPECIMEN, ts.Protocol(depth / starts.SPEED, depth)), material)
+    model = ts.Model(starts.SCENES["bonded"].experiment(ts.Protocol(depth / starts.SPEED, depth)), material)
     curve = CubicSpline(depth, ts.simulate(model).force)
     recordings = starts.make_recordings(campaign, lambda _, reached: curve(reached), np.random.default_rng(SEED))
     problem = build_problem(starts.LAW, campaign, recordings, Solves())

@@ -18,9 +18,10 @@ from calibration.fit.profiles import profile_side
 from calibration.fit.starts import starts
 from calibration.fit.uncertainty import assess_uncertainty
 from calibration.forward.build import build_problem
-from calibration.forward.motion import Timed, label_segments, number_runs
+from calibration.forward.motion import Timed
 from calibration.forward.solves import Solves
 from calibration.statistics.jitter import Jitter
+from tissue_sim.recording.segmentation import label_motion, number_runs
 
 TRUTH = {"C10": 1404.9, "C20": 699.4}
 SPECIMEN = ts.Specimen(0.040, 0.070)
@@ -277,7 +278,7 @@ def test_motion_of_a_ramp_hold_and_return():
     motion = Timed.of(time, displacement)
     assert len(motion.legs) == 3
     assert np.interp(time, motion.time, motion.displacement) == pytest.approx(displacement, abs=2e-5)
-    labels = label_segments(time, displacement)
+    labels = label_motion(time, displacement)
     assert dict.fromkeys(labels.tolist()).keys() == {"ramp", "hold", "unload"}
     assert labels[0] == "ramp"
     assert labels[-1] == "unload"

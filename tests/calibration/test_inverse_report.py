@@ -30,7 +30,7 @@ from calibration.fit.results import TestCurves as CurvesOfTest
 from calibration.report import curve_figures, estimate_figures, figures
 from calibration.report.report import write_inverse_report
 from calibration.statistics.sensor_noise import SensorNoise
-from tissue_sim import Specimen, find_law
+from tissue_sim import KINDS, Specimen, find_law
 
 LEVEL = 3.8414588  # 95 % quantile of chi-square with one degree of freedom
 JITTER, ZERO, NOISE = 0.03e-3, 0.01, 0.02
@@ -39,7 +39,7 @@ SPECIMEN = Specimen(0.04, 0.07, "phantom")
 
 
 def make_test(name, kind, specimen=SPECIMEN, hold_out=False):
-    return CampaignTest(name, kind, specimen, (Path(f"{name}_1.csv"),), hold_out=hold_out)
+    return CampaignTest(name, KINDS[kind], specimen, (Path(f"{name}_1.csv"),), hold_out=hold_out)
 
 
 PLATES = make_test("plates", "lubricated_compression")

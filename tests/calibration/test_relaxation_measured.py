@@ -62,10 +62,10 @@ def test_loading_and_unloading_in_tension(adhesive):
 
 
 def test_cells_under_a_tip(data_folder):
-    from tissue_sim.recording.formats.afm import read_afm_curves
+    from tissue_sim.recording.formats.afm import read_afm
 
     found = []
-    for curve in read_afm_curves(data_folder / "afm_formats" / CELLS):
+    for curve in read_afm(data_folder / "afm_formats" / CELLS):
         segment = curve.labels["segment"]
         approach = curve.select(segment == "approach")
         pressed = approach.time[approach.displacement > 0]

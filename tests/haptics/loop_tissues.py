@@ -5,22 +5,21 @@ import signal
 import sys
 import time
 from functools import partial
-from types import SimpleNamespace
 
 import numpy as np
 
-from haptics.devices.motion_source import SineMotion
+from haptics.devices.motions import SineMotion
 from haptics.loop.loop import LoopSettings
 from haptics.loop.process import LoopProcess
 from haptics.loop.ring import RingReader, RingWriter
-from haptics.loop.surface_board import SurfaceBoard
+from haptics.loop.snapshot_board import SnapshotBoard
 from haptics.safety.limits import ForceLimits
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.errors import InputError
 from tissue_sim.fem.axisymmetric.fields import Fields
 from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
-from tissue_sim.tool_force import ForceStatus, ToolForce
+from tissue_sim.tool_force import ForceStatus, ToolForce, depth_of
 
 
 class Spring:
@@ -32,7 +31,8 @@ class Spring:
     def warm_up(self):
         self.warm = True
 
-    def step(self, depth, dt):
+    def step(self, pose, dt):
+        depth = depth_of(pose)
         self.steps.append((depth, dt))
         inside = depth > 0
         return ToolForce.axial(self.stiffness * depth if inside else 0.0, self.stiffness if inside else 0.0,
@@ -45,9 +45,6 @@ class Spring:
         if stiffness <= 0:
             raise InputError(f"{stiffness:g} N/m is no stiffness; give a number above zero", field="stiffness")
         self.stiffness = stiffness
-
-    def surface(self):
-        return SimpleNamespace(outline=np.array([[0.0, -self.steps[-1][0] if self.steps else 0.0], [0.04, 0.0]]))
 
 
 class Gel(Spring):
@@ -66,10 +63,10 @@ def gel_fields(material, states, stresses=None):
 class Fuse(Spring):
     """Fails at its tenth step."""
 
-    def step(self, depth, dt):
+    def step(self, pose, dt):
         if len(self.steps) == 9:
             raise ZeroDivisionError("the tenth\nstep")
-        return super().step(depth, dt)
+        return super().step(pose, dt)
 
 
 def refuse():
@@ -95,21 +92,39 @@ def loop_process(build=Spring, seconds=None, real_time=False, snapshot_rate=0.0,
 
 
 def record(n):
-    """A tick whose fields all follow from its number."""
-    return (n, n * 0.5, n + 1.0, n + 2.0, n + 3.0, n + 4.0, n + 5.0, n + 6.0, n + 7.0, n + 8.0, n + 9.0, n, n + 1,
-            n % 4, n % 97, n % 61, n % 2)
+    """A tick whose fields all follow from its number: what `RingWriter.append` takes."""
+    device, tool = (Pose((n + 0.1 * k, n + 0.2 * k, -n - k), (0.6, 0.0, 0.8, 0.0)) for k in (1, 2))
+    wrench, tissue = (tuple(n + 10.0 * k + axis for axis in range(6)) for k in (1, 2))
+    matrix = tuple(tuple(n + 6.0 * row + column for column in range(6)) for row in range(6))
+    answer = ToolForce(tissue, matrix, ForceStatus(n % 4), n % 97, n + 6.0, inertial=bool(n % 2), age=n + 9.0)
+    return n, n * 0.5, device, tool, wrench, answer, n + 7.0, n + 8.0, n, n + 1, n % 61
+
+
+def fields_of(n):
+    """The same tick as a reader sees it, flat."""
+    _, time, device, tool, wrench, answer, compute_time, lateness, late, missed, flags = record(n)
+    return [n, time, device.depth, tool.depth, wrench[2], answer.force, answer.stiffness, answer.residual, compute_time,
+            lateness, answer.age, late, missed, answer.status, answer.iterations, flags, answer.inertial,
+            *device.position, *device.orientation, *tool.position, *tool.orientation, *wrench, *answer.wrench,
+            *(part for row in answer.stiffness_matrix for part in row)]
+
+
+def flat(record):
+    """All numbers of a record of the ring."""
+    return [number for name in record.dtype.names for number in np.ravel(record[name]).tolist()]
 
 
 def write_fast(ring_path, board_path, stop_path):
     """Fill a small ring and a board as fast as this process can, until a file appears."""
-    with RingWriter(ring_path, 8) as ring, SurfaceBoard(board_path, 500) as board:
+    pattern = Snapshot(Pose.at_depth(0.0), 0.0, gel_fields(1.0, np.zeros((1, 500))))
+    with RingWriter(ring_path, 8) as ring, SnapshotBoard(board_path, pattern) as board:
         n = 0
         print("writing", flush=True)
         while n % 256 or not stop_path.exists():
             n += 1
             ring.append(*record(n))
             if n % 16 == 0:
-                board.publish(float(n), np.full((400 + n % 100, 2), float(n)))
+                board.publish(float(n), Snapshot(Pose.at_depth(n), n, gel_fields(1.0, np.full((1, 500), float(n)))))
 
 
 def read_forces(path, count):

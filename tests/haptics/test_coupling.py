@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from haptics.safety.coupling import VirtualCoupling
 from tissue_sim import InputError
+from tissue_sim.pose import Pose
 from tissue_sim.tool_force import ForceStatus, ToolForce
 
 TICK = 1e-3
@@ -32,6 +33,13 @@ class Load:
                          inertial=self.says_inertial and self.mass > 0)
 
 
+def step(coupling, depth, answer):
+    """Depth of the proxy after a step along z, m."""
+    proxy = coupling.step(Pose((0.0, 0.0, -depth)), answer, TICK)
+    assert proxy is coupling.pose and proxy.position[:2] == coupling.force[:2] == (0.0, 0.0)
+    return proxy.depth
+
+
 def free_flight(coupling, load, mass, damping, speed, ticks):
     """A device let go with a speed: mass and damper, the force held between samples, its motion solved exactly.
 
@@ -42,8 +50,8 @@ def free_flight(coupling, load, mass, damping, speed, ticks):
     decay = math.exp(-damping * TICK / mass)
     for _ in range(ticks):
         energy.append(mass * velocity**2 / 2)
-        answer = load.step(coupling.step(depth, answer, TICK), TICK)
-        end = -coupling.force / damping
+        answer = load.step(step(coupling, depth, answer), TICK)
+        end = -coupling.force[2] / damping
         depth += end * TICK + (velocity - end) * (1 - decay) * mass / damping
         velocity = end + (velocity - end) * decay
     return np.array(energy)
@@ -119,8 +127,8 @@ def test_code_is_the_impedance_of_the_condition(damping, mass, angle):
     stiffness, tissue, ticks = 1000.0, 1500.0, 4000
     coupling, load, answer, force = VirtualCoupling(stiffness, damping, mass), Load(tissue), None, np.empty(ticks)
     for tick in range(ticks):
-        answer = load.step(coupling.step(1e-3 * math.cos(angle * tick), answer, TICK), TICK)
-        force[tick] = coupling.force
+        answer = load.step(step(coupling, 1e-3 * math.cos(angle * tick), answer), TICK)
+        force[tick] = coupling.force[2]
     rate = (1 - cmath.exp(-1j * angle)) / TICK
     spring, proxy = stiffness + damping * rate, tissue + mass * rate**2
     impedance = spring * proxy / (spring + proxy)
@@ -132,18 +140,18 @@ def test_at_rest_coupling_and_tissue_balance():
     """A tissue that stiffens, touched with a sudden move: p from K (x - p) = F(p)."""
     coupling, answer = VirtualCoupling(1000.0, 1.0), None
     for _ in range(200):
-        depth = coupling.step(5e-3, answer, TICK) if answer else coupling.step(0.0, None, TICK)
+        depth = step(coupling, 5e-3, answer) if answer else step(coupling, 0.0, None)
         answer = ToolForce.axial(400 * depth + 1e7 * depth**3, 400 + 3e7 * depth**2, ForceStatus.CONVERGED)
-    assert 1000 * (5e-3 - coupling.depth) == pytest.approx(answer.force, rel=1e-9)
-    assert coupling.force == pytest.approx(answer.force, rel=1e-9)
+    assert 1000 * (5e-3 - coupling.pose.depth) == pytest.approx(answer.force, rel=1e-9)
+    assert coupling.force[2] == pytest.approx(answer.force, rel=1e-9)
 
 
 def peak(coupling, load, ticks=500):
     """Largest depth of the proxy when the device is moved by 1 mm at once."""
-    answer, largest = load.step(coupling.step(0.0, None, TICK), TICK), 0.0
+    answer, largest = load.step(step(coupling, 0.0, None), TICK), 0.0
     for _ in range(ticks):
-        answer = load.step(coupling.step(1e-3, answer, TICK), TICK)
-        largest = max(largest, abs(coupling.depth))
+        answer = load.step(step(coupling, 1e-3, answer), TICK)
+        largest = max(largest, abs(coupling.pose.depth))
         if largest > 1.0:
             break
     return largest
@@ -166,29 +174,29 @@ def test_limit_of_a_proxy_that_does_not_know_of_the_mass(part, stable):
 def test_proxy_stays_while_there_is_no_answer():
     coupling = VirtualCoupling(1000.0, 1.0)
     # Put at the device first, whatever a tissue said about another place.
-    assert coupling.step(2e-3, ToolForce.axial(1.0, 500.0, ForceStatus.CONVERGED), TICK) == 2e-3
-    assert coupling.step(3e-3, None, TICK) == 2e-3
-    assert coupling.force == pytest.approx(1000 * 1e-3 + 1.0 * 1.0)
-    coupling.step(3e-3, None, TICK)
-    assert coupling.force == pytest.approx(1.0)
+    assert step(coupling, 2e-3, ToolForce.axial(1.0, 500.0, ForceStatus.CONVERGED)) == 2e-3
+    assert step(coupling, 3e-3, None) == 2e-3
+    assert coupling.force[2] == pytest.approx(1000 * 1e-3 + 1.0 * 1.0)
+    step(coupling, 3e-3, None)
+    assert coupling.force[2] == pytest.approx(1.0)
 
 
 def test_the_damper_counts_what_it_takes():
     """1 m/s of slip for 1 ms through 2 N s/m: 2 mJ."""
     coupling = VirtualCoupling(1000.0, 2.0)
-    coupling.step(0.0, None, TICK)
-    coupling.step(1e-3, None, TICK)
+    step(coupling, 0.0, None)
+    step(coupling, 1e-3, None)
     assert coupling.dissipated == pytest.approx(2e-3)
     coupling.reset()
-    assert coupling.dissipated == 0.0 and coupling.step(7e-3, None, TICK) == 7e-3
+    assert coupling.dissipated == 0.0 and step(coupling, 7e-3, None) == 7e-3
 
 
 def test_tissue_that_softens_does_not_throw_the_proxy():
     """A negative stiffness, as at the onset of puncture, smaller than that of the coupling."""
     coupling, answer = VirtualCoupling(1000.0), ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
-    coupling.step(0.0, None, TICK)
+    step(coupling, 0.0, None)
     for _ in range(400):
-        depth = coupling.step(4e-3, answer, TICK)
+        depth = step(coupling, 4e-3, answer)
         answer = ToolForce.axial(2.0 - 400 * depth, -400.0, ForceStatus.CONVERGED)
     assert depth == pytest.approx((4.0 - 2.0) / 600.0)
 
@@ -202,7 +210,7 @@ def test_tissue_that_gives_way_faster_than_the_coupling_lets_the_tool_through():
 
     coupling, answer, path = VirtualCoupling(1000.0), None, []
     for tick in range(300):
-        path.append(coupling.step(min(0.05e-3 * tick, 6e-3), answer, TICK))
+        path.append(step(coupling, min(0.05e-3 * tick, 6e-3), answer))
         answer = tissue(path[-1])
     assert all(later >= before for before, later in pairwise(path))
     assert path[-1] == pytest.approx(6e-3)

@@ -8,20 +8,23 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from haptics.devices.motion_source import HandMotion, SineMotion
+from haptics.devices.contracts import AxialMotion, DeviceError, HapticDevice
+from haptics.devices.motions import HandMotion, SineMotion
 from haptics.loop.loop import Loop, LoopSettings, peak_memory
 from haptics.loop.process import LoopError
 from haptics.loop.ring import PAUSED, RingReader, RingWriter
-from haptics.loop.surface_board import SurfaceBoard, SurfaceReader
+from haptics.loop.snapshot_board import SnapshotBoard, SnapshotReader
 from haptics.safety.limits import ForceLimits
 from haptics.safety.rendering import ForceRendering, RenderFlag
 from tissue_sim.errors import InputError
+from tissue_sim.pose import Pose
 from tissue_sim.tool_force import ForceStatus, ToolForce
 
 HERE = Path(__file__).parent
@@ -45,7 +48,7 @@ class FakeClock:
         self.now += round(seconds * 1e9)
 
 
-class Ramp:
+class Ramp(AxialMotion):
     """20 mm/s."""
 
     def depth(self, time):
@@ -54,25 +57,33 @@ class Ramp:
 
 @pytest.fixture
 def run(tmp_path, tissues):
-    """Run a loop on a fake clock: the report, its ticks, its tissue and its surface."""
+    """Run a loop on a fake clock: the report and its ticks; `published` is the last snapshot, of tissues that have
+    some."""
     clock = FakeClock()
 
-    def run(tissue, seconds, *, source=None, listen=None, force=10.0, spring=None):
-        settings = LoopSettings(seconds=seconds, real_time=False)
+    def run(tissue, seconds, *, source=None, listen=None, force=10.0):
+        settings = LoopSettings(seconds=seconds, real_time=False, snapshot_rate=30.0)
         rendering = ForceRendering(ForceLimits(force=force, rate=1.0))
-        with RingWriter(tmp_path / "ring") as ring, SurfaceBoard(tmp_path / "surface", 2) as board, \
-                RingReader(tmp_path / "ring") as reader, SurfaceReader(tmp_path / "surface") as surfaces:
-            loop = Loop(tissue, source or Ramp(), rendering, settings, ring, board=board, listen=listen, clock=clock,
-                        sleep=clock.sleep)
-            return loop.run(), reader.since().records, surfaces.latest()
+        with ExitStack() as stack:
+            ring = stack.enter_context(RingWriter(tmp_path / "ring"))
+            reader = stack.enter_context(RingReader(tmp_path / "ring"))
+            board = None
+            if hasattr(tissue, "snapshot"):
+                board = stack.enter_context(SnapshotBoard(tmp_path / "snapshots", tissue.snapshot()))
+                snapshots = stack.enter_context(SnapshotReader(tmp_path / "snapshots", tissue.snapshot()))
+            loop = Loop(tissue, source or Ramp(), rendering, settings, ring, snapshots=board, listen=listen,
+                        clock=clock, sleep=clock.sleep)
+            report = loop.run()
+            run.published = snapshots.latest() if board else None
+            return report, reader.since().records
 
     run.clock = clock
     return run
 
 
 def test_a_tick_goes_from_pose_to_force(run, tissues):
-    tissue = tissues.Spring(200.0)
-    report, ticks, surface = run(tissue, 0.5)
+    tissue = tissues.Gel(200.0)
+    report, ticks = run(tissue, 0.5)
     assert (report.ticks, report.late, report.missed, report.ended_by) == (500, 0, 0, "time")
     assert report.seconds == pytest.approx(0.5) and report.statuses == {"converged": 500, "late": 0, "stopped": 0,
                                                                         "refused": 0}
@@ -86,20 +97,20 @@ def test_a_tick_goes_from_pose_to_force(run, tissues):
     assert set(ticks["stiffness"]) == {200.0} and set(ticks["iterations"]) == {1} and set(ticks["inertial"]) == {1}
     assert report.largest_force == pytest.approx(2.0)
     # Published at 30 Hz: every 33 ticks from the first one on, the last at tick 496.
-    assert surface.number == 16 and surface.time == pytest.approx(0.496)
-    assert surface.outline[0, 1] == pytest.approx(-0.02 * 0.496)
+    assert run.published.number == 16 and run.published.time == pytest.approx(0.496)
+    assert run.published.snapshot.depth == pytest.approx(0.02 * 0.496)
 
 
 def test_the_tissue_gets_the_time_that_has_passed(run, tissues):
     """Tick 100 takes 7.4 ms: 6 deadlines pass, and the next step is as long as all of them."""
     class Slow(tissues.Spring):
-        def step(self, depth, dt):
-            answer = super().step(depth, dt)
+        def step(self, pose, dt):
+            answer = super().step(pose, dt)
             run.clock.now += 7_400_000 if len(self.steps) == 100 else 250_000
             return answer
 
     tissue = Slow()
-    report, ticks, _ = run(tissue, 0.2)
+    report, ticks = run(tissue, 0.2)
     assert (report.ticks, report.missed, report.late) == (194, 6, 1)
     assert list(ticks["tick"][98:102]) == [99, 100, 107, 108] and list(ticks["missed"][98:102]) == [0, 0, 6, 6]
     assert ticks["lateness"][100] == pytest.approx(6.4e-3) and ticks["time"][100] == pytest.approx(0.1074)
@@ -114,12 +125,12 @@ def test_the_tissue_gets_the_time_that_has_passed(run, tissues):
 
 def test_statuses_and_limits_are_counted_and_shown(run, tissues):
     class Doubtful(tissues.Spring):
-        def step(self, depth, dt):
-            answer = super().step(depth, dt)
+        def step(self, pose, dt):
+            answer = super().step(pose, dt)
             status = ForceStatus.LATE if len(self.steps) % 4 == 0 else ForceStatus.CONVERGED
             return ToolForce.axial(answer.force, answer.stiffness, status, 3, 1e-3, age=0.25)
 
-    report, ticks, _ = run(Doubtful(), 0.4, force=1.0)
+    report, ticks = run(Doubtful(), 0.4, force=1.0)
     assert report.statuses == {"converged": 300, "late": 100, "stopped": 0, "refused": 0}
     assert (ticks["status"][3::4] == ForceStatus.LATE).all() and set(ticks["age"]) == {0.25}
     limited = ticks["tissue_force"] > 1.0
@@ -128,11 +139,11 @@ def test_statuses_and_limits_are_counted_and_shown(run, tissues):
 
 
 def test_a_source_without_a_pose_is_passed_on(run, tissues):
-    class Lost:
+    class Lost(AxialMotion):
         def depth(self, time):
             return 5e-3 if time < 0.1 else None
 
-    report, ticks, _ = run(tissues.Spring(), 0.5, source=Lost())
+    report, ticks = run(tissues.Spring(), 0.5, source=Lost())
     assert np.isnan(ticks["device_depth"][100:]).all() and (ticks["tool_depth"] == 5e-3).all()
     assert ticks["force"][50] == pytest.approx(1.0) and ticks["force"][-1] == 0.0
     assert report.flagged["lost_pose"] == np.count_nonzero(ticks["flags"] & RenderFlag.LOST_POSE) > 300
@@ -143,7 +154,7 @@ def test_a_pause_holds_the_motion_and_fades_the_force(run, tissues):
         {100: loop.pause, 400: loop.resume}.get(len(tissue.steps), lambda: None)()
 
     tissue = tissues.Spring()
-    report, ticks, _ = run(tissue, 0.8, listen=listen)
+    report, ticks = run(tissue, 0.8, listen=listen)
     paused = ticks["flags"] & PAUSED != 0
     assert report.flagged["paused"] == paused.sum() == 300
     np.testing.assert_allclose(ticks["tool_depth"][paused], 2e-3)
@@ -159,7 +170,7 @@ def test_a_reset_begins_again(run, tissues):
             loop.reset()
 
     tissue, done = tissues.Spring(), []
-    _, ticks, _ = run(tissue, 0.4, listen=listen)
+    _, ticks = run(tissue, 0.4, listen=listen)
     np.testing.assert_allclose(ticks["device_depth"], np.tile(0.02e-3 * np.arange(1, 201), 2), rtol=1e-9)
     assert len(tissue.steps) == 200, "the tissue began again, too"
 
@@ -174,7 +185,7 @@ def test_a_paused_motion_can_go_on_for_a_while(run, tissues):
             loop.advance(0.02)
 
     tissue = tissues.Spring()
-    report, ticks, _ = run(tissue, 0.4, listen=listen)
+    report, ticks = run(tissue, 0.4, listen=listen)
     assert report.flagged["paused"] == 250
     np.testing.assert_allclose(ticks["tool_depth"][[199, 210, 249, 399]], [2e-3, 2.22e-3, 3e-3, 3e-3])
 
@@ -183,14 +194,14 @@ def test_another_source_is_followed_and_a_hand_is_steered(run, tissues):
     def listen(loop):
         step = len(tissue.steps)
         if step == 50:
-            with pytest.raises(InputError, match=r"\(Ramp\) cannot be steered; follow a HandMotion first"):
+            with pytest.raises(InputError, match="a Ramp goes where it likes and cannot be steered; follow a"):
                 loop.aim(1e-3)
         elif step == 100:
             loop.follow(HandMotion(2e-3))
             loop.aim(5e-3)
 
     tissue = tissues.Spring()
-    _, ticks, _ = run(tissue, 0.6, listen=listen)
+    _, ticks = run(tissue, 0.6, listen=listen)
     after = ticks["tool_depth"][99:]
     assert after[0] == pytest.approx(2e-3) and after[-1] == pytest.approx(5e-3, abs=1e-7)
     assert (np.diff(after) >= 0).all() and np.diff(after).max() < 0.1e-3
@@ -203,9 +214,63 @@ def test_another_source_can_begin_anew(run, tissues):
             loop.follow(HandMotion(-1e-3), anew=True)
 
     tissue, done = tissues.Spring(), []
-    _, ticks, _ = run(tissue, 0.2, listen=listen)
+    _, ticks = run(tissue, 0.2, listen=listen)
     np.testing.assert_allclose(ticks["tool_depth"][98:102], [1.98e-3, 2e-3, -1e-3, -1e-3])
     assert len(tissue.steps) == 100, "the tissue began again, too"
+
+
+class Felt(HapticDevice):
+    """Rests at 3 mm, and notes what is done with it."""
+
+    def __init__(self, there=True):
+        self.there, self.said, self.wrenches = there, [], []
+
+    def start(self):
+        if not self.there:
+            raise DeviceError("no handle is plugged in; plug one in")
+        self.said.append("start")
+
+    def pose(self, time):
+        return Pose((1e-3, 2e-3, -3e-3), (0.6, 0.0, 0.0, 0.8))
+
+    def render(self, wrench):
+        self.wrenches.append(wrench)
+
+    def stop(self):
+        self.said.append("stop")
+
+
+def test_a_device_is_given_what_the_ring_says(run, tissues):
+    device = Felt()
+    _, ticks = run(tissues.Spring(200.0), 0.1, source=device)
+    assert device.said == ["stop"] and len(device.wrenches) == 100
+    np.testing.assert_array_equal(ticks["wrench"], device.wrenches)
+    assert ticks["force"][-1] == pytest.approx(0.6)
+    np.testing.assert_array_equal(ticks["device_pose"], [[1e-3, 2e-3, -3e-3, 0.6, 0.0, 0.0, 0.8]] * 100)
+    np.testing.assert_array_equal(ticks["tool_pose"], ticks["device_pose"])
+
+
+def test_a_device_is_stopped_whatever_happens(run, tissues):
+    device = Felt()
+    with pytest.raises(ZeroDivisionError):
+        run(tissues.Fuse(), 0.1, source=device)
+    assert device.said == ["stop"] and len(device.wrenches) == 9
+
+
+def test_a_loop_changes_from_one_device_to_another_that_is_there(run, tissues):
+    def listen(loop):
+        step = len(tissue.steps)
+        if step == 20:
+            with pytest.raises(DeviceError, match="no handle is plugged in"):
+                loop.follow(Felt(there=False))
+            assert first.said == [] and len(first.wrenches) == 20
+        elif step == 40:
+            loop.follow(other)
+
+    tissue, first, other = tissues.Spring(), Felt(), Felt()
+    run(tissue, 0.1, source=first, listen=listen)
+    assert (first.said, other.said) == (["stop"], ["start", "stop"])
+    assert (len(first.wrenches), len(other.wrenches)) == (40, 60)
 
 
 def test_a_tissue_without_the_ability_says_so(run, tissues):
@@ -213,17 +278,14 @@ def test_a_tissue_without_the_ability_says_so(run, tissues):
         def step(self, depth, dt):
             return ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
 
-        surface = tissues.Spring(0.0).surface
-        steps = ()
-
     with pytest.raises(InputError, match=r"this tissue \(Plain\) has no reset"):
         run(Plain(), 0.1, listen=lambda loop: loop.reset())
 
 
 @pytest.mark.parametrize(("wrong", "field"), [
     ({"period": 0.0}, "period"), ({"spin": 2e-3}, "spin"), ({"seconds": 0.0}, "seconds"),
-    ({"seconds": math.inf}, "seconds"), ({"surface_rate": -1.0}, "surface_rate"),
-    ({"surface_rate": math.nan}, "surface_rate"), ({"snapshot_rate": -1.0}, "snapshot_rate"),
+    ({"seconds": math.inf}, "seconds"), ({"snapshot_rate": -1.0}, "snapshot_rate"),
+    ({"snapshot_rate": math.nan}, "snapshot_rate"),
 ])
 def test_settings_that_make_no_sense_are_refused(wrong, field):
     with pytest.raises(InputError) as caught:
@@ -232,7 +294,7 @@ def test_settings_that_make_no_sense_are_refused(wrong, field):
 
 
 def test_a_report_is_json(run, tissues):
-    report, *_ = run(tissues.Spring(), 0.1)
+    report, _ = run(tissues.Spring(), 0.1)
     answer = json.loads(json.dumps(report.as_json(), allow_nan=False))
     assert answer["ticks"] == 100 and answer["missed_percent"] == 0.0 and answer["period_us"] == 1000.0
     assert set(answer["lateness_us"]) == set(answer["compute_us"]) == {"p50", "p99", "p99.9", "max"}
@@ -280,24 +342,23 @@ def test_a_process_ticks_to_its_end(tissues):
         assert len(report.real_time) == 4 and any(feature.obtained for feature in report.real_time)
         assert report.statuses["converged"] == report.ticks and report.largest_force == pytest.approx(0.8, rel=0.01)
         assert not loop.alive and loop.exit_code == 0 and loop.message == "ended"
-    assert not loop.ring_path.exists() and not loop.surface_path.exists()
+    assert not loop.ring_path.exists() and not loop.snapshot_path.exists()
 
 
 def test_an_unrelated_process_reads_the_ring(tissues):
     with tissues.loop_process() as loop:
         loop.wait_until_ready(60)
         assert loop.alive and loop.exit_code is None and loop.report is None
-        with loop.ring() as ring, loop.surface() as surface:
+        with loop.ring() as ring:
             command = [sys.executable, HERE / "loop_tissues.py", "read", loop.ring_path, "100"]
             read, lost, _ = subprocess.run(command, env=environment(), capture_output=True, text=True,
                                            check=True).stdout.split()
             report = loop.stop()
-            ticks, outline = ring.since().records, surface.latest()
-            assert ring.ended and surface.ended
+            ticks = ring.since().records
+            assert ring.ended
     assert 100 <= int(read) <= len(ticks) and lost == "0"
     assert report.ended_by == "stop" and report.ticks == len(ticks)
     assert ring_is_right(ticks)
-    assert outline.number >= 2 and outline.outline.shape == (2, 2)
 
 
 def ring_is_right(ticks):

@@ -12,6 +12,7 @@ from haptics.safety.coupling import VirtualCoupling
 from haptics.safety.limits import ForceLimits
 from haptics.safety.rendering import ForceRendering, RenderFlag
 from haptics.safety.watchdog import Watchdog, WatchdogState
+from tissue_sim.pose import Pose
 from tissue_sim.tool_force import ForceStatus, ToolForce
 
 DT = 1e-3
@@ -24,13 +25,18 @@ class Spring:
     def __init__(self, stiffness=500.0, status=ForceStatus.CONVERGED):
         self.stiffness, self.status, self.depths = stiffness, status, []
 
-    def step(self, depth, dt):
-        self.depths.append(depth)
-        return ToolForce.axial(self.stiffness * depth, self.stiffness, self.status)
+    def step(self, pose, dt):
+        self.depths.append(pose.depth)
+        return ToolForce.axial(self.stiffness * pose.depth, self.stiffness, self.status)
+
+
+def at(depth):
+    """Where the device is, by its depth, m; None: not known."""
+    return None if depth is None else Pose((0.0, 0.0, -depth))
 
 
 def run(rendering, tissue, depths):
-    return [rendering.render(tissue.step(rendering.depth_for(depth, DT), DT), DT) for depth in depths]
+    return [rendering.render(tissue.step(rendering.pose_for(at(depth), DT), DT), DT) for depth in depths]
 
 
 def generous():
@@ -96,13 +102,13 @@ def test_an_answer_that_cannot_be_believed_changes_nothing(bad, coupled):
     """Force and proxy stay for as long as the watchdog waits."""
     rendering = ForceRendering(generous(), VirtualCoupling(1500.0, 1.0) if coupled else None)
     before = run(rendering, Spring(), [2e-3] * 300)[-1]
-    rendering.depth_for(2e-3, DT)
+    rendering.pose_for(at(2e-3), DT)
     for _ in range(20):
         rendered = rendering.render(bad, DT)
         assert (rendered.force, rendered.flags) == (pytest.approx(before.force), 0)
         assert rendered.state is WatchdogState.MISSING
         if coupled:
-            assert rendering.depth_for(3e-3, DT) == pytest.approx(before.proxy_depth)
+            assert rendering.pose_for(at(3e-3), DT).depth == pytest.approx(before.proxy_depth)
 
 
 depths = st.none() | st.floats(-0.02, 0.02) | st.sampled_from([math.nan, math.inf])
@@ -120,7 +126,7 @@ def test_whatever_comes_the_hand_is_safe(path, coupled, damping):
                                controller_damping=damping)
     last = 0.0
     for depth, (force, stiffness, status, inertial), dt in path:
-        rendering.depth_for(depth, dt)
+        rendering.pose_for(at(depth), dt)
         rendered = rendering.render(ToolForce.axial(force, stiffness, status, inertial=inertial), dt)
         assert abs(rendered.force) <= 5.0
         assert abs(rendered.force - last) <= 0.1 + 1e-12
@@ -132,7 +138,7 @@ def test_whatever_comes_the_hand_is_safe(path, coupled, damping):
 def test_a_sound_tissue_is_felt_again_after_anything(path, coupled):
     rendering = ForceRendering(ForceLimits(5.0, 0.1), VirtualCoupling(2000.0, 1.0) if coupled else None)
     for depth, (force, stiffness, status, inertial), dt in path:
-        rendering.depth_for(depth, dt)
+        rendering.pose_for(at(depth), dt)
         rendering.render(ToolForce.axial(force, stiffness, status, inertial=inertial), dt)
     rendered = run(rendering, Spring(500.0), [2e-3] * 1500)
     assert rendered[-1].force == pytest.approx(1.0 if not coupled else 2e-3 * 400.0)
@@ -145,8 +151,8 @@ def test_flags_say_what_happened():
     assert RenderFlag(first.flags) == RenderFlag.LIMITED | RenderFlag.RATE_LIMITED
     assert first.limited and first.rate_limited
     assert RenderFlag(second.flags) == RenderFlag.LIMITED
-    rendering.depth_for(4e-3, DT)
-    bad = rendering.render(tissue.step(4e-3, DT), math.nan)
+    rendering.pose_for(at(4e-3), DT)
+    bad = rendering.render(tissue.step(at(4e-3), DT), math.nan)
     assert bad.invalid and bad.force == pytest.approx(0.4)
 
 
@@ -165,7 +171,7 @@ def test_a_tissue_that_gives_more_than_it_took_is_seen_and_can_be_damped():
         rendering, late, steps, last = ForceRendering(generous(), controller_damping=damping), [0.0, 0.0], 0.0, 0.0
         for tick in range(1001):
             depth = 2e-3 * (1 - math.cos(2 * math.pi * 4 * tick * DT))
-            late.append(stiffness * rendering.depth_for(depth, DT))
+            late.append(stiffness * rendering.pose_for(at(depth), DT).depth)
             rendered = rendering.render(ToolForce.axial(late.pop(0), stiffness, ForceStatus.LATE), DT)
             steps, last = steps + (depth - last) ** 2, depth
         energies.append(rendered.held_energy)
@@ -184,7 +190,7 @@ def test_nothing_is_felt_before_the_first_pose():
 
 def test_blend_of_a_slow_solver_is_a_tissue():
     blend = LocalModelBlend(jump=0.02)
-    blend.publish(LocalModel(1.0, 500.0, 2e-3, time=0.0))
+    blend.publish(LocalModel.axial(1.0, 500.0, 2e-3, time=0.0))
     rendered = run(ForceRendering(generous()), blend, [2e-3] * 60)
     assert [tick.force for tick in rendered[:3]] == pytest.approx([0.02, 0.04, 0.06])
     assert rendered[-1].force == pytest.approx(1.0)

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from haptics.loop.ring import TICK, RingReader, RingWriter
 from haptics.loop.shared_slots import HEAD_SIZE, SlotReader, SlotWriter, runtime_folder, unused_path
 from haptics.loop.snapshot_board import SnapshotBoard, SnapshotReader
-from haptics.loop.surface_board import SurfaceBoard, SurfaceReader
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
@@ -39,9 +38,22 @@ def test_a_tick_comes_back_as_it_was_written(path, tissues):
         assert reader.latest() is None and reader.since().records.shape == (0,)
         ring.append(*tissues.record(41))
         ring.append(*tissues.record(42))
-        assert tuple(reader.latest()) == tissues.record(42)
+        assert tissues.flat(reader.latest()) == tissues.fields_of(42)
         assert reader.latest().dtype == TICK
-        assert [tuple(record) for record in reader.since().records] == [tissues.record(41), tissues.record(42)]
+        assert [tissues.flat(record) for record in reader.since().records] == [tissues.fields_of(n) for n in (41, 42)]
+
+
+def test_what_stands_twice_in_a_tick_is_the_same(path, tissues):
+    with RingWriter(path) as ring, RingReader(path) as reader:
+        ring.append(*tissues.record(3))
+        tick = reader.latest()
+        for depth, pose in (("device_depth", "device_pose"), ("tool_depth", "tool_pose")):
+            assert tick[depth] == -tick[pose][2]
+        assert (tick["force"], tick["tissue_force"]) == (tick["wrench"][2], tick["tissue_wrench"][2])
+        assert tick["stiffness"] == tick["stiffness_matrix"][2, 2] == 3 + 14
+        ring.append(*(None if isinstance(part, Pose) and place == 2 else part
+                      for place, part in enumerate(tissues.record(4))))
+        assert np.isnan(reader.latest()["device_pose"]).all() and np.isnan(reader.latest()["device_depth"])
 
 
 def test_the_layout_is_the_promised_one(path, tissues):
@@ -49,11 +61,15 @@ def test_the_layout_is_the_promised_one(path, tissues):
     with RingWriter(path, 2) as ring:
         ring.append(*tissues.record(7))
         content = path.read_bytes()
-    assert len(content) == 64 + 2 * (16 + 120)
-    assert content[:8] == b"tsTICKS\0" and content[8:32] == np.array([1, 136, 2, 0, os.getpid(), 0], "<u4").tobytes()
+    size = 120 + 62 * 8
+    assert len(content) == 64 + 2 * (16 + size)
+    head = np.array([1, 16 + size, 2, 0, os.getpid(), 0], "<u4").tobytes()
+    assert content[:8] == b"tsTICKS\0" and content[8:32] == head
     assert content[32:48] == np.array([1, 0], "<u8").tobytes()  # one written, not ended
-    assert content[64:76] == np.array([7 - 6, 0, 120], "<u4").tobytes()
+    assert content[64:76] == np.array([7 - 6, 0, size], "<u4").tobytes()
     assert content[80:88] == np.array([7], "<u8").tobytes() and content[88:96] == np.array([3.5], "<f8").tobytes()
+    # Behind the numbers along z: poses, wrenches, stiffness.
+    assert content[200:80 + size] == np.array(tissues.fields_of(7)[17:], "<f8").tobytes()
 
 
 @settings(max_examples=50, deadline=None)
@@ -121,28 +137,30 @@ def test_no_torn_record_is_seen_from_a_writer_at_full_speed(tmp_path, tissues):
     with subprocess.Popen([sys.executable, HERE / "loop_tissues.py", "write", ring, board, stop], env=environment(),
                           stdout=subprocess.PIPE) as writer:
         assert writer.stdout.readline() == b"writing" + os.linesep.encode()
-        with RingReader(ring) as ticks, SurfaceReader(board) as surfaces:
+        pattern = Snapshot(Pose.at_depth(0.0), 0.0, tissues.gel_fields(1.0, np.zeros((1, 500))))
+        with RingReader(ring) as ticks, SnapshotReader(board, pattern) as snapshots:
             number = seen = lost = published = 0
             while number < 100_000:
                 for _ in range(20):
                     answer = ticks.since(number)
                     for record in answer.records:
-                        assert tuple(record) == tissues.record(int(record["tick"]))
+                        assert tissues.flat(record) == tissues.fields_of(int(record["tick"]))
                     assert (np.diff(answer.records["tick"].astype(int)) > 0).all()
                     if number:
                         seen, lost = seen + len(answer.records), lost + answer.lost
                         assert len(answer.records) + answer.lost == answer.number - number
                     number = answer.number
                     latest = ticks.latest()
-                    assert latest is None or tuple(latest) == tissues.record(int(latest["tick"]))
-                surface = surfaces.latest(after=published)
-                if surface is not None:
-                    assert (surface.outline == surface.time).all()
-                    assert len(surface.outline) == 400 + surface.time % 100 and surface.time == 16 * surface.number
-                    published = surface.number
+                    assert latest is None or tissues.flat(latest) == tissues.fields_of(int(latest["tick"]))
+                seen_whole = snapshots.latest(after=published)
+                if seen_whole is not None:
+                    time, snapshot = seen_whole.time, seen_whole.snapshot
+                    assert (snapshot.fields.states == time).all() and (snapshot.depth, snapshot.datum) == (time, time)
+                    assert time == 16 * seen_whole.number
+                    published = seen_whole.number
             stop.touch()
             assert writer.wait(20) == 0
-            assert ticks.ended and surfaces.ended and not ring.exists() and not board.exists()
+            assert ticks.ended and snapshots.ended and not ring.exists() and not board.exists()
             assert seen > 0 and lost > 0 and published > 0, "the reader must be lapped for this to mean anything"
 
 
@@ -150,35 +168,20 @@ def environment():
     return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, [str(HERE.parents[1]), str(HERE)]))}
 
 
-def test_an_outline_comes_back_and_only_a_newer_one(path):
-    outline = np.array([[0.0, -3e-3], [8e-3, -3e-3], [40e-3, 1e-4]])
-    with SurfaceBoard(path, 3) as board, SurfaceReader(path) as reader:
-        assert reader.latest() is None
-        board.publish(0.25, outline)
-        seen = reader.latest()
-        np.testing.assert_array_equal(seen.outline, outline)
-        assert (seen.number, seen.time) == (1, 0.25) and reader.latest(after=1) is None
-        board.publish(0.5, outline[:2])
-        assert reader.latest(after=1).outline.shape == (2, 2)
-        with pytest.raises(InputError, match=r"do not fit"):
-            board.publish(0.75, np.zeros((4, 2)))
-        with pytest.raises(InputError, match=r"shape \(3,\); expected \(n, 2\)"):
-            board.publish(0.75, np.zeros(3))
-
-
 def test_a_snapshot_comes_back_with_its_stresses(path, tissues):
     pattern = Snapshot(Pose.at_depth(0.0), 0.0, tissues.gel_fields(200.0, np.zeros((1, 7)), np.zeros((1, 2, 3, 4))))
-    sent = Snapshot(Pose.at_depth(3e-3), -1e-4,
-                    tissues.gel_fields(200.0, np.arange(7.0)[None], np.arange(24.0).reshape(1, 2, 3, 4)))
+    pose = Pose((1e-3, 2e-3, -3e-3), (0.6, 0.0, 0.8, 0.0))
+    sent = Snapshot(pose, -1e-4, tissues.gel_fields(200.0, np.arange(7.0)[None], np.arange(24.0).reshape(1, 2, 3, 4)))
     with SnapshotBoard(path, pattern) as board, SnapshotReader(path, pattern) as reader:
         assert reader.latest() is None
         board.publish(0.25, sent)
         seen = reader.latest()
-        assert (seen.number, seen.time, seen.snapshot.depth, seen.snapshot.datum) == (1, 0.25, 3e-3, -1e-4)
+        assert (seen.number, seen.time, seen.snapshot.pose, seen.snapshot.datum) == (1, 0.25, pose, -1e-4)
+        assert seen.snapshot.depth == 3e-3
         np.testing.assert_array_equal(seen.snapshot.fields.states, sent.fields.states)
         np.testing.assert_array_equal(seen.snapshot.fields.stresses, sent.fields.stresses)
         assert reader.latest(after=1) is None
-        reader.pattern = Snapshot(Pose.at_depth(0.0), 0.0, tissues.gel_fields(200.0, np.zeros((1, 6))))
+        reader.pattern = Snapshot(pose, 0.0, tissues.gel_fields(200.0, np.zeros((1, 6))))
         with pytest.raises(InputError, match="holds 31 numbers where the pattern has 6"):
             reader.latest()
 
@@ -198,8 +201,8 @@ def test_files_that_are_no_ring_are_refused_in_one_sentence(path, tmp_path, tiss
     with pytest.raises(InputError, match="at least 2"):
         RingWriter(tmp_path / "small", 1)
     with RingWriter(tmp_path / "ring2", 4) as ring:
-        with pytest.raises(InputError, match="kind 'tsSURF'"):
-            SurfaceReader(ring.path)
+        with pytest.raises(InputError, match="kind 'tsSNAP'"):
+            SnapshotReader(ring.path, None)
         whole = ring.path.read_bytes()
         path.write_bytes(whole[:-8])
         with pytest.raises(InputError, match="is not a file of kind"):

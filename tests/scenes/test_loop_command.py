@@ -14,11 +14,14 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from haptics.devices.motion_source import ProtocolMotion, RandomWalk, SineMotion
+from haptics.devices.motions import ProtocolMotion, RandomWalk, SineMotion
+from haptics.devices.virtual.hand import VirtualHand
 from haptics.loop.process import LoopProcess
 from haptics.loop.ring import RingReader, RingWriter
 from scenes.cli import main
 from scenes.loop_report import LiveLine
+from tissue_sim.pose import Pose
+from tissue_sim.tool_force import ForceStatus, ToolForce
 
 ROOT = Path(__file__).resolve().parents[2]
 KEYS = {"scene", "motion", "resolution", "ended_by", "seconds", "period_us", "ticks", "late", "missed",
@@ -49,7 +52,7 @@ def asked(monkeypatch):
 
     class Recorded(LoopProcess):
         def start(self):
-            raise NotStartedError(self._asked, self.ring_path)
+            raise NotStartedError(self._parts, self.ring_path)
 
     monkeypatch.setattr("haptics.loop.process.LoopProcess", Recorded)
 
@@ -110,6 +113,10 @@ def test_the_motion_is_the_one_asked_for(asked):
     assert isinstance(source, ProtocolMotion) and source.depth(6.0) == pytest.approx(4e-3), "it repeats where it closes"
     _, source, *_ = asked("--motion", "protocol", "--depth-mm", "3", "--speed-mm-s", "1")
     assert source.depth(1.0) == pytest.approx(1e-3) and source.depth(9.0) == pytest.approx(3e-3)
+    _, source, *_ = asked("--motion", "sine:depth_mm=2,frequency_hz=4", "--depth-mm", "5")
+    assert source.depth(0.125) == pytest.approx(2e-3), "what stands in the name counts"
+    _, source, *_ = asked("--device", "virtual:hand:depth_mm=3")
+    assert isinstance(source, VirtualHand) and source.pose(0.0).depth == 0.0
 
 
 def test_flags_reach_model_settings_and_limits(asked, tmp_path):
@@ -129,10 +136,11 @@ def test_flags_reach_model_settings_and_limits(asked, tmp_path):
 
 def test_the_live_line_is_read_from_the_ring(tmp_path):
     with RingWriter(tmp_path / "ring") as ring, RingReader(tmp_path / "ring") as reader:
-        live = LiveLine(reader, 60.0)
+        live, answer = LiveLine(reader, 60.0), ToolForce.axial(0.25, 200.0, ForceStatus.CONVERGED)
         assert live.text() == "waiting for a tick"
         for n in range(1, 101):
-            ring.append(n, n * 1e-3, 0.0, 1.5e-3, 0.25, 0.25, 200.0, 0.0, 1e-6 * n, 2e-6 * n, 0.0, 3, 7, 0, 1, 0, 0)
+            ring.append(n, n * 1e-3, Pose.at_depth(0.0), Pose.at_depth(1.5e-3), answer.wrench, answer, 1e-6 * n,
+                        2e-6 * n, 3, 7, 0)
         assert live.text() == ("0 of 60 s: 1.50 mm, 0.250 N; p99 compute 99, lateness 198 us; late 3, missed 7")
         assert live.text() == "waiting for a tick", "a line is over the ticks since the one before"
 
@@ -141,7 +149,14 @@ def test_the_live_line_is_read_from_the_ring(tmp_path):
     (["needle"], "unknown scene 'needle'"),
     (["--seconds", "0"], "'0' is not a positive number"),
     (["--spin-us", "1000"], "spin: 0.001 s; give 0 or more, but less than the period"),
-    (["--motion", "jump"], "'jump'"),
+    (["--motion", "jump"], "unknown motion 'jump'; known: random, sine, protocol, hand"),
+    (["--motion", "sine:frequency_hz=fast"], "sine.frequency_hz: 'fast' is not a number"),
+    (["--motion", "sine:frequncy_hz=2"], "sine.frequncy_hz: unknown setting; did you mean 'frequency_hz'?"),
+    (["--motion", "random:seed=1.5"], "random.seed: '1.5' is not a whole number"),
+    (["--motion", "sine:deep"], "sine.settings: 'deep' sets nothing; give NAME=NUMBER"),
+    (["--device", "jump:0"], "unknown haptic device 'jump'; known: virtual"),
+    (["--device", "virtual:sine:deep=3"], "virtual.sine.deep: unknown setting; known: depth_mm, lift, frequency_hz"),
+    (["--device", "virtual:", "--motion", "sine"], "--motion: a device moves as it likes"),
     (["--motion", "sine", "--protocol", "ramp 2mm"], "--protocol: a sine motion has none"),
     (["--material", "missing.json"], "missing.json"),
     (["--depth-mm", "70"], "deeper than the specimen is high"),

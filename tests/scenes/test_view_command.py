@@ -89,7 +89,7 @@ def test_flags_reach_the_session(staged, capsys, tmp_path):
     session = staged.newest
     assert session.options == {"resolution": "fast", "real_time": False} and session.closed
     setup = session.setup
-    assert (setup.scene.name, setup.source, setup.deepest) == ("needle_indentation", "silicone of the study", 3e-3)
+    assert (setup.kind.name, setup.source, setup.deepest) == ("needle_indentation", "silicone of the study", 3e-3)
     assert setup.experiment.specimen.radius == pytest.approx(0.03) and setup.measurement is None
     assert set(setup.measurements) == {"bonded_compression"}
     (command, values), = session.posted

@@ -10,7 +10,7 @@ import pytest
 
 from tissue_sim import InputError, read_recording
 from tissue_sim.recording.file import read_recordings
-from tissue_sim.recording.formats import read_afm, read_afm_curves
+from tissue_sim.recording.formats.afm import read_afm
 from tissue_sim.recording.formats.afm_curve import curve_recording
 
 STIFFNESS, DEPTH, AIR, DRIFT = 0.05, 3e-6, 4e-6, 2.5e-9
@@ -34,6 +34,12 @@ def made_curve(path, enum=0, points=400, spring_constant=STIFFNESS):
     return afmformats.AFMForceDistance(
         {"force": force + DRIFT + noise, "height (measured)": height, "time": 1e-3 * np.arange(depth.size),
          "segment": np.repeat([0, 1], points)}, metadata)
+
+
+def read_only(path, **options):
+    """The curve of a file that holds one."""
+    curve, = read_afm(path, **options)
+    return curve
 
 
 def write(folder, name="curve.tab", **options):
@@ -65,7 +71,7 @@ def test_tip_motion_force_and_segments_of_a_known_curve(tmp_path):
 
 
 def test_the_raw_values_can_be_had_back(tmp_path):
-    recording = read_afm(write(tmp_path))
+    recording = read_only(write(tmp_path))
     zeroing = recording.metadata["zeroing"]
     assert zeroing["force_N"] == pytest.approx(DRIFT, abs=1e-12)
     raw = made_curve(tmp_path / "raw.tab")
@@ -77,10 +83,10 @@ def test_the_raw_values_can_be_had_back(tmp_path):
 
 def test_without_a_spring_constant_the_piezo_moves(tmp_path):
     path = write(tmp_path, spring_constant=None)
-    recording = read_afm(path)
+    recording = read_only(path)
     assert recording.metadata["displacement"].startswith("piezo")
     assert recording.displacement.max() == pytest.approx(DEPTH + hertz(DEPTH) / STIFFNESS, abs=60e-9)
-    stated = read_afm(path, spring_constant=STIFFNESS)
+    stated = read_only(path, spring_constant=STIFFNESS)
     assert stated.displacement.max() == pytest.approx(DEPTH, abs=60e-9)
     assert stated.metadata["spring_constant_N_per_m"] == STIFFNESS
     problem = refusal(read_afm, write(tmp_path), spring_constant=2 * STIFFNESS).problem
@@ -92,17 +98,17 @@ def test_a_file_of_several_curves(tmp_path):
     with zipfile.ZipFile(path, "w") as archive:
         for enum, name in enumerate(("b.tab", "sub/a.tab", "c.tab", "notes.md")):
             archive.write(write(tmp_path, enum=enum), name)
-    found = read_afm_curves(path)
+    found = read_afm(path)
     assert [recording.metadata["member"] for recording in found] == ["b.tab", "c.tab", "a.tab"]
     assert [recording.metadata["curve"] for recording in found] == [1, 2, 3]
-    chosen = read_afm(path, curve=3)
+    chosen = read_only(path, curve=3)
     np.testing.assert_array_equal(chosen.force, found[2].force)
     named = read_recordings(path, format="afm", kind="needle_indentation")
     assert [recording.name for recording in named] == ["curves_1", "curves_2", "curves_3"]
     assert read_recording(path, format="afm", curve=3).name == "curves"
     single = read_recordings(write(tmp_path), format="afm")
     assert [recording.name for recording in single] == ["curve"]
-    error = refusal(read_afm, path)
+    error = refusal(read_recording, path, format="afm")
     assert error.field == "curve" and "choose one with curve = 1 to 3" in error.problem
     assert "there is no curve 4; the file has 3" in refusal(read_afm, path, curve=4).problem
     for curve in (0, -1, 1.0, True, "2"):
@@ -179,7 +185,7 @@ def test_the_tared_force_reaches_the_setpoint_of_the_machine(data_folder, start,
 
 def test_stress_relaxation_of_fifteen_cells(data_folder):
     """30 s of hold at 20 um: the force falls, the piezo stands, and the single file is the eighth of the zip."""
-    found = read_afm_curves(afm(data_folder, "10.1002"))
+    found = read_afm(afm(data_folder, "10.1002"))
     assert [recording.metadata["member"] for recording in found] == [f"cell1-{i:04d}.jpk-force" for i in range(1, 16)]
     for recording in found:
         hold = recording.labels["segment"] == "hold"
@@ -188,29 +194,29 @@ def test_stress_relaxation_of_fifteen_cells(data_folder):
         assert 0.27e-6 < force[0] < 0.35e-6 and 0.3 < force[-100:].mean() / force[0] < 0.6
         piezo = recording.displacement + recording.force / recording.metadata["spring_constant_N_per_m"]
         assert np.ptp(piezo[hold]) < 0.1e-6
-    single = read_afm(afm(data_folder, "fmt-jpk-sr"))
+    single = read_only(afm(data_folder, "fmt-jpk-sr"))
     np.testing.assert_array_equal(single.force, found[7].force)
     assert single.metadata["measurement"] == "stress-relaxation"
 
 
 def test_chiaro_says_its_tip(data_folder):
-    metadata = read_afm(afm(data_folder, "fmt-chiaro")).metadata
+    metadata = read_only(afm(data_folder, "fmt-chiaro")).metadata
     assert (metadata["tool"], metadata["tool_radius_mm"]) == ("sphere", 0.0275)
     assert metadata["spring_constant_N_per_m"] == 0.019 and metadata["approach_speed_mm_s"] == 7e-3
 
 
 def test_a_map_of_four_curves(data_folder):
     path = afm(data_folder, "fmt-jpk-fd_2020")
-    assert [len(recording) for recording in read_afm_curves(path)] == [600, 600, 597, 600]
-    assert read_afm(path, curve=4).metadata["curve"] == 4
+    assert [len(recording) for recording in read_afm(path)] == [600, 600, 597, 600]
+    assert read_only(path, curve=4).metadata["curve"] == 4
 
 
 def test_an_export_without_units_needs_the_cantilever(data_folder):
     """NT-MDT writes nA of the detector; AFM Workshop writes N, but no spring constant."""
     path = afm(data_folder, "fmt-ntmdt")
     assert "give spring_constant (N/m) and sensitivity (m/V)" in refusal(read_afm, path).problem
-    recording = read_afm(path, spring_constant=0.05, sensitivity=100.0)
+    recording = read_only(path, spring_constant=0.05, sensitivity=100.0)
     assert len(recording) == 1644 and recording.displacement.max() > 1e-6
-    recording = read_afm(afm(data_folder, "fmt-afm-workshop"))
+    recording = read_only(afm(data_folder, "fmt-afm-workshop"))
     assert len(recording) == 2030 and recording.metadata["displacement"].startswith("piezo")
     assert recording.force[0] == pytest.approx(1.2764373e-06 - recording.metadata["zeroing"]["force_N"], rel=1e-9)

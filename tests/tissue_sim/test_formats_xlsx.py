@@ -11,8 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tissue_sim import InputError, read_recording
-from tissue_sim.recording.formats import read_xlsx
 from tissue_sim.recording.formats.columns import column_number
+from tissue_sim.recording.formats.xlsx import read_xlsx
 
 NATIVE = ("time [s]", "displacement [mm]", "force [N]")
 NUMBERS = [(0.1 * i, 0.5 * i, 0.25 * i) for i in range(6)]

@@ -111,7 +111,7 @@ def test_contact_radius(tool, at, radius):
     ({"shape": "flat", "radius": 8e-3, "edge_radius": -1e-3}, "0 or more and less than the radius"),
     ({"shape": "flat", "radius": 8e-3, "edge_radius": np.nan}, "0 or more and less than the radius"),
     ({"shape": "cone", "radius": 8e-3, "half_angle": 1.0, "tip_radius": 8e-3}, "less than the radius"),
-    ({"shape": "cone", "radius": 8e-3}, "a cone needs a half angle"),
+    ({"shape": "cone", "radius": 8e-3}, "a cone tool needs a half angle"),
     ({"shape": "cone", "radius": 8e-3, "half_angle": np.pi / 2}, "below 90 degrees"),
     ({"shape": "cone", "radius": 8e-3, "half_angle": -0.5}, "0.6 degrees or more"),
     ({"shape": "cone", "radius": 8e-3, "half_angle": np.nan}, "0.6 degrees or more and below 90"),

@@ -152,7 +152,7 @@ def nominal_stress_history(material: Material, time, stretch, contact_radius: fl
 
     Source: Holzapfel, Nonlinear Solid Mechanics, 2000, sections 6.5 and 6.10.
     """
-    return _stress(HomogeneousHistory("uniaxial", time, stretch), material, contact_radius)
+    return stress_history("uniaxial", material, time, stretch, contact_radius)
 
 
 def shear_stress_history(material: Material, time, shear, contact_radius: float | None = None) -> np.ndarray:
@@ -160,10 +160,16 @@ def shear_stress_history(material: Material, time, shear, contact_radius: float 
 
     P12 is the force along the sheared face over its undeformed area; it does not depend on the pressure.
     """
-    return _stress(HomogeneousHistory("simple_shear", time, shear), material, contact_radius)
+    return stress_history("simple_shear", material, time, shear, contact_radius)
 
 
-def _stress(history: HomogeneousHistory, material: Material, contact_radius: float | None) -> np.ndarray:
+def stress_history(mode: str, material: Material, time, strain, contact_radius: float | None) -> np.ndarray:
+    """Nominal stress of a mode of `HomogeneousHistory`; arguments and errors as `nominal_stress_history`, and an
+    InputError for any other mode."""
+    if mode not in _REST:
+        raise InputError(f"a material that remembers has a closed form of {' and '.join(_REST)}, not of {mode}; leave "
+                         "its history out, or give another test", field="kind")
+    history = HomogeneousHistory(mode, time, strain)
     if material.layers:
         raise InputError("a layered specimen does not deform homogeneously; use the finite elements", field="layers")
     if material.poroelasticity is not None and material.poroelasticity.phi > 0 and contact_radius is None:

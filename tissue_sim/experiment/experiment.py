@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from numbers import Real
 from typing import Any
 
 import numpy as np
 
-from tissue_sim.errors import InputError, nearest, require_length
+from tissue_sim.errors import InputError, require_length
+from tissue_sim.experiment.interfaces import LARGEST_FRICTION, checked_interface
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.material.material import Material
-from tissue_sim.material.puncture import Puncture
 from tissue_sim.parameters import parameter
 from tissue_sim.pose import Pose
 from tissue_sim.rig.rig import Rig
@@ -69,14 +68,6 @@ class Specimen:
         return self.density * self.gravity if self.gravity else 0.0
 
 
-#: How a face holds the tissue: ``"bonded"`` (no motion against the face), ``"stick"`` (no slip, but it can lift off),
-#: ``"frictionless"``, or a number: Coulomb's coefficient of friction. All but the bonded one can lift off; the base
-#: keeps the specimen on itself.
-INTERFACES = ("bonded", "stick", "frictionless")
-#: Above this a coefficient of friction is taken for a mistake.
-LARGEST_FRICTION = 10.0
-
-
 def _friction(symbol: str, key: str, default: str) -> Any:
     return parameter(symbol, "1", key=key, bounds=(0.0, LARGEST_FRICTION), absent=0.0, words={"frictionless": 0.0},
                      default=default)
@@ -108,8 +99,8 @@ class Experiment:
         specimen: geometry, and whether it weighs.
         protocol: tool displacement against time, from where the tool touches the settled specimen.
         tool: what is pushed in.
-        friction: interface of the tool's face; see `INTERFACES`. A bonded needle holds what its flat face touches at
-            the start, and its rounded edge holds what it meets.
+        friction: interface of the tool's face; see `tissue_sim.experiment.interfaces`. A bonded needle holds what its
+            flat face touches at the start, and its rounded edge holds what it meets.
         friction_base: interface of the base plate.
         friction_wall: interface of a needle's shaft; tissue meets it during the test, so it cannot be bonded.
         adhesion: pull of a tool that lifts off; None: none.
@@ -142,9 +133,9 @@ class Experiment:
         if self.adhesion is not None and self.friction == "bonded":
             raise InputError("a bonded face never lifts off; use 'stick', 'frictionless' or a coefficient of friction "
                              "with adhesion", field="friction")
-        if self.tool.shape in ("plate", "sphere") and self.friction_wall != "frictionless":
+        if not self.tool.has_shaft and self.friction_wall != "frictionless":
             raise InputError(f"a {self.tool.shape} has no shaft; leave it out", field="friction_wall")
-        if self.tool.shape == "plate":
+        if self.tool.is_plate:
             return
         if self.tool.radius >= self.specimen.radius:
             raise InputError(f"the tool's radius, {self.tool.radius * 1e3:g} mm, must be smaller than the specimen's, "
@@ -153,7 +144,7 @@ class Experiment:
             raise InputError(f"a {self.tool.shape} tool has no flat face to be bonded to; use 'stick', 'frictionless' "
                              "or a coefficient of friction", field="friction")
         slides = self.friction not in ("bonded", "stick")
-        if slides and self.tool.shape == "flat" and self.tool.edge_radius == 0:
+        if slides and self.tool.sharp_edge:
             raise InputError("tissue that slides round a sharp edge has no direction there; give the tool an edge "
                              "radius, or friction 'stick' or 'bonded'", field="tool.edge_radius")
 
@@ -168,9 +159,14 @@ class Experiment:
         return self.tool.contact_radius(depth, self.specimen.radius)
 
     @property
+    def slides(self) -> bool:
+        """Whether tissue may slip against friction, so that the force depends on the way of the tool."""
+        return any(isinstance(value, float) for value in (self.friction, self.friction_base, self.friction_wall))
+
+    @property
     def homogeneous(self) -> bool:
         """Whether a specimen of one material deforms homogeneously, so that closed forms hold."""
-        return (self.tool.shape == "plate" and self.friction == self.friction_base == "frictionless"
+        return (self.tool.is_plate and self.friction == self.friction_base == "frictionless"
                 and not self.specimen.specific_weight)
 
 
@@ -181,26 +177,3 @@ class Model:
     experiment: Experiment
     material: Material
     rig: Rig = field(default_factory=Rig)
-
-    @property
-    def puncture(self) -> Puncture | None:
-        """Puncture of the tissue, where a needle can."""
-        return self.material.puncture if self.experiment.tool.shape != "plate" else None
-
-
-def checked_interface(value: str | float, name: str) -> str | float:
-    """An interface of `INTERFACES` or a coefficient of friction above 0; 0 is frictionless.
-
-    Raises:
-        InputError: neither, with the field.
-    """
-    if isinstance(value, str):
-        if value not in INTERFACES:
-            raise InputError(f"{value!r} is not an interface{nearest(value, INTERFACES)}, or a coefficient of friction",
-                             field=name)
-        return value
-    number = isinstance(value, Real) and not isinstance(value, bool)
-    if not (number and np.isfinite(value) and 0 <= value <= LARGEST_FRICTION):
-        raise InputError(f"{value} is not a coefficient of friction; give 0 to {LARGEST_FRICTION:g}, or 'stick' for a "
-                         "face without slip", field=name)
-    return float(value) or "frictionless"

@@ -1,29 +1,41 @@
 """Strain-energy laws: one formula each, everything else derived.
 
-Adding a law: write its class in a file beside these and add one line to `LAWS` (see CONTRIBUTING.md); a program can
-also `register` its own.
+Adding a law: write its class in a file beside these and add one line to `LAWS` (see CONTRIBUTING.md); a package adds
+one by an entry point of the group ``tissue_sim.laws``, a program by `register`.
 """
 
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.errors import InputError
 from tissue_sim.laws.law import InvariantLaw, KernelEnergy, Law, StretchLaw
 from tissue_sim.laws.mooney_rivlin import MooneyRivlin
 from tissue_sim.laws.neo_hooke import NeoHooke
 from tissue_sim.laws.ogden import Ogden
 from tissue_sim.laws.reduced_polynomial import ReducedPolynomial
 from tissue_sim.laws.stability import Stability, check_stability
+from tissue_sim.registry import Registry
 
-LAWS: dict[str, Law] = {law.name: law for law in (
+
+def _check(name: str, thing: object) -> None:
+    if not isinstance(thing, Law):
+        raise InputError(f"{name!r} is no law; give an object of a class derived from InvariantLaw or StretchLaw",
+                         field="tissue_sim.laws")
+
+
+#: Name -> law.
+LAWS: Registry[Law] = Registry("law", "tissue_sim.laws", {law.name: law for law in (
     NeoHooke(),
     MooneyRivlin(),
     ReducedPolynomial(1), ReducedPolynomial(2), ReducedPolynomial(3),
     Ogden(1), Ogden(2), Ogden(3),
-)}
+)}, check=_check)
 
 
 def register(law: Law) -> Law:
-    """Add a law to the table, so that files and campaigns can name it; returns it."""
-    LAWS[law.name] = law
-    return law
+    """Add a law, so that files and campaigns can name it; returns it.
+
+    Raises:
+        InputError: its name is that of another law.
+    """
+    return LAWS.register(law)
 
 
 def find_law(name: str) -> Law:
@@ -32,9 +44,7 @@ def find_law(name: str) -> Law:
     Raises:
         InputError: no such law; names the nearest.
     """
-    if name not in LAWS:
-        raise InputError(f"unknown law {name!r}{nearest(name, LAWS)}", field="law")
-    return LAWS[name]
+    return LAWS.find(name, "law")
 
 
 __all__ = ["LAWS", "InvariantLaw", "KernelEnergy", "Law", "Stability", "StretchLaw", "check_stability", "find_law",

@@ -6,7 +6,9 @@ An effect is a frozen dataclass that derives from one of the classes here and de
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, is_dataclass
+from math import inf
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from tissue_sim.errors import InputError
@@ -92,6 +94,39 @@ class PointEffect(TissueEffect):
             must be symmetric; and the state variables at the end of the step.
         """
         raise NotImplementedError
+
+
+class ReducedForce:
+    """What effects in reduced form leave of the force on a tool, along its way.
+
+    Args:
+        effects: those that act.
+
+    Attributes:
+        history: of the tool at the last place that was final.
+    """
+
+    def __init__(self, effects: Sequence[ReducedEffect]):
+        self._effects = tuple(effects)
+        self.history = ToolHistory(-inf, -inf)
+
+    def share(self, depth: float, dt: float = 0.0) -> float:
+        """Of the force (or its derivative) at a depth, m, that is tried dt s later."""
+        return self._share(self._at(depth, dt)) if self._effects else 1.0
+
+    def go(self, depth: float, dt: float = 0.0) -> float:
+        """The same at a depth that is final."""
+        self.history = self._at(depth, dt)
+        return self._share(self.history) if self._effects else 1.0
+
+    def _at(self, depth: float, dt: float) -> ToolHistory:
+        return ToolHistory(depth, max(self.history.deepest, depth), self.history.time + dt)
+
+    def _share(self, history: ToolHistory) -> float:
+        share = 1.0
+        for effect in self._effects:
+            share *= effect.share(history)
+        return share
 
 
 def _check(name: str, kind: Any) -> None:

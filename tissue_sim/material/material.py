@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.laws import Law, find_law
-from tissue_sim.material.effect import TissueEffect
+from tissue_sim.material.effect import ReducedEffect, TissueEffect
 from tissue_sim.material.layer import Layer
 from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.material.puncture import Puncture
 from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import MOST_TERMS, Prony
 from tissue_sim.parameters import Declaration
+
+if TYPE_CHECKING:
+    from tissue_sim.experiment.experiment import Experiment
 
 #: K / mu0 inside which the finite elements are checked; 2.17 is a Poisson's ratio of 0.3.
 BULK_RATIOS = (2.0, 1e6)
@@ -156,6 +159,11 @@ class Material:
         """Whether its force depends on how the tool came to where it is."""
         return (self.ages or self.softening is not None
                 or any(effect.remembers for effect in self.effects.values()))
+
+    def reduced_effects(self, experiment: Experiment) -> tuple[ReducedEffect, ...]:
+        """The effects in reduced form that play a part in an experiment."""
+        return tuple(part for part in (self.puncture, *self.effects.values())
+                     if isinstance(part, ReducedEffect) and part.acts_in(experiment))
 
     @property
     def energy_law(self) -> Law:

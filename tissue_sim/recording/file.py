@@ -7,7 +7,7 @@ import hashlib
 import inspect
 import io
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -16,23 +16,14 @@ import numpy as np
 
 from tissue_sim.atomic_write import write_bytes, write_text
 from tissue_sim.decode import as_json_types, read_json, require_writable
-from tissue_sim.errors import InputError, nearest
-from tissue_sim.recording.formats import SEVERAL, find_format, read_columns
+from tissue_sim.errors import InputError
+from tissue_sim.experiment.kinds.kind import KINDS
+from tissue_sim.recording.formats import FORMATS
 from tissue_sim.recording.recording import CHANNELS, LABELS, Recording
 from tissue_sim.units import to_si
 
 _FILE_UNITS = {"time": "s", "length": "mm", "force": "N", "torque": "Nm", "stress": "Pa", "ratio": "-",
                "temperature": "degC"}
-_FORCE, _STRETCH, _SHEAR = ("displacement", "force"), ("stretch", "nominal stress"), ("shear strain", "nominal stress")
-#: Kind of test -> pairs of channels (motion, load), one of which its recordings must have; those of a rig first.
-KINDS: dict[str, tuple[tuple[str, str], ...]] = {
-    "lubricated_compression": (_FORCE, _STRETCH),
-    "bonded_compression": (_FORCE,),
-    "friction_compression": (_FORCE,),
-    "needle_indentation": (_FORCE,),
-    "uniaxial_tension": (_FORCE, _STRETCH),
-    "simple_shear": (_FORCE, _SHEAR),
-}
 
 
 def read_recording(path: str | Path, *, format: str = "native", columns: Mapping[str, Any] | None = None,
@@ -44,7 +35,7 @@ def read_recording(path: str | Path, *, format: str = "native", columns: Mapping
         path: the file. ``NAME.json`` beside ``NAME.csv`` is merged into the metadata.
         format: name in `tissue_sim.recording.formats.FORMATS`.
         columns: channel -> column, for any other CSV and for spreadsheets; see
-            `tissue_sim.recording.formats.read_columns`.
+            `tissue_sim.recording.formats.columns.read_columns`.
         skip_lines: lines at the top that are not looked at; with `columns` only.
         delimiter: one character between the cells; with `columns` only. None: found.
         speed: m/s; makes the time from the displacement where the file has none.
@@ -56,45 +47,45 @@ def read_recording(path: str | Path, *, format: str = "native", columns: Mapping
         The recording; its metadata always has ``name``, ``source`` and ``sha256``.
 
     Raises:
-        InputError: anything wrong with the file, with its line where there is one.
+        InputError: anything wrong with the file, with its line where there is one; a file with several recordings.
+    """
+    found = read_recordings(path, format=format, columns=columns, skip_lines=skip_lines, delimiter=delimiter,
+                            speed=speed, kind=kind, **options)
+    if len(found) > 1:
+        raise InputError(f"holds {len(found)} curves; choose one with curve = 1 to {len(found)}", file=path,
+                         field="curve")
+    return found[0]
+
+
+def read_recordings(path: str | Path, *, format: str = "native", columns: Mapping[str, Any] | None = None,
+                    skip_lines: int = 0, delimiter: str | None = None, speed: float | None = None,
+                    kind: str | None = None, **options) -> tuple[Recording, ...]:
+    """All replicates that one file holds: the curves of an AFM file, one of most others; otherwise as `read_recording`.
+
+    Of several, each is called after the file and its number: ``cells_3``.
     """
     path = Path(path)
-    reader = find_format(format)
-    if kind is not None and kind not in KINDS:
-        raise InputError(f"unknown kind of test {kind!r}{nearest(str(kind), KINDS)}", field="kind")
-    if columns is not None and format not in ("native", "xlsx"):
+    reader = FORMATS.find(format, "format")
+    if kind is not None:
+        KINDS.find(kind, "kind")
+    takes = inspect.signature(reader).parameters
+    if columns is not None and "columns" not in takes:
         raise InputError(f"give either format = {format!r} or columns, not both", field="columns")
     for key, value in (("skip_lines", skip_lines), ("delimiter", delimiter)):
         if value and columns is None:
             raise InputError(f"{key} counts only where columns are named; give columns too", field=key)
     if columns is not None:
-        reader, options = read_columns, {"columns": columns, "skip_lines": skip_lines, "delimiter": delimiter} | options
-    _check_options(reader, options, format)
-    return _finish(reader(path, **options), path, speed, kind)
-
-
-def read_recordings(path: str | Path, *, format: str = "native", speed: float | None = None, kind: str | None = None,
-                    **options) -> tuple[Recording, ...]:
-    """All replicates that one file holds: the curves of an AFM file, one of any other; otherwise as `read_recording`.
-
-    Of several, each is called after the file and its number: ``cells_3``.
-    """
-    reader = SEVERAL.get(format)
-    if reader is None:
-        return (read_recording(path, format=format, speed=speed, kind=kind, **options),)
-    path = Path(path)
-    _check_options(reader, options, format)
-    recordings = tuple(_finish(each, path, speed, kind) for each in reader(path, **options))
+        options |= {"columns": columns} | ({"skip_lines": skip_lines} if skip_lines else {}) | (
+            {"delimiter": delimiter} if delimiter is not None else {})
+    for key in options:
+        if key not in takes:
+            raise InputError(f"files of format {format!r} have no {key}; leave it out", field=key)
+    answer = reader(path, **options)
+    several = answer if isinstance(answer, tuple) else (answer,)
+    recordings = tuple(_finish(each, path, speed, kind) for each in several)
     if len(recordings) == 1:
         return recordings
     return tuple(each.with_metadata(name=f"{path.stem}_{number}") for number, each in enumerate(recordings, start=1))
-
-
-def _check_options(reader: Callable, options: Mapping[str, Any], format: str) -> None:
-    """Refuse options that the reader does not take."""
-    for key in options:
-        if key not in inspect.signature(reader).parameters:
-            raise InputError(f"files of format {format!r} have no {key}; leave it out", field=key)
 
 
 def _finish(recording: Recording, path: Path, speed: float | None, kind: str | None) -> Recording:
@@ -196,9 +187,7 @@ def _read_sidecar(path: Path, digest: str) -> dict[str, Any]:
 def _require_channels(recording: Recording, kind: str | None, path: Path) -> None:
     has = ", ".join(recording.channels)
     if kind is not None:
-        if not any(set(pair) <= set(recording.channels) for pair in KINDS[kind]):
-            needs = " or ".join(f"{motion!r} and {load!r}" for motion, load in KINDS[kind])
-            raise InputError(f"{kind} needs columns {needs}; this file has {has}", file=path)
+        KINDS.find(kind, "kind").require_channels(recording.channels, f"this file has {has}", file=path)
         return
     for words, names in (("a motion", ("displacement", "stretch", "shear strain")),
                          ("a load", ("force", "nominal stress"))):

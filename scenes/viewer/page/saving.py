@@ -81,9 +81,9 @@ class Saving:
             answer_to(event)("nothing was felt yet; move the tool first")
             return
         setup = self._frame.setup
-        recording = trace.recording({"name": setup.scene.name, "kind": setup.scene.name, "material": setup.source,
+        recording = trace.recording({"name": setup.kind.name, "kind": setup.kind.name, "material": setup.source,
                                      "simulated": True})
-        send_file(event.client, f"{setup.scene.name}.csv", recording_csv(recording))
+        send_file(event.client, f"{setup.kind.name}.csv", recording_csv(recording))
 
     def _save_picture(self, event: viser.GuiEvent) -> None:
         frame, camera = self._frame, event.client.camera
@@ -93,13 +93,13 @@ class Saving:
             tell(event.client, "That did not work", "the browser drew no picture; try again", "red")
             return
         setup, now = frame.setup, frame.readouts
-        caption = [f"{setup.scene.title}, {setup.material.energy_law.title} ({setup.source})"]
+        caption = [f"{setup.kind.title}, {setup.material.energy_law.title} ({setup.source})"]
         if now is not None:
             caption.append(f"{now.force:.3f} N at {now.depth * 1e3:.2f} mm")
         label, _ = LABELS[self._look.look.field]
         content = compose_png(render, self._solid.levels, np.array(self._solid.colours, dtype=np.uint8), label, caption,
                               now=None if now is None else (now.depth, now.force), **_drawn_curves(frame))
-        send_file(event.client, f"{setup.scene.name}.png", content)
+        send_file(event.client, f"{setup.kind.name}.png", content)
 
     def _toggle_replay(self, event: viser.GuiEvent) -> None:
         if self._recorder is None and self._finished is None:

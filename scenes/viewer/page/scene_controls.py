@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from math import degrees, radians
+from math import radians
 
 import viser
 
@@ -11,14 +10,14 @@ import tissue_sim as ts
 from scenes.catalogue import SCENES
 from scenes.viewer.frame import Commands, Frame
 from scenes.viewer.page.notices import answer_to
-from scenes.viewer.setup import Setup
-from tissue_sim.experiment.tools.tool import SHAPES
+from scenes.viewer.scene import Scene
+from tissue_sim.experiment.interfaces import INTERFACES
+from tissue_sim.experiment.tools.tool import TOOLS, shapes_without_file, tool_sizes
+from tissue_sim.parameters import Declaration
 
-#: Shapes that need no file.
-_SHAPES = tuple(shape for shape in SHAPES if shape not in ("plate", "profile"))
-_INTERFACES = ("bonded", "stick", "frictionless", "friction")
-#: Of a needle that is chosen after a plate, m and rad; and of friction that is chosen after none.
-_HALF_ANGLE, _FRICTION = radians(45.0), 0.3
+_INTERFACES = (*INTERFACES, "friction")
+#: Sizes of a needle that is chosen after a plate, by their unit; and friction that is chosen after none.
+_SIZES, _FRICTION = {"m": 8e-3, "rad": radians(45.0)}, 0.3
 
 
 class SceneControls:
@@ -27,16 +26,15 @@ class SceneControls:
     def __init__(self, server: viser.ViserServer, session: Commands, frame: Frame):
         gui = server.gui
         self._titles = {scene.title: name for name, scene in SCENES.items()}
-        self._scene = gui.add_dropdown("scene", tuple(self._titles), initial_value=frame.setup.scene.title)
-        self._shape = gui.add_dropdown("tool", _SHAPES, initial_value=_SHAPES[0])
-        self._radius = gui.add_number("tool radius [mm]", 8.0, min=0.1, step=0.1)
-        self._edge = gui.add_number("edge radius [mm]", 0.0, min=0.0, step=0.05,
-                                    hint="a flat face that slides needs one")
-        self._angle = gui.add_number("half angle [°]", 45.0, min=1.0, max=89.0, step=1.0)
+        self._scene = gui.add_dropdown("scene", tuple(self._titles), initial_value=frame.setup.kind.title)
+        self._needles = tuple(shape for shape in shapes_without_file() if not TOOLS[shape].is_plate)
+        self._shape = gui.add_dropdown("tool", self._needles, initial_value=self._needles[0])
+        self._known = tool_sizes()
+        self._sizes = {key: _size_control(gui, key, what) for key, (what, _, _) in self._known.items()}
         self._interface = gui.add_dropdown("tool's face", _INTERFACES, initial_value="bonded")
         self._friction = gui.add_number("friction", _FRICTION, min=0.0, max=2.0, step=0.01)
         self._apply = gui.add_button("Apply", icon=viser.Icon.CHECK)
-        self._shown: Setup | None = None
+        self._shown: Scene | None = None
         self.show(frame)
 
         for handle in (self._shape, self._interface):
@@ -45,7 +43,7 @@ class SceneControls:
         @self._scene.on_update
         def _(event: viser.GuiEvent) -> None:
             if event.client is not None:
-                self._hold(SCENES[self._titles[self._scene.value]].friction)
+                self._hold(SCENES[self._titles[self._scene.value]].face.usual)
             self._offer()
 
         @self._apply.on_click
@@ -62,22 +60,19 @@ class SceneControls:
 
     def _tool(self, scene: str) -> ts.Tool | None:
         """The tool that is asked for; None for plates."""
-        if SCENES[scene].tool.shape == "plate":
+        if SCENES[scene].tool.is_plate:
             return None
         shape = self._shape.value
-        tool = ts.Tool(shape, radius=self._radius.value * 1e-3, half_angle=_HALF_ANGLE if shape == "cone" else None)
-        if shape == "flat":
-            return replace(tool, edge_radius=self._edge.value * 1e-3)
-        return replace(tool, half_angle=radians(self._angle.value)) if shape == "cone" else tool
+        return ts.Tool(shape, **{name: self._sizes[key].value * what.factor
+                                 for key, (what, name, shapes) in self._known.items() if shape in shapes})
 
     def _offer(self) -> None:
         """Show what matters to what is chosen."""
-        needle = SCENES[self._titles[self._scene.value]].tool.shape != "plate"
-        shape = self._shape.value
-        for handle, matters in ((self._shape, needle), (self._radius, needle), (self._edge, needle and shape == "flat"),
-                                (self._angle, needle and shape == "cone"),
-                                (self._friction, self._interface.value == "friction")):
-            handle.visible = matters
+        needle = not SCENES[self._titles[self._scene.value]].tool.is_plate
+        self._shape.visible = needle
+        for key, (_, _, shapes) in self._known.items():
+            self._sizes[key].visible = needle and self._shape.value in shapes
+        self._friction.visible = self._interface.value == "friction"
 
     def show(self, frame: Frame) -> None:
         """Follow a scene that somebody else has chosen."""
@@ -86,12 +81,12 @@ class SceneControls:
             return
         self._shown = setup
         tool, friction = setup.experiment.tool, setup.experiment.friction
-        self._scene.value = setup.scene.title
-        if tool.shape in _SHAPES:
-            self._shape.value, self._radius.value = tool.shape, tool.radius * 1e3
-            self._edge.value = tool.edge_radius * 1e3
-            if tool.half_angle:
-                self._angle.value = degrees(tool.half_angle)
+        self._scene.value = setup.kind.title
+        if tool.shape in self._needles:
+            self._shape.value = tool.shape
+            for key, (what, name, shapes) in self._known.items():
+                if tool.shape in shapes:
+                    self._sizes[key].value = getattr(tool, name) / what.factor
         self._hold(friction)
         self._offer()
 
@@ -100,3 +95,13 @@ class SceneControls:
         self._interface.value = friction if isinstance(friction, str) else "friction"
         if not isinstance(friction, str):
             self._friction.value = friction
+
+
+def _size_control(gui: viser.GuiApi, key: str, what: Declaration) -> viser.GuiInputHandle[float]:
+    """A number in the unit of the size's key; a step is a hundredth of what is usual."""
+    words, _, unit = key.replace("_", " ").rpartition(" ")
+    usual = _SIZES[what.unit] / what.factor
+    low = 0.0 if what.absent == 0 else max(what.bounds[0] / what.factor, 0.01 * usual)
+    high = what.bounds[1] / what.factor
+    return gui.add_number(f"{words} [{unit}]", usual if what.absent is None else what.absent / what.factor, min=low,
+                          max=high, step=round(0.01 * usual, 2))

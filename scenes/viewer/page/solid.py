@@ -15,7 +15,7 @@ from scenes.viewer.cut_away import CutAway
 from scenes.viewer.frame import Frame
 from scenes.viewer.page.scene_updates import send_arrays
 from scenes.viewer.revolution import Opening, Surface
-from scenes.viewer.setup import Setup
+from scenes.viewer.scene import Scene
 from scenes.viewer.tone import seen_colour, surface_colour
 from scenes.viewer.tool_picture import base_plate, contact_picture, force_arrow, tool_mesh
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
@@ -65,7 +65,7 @@ class Solid:
         scale: units of the browser in a metre.
     """
 
-    def __init__(self, server: viser.ViserServer, setup: Setup, *, low_graphics: bool):
+    def __init__(self, server: viser.ViserServer, setup: Scene, *, low_graphics: bool):
         self._scene = server.scene
         self._light()
         self.levels: np.ndarray | None = None
@@ -129,7 +129,7 @@ class Solid:
         force = frame.readouts.force if frame.readouts else 0.0
         return self._push(force, frame.setup) or changed
 
-    def _draw(self, snapshot: Snapshot, setup: Setup, opening: Opening, look: Look) -> None:
+    def _draw(self, snapshot: Snapshot, setup: Scene, opening: Opening, look: Look) -> None:
         fields = snapshot.fields
         self._take_mesh(fields.mesh)
         _, factor = LABELS[look.field]
@@ -155,7 +155,7 @@ class Solid:
         if self._cut_away is None or self._cut_away.mesh is not mesh:
             self._cut_away, self._drawn = CutAway.of(mesh), None
 
-    def _wait(self, setup: Setup, opening: Opening, look: Look) -> None:
+    def _wait(self, setup: Scene, opening: Opening, look: Look) -> None:
         """The specimen that nobody has touched, while the simulation of it begins."""
         self._take_mesh(build_mesh(setup.experiment, "realtime", layers=setup.material.layers))
         place = self._cut_away.mesh.nodes
@@ -168,7 +168,7 @@ class Solid:
         self._tool_frame.position = self._ground.position = (0.0, 0.0, 0.0)
         self._stand(setup, opening, look)
 
-    def _stand(self, setup: Setup, opening: Opening, look: Look) -> None:
+    def _stand(self, setup: Scene, opening: Opening, look: Look) -> None:
         """What does not move with the tissue."""
         specimen, tool = setup.experiment.specimen, setup.experiment.tool
         if opening.faces:
@@ -179,7 +179,7 @@ class Solid:
         self._fill(self._base, base_plate(specimen, _opening(0.0, STILL)))
         self._lines(self._outline, self._cut_away.undeformed_outline(opening) if look.outline else None)
 
-    def _push(self, force: float, setup: Setup) -> bool:
+    def _push(self, force: float, setup: Scene) -> bool:
         """The arrow of the force; whether it has changed."""
         while abs(force) > self._full_force:
             self._full_force = _next_round(self._full_force)

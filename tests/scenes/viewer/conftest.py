@@ -8,15 +8,15 @@ import pytest
 
 import tissue_sim as ts
 from scenes.commands.loop import read_material
-from scenes.needle import NEEDLE
-from scenes.viewer.setup import Setup
+from scenes.viewer.scene import Scene
+from tissue_sim.experiment.kinds.indentation import NEEDLE
 
 
 @pytest.fixture(scope="session")
-def needle() -> Setup:
+def needle() -> Scene:
     """The needle in the study's specimen, to 4 mm."""
     experiment = NEEDLE.experiment(specimen=ts.Specimen(radius=0.04, height=0.07), protocol=ts.Protocol.ramp(4e-3, 21))
-    return Setup(NEEDLE, experiment, read_material(None))
+    return Scene(NEEDLE, experiment, read_material(None))
 
 
 @pytest.fixture(scope="session")

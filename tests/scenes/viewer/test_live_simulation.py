@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from haptics.devices.motion_source import HandMotion
+from haptics.devices.motions import HandMotion
 from haptics.loop.ring import PAUSED, TICK, RingReader, RingWriter
 from haptics.loop.snapshot_board import SnapshotBoard, SnapshotReader
 from scenes.viewer.frame import Phase
 from scenes.viewer.live_simulation import LiveSimulation
 from tissue_sim.fem.axisymmetric.fields import Fields
 from tissue_sim.parameters import with_values
+from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
-from tissue_sim.tool_force import ForceStatus
+from tissue_sim.tool_force import ForceStatus, ToolForce
 
 
 class Watched:
@@ -161,6 +162,14 @@ def test_a_process_that_is_killed_before_it_begins_is_a_sentence(of_gel, needle,
         simulation.close()
 
 
+def tick(number, depth=0.0, force=0.0, stiffness=0.0, status=0, iterations=0, compute_time=0.0, late=0, missed=0,
+         flags=0):
+    """What `RingWriter.append` takes of a tick along z, 1 ms after the last."""
+    answer = ToolForce.axial(force, stiffness, ForceStatus(status), iterations)
+    return (number, number * 1e-3, Pose.at_depth(depth), Pose.at_depth(depth), answer.wrench, answer, compute_time, 0.0,
+            late, missed, flags)
+
+
 class Written:
     """A loop without a process, whose ticks the test writes; its clock goes as the test says."""
 
@@ -168,8 +177,8 @@ class Written:
         self.ring_path, self.snapshot_path = folder / "ring", folder / "snapshots"
         self.writer = RingWriter(self.ring_path)
         empty = np.zeros(0)
-        self.pattern = Snapshot(ts.Pose.at_depth(0.0), 0.0,
-                                Fields(None, None, 0.0, np.zeros((1, 2)), empty, empty, empty, empty))
+        fields = Fields(None, None, 0.0, np.zeros((1, 2)), empty, empty, empty, empty)
+        self.pattern = Snapshot(Pose.at_depth(0.0), 0.0, fields)
         self.board = SnapshotBoard(self.snapshot_path, self.pattern)
         self.message, self.report, self.now, self.number = "running", None, 100.0, 0
 
@@ -196,8 +205,7 @@ class Written:
         """Add ticks of 1 ms."""
         for _ in range(count):
             self.number += 1
-            given = {"tick": self.number, "time": self.number * 1e-3} | values
-            self.writer.append(*(given.get(name, 0) for name in TICK.names))
+            self.writer.append(*tick(self.number, **values))
 
 
 @pytest.fixture
@@ -235,7 +243,7 @@ def test_readouts_are_of_the_last_half_second(written):
     simulation.poll()
     assert simulation.readouts.step_time == pytest.approx(5e-3) and simulation.readouts.iterations == 9
     for _ in range(8):
-        loop.write(30, compute_time=1e-4, iterations=1, tool_depth=2e-3, tissue_force=0.4, stiffness=200.0)
+        loop.write(30, compute_time=1e-4, iterations=1, depth=2e-3, force=0.4, stiffness=200.0)
         simulation.poll()
     now = simulation.readouts
     assert (now.time, now.depth, now.force, now.stiffness) == pytest.approx((0.54, 2e-3, 0.4, 200.0))

@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from scenes.needle import NEEDLE
-from scenes.viewer.measurement import branches_on_grid, load_and_unload, measurement, motion, read_measurement, residual
+from scenes.viewer.measurement import branches_on_grid, measurement, motion, read_measurement, residual
+from tissue_sim.experiment.kinds.indentation import NEEDLE
+from tissue_sim.recording.segmentation import load_and_unload
 
 DEPTH = 10e-3
 

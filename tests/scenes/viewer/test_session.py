@@ -297,7 +297,7 @@ def test_what_is_no_command_is_a_fault_of_the_caller(session):
     for name in ("close", "frame", "_begin", "fly"):
         with pytest.raises(ValueError, match=f"no command '{name}'"):
             session.post(name)
-    assert all(callable(getattr(Session, name)) for name in COMMANDS)
+    assert all(command is getattr(Session, name) for name, command in COMMANDS.items())
 
 
 def test_nothing_new_is_drawn_where_nothing_is_new(session, until):
@@ -387,7 +387,7 @@ def test_another_scene_begins_anew_and_forgets_the_curves(springs, pool, needle)
     assert done(springs, "use_scene", name="bonded_compression") is None
     assert springs.simulation is not first and not first.process.alive
     frames = [springs.frame() for _ in range(PLOT_EVERY)]
-    assert frames[-1].setup.scene.name == "bonded_compression"
+    assert frames[-1].setup.kind.name == "bonded_compression"
     assert (frames[-1].curves.model, frames[-1].curves.before) == (None, None)
     assert newest_model(pool).experiment.tool.shape == "plate"
 

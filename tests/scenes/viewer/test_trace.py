@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 import tissue_sim as ts
 from haptics.loop.ring import PAUSED, TICK
-from scenes.viewer.trace import DEPTH_STEP, HYSTERESIS, LONGEST, SHORTEST, Trace, on_grid, one_way, recording_csv
+from scenes.viewer.trace import DEPTH_STEP, LONGEST, SHORTEST, Trace, on_grid, recording_csv
+from tissue_sim.recording.segmentation import HYSTERESIS, one_way
 
 
 def ticks(time, depth, force=None, flags=0):

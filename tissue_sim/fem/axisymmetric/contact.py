@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
-from tissue_sim.experiment.tools.tool import Profile
+from tissue_sim.experiment.tools.outline import Profile
 from tissue_sim.mesh import Mesh
 
 #: Spring stiffness in units of mu0 over the length of the element edge.

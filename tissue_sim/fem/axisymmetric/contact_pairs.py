@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from tissue_sim.experiment.experiment import Experiment
-from tissue_sim.experiment.tools.tool import PLATE_RADIUS, Profile
+from tissue_sim.experiment.tools.outline import Profile
+from tissue_sim.experiment.tools.plate import PLATE_RADIUS
 from tissue_sim.fem.axisymmetric.contact import STICK, Contact, Pair
 from tissue_sim.mesh import Mesh
 
@@ -36,15 +37,15 @@ def build_contact(experiment: Experiment, mesh: Mesh, *, tool: bool = True,
     low, high = (None, None) if homogeneous else _sides(mesh)
     pairs = _base(experiment, mesh, low)
     if tool:
-        pairs += _plate(experiment, mesh, high) if experiment.tool.shape == "plate" else _needle(experiment, mesh)
+        pairs += _plate(experiment, mesh, high) if experiment.tool.is_plate else _needle(experiment, mesh)
     if not any(len(pair.edges) for pair in pairs):
         return None
-    if experiment.tool.shape == "plate":
+    if experiment.tool.is_plate:
         share = HOMOGENEOUS_TOLERANCE if homogeneous else PLATE_TOLERANCE
         tolerance = share * experiment.specimen.radius
     else:
         tolerance = NEEDLE_TOLERANCE * experiment.tool.radius
-    level = tool and experiment.tool.shape == "plate"
+    level = tool and experiment.tool.is_plate
     if experiment.adhesion is None or not tool:
         return Contact(tuple(pairs), tolerance, level=level)
     area = np.pi * experiment.contact_radius**2

@@ -135,7 +135,7 @@ def build_solver(model: Model, mesh: Mesh) -> AxisymmetricSolver:
         mesh = start.mesh
     held = {}
     if experiment.friction == "bonded":
-        held = {"top" if experiment.tool.shape == "plate" else "face": "rz"}
+        held = {"top" if experiment.tool.is_plate else "face": "rz"}
     return AxisymmetricSolver(mesh, model.material, _supports(experiment), held,
                               contact=build_contact(experiment, mesh, homogeneous=uniform), specific_weight=weight,
                               element_layers=layers, contact_radius=experiment.contact_radius, start=start)

@@ -27,8 +27,8 @@ EXPECTED = "force curves of an AFM"
 
 
 def read_afm(path: str | Path, *, curve: int | None = None, spring_constant: float | None = None,
-             sensitivity: float | None = None) -> Recording:
-    """One force curve of a file, or of a zip of files, that afmformats reads.
+             sensitivity: float | None = None) -> tuple[Recording, ...]:
+    """The force curves of a file, or of a zip of files, that afmformats reads.
 
     The force is tared by the first tenth of the approach, and the displacement counts from the contact: the last sample
     of the approach whose force is within twice the largest deviation of that tenth (deviation from baseline). The
@@ -36,26 +36,17 @@ def read_afm(path: str | Path, *, curve: int | None = None, spring_constant: flo
 
     Args:
         path: such as a ``.jpk-force``, ``.jpk-force-map``, ``.ibw``, ``.h5``, ``.tab``, Chiaro ``.txt``, or a ``.zip``.
-        curve: number from 1, of files with several (in a zip in the order of the names). None: the only one.
+        curve: number from 1 of the only one wanted, in a zip in the order of the names. None: all.
         spring_constant, sensitivity: N/m and m/V, for files that lack them: NT-MDT text files need both.
 
     Returns:
-        displacement (m), force (N), time (s) where the file has it; segments approach, hold, retract.
+        Each curve as a recording: displacement (m), force (N), time (s) where the file has it; segments approach, hold,
+        retract.
 
     Raises:
-        InputError: no such file or curve, several curves and none chosen, a file that afmformats does not read, or
-            the extra ``formats`` is not installed.
+        InputError: no such file or curve, a file that afmformats does not read, or the extra ``formats`` is not
+            installed.
     """
-    found = read_afm_curves(path, curve=curve, spring_constant=spring_constant, sensitivity=sensitivity)
-    if len(found) > 1:
-        raise InputError(f"holds {len(found)} curves; choose one with curve = 1 to {len(found)}", file=Path(path),
-                         field="curve")
-    return found[0]
-
-
-def read_afm_curves(path: str | Path, *, curve: int | None = None, spring_constant: float | None = None,
-                    sensitivity: float | None = None) -> tuple[Recording, ...]:
-    """All force curves of a file, each a recording, or the one of that number; otherwise as `read_afm`."""
     path = Path(path)
     for name, value in (("spring_constant", spring_constant), ("sensitivity", sensitivity)):
         if value is not None and not (np.isfinite(value) and value > 0):

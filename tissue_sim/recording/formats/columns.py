@@ -16,8 +16,7 @@ from tissue_sim.recording.formats.header import (
     matches,
     text_tables,
 )
-from tissue_sim.recording.formats.native import conversion
-from tissue_sim.recording.formats.table import Column, Row, read_recording_table
+from tissue_sim.recording.formats.table import Column, Row, conversion, read_recording_table
 from tissue_sim.recording.formats.text import read_text
 from tissue_sim.recording.formats.workbook import is_workbook, read_sheet
 from tissue_sim.recording.recording import CHANNELS, LABELS, Recording

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from tissue_sim.errors import InputError, nearest
-from tissue_sim.recording.formats.table import Column, Row, is_number, read_recording_table, split_rows
+from tissue_sim.recording.formats.columns import read_columns
+from tissue_sim.recording.formats.table import Column, Row, conversion, is_number, read_recording_table, split_rows
 from tissue_sim.recording.formats.text import read_text
 from tissue_sim.recording.recording import CHANNELS, LABELS, Recording
 from tissue_sim.units import split_header, to_si
@@ -15,13 +17,23 @@ EXAMPLE = "time [s],displacement [mm],force [N]"
 _NAMES = {name.casefold(): name for name in (*CHANNELS, *LABELS)}
 
 
-def read_native(path: str | Path) -> Recording:
+def read_native(path: str | Path, *, columns: Mapping[str, Any] | None = None, skip_lines: int = 0,
+                delimiter: str | None = None, sheet: str | int | None = None) -> Recording:
     """A recording in the project's own CSV; see docs/recordings.md.
+
+    Args:
+        path: the file.
+        columns, skip_lines, delimiter, sheet: as in `tissue_sim.recording.formats.columns.read_columns`, which then
+            reads the file, of whatever kind.
 
     Raises:
         InputError: unknown, repeated or unit-less column, wrong delimiter, or a bad cell; with file and line.
     """
     path = Path(path)
+    if columns is not None:
+        return read_columns(path, columns, skip_lines=skip_lines, delimiter=delimiter, sheet=sheet)
+    if sheet is not None:
+        raise InputError("files of format 'native' have no sheet; leave it out", field="sheet")
     text = read_text(path, f"a recording with the header {EXAMPLE!r}")
     return native_recording(split_rows(_without_comments(text), ",", file=path), path)
 
@@ -81,18 +93,3 @@ def _conversion(channel: str, unit: str | None) -> tuple[float, float]:
     if channel in LABELS:
         return (1.0, 0.0) if unit is None else to_si(unit, "ratio")
     return conversion(channel, unit)
-
-
-def conversion(channel: str, unit: str | None) -> tuple[float, float]:
-    """Factor and offset to SI for a channel; a ratio may stand without a unit.
-
-    Raises:
-        InputError: no unit, an unknown one, or one of another quantity.
-    """
-    quantity = CHANNELS[channel]
-    if unit is None and quantity == "ratio":
-        unit = "-"
-    if unit is None:
-        example = {"time": "s", "length": "mm", "force": "N", "torque": "Nm", "stress": "kPa", "temperature": "degC"}
-        raise InputError(f"the unit is missing, expected a {quantity} such as [{example[quantity]}]")
-    return to_si(unit, quantity)

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.recording.recording import LABELS, MIN_POINTS, Recording
+from tissue_sim.recording.recording import CHANNELS, LABELS, MIN_POINTS, Recording
+from tissue_sim.units import to_si
 
 
 @dataclass(frozen=True)
@@ -165,3 +166,18 @@ def _labels(rows, column, file) -> np.ndarray:
             raise InputError(f"column {column.header!r} holds {cell[:40]!r}, expected a whole number",
                              file=file, line=row.line)
     return np.array([int(cell) for cell in cells], dtype=np.int64)
+
+
+def conversion(channel: str, unit: str | None) -> tuple[float, float]:
+    """Factor and offset to SI for a channel; a ratio may stand without a unit.
+
+    Raises:
+        InputError: no unit, an unknown one, or one of another quantity.
+    """
+    quantity = CHANNELS[channel]
+    if unit is None and quantity == "ratio":
+        unit = "-"
+    if unit is None:
+        example = {"time": "s", "length": "mm", "force": "N", "torque": "Nm", "stress": "kPa", "temperature": "degC"}
+        raise InputError(f"the unit is missing, expected a {quantity} such as [{example[quantity]}]")
+    return to_si(unit, quantity)

@@ -19,8 +19,8 @@ def read_xlsx(path: str | Path, *, columns: Mapping[str, Any] | None = None, she
 
     Args:
         path: the file.
-        columns: as in `tissue_sim.recording.formats.read_columns`. None: the sheet's first row is a native header,
-            such as ``time [s]``, ``displacement [mm]``, ``force [N]``, each in a cell.
+        columns: as in `tissue_sim.recording.formats.columns.read_columns`. None: the sheet's first row is a native
+            header, such as ``time [s]``, ``displacement [mm]``, ``force [N]``, each in a cell.
         sheet: name or number (from 1). None: the only sheet that holds anything.
         skip_lines: rows at the top that are not looked at; with `columns` only.
 

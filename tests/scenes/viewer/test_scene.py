@@ -8,7 +8,7 @@ import pytest
 import tissue_sim as ts
 from scenes.catalogue import SCENES
 from scenes.viewer.measurement import measurement
-from scenes.viewer.setup import Setup, read_measurements
+from scenes.viewer.scene import Scene, read_measurements
 
 PUNCH = ts.Tool("flat", radius=0.006, edge_radius=0.001)
 
@@ -22,11 +22,10 @@ def tried(force=1.0, **metadata):
 @pytest.mark.parametrize("name", SCENES)
 def test_a_scene_brings_its_tool_and_interfaces(needle, name):
     there = needle.with_scene(name)
-    scene, experiment = SCENES[name], there.experiment
-    assert there.scene is scene
-    assert (experiment.tool.shape, experiment.tool.radius) == (scene.tool.shape, scene.tool.radius)
-    assert (experiment.friction, experiment.friction_base, experiment.friction_wall) == \
-        (scene.friction, scene.friction_base, scene.friction_wall)
+    kind, experiment = SCENES[name], there.experiment
+    assert there.kind is kind
+    assert (experiment.tool.shape, experiment.tool.radius) == (kind.tool.shape, kind.tool.radius)
+    assert {name: getattr(experiment, name) for name in kind.interfaces} == kind.interfaces
     assert experiment.specimen is needle.experiment.specimen and experiment.protocol is needle.experiment.protocol
     assert (there.material, there.source) == (needle.material, needle.source)
     assert there.model.experiment is experiment and there.deepest == 4e-3
@@ -74,7 +73,7 @@ def test_a_measurement_belongs_to_its_scene(needle):
     setup = replace(needle, measurements={"bonded_compression": measured})
     assert setup.measurement is None
     there = setup.with_scene("bonded_compression")
-    assert isinstance(there, Setup) and there.measurement is measured
+    assert isinstance(there, Scene) and there.measurement is measured
     assert there.with_scene("needle_indentation").measurement is None
 
 

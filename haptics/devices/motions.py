@@ -5,20 +5,17 @@ from __future__ import annotations
 import math
 import random
 from bisect import bisect_right
-from typing import Protocol
 
-from tissue_sim import Protocol as ToolProtocol
+from haptics.devices.contracts import AxialMotion
+from haptics.devices.settings import read_settings
+from tissue_sim import Protocol
 from tissue_sim.errors import InputError, require_length
 
-
-class MotionSource(Protocol):
-    """Where the tool is, asked once a tick."""
-
-    def depth(self, time: float) -> float | None:
-        """Depth at a time since the motion began, s; m, positive into the tissue. None: the pose is not known."""
+#: Share of the depth by which a random or sine motion lifts off, where nothing else is said.
+_LIFT = 0.2
 
 
-class ProtocolMotion:
+class ProtocolMotion(AxialMotion):
     """The motion of a protocol; it waits at its first and last displacement.
 
     Args:
@@ -29,7 +26,7 @@ class ProtocolMotion:
         InputError: a protocol to repeat that ends somewhere else, or has one sample only.
     """
 
-    def __init__(self, protocol: ToolProtocol, repeat: bool = False):
+    def __init__(self, protocol: Protocol, repeat: bool = False):
         self._times = (protocol.time - protocol.time[0]).tolist()
         self._depths = protocol.displacement.tolist()
         self._repeat = repeat
@@ -56,7 +53,7 @@ class ProtocolMotion:
         return depths[after - 1] + share * (depths[after] - depths[after - 1])
 
 
-class SineMotion:
+class SineMotion(AxialMotion):
     """Up and down between two depths; begins at the upper one, at rest.
 
     Args:
@@ -79,7 +76,7 @@ class SineMotion:
         return self._middle - self._amplitude * math.cos(self._rate * time)
 
 
-class HandMotion:
+class HandMotion(AxialMotion):
     """Goes where somebody points, as a critically damped spring follows, and no faster than `speed`.
 
     Args:
@@ -124,7 +121,7 @@ class HandMotion:
         return self._place
 
 
-class RandomWalk:
+class RandomWalk(AxialMotion):
     """Irregular motion as of a hand: calm and violent phases, reversals at any depth, lift-offs.
 
     A cubic B-spline of random points every 50 ms. Its speed never exceeds `speed`, and less than 1 % of its power is
@@ -185,3 +182,36 @@ def _require_range(highest: float, deepest: float) -> None:
     if not -math.inf < highest < deepest < math.inf:
         raise InputError(f"a motion from {highest:g} to {deepest:g} m; give the upper depth first, and a deeper one",
                          field="deepest")
+
+
+def open_random(text: str) -> RandomWalk:
+    """``random:depth_mm=10,lift=0.2,top_speed_mm_s=200,seed=0``; `lift` is a share of the depth."""
+    given = read_settings(text, depth_mm=10.0, lift=_LIFT, top_speed_mm_s=200.0, seed=0)
+    depth = given["depth_mm"] * 1e-3
+    return RandomWalk(given["seed"], depth, -given["lift"] * depth, given["top_speed_mm_s"] * 1e-3)
+
+
+def open_sine(text: str) -> SineMotion:
+    """``sine:depth_mm=10,lift=0.2,frequency_hz=1``; `lift` is a share of the depth."""
+    given = read_settings(text, depth_mm=10.0, lift=_LIFT, frequency_hz=1.0)
+    depth = given["depth_mm"] * 1e-3
+    return SineMotion(depth, -given["lift"] * depth, given["frequency_hz"])
+
+
+def open_protocol(text: str) -> ProtocolMotion:
+    """``protocol:ramp 4mm @2mm/s; unload``, as in `tissue_sim.Protocol.parse`."""
+    return follow_protocol(Protocol.parse(text))
+
+
+def follow_protocol(protocol: Protocol) -> ProtocolMotion:
+    """The motion of a protocol, repeated where it ends as it began."""
+    closes = abs(protocol.displacement[-1] - protocol.displacement[0]) < 1e-9
+    return ProtocolMotion(protocol, repeat=bool(closes))
+
+
+def open_hand(text: str) -> HandMotion:
+    """``hand:depth_mm=0,speed_mm_s=100``; it goes to the depth, and then where it is aimed at."""
+    given = read_settings(text, depth_mm=0.0, speed_mm_s=100.0)
+    hand = HandMotion(speed=given["speed_mm_s"] * 1e-3)
+    hand.aim(given["depth_mm"] * 1e-3)
+    return hand

@@ -4,12 +4,39 @@ import math
 
 import numpy as np
 import pytest
+from device_contracts import MotionContract
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from haptics.devices.motion_source import HandMotion, ProtocolMotion, RandomWalk, SineMotion
+from haptics.devices.back_ends import MOTIONS, open_motion
+from haptics.devices.motions import HandMotion, ProtocolMotion, RandomWalk, SineMotion
 from tissue_sim.errors import InputError
+from tissue_sim.pose import Pose
+
+
+@pytest.mark.parametrize("name", ["random:seed=3", "sine", "protocol:ramp 4mm @2mm/s; unload", "hand:depth_mm=2"])
+class TestMotions(MotionContract):
+    @pytest.fixture
+    def device(self, name):
+        return open_motion(name)
+
+
+def test_every_built_in_motion_is_opened_by_its_name():
+    assert list(MOTIONS) == ["random", "sine", "protocol", "hand"]
+    walk = open_motion("random:seed=7,depth_mm=6,lift=0.5,top_speed_mm_s=100")
+    np.testing.assert_array_equal(depths(walk, range(9)), depths(RandomWalk(7, 6e-3, -3e-3, 0.1), range(9)))
+    np.testing.assert_allclose(depths(open_motion("sine:depth_mm=5,frequency_hz=2"), [0.0, 0.25]), [-1e-3, 5e-3])
+    repeated = open_motion("protocol:ramp 4mm @2mm/s; unload")
+    assert repeated.depth(6.0) == pytest.approx(4e-3), "it repeats where it closes"
+    hand = open_motion("hand:depth_mm=2,speed_mm_s=10")
+    assert (hand.depth(0.0), hand.depth(0.1)) == (0.0, pytest.approx(1e-3)) and hand.depth(9.0) == pytest.approx(2e-3)
+    with pytest.raises(InputError, match=r"unknown motion 'sin'; did you mean 'sine'\?"):
+        open_motion("sin:depth_mm=5")
+
+
+def test_a_pose_is_upright_and_on_the_axis():
+    assert SineMotion(5e-3).pose(0.25) == Pose((0.0, 0.0, -SineMotion(5e-3).depth(0.25)))
 
 
 def depths(motion, times):

@@ -1,4 +1,4 @@
-"""What is looked at: a scene, its experiment, a material and measurements of it."""
+"""What is looked at: an experiment of some kind, a material and measurements of it."""
 
 from __future__ import annotations
 
@@ -8,27 +8,27 @@ from pathlib import Path
 
 import tissue_sim as ts
 from scenes.catalogue import SCENES
-from scenes.scene import Scene
 from scenes.viewer.measurement import Measurement, measurement
+from tissue_sim.experiment.kinds.kind import TestKind
 
 #: Of a material that comes from no file.
 BUILT_IN = "silicone of the study"
 
 
 @dataclass(frozen=True, eq=False)
-class Setup:
+class Scene:
     """Everything that the pictures depend on but for the motion of the tool.
 
     Attributes:
-        scene: what kind of test it is.
+        kind: of test.
         experiment: with specimen, tool and interfaces; its protocol is what the model's curve is computed for where
             nothing was measured, and its largest depth is where the slider ends.
         material: as it is now.
         source: where the material comes from, for people.
-        measurements: by the name of the scene that they belong to.
+        measurements: by the name of the kind that they belong to.
     """
 
-    scene: Scene
+    kind: TestKind
     experiment: ts.Experiment
     material: ts.Material
     source: str = BUILT_IN
@@ -42,39 +42,37 @@ class Setup:
     @property
     def measurement(self) -> Measurement | None:
         """That of this scene; None where there is none."""
-        return self.measurements.get(self.scene.name)
+        return self.measurements.get(self.kind.name)
 
     @property
     def deepest(self) -> float:
         """Largest tool displacement, m."""
         return self.experiment.protocol.depth
 
-    def with_scene(self, name: str, *, tool: ts.Tool | None = None, friction: str | float | None = None) -> Setup:
-        """Another scene, tool or interface of the tool's face, on the same specimen with the same protocol.
+    def with_scene(self, name: str, *, tool: ts.Tool | None = None, friction: str | float | None = None) -> Scene:
+        """Another kind of test, tool or interface of the tool's face, on the same specimen with the same protocol.
 
         Args:
             name: of a scene in `scenes.SCENES`.
-            tool: None: the one at hand where it fits the scene, else the scene's own.
-            friction: None: the one at hand for the same scene, else the scene's own.
+            tool: None: the one at hand where it fits the kind, else the kind's own.
+            friction: None: the one at hand for the same kind, else the kind's own.
 
         Raises:
             InputError: no such scene, or what does not fit it.
         """
         if name not in SCENES:
             raise ts.InputError(f"no scene {name!r}; known: {', '.join(SCENES)}", field="scene")
-        scene, before = SCENES[name], self.experiment
-        fits = (before.tool.shape == "plate") == (scene.tool.shape == "plate")
+        kind, before = SCENES[name], self.experiment
         if tool is None:
-            tool = before.tool if fits else scene.tool
-        if (tool.shape == "plate") != (scene.tool.shape == "plate"):
-            raise ts.InputError(f"{scene.title.lower()} is not done with the tool {tool.shape!r}", field="tool")
-        changes = {"friction": scene.friction, "friction_base": scene.friction_base,
-                   "friction_wall": scene.friction_wall}
-        if scene is self.scene:
+            tool = before.tool if kind.fits(before.tool) else kind.tool
+        if not kind.fits(tool):
+            raise ts.InputError(f"{kind.title.lower()} is not done with the tool {tool.shape!r}", field="tool")
+        changes = kind.interfaces
+        if kind is self.kind:
             changes = {key: getattr(before, key) for key in changes}
         if friction is not None:
             changes["friction"] = friction
-        return replace(self, scene=scene, experiment=replace(before, tool=tool, **changes))
+        return replace(self, kind=kind, experiment=replace(before, tool=tool, **changes))
 
 
 def read_measurements(paths: Sequence[str | Path], scene: str) -> dict[str, Measurement]:

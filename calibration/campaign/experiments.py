@@ -1,0 +1,101 @@
+"""How a test of a campaign is done: its experiment and rig, and which of them its kind allows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from calibration.campaign.schema import TestTable
+from tissue_sim.errors import InputError
+from tissue_sim.experiment.experiment import Experiment, Specimen
+from tissue_sim.experiment.kinds.kind import KINDS, TestKind
+from tissue_sim.experiment.protocol import Protocol
+from tissue_sim.experiment.tools.tool import (
+    TOOLS,
+    Tool,
+    read_shape,
+    shapes_without_file,
+    sizes_of_keys,
+    tool_sizes,
+)
+from tissue_sim.parameters import declared
+from tissue_sim.rig.file import load_rig
+from tissue_sim.rig.rig import Rig
+
+#: Field of an experiment or a tool -> key of the campaign, beside those of the sizes of tools.
+_KEYS = {"tool": "tool", "tool.profile_file": "tool", "friction": "friction", "friction_base": "friction_base",
+         "friction_wall": "friction_wall"}
+
+
+def read_experiment(entry: TestTable, specimen: Specimen | None, folder: Path, place: str) -> Experiment | None:
+    """The experiment of a test, with a short motion in place of the recorded ones; None of a gripped specimen.
+
+    Args:
+        entry: of the campaign. specimen: that it names; None: one of 1 m. folder: that its files are relative to.
+        place: its field.
+
+    Raises:
+        InputError: keys that do not fit the kind or each other, with the field of the campaign.
+    """
+    kind = KINDS[entry.kind]
+    if kind.gripped:
+        for key in (*entry.tool_sizes, *kind.faces, "rig"):
+            if getattr(entry, key) is not None:
+                raise InputError(f"a test of kind {entry.kind!r} is gripped on both sides and has none; leave it out",
+                                 field=f"{place}.{key}")
+        if entry.tool is not None and not TOOLS.find(read_shape(entry.tool)[0], f"{place}.tool").is_plate:
+            raise InputError(f"a test of kind {entry.kind!r} has no tool; leave it out", field=f"{place}.tool")
+        return None
+    specimen = Specimen(1.0, 1.0) if specimen is None else specimen
+    interfaces = {key: _interface(entry, kind, key, place) for key in kind.faces}
+    try:
+        return kind.experiment(specimen=specimen, protocol=Protocol.ramp(1e-3 * specimen.height, 2),
+                               tool=_tool(entry, kind, folder, place), **interfaces)
+    except InputError as error:
+        keys = _KEYS | {f"tool.{name}": key for key, (_, name, _) in tool_sizes().items()}
+        if error.field not in keys:
+            raise
+        raise InputError(error.problem.replace("give the tool an edge radius", "give edge_radius_mm"),
+                         field=f"{place}.{keys[error.field]}") from None
+
+
+def _interface(entry: TestTable, kind: TestKind, key: str, place: str) -> str | float:
+    face, value = kind.faces[key], getattr(entry, key)
+    if face.fixed and value is not None and (value or "frictionless") != face.usual:
+        other = " or ".join(repr(name) for name, one in KINDS.items()
+                            if one.faces[key].stated and one.fits(kind.tool))
+        raise InputError(f"{value!r} contradicts kind = {entry.kind!r}, whose faces are {face.usual}; leave it out, or "
+                         f"use kind = {other}", field=f"{place}.{key}")
+    if value is None and face.stated:
+        raise InputError(f"{entry.kind} needs the interface of both plates; give a coefficient of friction, "
+                         "'stick', 'frictionless' or 'bonded'", field=f"{place}.{key}")
+    return face.usual if value is None else value
+
+
+def _tool(entry: TestTable, kind: TestKind, folder: Path, place: str) -> Tool:
+    shape, profile = read_shape(entry.tool or kind.tool.shape, folder)
+    fits = kind.fits(TOOLS.find(shape, f"{place}.tool"))
+    if kind.tool_stated and (entry.tool is None or not fits):
+        known = ", ".join(repr(name) for name in shapes_without_file() if kind.fits(TOOLS[name]))
+        raise InputError(f"{entry.kind} needs the shape of its tool: tool = {known} or a profile file",
+                         field=f"{place}.tool")
+    if not fits:
+        other = " or ".join(repr(name) for name, one in KINDS.items() if one.fits(TOOLS[shape]))
+        raise InputError(f"{entry.kind} is not done with {entry.tool!r}; use kind = {other}", field=f"{place}.tool")
+    usual = {} if entry.tool is not None else {name: getattr(kind.tool, name) for name in declared(type(kind.tool))}
+    # A zero says that the tool has no such size.
+    sizes = sizes_of_keys({key: value for key, value in entry.tool_sizes.items() if value})
+    return Tool(shape, profile_file=profile, **(usual | sizes))
+
+
+def read_rig(entry: TestTable, folder: Path, place: str) -> Rig:
+    """The rig of the test's file; what it does to single samples is in the recording, not in the model.
+
+    Raises:
+        InputError: what `load_rig` refuses.
+    """
+    if entry.rig is None:
+        return Rig()
+    try:
+        return load_rig(folder / entry.rig).without_noise
+    except InputError as error:
+        raise error.located(field=f"{place}.rig") from None

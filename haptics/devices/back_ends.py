@@ -1,0 +1,71 @@
+"""Motions and devices by name: ``sine``, ``sine:frequency_hz=2``, ``virtual:``, or what a package adds.
+
+A back-end is a function of the text after the colon that makes the device. A package adds one through an entry point of
+the table's group, a program with `Registry.register`. Names alone import nothing: the help of the command line lists
+them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, TypeVar
+
+from tissue_sim.errors import InputError
+from tissue_sim.registry import Registry
+
+if TYPE_CHECKING:
+    from haptics.devices.contracts import ForceSensor, HapticDevice, Motion, Stage
+
+Device = TypeVar("Device")
+
+MOTIONS: Registry[Callable[[str], Motion]] = Registry("motion", "tissue_sim.motions", {
+    "random": "haptics.devices.motions:open_random",
+    "sine": "haptics.devices.motions:open_sine",
+    "protocol": "haptics.devices.motions:open_protocol",
+    "hand": "haptics.devices.motions:open_hand",
+})
+FORCE_SENSORS: Registry[Callable[[str], ForceSensor]] = Registry("force sensor", "tissue_sim.force_sensors", {
+    "virtual": "haptics.devices.virtual.force_sensor:open_virtual",
+})
+STAGES: Registry[Callable[[str], Stage]] = Registry("stage", "tissue_sim.stages", {
+    "virtual": "haptics.devices.virtual.stage:open_virtual",
+})
+HAPTIC_DEVICES: Registry[Callable[[str], HapticDevice]] = Registry("haptic device", "tissue_sim.haptic_devices", {
+    "virtual": "haptics.devices.virtual.hand:open_virtual",
+})
+
+
+def open_motion(name: str) -> Motion:
+    """A motion by name; see `open_haptic`."""
+    return _open(MOTIONS, name)
+
+
+def open_sensor(name: str) -> ForceSensor:
+    """A force sensor by name; see `open_haptic`."""
+    return _open(FORCE_SENSORS, name)
+
+
+def open_stage(name: str) -> Stage:
+    """A stage by name; see `open_haptic`."""
+    return _open(STAGES, name)
+
+
+def open_haptic(name: str) -> HapticDevice:
+    """A haptic device by name; it is not started.
+
+    Args:
+        name: of the back-end, and where it needs more, a colon and the rest: ``virtual:``.
+
+    Raises:
+        InputError: no such back-end (names the nearest), or a rest that it refuses.
+    """
+    return _open(HAPTIC_DEVICES, name)
+
+
+def _open(table: Registry[Callable[[str], Device]], name: str) -> Device:
+    back_end, _, rest = name.partition(":")
+    make = table.find(back_end)
+    try:
+        return make(rest)
+    except InputError as error:
+        raise error.located(field=back_end) from None

@@ -1,0 +1,246 @@
+"""What a force sensor, a stage and a haptic device are to the rest of the house.
+
+Making one touches no hardware, so that it can be sent to the process that uses it; `start` does. Each is used by one
+thread, but for `Stage.halt`. A device that does not answer, or not as it should, raises `DeviceError`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from enum import IntFlag
+from typing import Any
+
+from tissue_sim.errors import InputError
+from tissue_sim.pose import Pose, Screw
+
+
+class DeviceError(RuntimeError):
+    """A device that is not there, does not answer, or answers nonsense; one sentence, with what to do."""
+
+
+class SampleStatus(IntFlag):
+    """What is wrong with a sample; 0: nothing."""
+
+    GOOD = 0
+    #: A channel is at the end of its range: the true value may be larger.
+    SATURATED = 1
+    #: Samples before this one were lost; the sequence numbers say how many.
+    GAP = 2
+    #: The device itself reports a fault.
+    FAULT = 4
+
+
+@dataclass(frozen=True, slots=True)
+class ForceSample:
+    """What a force sensor has measured at one moment.
+
+    Attributes:
+        counts: as the device has sent them, one for each channel, before the tare.
+        values: of the channels, less the tare, N and N m; positive as the sensor's data sheet says.
+        sequence: number of the sample since the start; a number that is left out was lost.
+        status: bits of `SampleStatus`.
+        received: when this program received it, s on the clock of `time.monotonic`.
+    """
+
+    counts: tuple[int, ...]
+    values: tuple[float, ...]
+    sequence: int
+    status: int
+    received: float
+
+
+class ForceSensor(ABC):
+    """Measures one force or several, at a rate of its own.
+
+    Attributes:
+        channels: names of the values, such as ``("Fz",)`` or ``("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")``.
+        rate: samples in a second, Hz.
+    """
+
+    channels: tuple[str, ...]
+    rate: float
+
+    @abstractmethod
+    def start(self) -> None:
+        """Connect, and begin to sample; nothing where it does already.
+
+        Raises:
+            DeviceError: it is not there.
+        """
+
+    @abstractmethod
+    def read(self) -> tuple[ForceSample, ...]:
+        """All samples that came since the last call, in their order; does not wait for more.
+
+        Raises:
+            DeviceError: it was not started, or does not answer.
+        """
+
+    @abstractmethod
+    def tare(self) -> None:
+        """Let what the sensor measures now count as zero; the counts stay as they are. Raises as `read`."""
+
+    @abstractmethod
+    def stop(self) -> None:
+        """End sampling, and disconnect; nothing where it is stopped. It can be started again."""
+
+    @abstractmethod
+    def describe(self) -> dict[str, Any]:
+        """What a file of its samples should say of it: back-end, range, resolution; units in the keys, types of JSON.
+
+        Of a sensor that tells such things itself, call it when it is started.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class StageSample:
+    """Where a stage is.
+
+    Attributes:
+        counts: of its encoder or motor.
+        position: m, positive into the tissue, from where `Stage.home` has put the zero.
+        moving: whether it is on its way.
+        homed: whether the zero is known.
+        sequence: number of the sample since the start.
+        status: bits of `SampleStatus`.
+        received: when this program received it, s on the clock of `time.monotonic`.
+    """
+
+    counts: int
+    position: float
+    moving: bool
+    homed: bool
+    sequence: int
+    status: int
+    received: float
+
+
+@dataclass(frozen=True)
+class StageLimits:
+    """What a stage can do: from `lowest` to `highest`, m, no faster than `speed`, m/s."""
+
+    lowest: float
+    highest: float
+    speed: float
+
+
+class Stage(ABC):
+    """Moves a tool along one axis.
+
+    Attributes:
+        limits: see there.
+    """
+
+    limits: StageLimits
+
+    @abstractmethod
+    def start(self) -> None:
+        """Connect; nothing moves.
+
+        Raises:
+            DeviceError: it is not there.
+        """
+
+    @abstractmethod
+    def home(self) -> None:
+        """Begin to look for the zero of its position; returns at once.
+
+        Raises:
+            DeviceError: it was not started, or does not answer.
+        """
+
+    @abstractmethod
+    def move(self, position: float, speed: float) -> None:
+        """Begin to move to a position, m, at a speed, m/s; returns at once. A motion that goes on is given up.
+
+        Raises:
+            InputError: outside of `limits`, or a speed that is not positive.
+            DeviceError: it was not started, is not homed, or does not answer.
+        """
+
+    @abstractmethod
+    def position(self) -> StageSample:
+        """Where it is now.
+
+        Raises:
+            DeviceError: it was not started, or does not answer.
+        """
+
+    @abstractmethod
+    def halt(self) -> None:
+        """Stand still at once; from any thread, at any time, also before `start` and after `stop`."""
+
+    @abstractmethod
+    def stop(self) -> None:
+        """Halt, and disconnect; nothing where it is stopped. It can be started again."""
+
+    @abstractmethod
+    def describe(self) -> dict[str, Any]:
+        """What a file of its motion should say of it: back-end, resolution; units in the keys, types of JSON.
+
+        Of a stage that tells such things itself, call it when it is started.
+        """
+
+
+class HapticDevice(ABC):
+    """Gives a pose and takes a wrench, tick after tick; the loop renders to it."""
+
+    def start(self) -> None:
+        """Connect, with no force.
+
+        Raises:
+            DeviceError: it is not there.
+        """
+        return
+
+    @abstractmethod
+    def pose(self, time: float) -> Pose | None:
+        """Where the tool is.
+
+        Args:
+            time: s since the loop, or the motion, began; it stands still while the loop is paused.
+
+        Returns:
+            In the frame of the scene; None: not known.
+        """
+
+    @abstractmethod
+    def render(self, wrench: Screw) -> None:
+        """Give this force, N, and torque about the tool's deepest point, N m, to the hand, until the next tick."""
+
+    def stop(self) -> None:
+        """No force, and disconnect; nothing where it is stopped. It can be started again."""
+        return
+
+    def aim(self, depth: float) -> None:
+        """Go to a depth, m: of motions that are steered by somebody.
+
+        Raises:
+            InputError: this one is not, or no depth.
+        """
+        raise InputError(f"a {type(self).__name__} goes where it likes and cannot be steered; follow a HandMotion "
+                         "first", field="aim")
+
+    def describe(self) -> dict[str, Any]:
+        """What a report should say of it: back-end, largest force; units in the keys, types of JSON."""
+        return {"device": type(self).__name__}
+
+
+class Motion(HapticDevice):
+    """A device that ignores the force: the same poses for the same times."""
+
+    def render(self, wrench: Screw) -> None:
+        return
+
+
+class AxialMotion(Motion):
+    """A motion along the axis of the scene, upright."""
+
+    @abstractmethod
+    def depth(self, time: float) -> float | None:
+        """Depth at a time since the motion began, s; m, positive into the tissue. None: the pose is not known."""
+
+    def pose(self, time: float) -> Pose | None:
+        depth = self.depth(time)
+        return None if depth is None else Pose((0.0, 0.0, -depth))

@@ -1,0 +1,101 @@
+"""A hand on a haptic device, without either: a mass that somebody's grip moves and the rendered force pushes."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from typing import Any
+
+from haptics.devices.back_ends import open_motion
+from haptics.devices.contracts import HapticDevice, Motion
+from tissue_sim.errors import InputError
+from tissue_sim.pose import Pose, Screw, Vector
+
+#: Roots of the motion that are closer than this, as a share of their size, are taken apart: the formula divides by
+#: their difference.
+_APART = 1e-6
+
+
+class VirtualHand(HapticDevice):
+    """A handle that follows a motion as a hand would, and gives way to the force:
+
+        mass x'' + damping x' + grip (x - wanted) = force
+
+    in all three directions; it is turned as the motion is, whatever the torque. Between two ticks the force and the
+    wanted place stand still, and the motion is solved exactly: no period is too long for it.
+
+    Args:
+        motion: where the hand wants to be.
+        mass: of handle and hand, kg.
+        damping: of device and hand, N s/m.
+        grip: stiffness with which the hand holds its way, N/m.
+
+    Raises:
+        InputError: a mass or a grip that is not positive, or a damping below zero.
+    """
+
+    def __init__(self, motion: Motion, mass: float = 0.15, damping: float = 5.0, grip: float = 400.0):
+        for value, unit, field in ((mass, "kg", "mass"), (grip, "N/m", "grip")):
+            if not 0 < value < math.inf:
+                raise InputError(f"{value:g} {unit}; give a number above zero", field=field)
+        if not 0 <= damping < math.inf:
+            raise InputError(f"{damping:g} N s/m; give zero or more", field="damping")
+        self._motion, self._mass, self._damping, self._grip = motion, mass, damping, grip
+        rate = complex(-damping / (2 * mass))
+        swing = cmath.sqrt(rate * rate - grip / mass)
+        if abs(swing) < _APART * abs(rate):
+            swing = complex(_APART * abs(rate))
+        self._roots = rate + swing, rate - swing
+        self.start()
+
+    def start(self) -> None:
+        self._force: Vector = (0.0, 0.0, 0.0)
+        self._time = 0.0
+        self._place: Vector | None = None
+        self._velocity: Vector = (0.0, 0.0, 0.0)
+
+    def pose(self, time: float) -> Pose | None:
+        wanted = self._motion.pose(time)
+        if wanted is None:
+            return None
+        if self._place is None or time < self._time:
+            # It begins, or begins again, at rest where the hand is.
+            self._place, self._velocity = wanted.position, (0.0, 0.0, 0.0)
+        elif time > self._time:
+            self._move(wanted.position, time - self._time)
+        self._time = time
+        return Pose(self._place, wanted.orientation)
+
+    def _move(self, wanted: Vector, dt: float) -> None:
+        one, other = self._roots
+        fade_one, fade_other = cmath.exp(one * dt), cmath.exp(other * dt)
+        # Of x = a exp(one t) + b exp(other t), by the place (from its rest) and the velocity at the beginning.
+        apart = one - other
+        stays = ((one * fade_other - other * fade_one) / apart).real
+        gains = ((fade_one - fade_other) / apart).real
+        falls = (one * other * (fade_other - fade_one) / apart).real
+        keeps = ((one * fade_one - other * fade_other) / apart).real
+        places, velocities = [], []
+        for place, velocity, target, force in zip(self._place, self._velocity, wanted, self._force, strict=True):
+            rest = target + force / self._grip
+            places.append(rest + stays * (place - rest) + gains * velocity)
+            velocities.append(falls * (place - rest) + keeps * velocity)
+        self._place, self._velocity = tuple(places), tuple(velocities)
+
+    def render(self, wrench: Screw) -> None:
+        self._force = wrench[:3]
+
+    def stop(self) -> None:
+        self._force = (0.0, 0.0, 0.0)
+
+    def aim(self, depth: float) -> None:
+        self._motion.aim(depth)
+
+    def describe(self) -> dict[str, Any]:
+        return {"device": "virtual hand", "motion": type(self._motion).__name__, "mass_kg": self._mass,
+                "damping_N_s_m": self._damping, "grip_N_m": self._grip}
+
+
+def open_virtual(text: str) -> VirtualHand:
+    """``virtual:random:seed=3``: a hand that follows the motion of that name; ``virtual:`` one that is aimed."""
+    return VirtualHand(open_motion(text or "hand"))

@@ -1,0 +1,112 @@
+"""A stage that moves at its speed, on a clock."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+from haptics.devices.contracts import DeviceError, SampleStatus, Stage, StageLimits, StageSample
+from haptics.devices.settings import read_settings
+from tissue_sim.errors import InputError
+
+
+class VirtualStage(Stage):
+    """Goes straight to where it is sent, at an even speed, with an encoder of finite steps.
+
+    Args:
+        limits: m, m/s.
+        resolution: of a count of the encoder, m.
+        start_at: where it stands before it is homed, m.
+        clock: s, never backwards.
+
+    Raises:
+        InputError: limits or a resolution that make no sense.
+    """
+
+    def __init__(self, limits: StageLimits, resolution: float = 1e-6, start_at: float = 0.0,
+                 clock: Callable[[], float] = time.monotonic):
+        if not -math.inf < limits.lowest <= 0.0 < limits.highest < math.inf:
+            raise InputError(f"from {limits.lowest:g} to {limits.highest:g} m; give a range with the zero in it",
+                             field="limits")
+        for value, unit, field in ((limits.speed, "m/s", "limits.speed"), (resolution, "m", "resolution")):
+            if not 0 < value < math.inf:
+                raise InputError(f"{value:g} {unit}; give a number above zero", field=field)
+        self.limits, self._resolution, self._clock = limits, resolution, clock
+        self._started = self._homed = False
+        #: The motion that goes on, or the last one: from, to, m; speed, m/s; when it began, s.
+        self._from = self._to = start_at
+        self._speed, self._began = limits.speed, -math.inf
+        self._homing, self._sequence = False, 0
+
+    def start(self) -> None:
+        if not self._started:
+            self._started, self._sequence = True, 0
+
+    def home(self) -> None:
+        self._require_start()
+        self._go(0.0, self.limits.speed)
+        self._homing = True
+
+    def move(self, position: float, speed: float) -> None:
+        self._require_start()
+        limits = self.limits
+        if not limits.lowest <= position <= limits.highest:
+            raise InputError(f"{position:g} m is out of reach; give {limits.lowest:g} to {limits.highest:g} m",
+                             field="position")
+        if not 0 < speed <= limits.speed:
+            raise InputError(f"{speed:g} m/s; give a speed above zero and up to {limits.speed:g} m/s", field="speed")
+        self._settle()
+        if not self._homed:
+            raise DeviceError("the virtual stage does not know its zero; home it first, and wait until it is there")
+        self._go(position, speed)
+
+    def position(self) -> StageSample:
+        self._require_start()
+        self._settle()
+        now = self._clock()
+        place = self._place(now)
+        counts = round(place / self._resolution)
+        self._sequence += 1
+        return StageSample(counts, counts * self._resolution, place != self._to, self._homed, self._sequence - 1,
+                           int(SampleStatus.GOOD), now)
+
+    def halt(self) -> None:
+        self._settle()
+        self._from = self._to = self._place(self._clock())
+        self._homing = False
+
+    def stop(self) -> None:
+        self.halt()
+        self._started = False
+
+    def describe(self) -> dict[str, Any]:
+        return {"stage": "virtual", "lowest_mm": self.limits.lowest * 1e3, "highest_mm": self.limits.highest * 1e3,
+                "top_speed_mm_s": self.limits.speed * 1e3, "resolution_mm": self._resolution * 1e3}
+
+    def _go(self, position: float, speed: float) -> None:
+        now = self._clock()
+        self._from, self._to = self._place(now), position
+        self._speed, self._began, self._homing = speed, now, False
+
+    def _place(self, now: float) -> float:
+        way = self._to - self._from
+        gone = self._speed * (now - self._began)
+        return self._to if gone >= abs(way) else self._from + math.copysign(gone, way)
+
+    def _settle(self) -> None:
+        """Notice that homing has come to its end."""
+        if self._homing and self._place(self._clock()) == self._to:
+            self._homing, self._homed = False, True
+
+    def _require_start(self) -> None:
+        if not self._started:
+            raise DeviceError("the virtual stage is not started; start it first")
+
+
+def open_virtual(text: str) -> VirtualStage:
+    """``virtual:lowest_mm=-50,highest_mm=50,top_speed_mm_s=50,resolution_mm=0.001``."""
+    given = read_settings(text, lowest_mm=-50.0, highest_mm=50.0, top_speed_mm_s=50.0, resolution_mm=1e-3)
+    limits = StageLimits(given["lowest_mm"] * 1e-3, given["highest_mm"] * 1e-3, given["top_speed_mm_s"] * 1e-3)
+    return VirtualStage(limits, given["resolution_mm"] * 1e-3)

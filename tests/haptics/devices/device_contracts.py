@@ -1,0 +1,271 @@
+"""What every back-end must do. A test module of a back-end subclasses the class of its contract and gives the device.
+
+A back-end whose device has a clock of its own waits in `pass_time`; a virtual one moves its clock on.
+"""
+
+import math
+import pickle
+from itertools import pairwise
+
+import pytest
+
+from haptics.devices.contracts import DeviceError, SampleStatus
+from tissue_sim.errors import InputError
+from tissue_sim.pose import Pose
+
+
+class ForceSensorContract:
+    """Of a `ForceSensor` under a load that rests.
+
+    Attributes:
+        load: N or N m, of each channel.
+        tolerance: of a value, N or N m.
+    """
+
+    load = (0.0,)
+    tolerance = 0.0
+
+    @pytest.fixture
+    def sensor(self):
+        """Not started."""
+        raise NotImplementedError
+
+    def pass_time(self, seconds):
+        raise NotImplementedError
+
+    def samples(self, sensor, seconds=0.05):
+        self.pass_time(seconds)
+        return sensor.read()
+
+    def test_samples_come_at_the_rate_and_are_numbered(self, sensor):
+        sensor.start()
+        samples = self.samples(sensor, 0.1) + self.samples(sensor, 0.1)
+        sensor.stop()
+        assert len(samples) == pytest.approx(0.2 * sensor.rate, abs=0.02 * sensor.rate + 2)
+        assert [sample.sequence for sample in samples] == list(range(len(samples)))
+        assert all(before.received <= after.received for before, after in pairwise(samples))
+
+    def test_a_sample_has_what_every_channel_measures(self, sensor):
+        sensor.start()
+        samples = self.samples(sensor)
+        sensor.stop()
+        assert samples
+        for sample in samples:
+            assert len(sample.counts) == len(sample.values) == len(sensor.channels)
+            assert all(isinstance(count, int) for count in sample.counts)
+            assert sample.values == pytest.approx(self.load, abs=self.tolerance)
+            assert sample.status == SampleStatus.GOOD
+
+    def test_a_sample_does_not_change(self, sensor):
+        sensor.start()
+        sample = self.samples(sensor)[0]
+        sensor.stop()
+        with pytest.raises(AttributeError):
+            sample.values = (1.0,)
+
+    def test_a_sample_is_read_once(self, sensor):
+        sensor.start()
+        first = self.samples(sensor)
+        second = self.samples(sensor)
+        sensor.stop()
+        assert second[0].sequence == first[-1].sequence + 1
+
+    def test_a_tare_moves_the_values_and_not_the_counts(self, sensor):
+        sensor.start()
+        before = self.samples(sensor)[-1]
+        sensor.tare()
+        after = self.samples(sensor)[-1]
+        sensor.stop()
+        assert after.values == pytest.approx([0.0] * len(self.load), abs=self.tolerance)
+        assert after.counts == pytest.approx(before.counts, abs=2)
+
+    def test_who_has_not_started_cannot_read(self, sensor):
+        for ask in (sensor.read, sensor.tare):
+            with pytest.raises(DeviceError, match="start"):
+                ask()
+
+    def test_it_can_be_started_again_and_stopped_twice(self, sensor):
+        for _ in range(2):
+            sensor.start()
+            sensor.start()
+            assert self.samples(sensor)[0].sequence == 0
+            sensor.stop()
+            sensor.stop()
+
+    def test_it_describes_itself(self, sensor):
+        sensor.start()
+        described = sensor.describe()
+        sensor.stop()
+        assert described["sensor"] and all(isinstance(name, str) for name in described)
+
+    def test_before_it_is_started_it_can_be_sent_to_another_process(self, sensor):
+        assert pickle.loads(pickle.dumps(sensor)).channels == sensor.channels
+
+
+class StageContract:
+    """Of a `Stage` that may move freely within its limits."""
+
+    #: m; of where it comes to rest.
+    tolerance = 0.0
+
+    @pytest.fixture
+    def stage(self):
+        """Not started."""
+        raise NotImplementedError
+
+    def pass_time(self, seconds):
+        raise NotImplementedError
+
+    def arrive(self, stage, seconds=60.0, step=0.01):
+        """Where it comes to rest."""
+        for _ in range(math.ceil(seconds / step)):
+            sample = stage.position()
+            if not sample.moving:
+                return sample
+            self.pass_time(step)
+        raise AssertionError("it still moves")
+
+    @pytest.fixture
+    def homed(self, stage):
+        stage.start()
+        stage.home()
+        assert self.arrive(stage).homed
+        yield stage
+        stage.stop()
+
+    def test_home_is_zero(self, homed):
+        assert self.arrive(homed).position == pytest.approx(0.0, abs=self.tolerance)
+
+    def test_it_goes_where_it_is_sent_at_the_speed(self, homed):
+        limits = homed.limits
+        goal, speed = 0.5 * limits.highest, 0.5 * limits.speed
+        homed.move(goal, speed)
+        assert homed.position().moving
+        self.pass_time(0.5 * goal / speed)
+        assert homed.position().position == pytest.approx(0.5 * goal, rel=0.1, abs=self.tolerance)
+        self.pass_time(0.6 * goal / speed)
+        assert self.arrive(homed).position == pytest.approx(goal, abs=self.tolerance)
+
+    def test_a_new_goal_replaces_the_old_one(self, homed):
+        limits = homed.limits
+        homed.move(limits.highest, limits.speed)
+        self.pass_time(0.3 * limits.highest / limits.speed)
+        homed.move(0.0, limits.speed)
+        assert homed.position().position < 0.6 * limits.highest
+        assert self.arrive(homed).position == pytest.approx(0.0, abs=self.tolerance)
+
+    def test_halt_stands_still_and_it_can_go_on(self, homed):
+        limits = homed.limits
+        homed.move(limits.highest, 0.5 * limits.speed)
+        self.pass_time(0.5 * limits.highest / limits.speed)
+        homed.halt()
+        stood = self.arrive(homed).position
+        assert 0.0 < stood < limits.highest
+        self.pass_time(0.2)
+        assert homed.position().position == pytest.approx(stood, abs=self.tolerance)
+        homed.move(0.0, limits.speed)
+        assert self.arrive(homed).position == pytest.approx(0.0, abs=self.tolerance)
+
+    def test_what_is_out_of_reach_is_refused_and_nothing_moves(self, homed):
+        limits = homed.limits
+        for position, speed, field in ((1.01 * limits.highest, limits.speed, "position"),
+                                       (limits.lowest - 1e-3, limits.speed, "position"),
+                                       (math.nan, limits.speed, "position"), (0.0, 0.0, "speed"),
+                                       (0.0, 1.01 * limits.speed, "speed"), (0.0, math.nan, "speed")):
+            with pytest.raises(InputError) as caught:
+                homed.move(position, speed)
+            assert caught.value.field == field and not homed.position().moving
+
+    def test_who_does_not_know_the_zero_does_not_move(self, stage):
+        stage.start()
+        with pytest.raises(DeviceError, match="home"):
+            stage.move(0.0, stage.limits.speed)
+        assert not stage.position().homed
+        stage.stop()
+
+    def test_samples_are_numbered_and_do_not_change(self, homed):
+        first, second = homed.position(), homed.position()
+        assert second.sequence == first.sequence + 1 and first.received <= second.received
+        assert isinstance(first.counts, int) and first.status == SampleStatus.GOOD
+        with pytest.raises(AttributeError):
+            first.position = 1.0
+
+    def test_who_has_not_started_cannot_move_and_may_halt(self, stage):
+        stage.halt()
+        for ask in (stage.home, stage.position, lambda: stage.move(0.0, stage.limits.speed)):
+            with pytest.raises(DeviceError, match="start"):
+                ask()
+
+    def test_it_describes_itself(self, stage):
+        stage.start()
+        described = stage.describe()
+        stage.stop()
+        assert described["stage"] and all(isinstance(name, str) for name in described)
+
+    def test_before_it_is_started_it_can_be_sent_to_another_process(self, stage):
+        assert pickle.loads(pickle.dumps(stage)).limits == stage.limits
+
+
+class HapticDeviceContract:
+    """Of a `HapticDevice` that nobody pushes."""
+
+    #: Whether it gives way to a force.
+    feels = True
+
+    @pytest.fixture
+    def device(self):
+        """Not started."""
+        raise NotImplementedError
+
+    def ticks(self, device, wrench=(0.0,) * 6, start=0.0, count=50):
+        """Poses of so many ticks of 1 ms under a wrench."""
+        poses = []
+        for number in range(count):
+            poses.append(device.pose(start + 1e-3 * number))
+            device.render(wrench)
+        return poses
+
+    def test_it_gives_a_pose_each_tick(self, device):
+        device.start()
+        poses = self.ticks(device)
+        device.stop()
+        assert len(poses) == 50
+        for pose in poses:
+            assert pose is None or (isinstance(pose, Pose) and pose.is_finite)
+
+    def test_it_gives_way_to_a_force_or_ignores_it(self, device):
+        other, poses = pickle.loads(pickle.dumps(device)), []
+        for each, force in ((device, 0.0), (other, 1.0)):
+            each.start()
+            poses.append(self.ticks(each, (0.0, 0.0, force, 0.0, 0.0, 0.0))[-1])
+            each.stop()
+        free, pushed = poses
+        assert (pushed.position[2] > free.position[2]) if self.feels else pushed == free
+        assert pushed.position[:2] == free.position[:2]
+
+    def test_it_can_be_started_again_and_stopped_twice(self, device):
+        for _ in range(2):
+            device.start()
+            self.ticks(device, count=5)
+            device.stop()
+            device.stop()
+
+    def test_it_describes_itself(self, device):
+        device.start()
+        described = device.describe()
+        device.stop()
+        assert described["device"] and all(isinstance(name, str) for name in described)
+
+    def test_before_it_is_started_it_can_be_sent_to_another_process(self, device):
+        poses = []
+        for each in (pickle.loads(pickle.dumps(device)), device):
+            each.start()
+            poses.append(self.ticks(each, count=3))
+            each.stop()
+        assert poses[0] == poses[1]
+
+
+class MotionContract(HapticDeviceContract):
+    """Of a `Motion`: the same poses for the same times, whatever the force."""
+
+    feels = False

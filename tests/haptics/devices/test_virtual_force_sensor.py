@@ -1,0 +1,108 @@
+"""The virtual force sensor: the contract, and its counts, its range and its buffer."""
+
+import math
+
+import pytest
+from device_contracts import ForceSensorContract
+
+from haptics.devices.back_ends import FORCE_SENSORS, open_sensor
+from haptics.devices.contracts import SampleStatus
+from haptics.devices.virtual.force_sensor import BUFFER, VirtualForceSensor
+from tissue_sim.errors import InputError
+
+
+class Clock:
+    """s; goes as the test says."""
+
+    def __init__(self):
+        self.now = 100.0
+
+    def __call__(self):
+        return self.now
+
+
+def six(time):
+    return (0.1, -0.2, 3.0, 0.01, 0.02, -0.03)
+
+
+def sine(time):
+    return (2.0 * math.sin(2 * math.pi * 5.0 * time),)
+
+
+class TestVirtualForceSensor(ForceSensorContract):
+    load, tolerance = six(0.0), 0.5e-3
+
+    @pytest.fixture
+    def sensor(self):
+        self.clock = Clock()
+        return VirtualForceSensor(six, ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz"), rate=500.0, clock=self.clock)
+
+    def pass_time(self, seconds):
+        self.clock.now += seconds
+
+
+class TestByName(ForceSensorContract):
+    """Set by name."""
+
+    load, tolerance = (3.0,), 1e-9
+
+    @pytest.fixture
+    def sensor(self):
+        sensor = open_sensor("virtual:load_N=3,rate_hz=2000,resolution_N=0.01")
+        self.clock = sensor._clock = Clock()
+        return sensor
+
+    def pass_time(self, seconds):
+        self.clock.now += seconds
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+def test_values_are_those_of_their_times_in_whole_counts(clock):
+    sensor = VirtualForceSensor(sine, resolution=0.01, clock=clock)
+    sensor.start()
+    clock.now += 0.4
+    for sample in sensor.read():
+        true, = sine(100.0 + (sample.sequence + 1) / sensor.rate)
+        assert sample.values[0] == pytest.approx(true, abs=0.5001 * 0.01)
+        assert sample.values[0] == pytest.approx(0.01 * sample.counts[0], rel=1e-12)
+
+
+def test_what_is_beyond_the_range_is_cut_and_marked(clock):
+    sensor = VirtualForceSensor(sine, reach=1.5, clock=clock)
+    sensor.start()
+    clock.now += 0.2
+    samples = sensor.read()
+    marked = [bool(sample.status & SampleStatus.SATURATED) for sample in samples]
+    assert marked == [abs(sine(100.0 + (sample.sequence + 1) / 1000.0)[0]) > 1.5005 for sample in samples]
+    assert max(sample.values[0] for sample in samples) == pytest.approx(1.5) and any(marked)
+
+
+def test_who_reads_too_late_has_lost_samples_and_sees_it(clock):
+    sensor = VirtualForceSensor(sine, clock=clock)
+    sensor.start()
+    clock.now += 1.0
+    assert sensor.read()[0].status == SampleStatus.GOOD
+    clock.now += 10.0
+    samples = sensor.read()
+    assert len(samples) == BUFFER and samples[0].sequence == 11_000 - BUFFER
+    assert [sample.status for sample in samples[:2]] == [SampleStatus.GAP, SampleStatus.GOOD]
+
+
+@pytest.mark.parametrize(("wrong", "field"), [({"rate": 0.0}, "rate"), ({"resolution": math.nan}, "resolution"),
+                                              ({"reach": math.inf}, "reach"), ({"channels": ()}, "channels")])
+def test_sensors_that_make_no_sense_are_refused(wrong, field):
+    with pytest.raises(InputError) as caught:
+        VirtualForceSensor(sine, **wrong)
+    assert caught.value.field == field
+
+
+def test_an_unknown_name_names_the_nearest():
+    with pytest.raises(InputError, match=r"unknown force sensor 'virtul'; did you mean 'virtual'\?"):
+        open_sensor("virtul:")
+    with pytest.raises(InputError, match=r"virtual\.rate: unknown setting; did you mean 'rate_hz'\?"):
+        open_sensor("virtual:rate=3")
+    assert list(FORCE_SENSORS) == ["virtual"]

@@ -1,0 +1,114 @@
+"""The virtual hand: the contract, and the motion of a mass on a grip."""
+
+import math
+
+import numpy as np
+import pytest
+from device_contracts import HapticDeviceContract
+
+from haptics.devices.back_ends import HAPTIC_DEVICES, open_haptic
+from haptics.devices.contracts import Motion
+from haptics.devices.motions import HandMotion
+from haptics.devices.virtual.hand import VirtualHand
+from haptics.safety.limits import ForceLimits
+from haptics.safety.rendering import ForceRendering
+from tissue_sim.errors import InputError
+from tissue_sim.pose import Pose
+from tissue_sim.tool_force import ForceStatus, ToolForce
+
+TURNED = (0.6, 0.0, 0.8, 0.0)
+
+
+class Standing(Motion):
+    """Stands at a place, turned."""
+
+    def pose(self, time):
+        return Pose((1e-3, -2e-3, -3e-3), TURNED)
+
+
+class TestVirtualHand(HapticDeviceContract):
+    @pytest.fixture
+    def device(self):
+        return VirtualHand(Standing())
+
+
+class TestByName(HapticDeviceContract):
+    @pytest.fixture
+    def device(self):
+        return open_haptic("virtual:sine:depth_mm=5,frequency_hz=2")
+
+
+def pushed(hand, force, times):
+    """Ways, m, of a hand under a force that begins at once, shape (times, 3)."""
+    places = []
+    for time in times:
+        places.append(hand.pose(time).position)
+        hand.render((*force, 0.0, 0.0, 0.0))
+    return np.array(places) - Standing().pose(0.0).position
+
+
+@pytest.mark.parametrize("step", [1e-3, 0.013])
+@pytest.mark.parametrize(("mass", "damping", "grip"), [(0.2, 3.0, 300.0), (0.05, 40.0, 300.0), (0.1, 20.0, 1000.0)],
+                         ids=["swings", "creeps", "critical"])
+def test_it_moves_as_a_mass_on_a_damped_spring(mass, damping, grip, step):
+    """The step response in closed form, whatever the length of a tick."""
+    force, times = np.array((0.5, 0.0, 2.0)), np.arange(0.0, 0.6, step)
+    ways = pushed(VirtualHand(Standing(), mass, damping, grip), force, times)
+    rate = damping / (2 * mass)
+    swing = complex(grip / mass - rate**2) ** 0.5
+    fade = np.exp(-rate * times)
+    if abs(swing) < 1e-6:
+        response = 1.0 - fade * (1.0 + rate * times)
+    else:
+        response = 1.0 - (fade * (np.cos(swing * times) + rate / swing * np.sin(swing * times))).real
+    np.testing.assert_allclose(ways, response[:, None] * force / grip, atol=2e-8)
+
+
+def test_its_energy_is_that_of_the_force():
+    """Without damping, a step of force swings to twice the static way, for ever."""
+    ways = pushed(VirtualHand(Standing(), 0.1, 0.0, 400.0), (0.0, 0.0, 1.0), np.arange(0.0, 5.0, 1e-3))[:, 2]
+    assert ways.max() == pytest.approx(2.0 / 400.0, rel=1e-4) and ways.min() == pytest.approx(0.0, abs=1e-9)
+    assert ways[-1000:].max() == pytest.approx(2.0 / 400.0, rel=1e-4)
+
+
+def test_it_is_turned_as_the_motion_and_begins_where_that_begins():
+    hand = VirtualHand(Standing())
+    assert hand.pose(0.0) == Standing().pose(0.0)
+    hand.render((0.0, 0.0, 1.0, 5.0, 5.0, 5.0))
+    assert hand.pose(0.1).orientation == TURNED
+    assert hand.pose(0.0) == Standing().pose(0.0), "a motion that begins again"
+
+
+def test_a_lost_pose_is_passed_on():
+    class Lost(Motion):
+        def pose(self, time):
+            return None
+
+    assert VirtualHand(Lost()).pose(0.0) is None
+
+
+def test_it_comes_to_rest_where_hand_and_tissue_balance():
+    """Aimed at 5 mm on 600 N/m with a grip of 400 N/m: 2 mm deep, and 1.2 N."""
+    hand, rendering = VirtualHand(HandMotion(speed=1.0)), ForceRendering(ForceLimits(10.0, 1.0))
+    hand.aim(5e-3)
+    for tick in range(3000):
+        depth = rendering.pose_for(hand.pose(tick * 1e-3), 1e-3).depth
+        stiffness = 600.0 if depth > 0 else 0.0
+        rendered = rendering.render(ToolForce.axial(stiffness * depth, stiffness, ForceStatus.CONVERGED), 1e-3)
+        hand.render(rendered.wrench)
+    assert depth == pytest.approx(2e-3, rel=1e-6) and rendered.force == pytest.approx(1.2, rel=1e-6)
+
+
+@pytest.mark.parametrize(("wrong", "field"), [({"mass": 0.0}, "mass"), ({"grip": math.nan}, "grip"),
+                                              ({"damping": -1.0}, "damping")])
+def test_hands_that_make_no_sense_are_refused(wrong, field):
+    with pytest.raises(InputError) as caught:
+        VirtualHand(Standing(), **wrong)
+    assert caught.value.field == field
+
+
+def test_only_a_hand_that_follows_a_steered_motion_is_steered():
+    open_haptic("virtual:").aim(1e-3)
+    with pytest.raises(InputError, match="a SineMotion goes where it likes"):
+        open_haptic("virtual:sine").aim(1e-3)
+    assert list(HAPTIC_DEVICES) == ["virtual"]

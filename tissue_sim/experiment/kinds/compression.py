@@ -1,0 +1,16 @@
+"""Compression of a cylinder between plates."""
+
+from tissue_sim.closed_form.homogeneous import UNIAXIAL
+from tissue_sim.experiment.kinds.kind import DISPLACEMENT_FORCE, STRETCH_STRESS, Face, TestKind
+from tissue_sim.experiment.tools.plate import Plate
+
+_SMOOTH = Face("frictionless", fixed=True)
+#: Dry plates: from about 0.5 on more friction makes no difference, as nearly all of the faces sticks.
+_DRY = Face(0.7, stated=True)
+
+LUBRICATED = TestKind(name="lubricated_compression", title="Lubricated compression", tool=Plate(), face=_SMOOTH,
+                      base=_SMOOTH, sign=-1.0, channels=(DISPLACEMENT_FORCE, STRETCH_STRESS),
+                      closed_form=UNIAXIAL)
+BONDED = TestKind(name="bonded_compression", title="Bonded compression", tool=Plate(), sign=-1.0)
+FRICTION = TestKind(name="friction_compression", title="Compression with friction", tool=Plate(), face=_DRY, base=_DRY,
+                    sign=-1.0)

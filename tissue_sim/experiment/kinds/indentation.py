@@ -1,0 +1,8 @@
+"""Indentation of a cylinder by a needle."""
+
+from tissue_sim.experiment.kinds.kind import Face, TestKind
+from tissue_sim.experiment.tools.flat import Flat
+
+#: With the study's punch: flat, of radius 8 mm, with a sharp edge.
+NEEDLE = TestKind(name="needle_indentation", title="Needle indentation", tool=Flat(0.008), tool_stated=True,
+                  face=Face("bonded"), base=Face("bonded"), sign=-1.0)

@@ -1,0 +1,49 @@
+"""A needle with a conical tip."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from tissue_sim.errors import InputError
+from tissue_sim.experiment.tools.outline import SHAFT_LENGTH, Profile
+from tissue_sim.experiment.tools.sizes import radius
+from tissue_sim.experiment.tools.tool import Tool
+from tissue_sim.parameters import parameter
+
+#: Sharpest cone, rad.
+_SHARPEST = 0.01
+
+
+@dataclass(frozen=True)
+class Cone(Tool):
+    """A cone on a shaft.
+
+    Attributes:
+        radius: of the shaft, m.
+        half_angle: between the axis and the side, rad.
+        tip_radius: of the rounding of the tip, and of the shoulder, m.
+    """
+
+    name = "cone"
+    radius: float = radius()
+    half_angle: float = parameter("theta", "rad", key="half_angle_deg", factor=math.pi / 180,
+                                  bounds=(_SHARPEST, 1.57))
+    tip_radius: float = parameter("r_t", "m", key="tip_radius_mm", factor=1e-3, bounds=(0.0, 1.0), absent=0.0,
+                                  default=0.0)
+
+    def __post_init__(self):
+        self.require_sizes("tip_radius")
+        if not _SHARPEST <= self.half_angle < math.pi / 2:
+            raise InputError("a cone needs a half angle, between its axis and its side, of 0.6 degrees or more and "
+                             "below 90 degrees", field="tool.half_angle")
+
+    @property
+    def profile(self) -> Profile:
+        a, tip = self.radius, self.tip_radius
+        shoulder = tip + (a - tip) / math.tan(self.half_angle)
+        return Profile([(0.0, tip), (a - tip, shoulder), (a - tip, shoulder + SHAFT_LENGTH * a)], tip, 1)
+
+    def contact_radius(self, depth: float, specimen_radius: float = math.inf) -> float:
+        pointed = 2.0 / math.pi * depth * math.tan(self.half_angle)
+        return min(self.radius, max(pointed, math.sqrt(self.tip_radius * depth)))

@@ -1,0 +1,41 @@
+"""A needle with a flat face."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from tissue_sim.experiment.tools.outline import SHAFT_LENGTH, Profile
+from tissue_sim.experiment.tools.sizes import edge_radius, radius
+from tissue_sim.experiment.tools.tool import Tool
+
+
+@dataclass(frozen=True)
+class Flat(Tool):
+    """A flat punch.
+
+    Attributes:
+        radius: of the shaft, m. edge_radius: of the rounding between face and shaft, m.
+    """
+
+    name = "flat"
+    radius: float = radius()
+    edge_radius: float = edge_radius()
+
+    def __post_init__(self):
+        self.require_sizes("edge_radius")
+
+    @property
+    def profile(self) -> Profile:
+        face, rounding = self.face_radius, self.edge_radius
+        return Profile([(0.0, rounding), (face, rounding), (face, SHAFT_LENGTH * self.radius)], rounding, 1)
+
+    @property
+    def face_radius(self) -> float:
+        return self.radius - self.edge_radius
+
+    @property
+    def sharp_edge(self) -> bool:
+        return self.edge_radius == 0
+
+    def contact_radius(self, depth: float, specimen_radius: float = float("inf")) -> float:
+        return self.radius

@@ -1,0 +1,73 @@
+"""Outlines of rigid bodies of revolution, and the distance of tissue from them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+
+#: How far a shaft reaches above the face, in tool radii: farther than any tissue.
+SHAFT_LENGTH = 1e3
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """Outline of a rigid body of revolution: a chain of straight lines, thickened by a rounding radius.
+
+    The frame is the tool's: r from the axis, z out of the tissue, origin at the deepest point. The chain runs from the
+    axis outwards and upwards with the body on its left.
+
+    Attributes:
+        vertices: (r, z), m, shape (n, 2).
+        rounding: m; the surface lies this far outside the chain.
+        shaft: index of the first line that belongs to the shaft; those before are the face.
+    """
+
+    vertices: np.ndarray | Sequence[tuple[float, float]]
+    rounding: float
+    shaft: int
+
+    def __post_init__(self):
+        # Help of the command line knows the shapes, and must not wait for numpy.
+        import numpy as np
+
+        object.__setattr__(self, "vertices", np.asarray(self.vertices, dtype=float))
+
+    def gap(self, points: np.ndarray) -> np.ndarray:
+        """Signed distance of points (n, 2) from the surface, m, positive outside, shape (n,)."""
+        import numpy as np
+
+        points = np.asarray(points, dtype=float)
+        start, way = self.vertices[:-1], np.diff(self.vertices, axis=0)
+        offset = points[:, None] - start
+        along = np.einsum("nsi,si->ns", offset, way) / np.einsum("si,si->s", way, way)
+        share = np.clip(along, 0.0, 1.0)
+        arrow = offset - share[..., None] * way
+        distance = np.linalg.norm(arrow, axis=-1)
+        normal = np.stack([way[:, 1], -way[:, 0]], axis=-1)
+        # Where two lines are equally near, at a vertex, the one that the point stands farther in front of decides.
+        front = np.einsum("nsi,si->ns", arrow, normal / np.linalg.norm(normal, axis=1)[:, None])
+        # Before the start of the chain there is no inside.
+        front[:, 0] = np.where(along[:, 0] < 0.0, np.abs(front[:, 0]), front[:, 0])
+        closest = np.lexsort((-np.abs(front), np.round(distance, 15)), axis=-1)[:, 0]
+        rows = np.arange(len(points))
+        return np.copysign(distance[rows, closest], front[rows, closest]) - self.rounding
+
+    def outline(self, height: float) -> np.ndarray:
+        """Points (r, z) of the surface from the axis up to `height`, m, for drawing, shape (n, 2)."""
+        import numpy as np
+
+        way = np.diff(self.vertices, axis=0)
+        angle = np.arctan2(-way[:, 0], way[:, 1])  # of the outward normal
+        # The surface begins on the axis, under the first vertex.
+        angle = np.concatenate([[-np.pi / 2], angle, [np.pi / 2 if self.vertices[-1, 1] < height else angle[-1]]])
+        points = []
+        for k, vertex in enumerate(self.vertices):
+            turn = np.linspace(angle[k], angle[k + 1], 25)
+            points.append(vertex + self.rounding * np.stack([np.cos(turn), np.sin(turn)], axis=-1))
+        points = np.concatenate(points)
+        points[:, 1] = np.minimum(points[:, 1], height)
+        return points

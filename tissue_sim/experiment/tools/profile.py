@@ -1,0 +1,105 @@
+"""A tool whose outline comes from a file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tissue_sim.errors import InputError
+from tissue_sim.experiment.tools.outline import SHAFT_LENGTH, Profile
+from tissue_sim.experiment.tools.sizes import edge_radius
+from tissue_sim.experiment.tools.tool import Tool
+
+if TYPE_CHECKING:
+    import numpy as np
+
+#: Rounding of the corners where nothing is said, in radii of the tool; it is halved until the lines have room for it.
+PROFILE_ROUNDING, MOST_HALVINGS = 0.02, 10
+
+
+@dataclass(frozen=True)
+class ProfileTool(Tool):
+    """A convex needle of any outline.
+
+    Attributes:
+        radius: the largest of the file, m.
+        edge_radius: of the rounding of its corners; 0: `PROFILE_ROUNDING` of its radius or what its lines have room
+            for, m.
+        profile_file: see `tissue_sim.experiment.tools.profile_file`.
+
+    Raises:
+        InputError: no file, another radius than that of the file, what `read_profile` refuses, a rounding for which a
+            line is too short.
+    """
+
+    name = "profile"
+    from_file = True
+    radius: float | None = None
+    edge_radius: float = edge_radius()
+    profile_file: str | Path | None = None
+
+    def __post_init__(self):
+        from tissue_sim.experiment.tools.profile_file import read_profile
+
+        if self.profile_file is None:
+            raise InputError("a profile tool needs the file of its profile", field="tool.profile_file")
+        outline = read_profile(self.profile_file)
+        widest = float(outline[:, 0].max())
+        if self.radius is not None and abs(self.radius - widest) > 1e-9 * widest:
+            raise InputError(f"the profile's radius is {widest:g} m; leave the radius out", field="tool.radius")
+        object.__setattr__(self, "radius", widest)
+        object.__setattr__(self, "_outline", outline)
+        if not self.edge_radius:
+            self._round_as_there_is_room()
+        self.require_sizes("edge_radius")
+
+    def _round_as_there_is_room(self) -> None:
+        for halvings in range(MOST_HALVINGS):
+            object.__setattr__(self, "edge_radius", PROFILE_ROUNDING * self.radius / 2**halvings)
+            try:
+                _ = self.profile
+                return
+            except InputError:
+                continue
+
+    @property
+    def outline(self) -> np.ndarray:
+        """The profile of the file, (r, z), m, shape (n, 2)."""
+        return self._outline
+
+    @property
+    def profile(self) -> Profile:
+        """The chain lies inside the outline of the file by the rounding, so that its lines stay where they are."""
+        import numpy as np
+
+        outline = self.outline
+        top = [[outline[-1, 0], outline[-1, 1] + SHAFT_LENGTH * self.radius]]
+        if outline[-1, 0] == outline[-2, 0]:
+            outline = outline[:-1]
+        outline = np.concatenate([outline, top])
+        rounding = self.edge_radius
+        way = np.diff(outline, axis=0)
+        inward = np.stack([-way[:, 1], way[:, 0]], axis=-1) / np.linalg.norm(way, axis=1)[:, None]
+        chain = outline.copy()
+        chain[0] += rounding * np.array([0.0, 1.0]) / inward[0, 1]
+        chain[-1] += rounding * inward[-1]
+        for k in range(1, len(way)):
+            # Where the two shifted lines meet.
+            chain[k] += rounding * (inward[k - 1] + inward[k]) / (1.0 + inward[k - 1] @ inward[k])
+        if (np.einsum("ki,ki->k", np.diff(chain, axis=0), way) <= 0).any():
+            raise InputError(f"a line of the profile is too short for corners rounded by {rounding:g} m; give a "
+                             "smaller edge radius", field="tool.edge_radius")
+        # A rounded point is blunter, and the deepest point is the origin.
+        chain[:, 1] -= chain[0, 1] - rounding
+        return Profile(chain, rounding, int(np.flatnonzero(way[:, 0] == 0.0)[0]))
+
+    @property
+    def face_radius(self) -> float:
+        return max(0.0, float(self.outline[self.outline[:, 1] == 0.0, 0].max()) - self.edge_radius)
+
+    def contact_radius(self, depth: float, specimen_radius: float = float("inf")) -> float:
+        import numpy as np
+
+        wide = float(np.interp(depth, self.outline[:, 1], self.outline[:, 0]))
+        return max(self.face_radius, 1e-3 * self.radius, wide if self.face_radius else 2.0 / np.pi * wide)

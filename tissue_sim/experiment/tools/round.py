@@ -1,0 +1,33 @@
+"""A needle with a hemispherical tip."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from tissue_sim.experiment.tools.outline import SHAFT_LENGTH, Profile
+from tissue_sim.experiment.tools.sizes import radius
+from tissue_sim.experiment.tools.tool import Tool
+
+
+@dataclass(frozen=True)
+class Round(Tool):
+    """A needle with a round tip.
+
+    Attributes:
+        radius: of tip and shaft, m.
+    """
+
+    name = "round"
+    radius: float = radius()
+
+    def __post_init__(self):
+        self.require_sizes()
+
+    @property
+    def profile(self) -> Profile:
+        a = self.radius
+        return Profile([(0.0, a), (0.0, SHAFT_LENGTH * a)], a, 0)
+
+    def contact_radius(self, depth: float, specimen_radius: float = math.inf) -> float:
+        return min(self.radius, math.sqrt(self.radius * depth))

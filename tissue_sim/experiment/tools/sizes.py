@@ -1,0 +1,21 @@
+"""Sizes that several shapes have."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tissue_sim.parameters import parameter
+
+#: Smallest and largest radius that a fit may try, m.
+_RADII = (1e-6, 1.0)
+
+
+def radius() -> Any:
+    """Of the shaft, or of the ball."""
+    return parameter("a", "m", key="tool_radius_mm", factor=1e-3, bounds=_RADII, shapes_mesh=True)
+
+
+def edge_radius() -> Any:
+    """Of the rounding between a flat face and the shaft."""
+    return parameter("r_e", "m", key="edge_radius_mm", factor=1e-3, bounds=(0.0, _RADII[1]), absent=0.0,
+                     shapes_mesh=True, default=0.0)

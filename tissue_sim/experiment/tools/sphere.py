@@ -1,0 +1,35 @@
+"""A ball."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from tissue_sim.experiment.tools.outline import Profile
+from tissue_sim.experiment.tools.sizes import radius
+from tissue_sim.experiment.tools.tool import Tool
+
+
+@dataclass(frozen=True)
+class Sphere(Tool):
+    """A ball.
+
+    Attributes:
+        radius: m.
+    """
+
+    name = "sphere"
+    has_shaft = False
+    radius: float = radius()
+
+    def __post_init__(self):
+        self.require_sizes()
+
+    @property
+    def profile(self) -> Profile:
+        a = self.radius
+        # A line too short to matter; above it the ball closes.
+        return Profile([(0.0, a), (0.0, a * (1 + 1e-9))], a, 1)
+
+    def contact_radius(self, depth: float, specimen_radius: float = math.inf) -> float:
+        return min(self.radius, math.sqrt(self.radius * depth))
