@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import ConvergenceError, InputError
-from tissue_sim.experiment.experiment import Model
 from tissue_sim.fem.solver import Derivatives, Solver
 from tissue_sim.material.effect import ReducedEffect, TissueEffect
+from tissue_sim.model import Model
 from tissue_sim.parameters import Parameter, full_path, parameter_values, parameters, with_values
 from tissue_sim.recording.recording import Recording
 from tissue_sim.simulation import simulate

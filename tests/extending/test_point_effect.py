@@ -14,11 +14,11 @@ import pytest
 import tissue_sim as ts
 from tissue_sim.errors import InputError
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver, element_layers
-from tissue_sim.fem.axisymmetric.elements import Q4P0, Q9P1
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.material.effect import EFFECTS
 from tissue_sim.mesh import cylinder_mesh
+from tissue_sim.mesh.elements import Q4P0, Q9P1
 from tissue_sim.parameters import value
 
 C10, G, TAU = 1500.0, 0.3, 2.0
@@ -196,7 +196,7 @@ FORCE = """
 import sys
 import tissue_sim as ts
 from {module} import Stiffener
-from tissue_sim.fem.axisymmetric.elements import Q4P0
+from tissue_sim.mesh.elements import Q4P0
 from tissue_sim.mesh import cylinder_mesh
 material = ts.Material("neo_hooke", {{"C10": 1500.0}}, ts.Bulk("K_Pa", 3e7), effects=[Stiffener(1000.0)])
 experiment = ts.Experiment(ts.Specimen(0.04, 0.07), ts.Protocol.ramp(1e-3, 2))
