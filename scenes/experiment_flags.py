@@ -26,7 +26,7 @@ DEPTH_MM = 10.0
 
 
 def add_experiment_flags(parser: Parser) -> None:
-    """Motion, specimen, tool and interfaces, each in a group of its usual."""
+    """Motion, specimen, tool and interfaces, each in a group of its own."""
     motion = parser.add_argument_group("motion")
     motion.add_argument("--depth-mm", type=positive, metavar="N",
                         help=f"largest tool displacement of a plain ramp (default: {DEPTH_MM:g})")
