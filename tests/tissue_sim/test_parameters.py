@@ -1,4 +1,4 @@
-"""Parameters of a model: every path reaches its number and no other, in SI, and files take key and factor from there."""
+"""Parameters of a model: every path reaches its number and no other, in SI; files take key and factor from there."""
 
 import dataclasses
 import math
@@ -61,13 +61,14 @@ def test_several_change_at_once():
 
 
 def test_a_path_may_start_at_any_part():
-    assert value(MODEL, "experiment.tool.radius") == value(EXPERIMENT, "tool.radius") == value(EXPERIMENT.tool, "radius")
+    starts = ((MODEL, "experiment.tool.radius"), (EXPERIMENT, "tool.radius"), (EXPERIMENT.tool, "radius"))
+    assert {value(part, path) for part, path in starts} == {8e-3}
     assert full_path(MODEL, "layers[0].ratio") == "material.layers[0].ratio"
     for name, words in (("experiment.tool.raduis", "did you mean 'experiment.tool.radius'"),
                         ("experiment.friction_base", "'bonded' and not a number"), ("C10", "unknown parameter")):
         with pytest.raises(ts.InputError, match=words):
             full_path(MODEL, name)
-    with pytest.raises(ts.InputError, match="did you mean 'rig.latency'"):
+    with pytest.raises(ts.InputError, match=r"did you mean 'rig\.latency'"):
         with_values(MODEL, {"rig.latncy": 1.0})
 
 
