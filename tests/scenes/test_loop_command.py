@@ -29,7 +29,7 @@ KEYS = {"scene", "motion", "resolution", "ended_by", "seconds", "period_us", "ti
         "peak_memory_MB"}
 
 
-def writer_of(ring, ticks=50, seconds=60.0, alive=lambda: True):
+def writer_of(ring, ticks=50, seconds=600.0, alive=lambda: True):
     """The process that makes a ring, as soon as it has so many ticks."""
     deadline = time.monotonic() + seconds
 
@@ -194,7 +194,7 @@ def test_ctrl_c_ends_it_with_its_report(tmp_path):
                           stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
         writer_of(ring, alive=lambda: process.poll() is None)
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does
-        out, err = process.communicate(timeout=60)
+        out, err = process.communicate(timeout=600)
     assert process.returncode == 130 and err == ""
     answer = json.loads(out)
     assert answer["ended_by"] == "stop" and answer["ticks"] >= 50 and set(answer) == KEYS
