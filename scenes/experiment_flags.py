@@ -87,7 +87,7 @@ def build_experiment(arguments, protocol: Protocol, material: Material) -> Exper
         InputError: flags that do not fit the scene or each other, or what the experiment refuses.
     """
     import tissue_sim as ts
-    from tissue_sim.experiment.experiment import STANDARD_GRAVITY
+    from tissue_sim.specimen import STANDARD_GRAVITY
 
     scene = SCENES[arguments.scene]
     shape, profile = read_shape(arguments.tool or scene.tool.shape)

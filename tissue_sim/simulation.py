@@ -10,13 +10,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from tissue_sim.errors import ConvergenceError
-from tissue_sim.experiment.experiment import Model
-from tissue_sim.experiment.tilt import tilted
 from tissue_sim.fem.solver import SOLVERS, Solver, Step, StepStatus
 from tissue_sim.laws import check_stability
 from tissue_sim.material.effect import ReducedForce
+from tissue_sim.model import Model
 from tissue_sim.pose import Pose, Screw, between
 from tissue_sim.recording.recording import Recording
+from tissue_sim.tilt import tilted
 
 #: A step is cut until it is this small a part of the way between two samples.
 _SMALLEST_CUT = 2.0**-10
@@ -174,7 +174,7 @@ class _Drive:
     def __init__(self, solver: Solver, model: Model):
         self._solver, self._experiment = solver, model.experiment
         self._train = _LoadTrain(model.rig.compliance)
-        self._reduced = ReducedForce(model.material.reduced_effects(model.experiment))
+        self._reduced = ReducedForce(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
         self.travel = 0.0
 
     @property

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from tissue_sim.errors import InputError
-from tissue_sim.experiment.experiment import Model
 from tissue_sim.fem.solver import SOLVERS, Step, StepStatus, Surface
 from tissue_sim.material.effect import ReducedForce, ToolHistory
 from tissue_sim.material.material import Material
+from tissue_sim.model import Model
 from tissue_sim.parameters import with_values
 from tissue_sim.pose import Pose, Screw, between, motion
 from tissue_sim.snapshot import Snapshot, snapshot
@@ -112,7 +112,7 @@ class Simulator:
         # A turn counts as the way of a point at the edge of the contact.
         self._radius = model.experiment.contact_radius
         self._largest_part = _LARGEST_PART * self._radius
-        self._reduced = ReducedForce(model.material.reduced_effects(model.experiment))
+        self._reduced = ReducedForce(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
         # Wall time of a linear solve with all that belongs to it, s.
         self._solve_time = 1e-9
         self._answer = ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
@@ -299,7 +299,7 @@ class Simulator:
         self._solver.set_material(material)
         self.model = replace(self.model, material=material)
         history = self._reduced.history
-        self._reduced = ReducedForce(material.reduced_effects(self.model.experiment))
+        self._reduced = ReducedForce(material.reduced_effects(plate=self.model.experiment.tool.is_plate))
         self._reduced.history = history
 
     def surface(self) -> Surface:

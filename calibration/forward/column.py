@@ -10,8 +10,8 @@ from calibration.fit.parameters import ParameterSpace
 from calibration.forward.closed import ClosedAnswer, ClosedTest
 from calibration.forward.contract import InfeasibleError, Reached
 from tissue_sim.closed_form.column import Column
-from tissue_sim.experiment.experiment import Specimen
 from tissue_sim.laws import find_law
+from tissue_sim.specimen import Specimen
 
 
 @dataclass(eq=False)

@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tissue_sim.errors import InputError
+from tissue_sim.fem.taichi.trace import TRIED, traced
 from tissue_sim.material.effect import PointEffect, TissueEffect
 from tissue_sim.parameters import declared
 
@@ -65,10 +67,16 @@ class PointEffects:
         self.found = self.states.copy()
 
     def set_effects(self, effects: Iterable[TissueEffect]) -> None:
-        """Take over the effects of a material; the memory is kept where they are of the same make."""
+        """Take over the effects of a material; the memory is kept where they are of the same make.
+
+        Raises:
+            InputError: a formula that no kernel can take over, or one that gives something else than it should.
+        """
         effects = [effect for effect in effects if isinstance(effect, PointEffect)]
         formulas = tuple(EffectFormula.of(effect) for effect in effects)
         if formulas != self.formulas:
+            for formula in formulas:
+                _try(formula)
             self.formulas = formulas
             self._allocate(tuple(value for effect in effects for value in effect.rest))
         self.settings = np.array([0.0, *(float(getattr(effect, name)) for effect, formula in
@@ -86,3 +94,23 @@ class PointEffects:
     def stress(self) -> np.ndarray:
         """Of all effects together at the last committed step, Pa, shape (elements, q, 4)."""
         return self.states[..., -4:]
+
+
+def _try(formula: EffectFormula) -> None:
+    """Run a formula once without a kernel.
+
+    Raises:
+        InputError: it does what a kernel cannot, or answers in another shape.
+    """
+    kind, field = formula.kind, f"effects.{formula.kind.name}"
+    parameters = traced([TRIED] * len(formula.parameters), lanes=False)
+    C, state, (dt,) = traced([TRIED] * 6, True), traced([TRIED] * len(kind.rest), True), traced([TRIED], False)
+    try:
+        stress, tangent, found = formula.bind(parameters).response(C, state, dt)
+    except InputError as error:
+        raise error.located(field=field) from None
+    shape = len(stress), len(tangent), {len(row) for row in tangent}, len(found)
+    if shape != (6, 6, {6}, len(kind.rest)):
+        raise InputError(f"the response of {kind.__name__} has {len(stress)} stresses, {len(tangent)} rows of tangent "
+                         f"and {len(found)} state variables; give 6, 6 rows of 6, and as many as in `rest`, "
+                         f"{len(kind.rest)}", field=field)

@@ -9,14 +9,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, is_dataclass
 from math import inf
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from tissue_sim.errors import InputError
 from tissue_sim.parameters import declared
 from tissue_sim.registry import Registry
-
-if TYPE_CHECKING:
-    from tissue_sim.experiment.experiment import Experiment
 
 
 class TissueEffect:
@@ -51,11 +48,13 @@ class ToolHistory:
 
 
 class ReducedEffect(TissueEffect):
-    """An effect in reduced form: it scales the force of the tool, and leaves the fields as they are."""
+    """An effect in reduced form: it scales the force of the tool, and leaves the fields as they are.
 
-    def acts_in(self, experiment: Experiment) -> bool:
-        """Whether it plays a part in this experiment."""
-        return True
+    Attributes:
+        under_plates: whether it acts under plates, too, and not under needles only.
+    """
+
+    under_plates: ClassVar[bool] = True
 
     def share(self, history: ToolHistory) -> float:
         """Force of the tool over what it would be without the effect; 1 where the parameters are absent."""

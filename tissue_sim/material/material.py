@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,9 +18,6 @@ from tissue_sim.material.puncture import Puncture
 from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import MOST_TERMS, Prony
 from tissue_sim.parameters import Declaration
-
-if TYPE_CHECKING:
-    from tissue_sim.experiment.experiment import Experiment
 
 #: K / mu0 inside which the finite elements are checked; 2.17 is a Poisson's ratio of 0.3.
 BULK_RATIOS = (2.0, 1e6)
@@ -160,10 +157,10 @@ class Material:
         return (self.ages or self.softening is not None
                 or any(effect.remembers for effect in self.effects.values()))
 
-    def reduced_effects(self, experiment: Experiment) -> tuple[ReducedEffect, ...]:
-        """The effects in reduced form that play a part in an experiment."""
+    def reduced_effects(self, *, plate: bool) -> tuple[ReducedEffect, ...]:
+        """The effects in reduced form that act under a plate, or else under a needle."""
         return tuple(part for part in (self.puncture, *self.effects.values())
-                     if isinstance(part, ReducedEffect) and part.acts_in(experiment))
+                     if isinstance(part, ReducedEffect) and (part.under_plates or not plate))
 
     @property
     def energy_law(self) -> Law:

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf
-from typing import TYPE_CHECKING
 
 from tissue_sim.errors import InputError
 from tissue_sim.material.effect import ReducedEffect, ToolHistory
 from tissue_sim.parameters import parameter
-
-if TYPE_CHECKING:
-    from tissue_sim.experiment.experiment import Experiment
 
 
 @dataclass(frozen=True)
@@ -27,6 +23,7 @@ class Puncture(ReducedEffect):
 
     name = "puncture"
     title = "puncture"
+    under_plates = False
 
     depth: float = parameter("d_p", "m", key="depth_mm", factor=1e-3, bounds=(0.0, 1.0))
     drop: float = parameter("s", "1", key="drop", bounds=(0.0, 0.99), absent=0.0)
@@ -37,10 +34,6 @@ class Puncture(ReducedEffect):
         if not 0 <= self.drop < 1:
             raise InputError(f"{self.drop:g} is outside 0 to 1 (1 excluded); give the share of the force that is lost",
                              field="drop")
-
-    def acts_in(self, experiment: Experiment) -> bool:
-        """A needle can puncture."""
-        return not experiment.tool.is_plate
 
     def share(self, history: ToolHistory) -> float:
         """What the puncture leaves of the force."""

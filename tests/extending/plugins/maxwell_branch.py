@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissue_sim.material.effect import EFFECTS, PointEffect
+from tissue_sim.material.effect import PointEffect
 from tissue_sim.parameters import parameter
 
 #: Rows and columns of 11, 22, 33, 12, 13, 23.
@@ -55,8 +55,3 @@ def spring(C, mu):
         return 2.0 / 3.0 * scale * (third * (3.0 * swapped + K[m] * K[n]) - UNIT[m] * K[n] - K[m] * UNIT[n])
 
     return S, [[entry(m, n) for n in range(6)] for m in range(6)]
-
-
-def register():
-    """What the entry point of a package would do."""
-    return EFFECTS.register(MaxwellBranch)

@@ -13,6 +13,7 @@ class Seepage(ts.ReducedEffect):
     name = "seepage"
     title = "seepage at the surface"
     ages = True
+    under_plates = False
     share_lost: float = ts.parameter("s", "1", key="share_lost", bounds=(0.0, 0.9), absent=0.0)
     time: float = ts.parameter("tau_s", "s", key="time_s", bounds=(1e-3, 1e4))
 
@@ -21,9 +22,6 @@ class Seepage(ts.ReducedEffect):
             raise ts.InputError(f"{self.share_lost:g} is outside 0 to 1", field="share_lost")
         if not self.time > 0:
             raise ts.InputError(f"{self.time:g} s is not a positive time", field="time")
-
-    def acts_in(self, experiment):
-        return not experiment.tool.is_plate
 
     def share(self, history):
         return 1.0 - self.share_lost * -math.expm1(-history.time / self.time)

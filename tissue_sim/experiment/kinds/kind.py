@@ -16,8 +16,9 @@ from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.registry import Registry
 
 if TYPE_CHECKING:
-    from tissue_sim.experiment.experiment import Experiment, Specimen
+    from tissue_sim.experiment.experiment import Experiment
     from tissue_sim.experiment.protocol import Protocol
+    from tissue_sim.specimen import Specimen
 
 #: Pairs of channels of a recording, motion and load.
 DISPLACEMENT_FORCE, STRETCH_STRESS = ("displacement", "force"), ("stretch", "nominal stress")

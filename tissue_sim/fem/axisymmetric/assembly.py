@@ -15,13 +15,13 @@ from typing import NamedTuple
 
 from tissue_sim.fem.axisymmetric import energy as point
 from tissue_sim.fem.axisymmetric.batches import LANES
-from tissue_sim.fem.axisymmetric.elements import ELEMENTS
 from tissue_sim.fem.axisymmetric.point_effects import effects_function
 from tissue_sim.fem.axisymmetric.scratch import AT, scratch
 from tissue_sim.fem.history import FACTOR, INSTANT, LOSS, LOSS_MODULUS, LOSS_SHARE
 from tissue_sim.fem.point_effects import EffectFormula
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
+from tissue_sim.mesh.elements import ELEMENTS
 
 
 class ElementFunctions(NamedTuple):

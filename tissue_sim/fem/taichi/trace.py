@@ -28,6 +28,8 @@ _OPERATORS: dict[Any, Callable] = {
     np.greater: operator.gt, np.greater_equal: operator.ge}
 #: Whole powers up to this one are products.
 _PRODUCTS = 4
+#: Stands for an expression where a formula is only tried, without a kernel.
+TRIED = object()
 
 
 class Traced:
@@ -43,7 +45,7 @@ class Traced:
 
     def __init__(self, value: Any, lanes: bool):
         # A variable of the kernel: an expression that is used twice would be computed twice.
-        self.value, self.lanes = initialise().lang.impl.expr_init(value), lanes
+        self.value, self.lanes = value if value is TRIED else initialise().lang.impl.expr_init(value), lanes
 
     def __add__(self, other):
         return self if _is(other, 0) else _noted(operator.add, self, other)
@@ -144,6 +146,8 @@ def _is(value: Any, number: int) -> bool:
 
 def _noted(function: Callable, *operands: Any) -> Traced:
     lanes = any(isinstance(x, Traced) and x.lanes for x in operands)
+    if any(isinstance(x, Traced) and x.value is TRIED for x in operands):
+        return Traced(TRIED, lanes)
     return Traced(function(*(x.value if isinstance(x, Traced) else float(x) for x in operands)), lanes)
 
 
@@ -151,6 +155,8 @@ def _spread(value: Any, vector: Traced) -> Traced:
     """A number in all lanes of a vector."""
     if isinstance(value, Traced) and value.lanes:
         return value
+    if vector.value is TRIED:
+        return Traced(TRIED, lanes=True)
     plain = value.value if isinstance(value, Traced) else float(value)
     # The lanes of a comparison are no numbers: a select makes them some.
     return Traced(vector.value * 0.0 + plain, lanes=True)
