@@ -29,9 +29,9 @@ from rich.console import Console
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric import newton
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
-from tissue_sim.fem.axisymmetric.elements import Q4P0, Q9P1
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.mesh import cylinder_mesh
+from tissue_sim.mesh.elements import Q4P0, Q9P1
 
 PARAMETERS = {"C10": 1404.9, "C20": 699.4}
 MODEL = ts.Model(ts.Experiment(ts.Specimen(0.04, 0.07), ts.Protocol.ramp(10e-3, 21)),

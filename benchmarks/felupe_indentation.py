@@ -11,8 +11,8 @@ import numpy as np
 from felupe_problem import boundary, reduced_polynomial, solid, unknowns
 from scipy.sparse.linalg import splu
 
-from tissue_sim.fem.axisymmetric.elements import Q4P0
 from tissue_sim.mesh import Mesh
+from tissue_sim.mesh.elements import Q4P0
 
 #: Of FElupe's Newton iteration. Its default, 1.5e-8, takes 10 % more iterations and moves no force by more than 1e-8.
 TOLERANCE = 1e-6

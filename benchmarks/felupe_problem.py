@@ -10,8 +10,8 @@ from __future__ import annotations
 import felupe as fem
 import numpy as np
 
-from tissue_sim.fem.axisymmetric.elements import Q4P0
 from tissue_sim.mesh import Mesh
+from tissue_sim.mesh.elements import Q4P0
 
 #: Order of our nodes after r and z change places, which turns elements over: corners, mid-sides, centre.
 _TURNED = [0, 3, 2, 1, 7, 6, 5, 4, 8]

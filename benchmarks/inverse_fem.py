@@ -31,8 +31,8 @@ from work_precision import HEIGHT, MODELS, NEEDLE_RADIUS, RADIUS, uniform_needle
 import tissue_sim as ts
 from calibration import calibrate
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
-from tissue_sim.fem.axisymmetric.elements import Q4P0, Q9P1
 from tissue_sim.mesh import Mesh
+from tissue_sim.mesh.elements import Q4P0, Q9P1
 
 REFERENCE = Path(__file__).resolve().parents[1] / "tests" / "reference"
 START = {"C10": 1400.0, "C20": 600.0}

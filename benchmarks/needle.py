@@ -25,10 +25,10 @@ from work_precision import HEIGHT, MATERIAL, MODELS, NEEDLE_RADIUS, RADIUS, unif
 
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
-from tissue_sim.fem.axisymmetric.elements import Q4P0, Q9P1
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh import Mesh, needle_mesh
+from tissue_sim.mesh.elements import Q4P0, Q9P1
 
 MODEL = MODELS["needle indentation"]
 #: Resolution -> CPU seconds that a curve of 21 points to 10 mm may take.

@@ -8,10 +8,10 @@ from work_precision import uniform_needle_mesh
 
 from tissue_sim.fem.axisymmetric import newton
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
-from tissue_sim.fem.axisymmetric.elements import Q4P0
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh import Mesh
+from tissue_sim.mesh.elements import Q4P0
 
 #: The mesh whose ratios stand for all: 1016 equations, half band 44.
 STANDARD = "500 Q4/P0, uniform"

@@ -17,8 +17,8 @@ from work_precision import HEIGHT, MATERIAL, MODELS, NEEDLE_RADIUS, RADIUS, REFE
 
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
-from tissue_sim.fem.axisymmetric.elements import Q9P1
 from tissue_sim.mesh import Mesh, cylinder_mesh, needle_mesh
+from tissue_sim.mesh.elements import Q9P1
 from tissue_sim.tool_force import ForceStatus
 
 #: Way and time from tick to tick, m and s; tolerance of an equilibrium.

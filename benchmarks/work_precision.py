@@ -24,8 +24,8 @@ from rich.console import Console
 
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
-from tissue_sim.fem.axisymmetric.elements import Q4P0, Q9P1
 from tissue_sim.mesh import Mesh, cylinder_mesh, needle_mesh
+from tissue_sim.mesh.elements import Q4P0, Q9P1
 
 RADIUS, HEIGHT, NEEDLE_RADIUS = 0.040, 0.070, 0.008
 MATERIAL = ts.Material("reduced_polynomial_2", PARAMETERS, ts.Bulk("bulk_ratio", 1e4))

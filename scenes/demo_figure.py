@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from scenes.figures import draw_fold, draw_section, save
-from tissue_sim.experiment.experiment import Specimen
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.material.material import Material
 from tissue_sim.recording.recording import Recording
+from tissue_sim.specimen import Specimen
 
 if TYPE_CHECKING:
     from scenes.demo import Comparison

@@ -87,7 +87,7 @@ def build_experiment(arguments, protocol: Protocol, material: Material) -> Exper
         InputError: flags that do not fit the scene or each other, or what the experiment refuses.
     """
     import tissue_sim as ts
-    from tissue_sim.experiment.experiment import STANDARD_GRAVITY
+    from tissue_sim.specimen import STANDARD_GRAVITY
 
     scene = SCENES[arguments.scene]
     shape, profile = read_shape(arguments.tool or scene.tool.shape)
@@ -129,11 +129,11 @@ def _size(what: Declaration):
     return not_negative if what.absent == 0 else positive if what.unit == "m" else between(low, high)
 
 
-def _tool(arguments, shape: str, profile: Path | None, own: Tool) -> Tool:
-    """The scene's `own` tool with what the flags change in it; the measures of a profile are those of its file."""
+def _tool(arguments, shape: str, profile: Path | None, usual: Tool) -> Tool:
+    """The scene's `usual` tool with what the flags change in it; the measures of a profile are those of its file."""
     known = tool_sizes()
     stated = {key: value for key in known if (value := getattr(arguments, key)) is not None}
-    kept = {name: getattr(own, name) for _, name, shapes in known.values() if {own.shape, shape} <= {*shapes}}
+    kept = {name: getattr(usual, name) for _, name, shapes in known.values() if {usual.shape, shape} <= {*shapes}}
     changes = sizes_of_keys(stated)
     if profile is not None:
         return Tool(shape, profile_file=profile, **changes)

@@ -10,10 +10,10 @@ import numpy as np
 
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.errors import InputError
-from tissue_sim.experiment.experiment import Model
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.fem.axisymmetric.fields import FIELD_UNITS, Fields
 from tissue_sim.mesh import Mesh
+from tissue_sim.model import Model
 from tissue_sim.recording.recording import Recording
 
 #: Field -> (label with the unit people use, factor from SI).

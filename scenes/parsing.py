@@ -8,9 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from tissue_sim.errors import InputError
-
-#: Words for an interface; a test holds them against those of `tissue_sim.experiment.experiment`, which needs numpy.
-INTERFACES = ("bonded", "stick", "frictionless")
+from tissue_sim.experiment.interfaces import INTERFACES
 
 
 class Parser(argparse.ArgumentParser):

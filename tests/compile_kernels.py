@@ -1,8 +1,8 @@
 """Compile the kernels that most tests use, and keep them; see conftest.py."""
 
 import tissue_sim as ts
-from tissue_sim.fem.axisymmetric.elements import Q4P0
 from tissue_sim.mesh import cylinder_mesh
+from tissue_sim.mesh.elements import Q4P0
 
 RADIUS, HEIGHT = 0.04, 0.07
 

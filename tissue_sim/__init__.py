@@ -9,7 +9,7 @@ from tissue_sim.version import __version__
 _HOMES = {
     "Bulk": "material.material", "Material": "material.material",
     "Adhesion": "experiment.experiment", "Experiment": "experiment.experiment",
-    "Model": "experiment.experiment", "Protocol": "experiment.protocol", "Specimen": "experiment.experiment",
+    "Model": "model", "Protocol": "experiment.protocol", "Specimen": "specimen",
     "Tool": "experiment.tools.tool", "TOOLS": "experiment.tools.tool",
     "TestKind": "experiment.kinds.kind", "KINDS": "experiment.kinds.kind",
     "Rig": "rig.rig", "RigFault": "rig.fault", "FAULTS": "rig.fault", "load_rig": "rig.file", "write_rig": "rig.file",

@@ -14,7 +14,7 @@ import numpy as np
 from msgspec.inspect import DictType, LiteralType, NoneType, StructType, UnionType, type_info
 
 from tissue_sim.errors import InputError, nearest
-from tissue_sim.recording.formats.text import read_text
+from tissue_sim.files import read_text
 
 _WORDS = {"float": "a number", "int": "a whole number", "str": "text", "bool": "true or false", "null": "null",
           "object": "an object {...}", "array": "a list [...]"}

@@ -10,13 +10,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from tissue_sim.errors import ConvergenceError
-from tissue_sim.experiment.experiment import Model
-from tissue_sim.experiment.tilt import tilted
 from tissue_sim.fem.solver import SOLVERS, Solver, Step, StepStatus
 from tissue_sim.laws import check_stability
-from tissue_sim.material.puncture import PunctureHistory
+from tissue_sim.material.effect import ReducedForce
+from tissue_sim.model import Model
 from tissue_sim.pose import Pose, Screw, between
 from tissue_sim.recording.recording import Recording
+from tissue_sim.tilt import tilted
 
 #: A step is cut until it is this small a part of the way between two samples.
 _SMALLEST_CUT = 2.0**-10
@@ -114,10 +114,10 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
             raise ConvergenceError(message, recording=record("not_converged", message) if wrenches else None,
                                    depth=depth)
         _note_largest(report, step)
-        wrenches.append(drive.arrive(step.wrench))
+        wrenches.append(drive.arrive(step.wrench, dt))
         travels.append(min(place, 0.0) if sample < first else drive.travel)
         if watch:
-            watch.sample(tissue, drive.left(1.0))
+            watch.sample(tissue, drive.share)
         if fields:
             samples.append(tissue.sample())
         if progress:
@@ -173,16 +173,18 @@ class _Drive:
 
     def __init__(self, solver: Solver, model: Model):
         self._solver, self._experiment = solver, model.experiment
-        self._train, self._puncture = _LoadTrain(model.rig.compliance), PunctureHistory(model.puncture)
+        self._train = _LoadTrain(model.rig.compliance)
+        self._reduced = ReducedForce(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
         self.travel = 0.0
 
-    def left(self, force: float) -> float:
-        """What puncture leaves of a force on the tool where it stands."""
-        return self._puncture.at(self._solver.pose.depth, force)
+    @property
+    def share(self) -> float:
+        """What effects in reduced form leave of a force on the tool where it has come to."""
+        return self._reduced.share(self._solver.pose.depth)
 
-    def arrive(self, wrench: Screw) -> Screw:
-        """The tool has come to a sample with this wrench; returns what puncture leaves of it."""
-        share = self._puncture(self._solver.pose.depth, 1.0)
+    def arrive(self, wrench: Screw, dt: float) -> Screw:
+        """The tool has come to a sample with this wrench, dt s after the one before; returns what is left of it."""
+        share = self._reduced.go(self._solver.pose.depth, dt)
         wrench = tuple(share * part for part in wrench)
         self._train.note(self.travel, wrench[2])
         return wrench
@@ -210,7 +212,8 @@ class _Drive:
                 yield step
             if step.status is not StepStatus.CONVERGED:
                 return
-            excess = depth + train.compliance * self.left(step.force) - place
+            share = self._reduced.share(solver.pose.depth, dt)
+            excess = depth + train.compliance * share * step.force - place
             if abs(excess) <= _PLACED * max(abs(place), abs(depth), 1e-6):
                 return
             # The secant; where tissue softens as it goes the load train still gives way by at least its own travel.

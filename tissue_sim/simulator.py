@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from tissue_sim.errors import InputError
-from tissue_sim.experiment.experiment import Model
 from tissue_sim.fem.solver import SOLVERS, Step, StepStatus, Surface
+from tissue_sim.material.effect import ReducedForce, ToolHistory
 from tissue_sim.material.material import Material
-from tissue_sim.material.puncture import PunctureHistory
+from tissue_sim.model import Model
 from tissue_sim.parameters import with_values
 from tissue_sim.pose import Pose, Screw, between, motion
 from tissue_sim.snapshot import Snapshot, snapshot
@@ -62,7 +62,7 @@ class SimulatorState:
     lingers: float
     share: float
     touched: bool
-    deepest: float
+    history: ToolHistory
 
 
 class Simulator:
@@ -112,7 +112,7 @@ class Simulator:
         # A turn counts as the way of a point at the edge of the contact.
         self._radius = model.experiment.contact_radius
         self._largest_part = _LARGEST_PART * self._radius
-        self._puncture = PunctureHistory(model.puncture)
+        self._reduced = ReducedForce(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
         # Wall time of a linear solve with all that belongs to it, s.
         self._solve_time = 1e-9
         self._answer = ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
@@ -214,7 +214,7 @@ class Simulator:
             solves, residual = solves + step.iterations, step.residual
             self._clock((time.perf_counter() - started) / (1 + step.iterations))
             if step.status is StepStatus.CONVERGED:
-                self._take(step, inertial and dt > 0.0)
+                self._take(step, dt, inertial and dt > 0.0)
                 self._waiting = max(0.0, self._waiting - dt)
                 self._share, self._attempt, self._resumed = min(1.0, 2.0 * self._share), None, 0
                 extrapolates, resumes = True, False
@@ -250,9 +250,9 @@ class Simulator:
                        for force, row in zip(wrench, self._elastic, strict=True))
         return wrench if self._pulls or wrench[2] > 0.0 else _AT_REST.wrench
 
-    def _take(self, step: Step, inertial: bool) -> None:
+    def _take(self, step: Step, dt: float, inertial: bool) -> None:
         """Keep what an equilibrium answers."""
-        left = self._puncture(self._solver.pose.depth, 1.0)
+        left = self._reduced.go(self._solver.pose.depth, dt)
         wrench, stiffness = step.wrench, step.stiffness_matrix
         if left != 1.0:
             wrench, stiffness = tuple(left * part for part in wrench), tuple(
@@ -273,7 +273,7 @@ class Simulator:
     def save(self) -> SimulatorState:
         """All that the next step depends on, but for the parameters."""
         return SimulatorState(self._solver.save(), self._answer, self._equilibrium, self._elastic, self._pose,
-                              self._waiting, self._lingers, self._share, self._touched, self._puncture.deepest)
+                              self._waiting, self._lingers, self._share, self._touched, self._reduced.history)
 
     def restore(self, state: SimulatorState) -> None:
         """Go back to where `save` was called, in this simulator or in one of the same model and mesh."""
@@ -281,7 +281,7 @@ class Simulator:
         self._answer, self._equilibrium, self._elastic = state.answer, state.equilibrium, state.elastic
         self._pose = state.pose
         self._waiting, self._lingers, self._share = state.waiting, state.lingers, state.share
-        self._touched, self._puncture.deepest = state.touched, state.deepest
+        self._touched, self._reduced.history = state.touched, state.history
         self._attempt, self._resumed = None, 0
 
     def set_parameters(self, **values: float) -> None:
@@ -298,9 +298,9 @@ class Simulator:
         _require_same_layers(self.model.material, material)
         self._solver.set_material(material)
         self.model = replace(self.model, material=material)
-        deepest = self._puncture.deepest
-        self._puncture = PunctureHistory(self.model.puncture)
-        self._puncture.deepest = deepest
+        history = self._reduced.history
+        self._reduced = ReducedForce(material.reduced_effects(plate=self.model.experiment.tool.is_plate))
+        self._reduced.history = history
 
     def surface(self) -> Surface:
         """The surface of the tissue at the last equilibrium."""

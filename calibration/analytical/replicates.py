@@ -137,7 +137,7 @@ def _read(recording: Recording, name: str, path: Path, test: Test, campaign: Cam
     inside = np.ones(abscissa.size, bool)
     if test.max_strain is not None:
         strain = test.kind.strain(abscissa)
-        inside = (strain if _one_way(test) else np.abs(strain)) <= test.max_strain * (1 + 1e-9)
+        inside = (np.abs(strain) if test.kind.both_ways else strain) <= test.max_strain * (1 + 1e-9)
     if (mechanical or "time" in recording) and loaded.stop < MIN_POINTS:
         raise InputError(f"{path.name} has its largest strain in sample {loaded.stop}, and what follows counts as "
                          f"unloading; sort the file by time, so that at least {MIN_POINTS} samples load the specimen",
@@ -179,11 +179,6 @@ def _loading(recording: Recording) -> Recording:
     return recording.select(keep) if keep.any() else recording
 
 
-def _one_way(test: Test) -> bool:
-    """Whether it is loaded to one side only; shear may go both ways."""
-    return test.kind.require_closed_form().rest != 0
-
-
 def loading_path(replicates: Sequence[Replicate], points: int) -> np.ndarray:
     """Evenly spaced stretches or shear strains from rest to the farthest of one test's data, shape (points,).
 
@@ -191,7 +186,7 @@ def loading_path(replicates: Sequence[Replicate], points: int) -> np.ndarray:
     """
     first = replicates[0]
     reached = np.concatenate([r.abscissa for r in replicates])
-    start = first.rest if _one_way(first.test) else min(reached.min(), first.rest)
+    start = min(reached.min(), first.rest) if first.test.kind.both_ways else first.rest
     return np.linspace(start, reached[np.argmax(first.test.kind.strain(reached))], points)
 
 
@@ -224,7 +219,7 @@ def _check_range(abscissa: np.ndarray, recording: Recording, test: Test, path: P
         raise InputError(f"{path.name} does not move: its {names[0]} has the same value in all {abscissa.size} samples "
                          "of loading; check which column it is read from", field="recordings")
     largest = test.kind.strain(abscissa).max()
-    if _one_way(test) and abscissa.min() <= 0:
+    if not test.kind.both_ways and abscissa.min() <= 0:
         raise InputError(f"{path.name} reaches stretch {abscissa.min():g}; a stretch is above zero", field="recordings")
     if largest <= 0:
         raise InputError(f"{path.name} holds no {test.kind.motion}: its largest strain is {largest:g}; "
@@ -256,7 +251,7 @@ def _evenly_spaced(abscissa: np.ndarray, test: Test, campaign: Campaign, path: P
     """Evenly spaced strains from rest to the end of the window, and the linear interpolation onto them."""
     points, limit = campaign.fit.strain_points, np.inf if test.max_strain is None else test.max_strain
     strain, samples = np.unique(test.kind.strain(abscissa), return_index=True)
-    start = max(strain[0], 0.0 if _one_way(test) else -limit)
+    start = max(strain[0], -limit if test.kind.both_ways else 0.0)
     grid = np.linspace(start, min(strain[-1], limit), points)
     inside = int(np.sum((strain >= grid[0]) & (strain <= grid[-1] * (1 + 1e-9))))
     if points > inside:

@@ -23,13 +23,14 @@ from calibration.campaign.experiments import read_experiment, read_rig
 from calibration.campaign.parameters import Named, Surroundings, check_values, find_named, stated_material
 from calibration.campaign.schema import CampaignTable, FitTable, NoiseTable, SpecimenTable, TestTable, decode_campaign
 from tissue_sim.errors import InputError, nearest
-from tissue_sim.experiment.experiment import STANDARD_GRAVITY, Experiment, Specimen
+from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.laws import LAWS
 from tissue_sim.material.material import Bulk, Material
 from tissue_sim.recording.formats.columns import check_delimiter
 from tissue_sim.rig.rig import Rig
+from tissue_sim.specimen import STANDARD_GRAVITY, Specimen
 
 #: Prior standard deviation of a contact offset when neither the fit nor the noise states one, m.
 DEFAULT_OFFSET_PRIOR = 0.05e-3

@@ -10,7 +10,7 @@ import numpy as np
 
 from calibration.campaign.schema import FitTable, NoiseTable, TestTable
 from tissue_sim.errors import InputError, nearest
-from tissue_sim.experiment.experiment import INTERFACES
+from tissue_sim.experiment.interfaces import INTERFACES
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.experiment.tools.tool import TOOLS, read_shape
 from tissue_sim.frozen_mapping import read_only

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from calibration.campaign.schema import TestTable
 from tissue_sim.errors import InputError
-from tissue_sim.experiment.experiment import Experiment, Specimen
+from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.experiment.tools.tool import (
@@ -20,6 +20,7 @@ from tissue_sim.experiment.tools.tool import (
 from tissue_sim.parameters import declared
 from tissue_sim.rig.file import load_rig
 from tissue_sim.rig.rig import Rig
+from tissue_sim.specimen import Specimen
 
 #: Field of an experiment or a tool -> key of the campaign, beside those of the sizes of tools.
 _KEYS = {"tool": "tool", "tool.profile_file": "tool", "friction": "friction", "friction_base": "friction_base",
@@ -39,7 +40,8 @@ def read_experiment(entry: TestTable, specimen: Specimen | None, folder: Path, p
     kind = KINDS[entry.kind]
     if kind.gripped:
         for key in (*entry.tool_sizes, *kind.faces, "rig"):
-            if getattr(entry, key) is not None:
+            face = kind.faces.get(key)
+            if getattr(entry, key) not in (None, face.usual if face is not None and face.fixed else None):
                 raise InputError(f"a test of kind {entry.kind!r} is gripped on both sides and has none; leave it out",
                                  field=f"{place}.{key}")
         if entry.tool is not None and not TOOLS.find(read_shape(entry.tool)[0], f"{place}.tool").is_plate:

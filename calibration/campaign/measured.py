@@ -134,8 +134,7 @@ def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Ca
                          f"{path.name} has no time, which tells loading from unloading; give a time column, or "
                          "speed_mm_s", field="recordings")
     if test.max_strain is not None:
-        closed_form = test.kind.closed_form
-        reached = displacement if closed_form is None or closed_form.rest else np.abs(displacement)
+        reached = np.abs(displacement) if test.kind.both_ways else displacement
         inside = reached[places] <= test.max_strain * height * (1 + 1e-9)
         # A window of the loading; what comes after the first sample beyond it had a history outside it.
         beyond = np.flatnonzero(~inside)

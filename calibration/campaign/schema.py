@@ -13,7 +13,7 @@ from tissue_sim.decode import decode
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.experiment.tools.tool import tool_sizes
-from tissue_sim.recording.formats.text import read_text
+from tissue_sim.files import read_text
 
 Pair = tuple[float, float]
 #: JSON's words in TOML.

@@ -28,10 +28,10 @@ from calibration.fit.uncertainty import Uncertainty
 from calibration.report.self_weight import sags
 from calibration.statistics.statistics import MODEL_ERROR_RATIO, correlation, information_criteria, r_squared
 from tissue_sim.errors import ConvergenceError, InputError
-from tissue_sim.experiment.experiment import Model
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.laws import Stability, check_stability, find_law
 from tissue_sim.laws.stability import STRETCH_RANGE
+from tissue_sim.model import Model
 from tissue_sim.simulation import simulate
 
 #: Minima whose parameters differ by less than this share of their size are one.

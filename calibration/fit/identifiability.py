@@ -13,9 +13,11 @@ from calibration.fit.uncertainty import Uncertainty
 from calibration.forward.motion import offset_rate
 from tissue_sim.differentiation import sensitivities
 from tissue_sim.errors import ConvergenceError, InputError
-from tissue_sim.experiment.experiment import Experiment, Model, Specimen
+from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.protocol import STUDY_SPEED, Protocol
 from tissue_sim.experiment.tools.tool import Tool
+from tissue_sim.model import Model
+from tissue_sim.specimen import Specimen
 
 #: A combination whose relative standard error is larger than this is poorly told.
 WEAK = 0.2

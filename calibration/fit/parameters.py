@@ -10,11 +10,12 @@ import numpy as np
 from calibration.campaign.campaign import Campaign, Test
 from calibration.campaign.parameters import PER_REPLICATE, PER_SPECIMEN, PER_TEST, SHARED, Named, is_of_material
 from tissue_sim.errors import InputError
-from tissue_sim.experiment.experiment import Experiment, Model
+from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.laws import find_law
 from tissue_sim.laws.ogden import SMALLEST_EXPONENT
 from tissue_sim.material.material import Bulk, Material, law_declaration
 from tissue_sim.material.parts import make_material
+from tissue_sim.model import Model
 from tissue_sim.parameters import Declaration, with_values
 from tissue_sim.rig.rig import Rig
 

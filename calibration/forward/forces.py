@@ -17,11 +17,13 @@ from calibration.forward.solves import SimulatedCurve, Solves, content_key
 from tissue_sim.closed_form.homogeneous import UNIAXIAL, ClosedForm
 from tissue_sim.differentiation import sensitivities
 from tissue_sim.errors import ConvergenceError, InputError
-from tissue_sim.experiment.experiment import Experiment, Model, Specimen
+from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.kinds.kind import TestKind
+from tissue_sim.model import Model
 from tissue_sim.recording.recording import Recording
 from tissue_sim.rig.rig import Rig
 from tissue_sim.simulation import simulate
+from tissue_sim.specimen import Specimen
 
 #: Half width of a difference with a parameter, in its size.
 _RATE_WIDTH = 1e-6

@@ -8,8 +8,8 @@ from calibration.campaign.campaign import Campaign
 from calibration.fit.fit import Fit
 from tissue_sim.closed_form.column import Column
 from tissue_sim.errors import InputError
-from tissue_sim.experiment.experiment import STANDARD_GRAVITY, Specimen
 from tissue_sim.laws import Law, find_law
+from tissue_sim.specimen import STANDARD_GRAVITY, Specimen
 
 #: Of water, kg/m3: what a specimen of unknown density is taken for when its sag is estimated.
 WATER_DENSITY = 1000.0

@@ -8,8 +8,8 @@ from math import cos, radians, sin, tan
 import numpy as np
 
 from scenes.viewer.tool_picture import PLATE_RADIUS, plate_thickness
-from tissue_sim.experiment.experiment import Specimen
 from tissue_sim.experiment.tools.tool import Tool
+from tissue_sim.specimen import Specimen
 
 #: Vertical field of view, rad, and the share of the view that the picture leaves free.
 FIELD_OF_VIEW, _MARGIN = radians(30.0), 1.08

@@ -8,8 +8,8 @@ import numpy as np
 
 from scenes.viewer.cut_away import SurfaceLine
 from scenes.viewer.revolution import Opening, Surface, joined, revolved_surfaces, section_surfaces
-from tissue_sim.experiment.experiment import Specimen
 from tissue_sim.experiment.tools.tool import Tool
+from tissue_sim.specimen import Specimen
 
 #: Height of a needle above its deepest point, in heights of the specimen, and at least above its shoulder, in radii.
 SHAFT, SHAFT_ABOVE_SHOULDER = 0.5, 1.0

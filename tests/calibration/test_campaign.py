@@ -284,3 +284,27 @@ def test_campaigns_load_without_scipy_taichi_or_matplotlib(folder):
     done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=True,
                           env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)})
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("method", ["analytical", "inverse_fem"])
+def test_grips_are_bonded_and_nothing_else(folder, method):
+    stretch = np.linspace(1.0, 1.5, 20)
+    ts.write_recording(ts.Recording({"stretch": stretch, "nominal stress": 1e3 * (stretch - 1)}), folder / "pull.csv")
+    text = ('[[test]]\nkind = "uniaxial_tension"\nrecordings = ["pull.csv"]\nfriction = "bonded"\n'
+            f'[fit]\nmethod = "{method}"\nlaws = ["neo_hooke"]\n')
+    test, = load(folder, text).tests
+    assert test.experiment is None and test.kind is ts.KINDS["uniaxial_tension"]
+    with pytest.raises(ts.InputError, match=r"test\[0\]\.friction: .*leave it out"):
+        load(folder, text.replace('"bonded"', "0.3"))
+
+
+def test_a_test_carries_its_experiment_and_its_rig(folder):
+    """Everything but the motion and the noise; of either method."""
+    ts.write_rig(ts.Rig(compliance=2e-5, sensor_gain=0.01, force_noise=0.02, force_resolution=0.01),
+                 folder / "frame.rig.json")
+    text = GOOD.replace('laws = ["neo_hooke", "reduced_polynomial_2"]', 'laws = ["neo_hooke"]\nmethod = "inverse_fem"')
+    test, = load(folder, text.replace('["run_*.csv"]', '["run_*.csv"]\nrig = "frame.rig.json"')).tests
+    assert test.experiment.specimen == test.specimen
+    assert (test.experiment.friction, test.experiment.friction_base, test.experiment.tool) == (
+        "frictionless", "frictionless", ts.Tool())
+    assert test.rig == ts.Rig(compliance=2e-5, sensor_gain=0.01)

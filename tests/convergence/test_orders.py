@@ -11,10 +11,10 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 import tissue_sim as ts
-from tissue_sim.fem.axisymmetric.elements import Q4P0, Q9P1
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh import structured_mesh
+from tissue_sim.mesh.elements import Q4P0, Q9P1
 
 RADIUS, NEAR, FAR = 0.03, 0.02, 0.05
 AMOUNT = 2e-6  # m3: the nearest point moves by 1.5 mm

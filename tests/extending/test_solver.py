@@ -4,10 +4,8 @@ Its wrench is known in closed form, so that what comes out of `simulate` and `Si
 must be that to the last digits: nothing on the way may drop a component or take a pose for a depth.
 """
 
-import importlib.util
 from dataclasses import dataclass
 from math import cos, sin
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -36,15 +34,11 @@ def oblique(way: float) -> ts.Pose:
     return ts.Pose((0.5 * way, -0.25 * way, -way), (cos(half), *axis.tolist()))
 
 
-@pytest.fixture(scope="module")
-def plugin():
-    path = Path(__file__).parent / "plugins" / "spring_solver.py"
-    spec = importlib.util.spec_from_file_location("spring_solver", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    module.register()
-    yield module
-    SOLVERS.unregister("spring")
+@pytest.fixture
+def spring(plugin, registers):
+    module = plugin("spring_solver")
+    registers(SOLVERS, module.SpringSolver, "spring")
+    return module
 
 
 def model(kind=Oblique, points=9):
@@ -52,20 +46,20 @@ def model(kind=Oblique, points=9):
     return ts.Model(kind(ts.Specimen(0.04, 0.07), protocol), MATERIAL)
 
 
-def expected(plugin, ways) -> np.ndarray:
+def expected(spring, ways) -> np.ndarray:
     """Wrenches along a path, the slider followed step by step."""
-    solver, wrenches = plugin.SpringSolver(model(), resolution="fast"), []
+    solver, wrenches = spring.SpringSolver(model(), resolution="fast"), []
     for way in ways:
         step = solver.step(oblique(way))
-        assert np.allclose(step.wrench, plugin.wrench(oblique(way), solver.save().slid), rtol=0, atol=1e-15)
+        assert np.allclose(step.wrench, spring.wrench(oblique(way), solver.save().slid), rtol=0, atol=1e-15)
         wrenches.append(step.wrench)
     return np.array(wrenches)
 
 
-def test_simulate_gives_the_whole_wrench(plugin):
+def test_simulate_gives_the_whole_wrench(spring):
     tested = model()
     recording = ts.simulate(tested, solver="spring")
-    wrenches = expected(plugin, recording.displacement)
+    wrenches = expected(spring, recording.displacement)
     assert (abs(wrenches[1:]) > 1e-9).all(), "every component is in use"
     assert 0.49 < np.hypot(*wrenches[-1, :2]) < 0.51, "the slider has given way"
     found = np.stack([recording.channel(name) for name in CHANNELS], axis=1)
@@ -74,25 +68,25 @@ def test_simulate_gives_the_whole_wrench(plugin):
     assert recording.metadata["solver"]["element"] == "spring"
 
 
-def test_along_the_axis_there_is_no_other_motion(plugin):
+def test_along_the_axis_there_is_no_other_motion(spring):
     """The same solver under an ordinary experiment: the protocol's displacement is a depth."""
     recording = ts.simulate(model(ts.Experiment), solver="spring")
     way = np.zeros((9, 6))
     way[:, 2] = -recording.displacement
-    assert np.hypot(*(way @ plugin.STIFFNESS[:2].T).T).max() < plugin.LIMIT
-    np.testing.assert_allclose(recording.force, -way @ plugin.STIFFNESS[2], rtol=1e-12)
+    assert np.hypot(*(way @ spring.STIFFNESS[:2].T).T).max() < spring.LIMIT
+    np.testing.assert_allclose(recording.force, -way @ spring.STIFFNESS[2], rtol=1e-12)
 
 
-def test_simulator_follows_the_path(plugin):
+def test_simulator_follows_the_path(spring):
     """And back from a saved state: the wrench of the solver alone at every pose."""
     sim = ts.Simulator(model(), solver="spring", inertia="off")
     sim.warm_up()
     ways = np.linspace(0.0, 8e-3, 23)
-    poses, wrenches = [oblique(way) for way in ways], expected(plugin, ways)
+    poses, wrenches = [oblique(way) for way in ways], expected(spring, ways)
     for number, (pose, wrench) in enumerate(zip(poses, wrenches, strict=True)):
         answer = sim.step(pose, 1e-3)
         np.testing.assert_allclose(answer.wrench, wrench, rtol=1e-12, atol=0)
-        np.testing.assert_array_equal(answer.stiffness_matrix, plugin.STIFFNESS)
+        np.testing.assert_array_equal(answer.stiffness_matrix, spring.STIFFNESS)
         assert answer.status is ForceStatus.CONVERGED and answer.pose == pose
         if number == 11:
             saved = sim.save(), answer
@@ -101,19 +95,19 @@ def test_simulator_follows_the_path(plugin):
     assert sim.surface().triangles()[0].shape == (4, 3) and sim.surface().outline is None
     assert sim.snapshot().fields is None and sim.snapshot().pose == poses[11]
     sim.set_parameters(C10=3000.0)
-    np.testing.assert_allclose(sim.step(poses[5], 1e-3).stiffness_matrix, 2.0 * plugin.STIFFNESS, rtol=1e-12)
+    np.testing.assert_allclose(sim.step(poses[5], 1e-3).stiffness_matrix, 2.0 * spring.STIFFNESS, rtol=1e-12)
 
 
-def test_parts_of_a_long_way_lie_on_the_rigid_motion(plugin, monkeypatch):
+def test_parts_of_a_long_way_lie_on_the_rigid_motion(spring, monkeypatch):
     """A jump is followed along a straight line and about one axis at an even rate, turns counted at the contact's
     edge."""
-    seen, step = [], plugin.SpringSolver.step
+    seen, step = [], spring.SpringSolver.step
 
     def note(solver, pose, *args, **options):
         seen.append(pose)
         return step(solver, pose, *args, **options)
 
-    monkeypatch.setattr(plugin.SpringSolver, "step", note)
+    monkeypatch.setattr(spring.SpringSolver, "step", note)
     sim = ts.Simulator(model(), solver="spring")
     start, end = oblique(0.0), ts.Pose((0.0, 0.0, -1e-4), oblique(8e-3).orientation)
     sim.step(end, 1e-3)
@@ -126,18 +120,18 @@ def test_parts_of_a_long_way_lie_on_the_rigid_motion(plugin, monkeypatch):
         np.testing.assert_allclose(pose.orientation, on_the_way.orientation, atol=1e-12)
 
 
-def test_a_late_answer_is_carried_on_with_the_whole_matrix(plugin):
+def test_a_late_answer_is_carried_on_with_the_whole_matrix(spring):
     sim = ts.Simulator(model(), solver="spring", inertia="off")
     sim.step(oblique(1e-3), 1e-3)
     sim.budget = 1e-12
     at, to = sim.step(oblique(1e-3), 1e-3), oblique(1.2e-3)
     late = sim.step(to, 1e-3)
     assert late.status is ForceStatus.LATE
-    np.testing.assert_allclose(late.wrench, plugin.wrench(to, (0.0, 0.0)), rtol=1e-5)
+    np.testing.assert_allclose(late.wrench, spring.wrench(to, (0.0, 0.0)), rtol=1e-5)
     assert at.pose == oblique(1e-3)
 
 
-def test_derivatives_are_differences(plugin):
+def test_derivatives_are_differences(spring):
     """A solver without exact derivatives still gets them, and the answer says so."""
     derivatives = ts.sensitivities(model(), ["C10"], solver="spring")
     assert not derivatives.exact.any()
@@ -145,7 +139,7 @@ def test_derivatives_are_differences(plugin):
     np.testing.assert_allclose(1500.0 * derivatives.values[stuck, 0], derivatives.recording.force[stuck], rtol=1e-9)
 
 
-def test_what_it_does_not_know_is_refused(plugin):
+def test_what_it_does_not_know_is_refused(spring):
     with pytest.raises(InputError, match="a spring has 'realtime' and 'fast'"):
         ts.simulate(model(), solver="spring", resolution="accurate")
     with pytest.raises(InputError, match=r"unknown solver 'sprung'; did you mean 'spring'"):

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.fem.axisymmetric.elements import Q4P0, Q9P1
 from tissue_sim.mesh import cylinder_mesh
+from tissue_sim.mesh.elements import Q4P0, Q9P1
 
 RADIUS, HEIGHT = 0.04, 0.07
 DEPTHS = np.array([2e-3, 5e-3, 10e-3])

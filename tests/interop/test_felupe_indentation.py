@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.fem.axisymmetric.elements import Q4P0, Q9P1
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh import needle_mesh
+from tissue_sim.mesh.elements import Q4P0, Q9P1
 
 #: Pa. The second set is the one that a warm start meets: other moduli and another ratio of them.
 MODULI = [(1404.9, 699.4), (1200.0, 900.0)]

@@ -9,7 +9,6 @@ import pytest
 import tissue_sim as ts
 from scenes.cli import main
 from scenes.commands.simulate import FIELDS
-from scenes.parsing import INTERFACES
 from tissue_sim.errors import ConvergenceError
 
 KEYS = {"displacement_mm", "time_s", "force_N", "status", "message", "warnings", "newton_iterations", "wall_s", "mesh",
@@ -22,12 +21,6 @@ def material(tmp_path_factory):
     assert main(["material", "new", "--law", "reduced_polynomial_2", "--set", "C10=1404.9", "--set", "C20=699.4",
                  "--bulk-ratio", "10000", "-o", str(path)]) == 0
     return str(path)
-
-
-def test_interfaces_are_those_of_the_experiment():
-    from tissue_sim.experiment import experiment
-
-    assert INTERFACES == experiment.INTERFACES
 
 
 def test_field_names_are_those_of_the_fields():

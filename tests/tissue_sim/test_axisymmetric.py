@@ -5,10 +5,10 @@ import pytest
 from scipy.optimize import brentq
 
 import tissue_sim as ts
-from tissue_sim.fem.axisymmetric.elements import Q4P0, Q9P1
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh import cylinder_mesh, graded_line, structured_mesh
+from tissue_sim.mesh.elements import Q4P0, Q9P1
 
 LAWS = {
     "reduced_polynomial_2": {"C10": 1404.9, "C20": 699.4},

@@ -5,8 +5,8 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
-from tissue_sim.fem.axisymmetric.elements import Q9P1
 from tissue_sim.mesh import structured_mesh
+from tissue_sim.mesh.elements import Q9P1
 
 STUDY = {"C10": 1404.9, "C20": 699.4}
 MATERIAL = ts.Material("reduced_polynomial_2", STUDY, ts.Bulk("bulk_ratio", 1e4))

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.fem.axisymmetric.elements import Q9P1
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh import cylinder_mesh
+from tissue_sim.mesh.elements import Q9P1
 
 RADIUS, HEIGHT, DENSITY = 0.01, 0.05, 1000.0
 SOFT = ts.Material("neo_hooke", {"C10": 1000.0}, ts.Bulk("bulk_ratio", 3.0))

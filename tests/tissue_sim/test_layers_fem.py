@@ -6,8 +6,8 @@ from scipy.optimize import brentq
 
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh, element_layers
-from tissue_sim.fem.axisymmetric.elements import Q9P1
 from tissue_sim.mesh import cylinder_mesh
+from tissue_sim.mesh.elements import Q9P1
 
 LAW, STUDY = "reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}
 RADIUS, HEIGHT = 0.040, 0.070

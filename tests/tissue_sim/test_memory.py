@@ -9,10 +9,10 @@ from scipy.integrate import trapezoid
 
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver, element_layers
-from tissue_sim.fem.axisymmetric.elements import Q4P0, Q9P1
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.fem.solver import Step, StepStatus
 from tissue_sim.mesh import cylinder_mesh
+from tissue_sim.mesh.elements import Q4P0, Q9P1
 from tissue_sim.simulation import _approach
 
 LAW, STUDY = "reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}

@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad
 
 import tissue_sim as ts
-from tissue_sim.experiment.tilt import tilted
+from tissue_sim.tilt import tilted
 
 LAW, STUDY = "reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}
 RADIUS, HEIGHT = 0.040, 0.070

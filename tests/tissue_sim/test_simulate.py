@@ -297,7 +297,7 @@ class TestExperiment:
         assert len(build_mesh(model("frictionless").experiment, "accurate").connectivity) == 4
 
     def test_cylinder_mesh_sets(self):
-        from tissue_sim.fem.axisymmetric.elements import Q9P1
+        from tissue_sim.mesh.elements import Q9P1
 
         mesh = cylinder_mesh(0.04, 0.07, (2, 3), Q9P1)
         np.testing.assert_allclose(mesh.nodes[mesh.sets["top"], 1], 0)

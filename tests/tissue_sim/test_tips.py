@@ -5,8 +5,8 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
-from tissue_sim.fem.axisymmetric.elements import Q9P1
 from tissue_sim.mesh import tip_mesh
+from tissue_sim.mesh.elements import Q9P1
 
 RADIUS = 8e-3
 NEO_HOOKE = ts.Material("neo_hooke", {"C10": 1000.0}, ts.Bulk("bulk_ratio", 1e4))

@@ -1,5 +1,7 @@
 """Profiles of rigid tools as signed distances."""
 
+import pickle
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -9,6 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import tissue_sim as ts
+from tissue_sim.experiment.tools.tool import sizes_of_keys, tool_sizes
+from tissue_sim.parameters import parameter
 
 
 @pytest.mark.parametrize(("point", "gap"), [
@@ -130,3 +134,34 @@ def test_a_profile_has_the_radius_of_its_file():
         path = Path(folder) / "profile.csv"
         np.savetxt(path, points * 1e3)
         ts.Tool("profile", 5e-3, profile_file=path)
+
+
+def test_every_size_is_declared_and_can_be_changed():
+    """Flags, campaigns and fits reach it by its key and by its path."""
+    cone = ts.Tool("cone", 8e-3, half_angle=1.0, tip_radius=1e-3)
+    assert [size.field for size in tool_sizes().values()] == ["radius", "edge_radius", "half_angle", "tip_radius"]
+    assert sizes_of_keys({"half_angle_deg": 60.0, "tip_radius_mm": 0.5}) == pytest.approx(
+        {"half_angle": np.pi / 3, "tip_radius": 0.5e-3})
+    assert ts.with_values(cone, {"half_angle": 0.5}) == ts.Tool("cone", 8e-3, half_angle=0.5, tip_radius=1e-3)
+
+
+@pytest.mark.parametrize("tool", [ts.Tool(), ts.Tool("flat", 8e-3, 1e-3), ts.Tool("cone", 8e-3, half_angle=1.0)])
+def test_equal_tools_are_equal_wherever_they_come_from(tool):
+    copy = pickle.loads(pickle.dumps(tool))
+    assert copy == tool and hash(copy) == hash(tool) and replace(tool) == tool
+    assert isinstance(tool, ts.Tool) and type(tool) is ts.TOOLS[tool.shape]
+    assert tool != ts.Tool("sphere", 8e-3)
+
+
+def test_one_key_means_one_size():
+    @dataclass(frozen=True)
+    class Other(type(ts.Tool("sphere", 1e-3))):
+        name = "other"
+        girth: float = parameter("g", "m", key="edge_radius_mm", factor=1e-3, default=0.0)
+
+    ts.TOOLS.register(Other)
+    try:
+        with pytest.raises(ts.InputError, match="mean different sizes by edge_radius_mm"):
+            tool_sizes()
+    finally:
+        ts.TOOLS.unregister("other")

@@ -14,8 +14,8 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from tissue_sim.errors import InputError
-from tissue_sim.experiment.experiment import Specimen
 from tissue_sim.laws import Law
+from tissue_sim.specimen import Specimen
 
 #: Slices of the Gauss-Legendre rule between top and base, and states on the curve of pressure against displacement.
 #: Measured force errors: 3e-9 for the study's specimen to strain 0.14, 5e-7 for its laws to 0.5; 1e-5 for Ogden with

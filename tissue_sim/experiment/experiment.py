@@ -3,78 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from numbers import Real
 from typing import Any
 
 import numpy as np
 
-from tissue_sim.errors import InputError, nearest, require_length
+from tissue_sim.errors import InputError, require_length
+from tissue_sim.experiment.interfaces import LARGEST_FRICTION, checked_interface
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.experiment.tools.tool import Tool
-from tissue_sim.material.material import Material
-from tissue_sim.material.puncture import Puncture
 from tissue_sim.parameters import parameter
 from tissue_sim.pose import Pose
-from tissue_sim.rig.rig import Rig
-
-#: Gravity where nothing else is said, m/s2.
-STANDARD_GRAVITY = 9.81
-HEIGHTS = ("moulded", "placed")
-
-
-@dataclass(frozen=True)
-class Specimen:
-    """A cylinder of the material, standing on its base.
-
-    Attributes:
-        radius, height: m; the radius is that of the undeformed cylinder, the height is what `height_is` says.
-        name: for people and campaign files.
-        density: kg/m3, or None where nobody said.
-        gravity: m/s2, along the axis and towards the base; 0 leaves self-weight out.
-        height_is: ``"moulded"``, the undeformed height, or ``"placed"``, measured on its base after it has settled.
-
-    Raises:
-        InputError: a size that is not positive, gravity without a density.
-    """
-
-    radius: float = parameter("R", "m", key="radius_mm", factor=1e-3, bounds=(1e-5, 1.0), shapes_mesh=True)
-    height: float = parameter("H", "m", key="height_mm", factor=1e-3, bounds=(1e-5, 1.0), shapes_mesh=True)
-    name: str = "specimen"
-    density: float | None = parameter("rho", "kg/m3", key="density_kg_m3", bounds=(1.0, 1e5), default=None)
-    gravity: float = parameter("g0", "m/s2", key="gravity_m_s2", bounds=(0.0, 100.0), absent=0.0, default=0.0)
-    height_is: str = "moulded"
-
-    def __post_init__(self):
-        require_length(self.radius, "specimen.radius")
-        require_length(self.height, "specimen.height")
-        if self.density is not None and not (np.isfinite(self.density) and self.density > 0):
-            raise InputError(f"{self.density:g} is not a positive density; give kg/m3", field="specimen.density")
-        if not (np.isfinite(self.gravity) and self.gravity >= 0):
-            raise InputError(f"{self.gravity:g} m/s2 is not a gravity towards the base; give 0 or {STANDARD_GRAVITY}",
-                             field="specimen.gravity")
-        if self.gravity and self.density is None:
-            raise InputError("gravity needs a density; give density in kg/m3", field="specimen.density")
-        if self.height_is not in HEIGHTS:
-            raise InputError(f"{self.height_is!r} is not a way to measure a height; use 'moulded' or 'placed'",
-                             field="specimen.height_is")
-
-    @property
-    def area(self) -> float:
-        """Undeformed cross-section, m2."""
-        return np.pi * self.radius**2
-
-    @property
-    def specific_weight(self) -> float:
-        """Density times gravity, N/m3; 0 where self-weight is left out."""
-        return self.density * self.gravity if self.gravity else 0.0
-
-
-#: How a face holds the tissue: ``"bonded"`` (no motion against the face), ``"stick"`` (no slip, but it can lift off),
-#: ``"frictionless"``, or a number: Coulomb's coefficient of friction. All but the bonded one can lift off; the base
-#: keeps the specimen on itself.
-INTERFACES = ("bonded", "stick", "frictionless")
-#: Above this a coefficient of friction is taken for a mistake.
-LARGEST_FRICTION = 10.0
+from tissue_sim.specimen import Specimen
 
 
 def _friction(symbol: str, key: str, default: str) -> Any:
@@ -108,12 +47,12 @@ class Experiment:
         specimen: geometry, and whether it weighs.
         protocol: tool displacement against time, from where the tool touches the settled specimen.
         tool: what is pushed in.
-        friction: interface of the tool's face; see `INTERFACES`. A bonded needle holds what its flat face touches at
-            the start, and its rounded edge holds what it meets.
+        friction: interface of the tool's face; see `tissue_sim.experiment.interfaces`. A bonded needle holds what its
+            flat face touches at the start, and its rounded edge holds what it meets.
         friction_base: interface of the base plate.
         friction_wall: interface of a needle's shaft; tissue meets it during the test, so it cannot be bonded.
         adhesion: pull of a tool that lifts off; None: none.
-        tilt: height difference across the contact, m; see `tissue_sim.experiment.tilt`.
+        tilt: height difference across the contact, m; see `tissue_sim.tilt`.
 
     Raises:
         InputError: an interface that does not fit, a protocol that goes through the specimen, a needle as wide as it.
@@ -177,35 +116,3 @@ class Experiment:
         """Whether a specimen of one material deforms homogeneously, so that closed forms hold."""
         return (self.tool.is_plate and self.friction == self.friction_base == "frictionless"
                 and not self.specimen.specific_weight)
-
-
-@dataclass(frozen=True)
-class Model:
-    """Everything that a recording depends on."""
-
-    experiment: Experiment
-    material: Material
-    rig: Rig = field(default_factory=Rig)
-
-    @property
-    def puncture(self) -> Puncture | None:
-        """Puncture of the tissue, where a needle can."""
-        return None if self.experiment.tool.is_plate else self.material.puncture
-
-
-def checked_interface(value: str | float, name: str) -> str | float:
-    """An interface of `INTERFACES` or a coefficient of friction above 0; 0 is frictionless.
-
-    Raises:
-        InputError: neither, with the field.
-    """
-    if isinstance(value, str):
-        if value not in INTERFACES:
-            raise InputError(f"{value!r} is not an interface{nearest(value, INTERFACES)}, or a coefficient of friction",
-                             field=name)
-        return value
-    number = isinstance(value, Real) and not isinstance(value, bool)
-    if not (number and np.isfinite(value) and 0 <= value <= LARGEST_FRICTION):
-        raise InputError(f"{value} is not a coefficient of friction; give 0 to {LARGEST_FRICTION:g}, or 'stick' for a "
-                         "face without slip", field=name)
-    return float(value) or "frictionless"

@@ -57,6 +57,8 @@ class Memory:
         self.past[LOSS], self.past[LOSS_MODULUS], self.past[LOSS_SHARE] = (
             (0.0, 1.0, 0.0) if softening is None else (softening.loss, softening.modulus, softening.share))
         self.works = relaxation is not None or softening is not None
+        if relaxation is None:
+            self.inherited[:] = 0.0
         self.prepare(0.0)
 
     def prepare(self, dt: float) -> None:

@@ -15,8 +15,8 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from tissue_sim.experiment.experiment import Model
 from tissue_sim.material.material import Material
+from tissue_sim.model import Model
 from tissue_sim.pose import Pose, Screw
 from tissue_sim.registry import Registry
 from tissue_sim.tool_force import Matrix, axial_stiffness, axial_wrench

@@ -6,15 +6,14 @@ An effect is a frozen dataclass that derives from one of the classes here and de
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, is_dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from math import inf
+from typing import Any, ClassVar
 
 from tissue_sim.errors import InputError
 from tissue_sim.parameters import declared
 from tissue_sim.registry import Registry
-
-if TYPE_CHECKING:
-    from tissue_sim.experiment.experiment import Experiment
 
 
 class TissueEffect:
@@ -49,15 +48,84 @@ class ToolHistory:
 
 
 class ReducedEffect(TissueEffect):
-    """An effect in reduced form: it scales the force of the tool, and leaves the fields as they are."""
+    """An effect in reduced form: it scales the force of the tool, and leaves the fields as they are.
 
-    def acts_in(self, experiment: Experiment) -> bool:
-        """Whether it plays a part in this experiment."""
-        return True
+    Attributes:
+        under_plates: whether it acts under plates, too, and not under needles only.
+    """
+
+    under_plates: ClassVar[bool] = True
 
     def share(self, history: ToolHistory) -> float:
         """Force of the tool over what it would be without the effect; 1 where the parameters are absent."""
         raise NotImplementedError
+
+
+class PointEffect(TissueEffect):
+    """An effect with a stress of its own at every point of the tissue, and a memory there.
+
+    The same formula serves elements of every kind, so it is written in three dimensions, in plain Python and numpy's
+    elementary functions (exp, log, sqrt, tanh, sin, cos, tan, abs, maximum, minimum, where): the kernels take it over
+    operation by operation when they are compiled. It may loop, index and call as it likes, but must not branch on a
+    number; fields that are no declared parameters are constants of the formula.
+
+    Attributes:
+        rest: state variables of tissue that nothing has happened to; as many as there are.
+    """
+
+    rest: ClassVar[tuple[float, ...]] = ()
+    remembers: ClassVar[bool] = True
+
+    def response(self, C: list, state: list, dt: Any) -> tuple[list, list[list], list]:
+        """Stress at the end of a step.
+
+        Symmetric tensors are lists of six, 11, 22, 33, 12, 13, 23; in an axisymmetric solid 1 is the radius, 2 the
+        axis and 3 the circumference.
+
+        Args:
+            C: right Cauchy-Green tensor at the end of the step.
+            state: state variables at its start.
+            dt: its length, s; 0: sudden.
+
+        Returns:
+            The second Piola-Kirchhoff stress, Pa, which is added to that of the law, in layers times their ratio; its
+            tangent, six rows of six, dS with the Green strain whose shears are doubled (S_12 with 2 E_12), Pa, which
+            must be symmetric; and the state variables at the end of the step.
+        """
+        raise NotImplementedError
+
+
+class ReducedForce:
+    """What effects in reduced form leave of the force on a tool, along its way.
+
+    Args:
+        effects: those that act.
+
+    Attributes:
+        history: of the tool at the last place that was final.
+    """
+
+    def __init__(self, effects: Sequence[ReducedEffect]):
+        self._effects = tuple(effects)
+        self.history = ToolHistory(-inf, -inf)
+
+    def share(self, depth: float, dt: float = 0.0) -> float:
+        """Of the force (or its derivative) at a depth, m, that is tried dt s later."""
+        return self._share(self._at(depth, dt)) if self._effects else 1.0
+
+    def go(self, depth: float, dt: float = 0.0) -> float:
+        """The same at a depth that is final."""
+        self.history = self._at(depth, dt)
+        return self._share(self.history) if self._effects else 1.0
+
+    def _at(self, depth: float, dt: float) -> ToolHistory:
+        return ToolHistory(depth, max(self.history.deepest, depth), self.history.time + dt)
+
+    def _share(self, history: ToolHistory) -> float:
+        share = 1.0
+        for effect in self._effects:
+            share *= effect.share(history)
+        return share
 
 
 def _check(name: str, kind: Any) -> None:

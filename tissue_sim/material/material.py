@@ -11,7 +11,7 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.laws import Law, find_law
-from tissue_sim.material.effect import TissueEffect
+from tissue_sim.material.effect import ReducedEffect, TissueEffect
 from tissue_sim.material.layer import Layer
 from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.material.puncture import Puncture
@@ -156,6 +156,11 @@ class Material:
         """Whether its force depends on how the tool came to where it is."""
         return (self.ages or self.softening is not None
                 or any(effect.remembers for effect in self.effects.values()))
+
+    def reduced_effects(self, *, plate: bool) -> tuple[ReducedEffect, ...]:
+        """The effects in reduced form that act under a plate, or else under a needle."""
+        return tuple(part for part in (self.puncture, *self.effects.values())
+                     if isinstance(part, ReducedEffect) and (part.under_plates or not plate))
 
     @property
     def energy_law(self) -> Law:

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.fem.axisymmetric.elements import Element
+from tissue_sim.mesh.elements import Element
 
 
 @dataclass(frozen=True, eq=False)

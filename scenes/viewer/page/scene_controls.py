@@ -11,10 +11,11 @@ from scenes.catalogue import SCENES
 from scenes.viewer.frame import Commands, Frame
 from scenes.viewer.page.notices import answer_to
 from scenes.viewer.scene import Scene
+from tissue_sim.experiment.interfaces import INTERFACES
 from tissue_sim.experiment.tools.tool import TOOLS, shapes_without_file, tool_sizes
 from tissue_sim.parameters import Declaration
 
-_INTERFACES = ("bonded", "stick", "frictionless", "friction")
+_INTERFACES = (*INTERFACES, "friction")
 #: Sizes of a needle that is chosen after a plate, by their unit; and friction that is chosen after none.
 _SIZES, _FRICTION = {"m": 8e-3, "rad": radians(45.0)}, 0.3
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.fem.solver import SOLVERS, Solver, Step, StepStatus
+from tissue_sim.fem.solver import Solver, Step, StepStatus
 from tissue_sim.pose import Pose, motion
 
 #: N/m, N and N m, per m and rad; symmetric and positive definite, every entry of it in use.
@@ -50,7 +50,7 @@ class SpringSurface:
 class SpringSolver(Solver):
     """The contract of `tissue_sim.fem.solver.Solver`."""
 
-    def __init__(self, model, *, resolution, mesh=None):
+    def __init__(self, model, *, resolution, mesh=None, topology=None):
         if resolution not in ("realtime", "fast"):
             raise InputError(f"unknown resolution {resolution!r}; a spring has 'realtime' and 'fast'",
                              field="resolution")
@@ -103,8 +103,3 @@ class SpringSolver(Solver):
 
     def report(self):
         return {"element": "spring", "mesh": {"elements": 1, "freedoms": 6}}
-
-
-def register():
-    """What the entry point of a package would do."""
-    return SOLVERS.register(SpringSolver, "spring")

@@ -6,8 +6,8 @@ import pytest
 import tissue_sim as ts
 from scenes.viewer.cut_away import CutAway
 from scenes.viewer.revolution import Opening, Surface, joined, revolved_surfaces
-from tissue_sim.fem.axisymmetric.elements import Q4P0, Q9P1
 from tissue_sim.mesh import cylinder_mesh, needle_mesh
+from tissue_sim.mesh.elements import Q4P0, Q9P1
 
 RADIUS, HEIGHT = 0.04, 0.07
 #: Of the height; none at a node.

@@ -17,8 +17,8 @@ from scenes.viewer.tool_picture import (
     tool_mesh,
     tool_outline,
 )
-from tissue_sim.fem.axisymmetric.elements import Q9P1
 from tissue_sim.mesh import cylinder_mesh
+from tissue_sim.mesh.elements import Q9P1
 
 SPECIMEN = ts.Specimen(0.04, 0.07)
 TOOLS = {

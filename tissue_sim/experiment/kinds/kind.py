@@ -16,8 +16,9 @@ from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.registry import Registry
 
 if TYPE_CHECKING:
-    from tissue_sim.experiment.experiment import Experiment, Specimen
+    from tissue_sim.experiment.experiment import Experiment
     from tissue_sim.experiment.protocol import Protocol
+    from tissue_sim.specimen import Specimen
 
 #: Pairs of channels of a recording, motion and load.
 DISPLACEMENT_FORCE, STRETCH_STRESS = ("displacement", "force"), ("stretch", "nominal stress")
@@ -26,7 +27,7 @@ SHEAR_STRESS = ("shear strain", "nominal stress")
 
 @dataclass(frozen=True)
 class Face:
-    """How a face holds the tissue in a kind of test; see `tissue_sim.experiment.experiment.INTERFACES`.
+    """How a face holds the tissue in a kind of test; see `tissue_sim.experiment.interfaces`.
 
     Attributes:
         usual: interface, where nothing is said.
@@ -88,7 +89,12 @@ class TestKind:
     @property
     def strain_name(self) -> str:
         """What `strain` gives, for axes."""
-        return "nominal strain" if self.closed_form is None or self.closed_form.rest else "shear strain"
+        return "shear strain" if self.both_ways else "nominal strain"
+
+    @property
+    def both_ways(self) -> bool:
+        """Whether the specimen may be loaded to either side, as in shear."""
+        return self.closed_form is not None and self.closed_form.rest == 0
 
     @property
     def interfaces(self) -> dict[str, str | float]:

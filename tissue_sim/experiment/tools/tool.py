@@ -12,7 +12,7 @@ from abc import ABCMeta, abstractmethod
 from collections.abc import Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 from tissue_sim.errors import InputError, require_length
 from tissue_sim.experiment.tools.outline import Profile
@@ -130,23 +130,39 @@ TOOLS: Registry[type[Tool]] = Registry("tool shape", "tissue_sim.tools", {
         "sphere": "sphere:Sphere", "profile": "profile:ProfileTool"}.items()}, check=_check)
 
 
-def tool_sizes() -> dict[str, tuple[Declaration, str, tuple[str, ...]]]:
-    """Key in files and on the command line -> (declaration, field, shapes that have it), of all shapes."""
-    found: dict[str, tuple[Declaration, str, tuple[str, ...]]] = {}
+class Size(NamedTuple):
+    """A size that shapes of tools have.
+
+    Attributes:
+        declaration: what it is. field: of the tools. shapes: names of those that have it.
+    """
+
+    declaration: Declaration
+    field: str
+    shapes: tuple[str, ...]
+
+
+def tool_sizes() -> dict[str, Size]:
+    """Key in files and on the command line -> size, of all shapes.
+
+    Raises:
+        InputError: two shapes mean different sizes by one key.
+    """
+    found: dict[str, Size] = {}
     for shape, kind in TOOLS.items():
         for name, what in declared(kind).items():
-            first, field, shapes = found.get(what.key, (what, name, ()))
-            if (first.factor, field) != (what.factor, name):
-                raise InputError(f"the shapes {shapes[0]} and {shape} mean different sizes by {what.key}; one of them "
-                                 "has to take another key", field="tissue_sim.tools")
-            found[what.key] = first, field, (*shapes, shape)
+            first = found.get(what.key, Size(what, name, ()))
+            if (first.declaration.factor, first.field) != (what.factor, name):
+                raise InputError(f"the shapes {first.shapes[0]} and {shape} mean different sizes by {what.key}; one of "
+                                 "them has to take another key", field="tissue_sim.tools")
+            found[what.key] = first._replace(shapes=(*first.shapes, shape))
     return found
 
 
 def sizes_of_keys(stated: Mapping[str, float]) -> dict[str, float]:
     """Field of a tool -> value in SI, of sizes by their keys of `tool_sizes` in the units of files."""
     known = tool_sizes()
-    return {known[key][1]: known[key][0].factor * value for key, value in stated.items()}
+    return {known[key].field: known[key].declaration.factor * value for key, value in stated.items()}
 
 
 def shapes_without_file() -> tuple[str, ...]:

@@ -15,21 +15,13 @@ from typing import NamedTuple
 
 from tissue_sim.fem.axisymmetric import energy as point
 from tissue_sim.fem.axisymmetric.batches import LANES
-from tissue_sim.fem.axisymmetric.elements import ELEMENTS
+from tissue_sim.fem.axisymmetric.point_effects import effects_function
+from tissue_sim.fem.axisymmetric.scratch import AT, scratch
 from tissue_sim.fem.history import FACTOR, INSTANT, LOSS, LOSS_MODULUS, LOSS_SHARE
+from tissue_sim.fem.point_effects import EffectFormula
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
-
-#: Most nodes, points and pressure modes of an element.
-_NODES, _POINTS, _MODES = 9, 9, 3
-#: Where things of the batch that is worked on stand in the scratch field: motion and forces of nodes, motion still to
-#: come, pressure amplitudes, gaps, rates of the volume, and at each point stress, tangent, dJ/dF, modes, stress rates.
-_sizes = (("UR", _NODES), ("UZ", _NODES), ("FR", _NODES), ("FZ", _NODES), ("SR", _NODES), ("SZ", _NODES),
-          ("PRESSURE", _MODES), ("GAP", _MODES), ("VR", _MODES * _NODES), ("VZ", _MODES * _NODES),
-          ("STRESS", 5 * _POINTS), ("TANGENT", 15 * _POINTS), ("COFACTOR", 5 * _POINTS), ("MODE", _MODES * _POINTS),
-          ("RATE", 10 * _POINTS), ("CENTRE", 4 * _NODES))
-_AT = {name: sum(size for _, size in _sizes[:i]) for i, (name, _) in enumerate(_sizes)}
-_SIZE = sum(size for _, size in _sizes)
+from tissue_sim.mesh.elements import ELEMENTS
 
 
 class ElementFunctions(NamedTuple):
@@ -46,14 +38,8 @@ class ElementFunctions(NamedTuple):
 
 
 @cache
-def scratch():
-    """The Taichi field of a batch that is worked on; one for all solvers of the process."""
-    ti = initialise()
-    return ti.Vector.field(LANES, ti.f64, shape=_SIZE)
-
-
-@cache
-def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctions:
+def element_functions(element_name: str, energy: KernelEnergy,
+                      effects: tuple[EffectFormula, ...] = ()) -> ElementFunctions:
     """See the functions themselves; they are to be called in this order for each batch b."""
     ti = initialise()
     element = ELEMENTS[element_name]
@@ -67,9 +53,11 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
     inverse_root = point.inverse_root_function()
     add_volume = point.volume_function()
     soften, relax = point.history_functions()
-    UR, UZ, FR, FZ, SR, SZ = (_AT[name] for name in ("UR", "UZ", "FR", "FZ", "SR", "SZ"))
-    PRESSURE, GAP, VR, VZ, STRESS = (_AT[name] for name in ("PRESSURE", "GAP", "VR", "VZ", "STRESS"))
-    TANGENT, COFACTOR, MODE, RATE, CENTRE = (_AT[name] for name in ("TANGENT", "COFACTOR", "MODE", "RATE", "CENTRE"))
+    has_effects, add_effects = bool(effects), effects_function(effects)
+    variables = sum(len(formula.kind.rest) for formula in effects)
+    UR, UZ, FR, FZ, SR, SZ = (AT[name] for name in ("UR", "UZ", "FR", "FZ", "SR", "SZ"))
+    PRESSURE, GAP, VR, VZ, STRESS = (AT[name] for name in ("PRESSURE", "GAP", "VR", "VZ", "STRESS"))
+    TANGENT, COFACTOR, MODE, RATE, CENTRE = (AT[name] for name in ("TANGENT", "COFACTOR", "MODE", "RATE", "CENTRE"))
     # The tangent's rows that meet an r freedom (rR, rZ, hoop) and a z freedom (zR, zZ).
     row = point.PLACE
 
@@ -82,7 +70,8 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
     @ti.func
     def at_point(b, q, F, J, p, remembers, tangents: ti.template(), elements: ti.template(), weights: ti.template(),
                  moduli: ti.template(), coefficients: ti.template(), past: ti.template(), inherited: ti.template(),
-                 largest: ti.template(), stresses: ti.template(), energies: ti.template()):
+                 largest: ti.template(), stresses: ti.template(), energies: ti.template(),
+                 effect_settings: ti.template(), states: ti.template(), states_found: ti.template()):
         """Note stress, tangent and dJ/dF of a point, times its weight."""
         root = inverse_root(ti.max(J, 1e-6))
         W, P, A = (with_tangent if ti.static(tangents) else without)(F, root, coefficients)
@@ -110,6 +99,20 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
                     P[i] = P3[i]
                 for n in ti.static(range(15)):
                     A[n] = A3[n]
+                if ti.static(has_effects):
+                    before = [ti.Vector([states[elements[b, l], q, i] for l in ti.static(range(LANES))])
+                              for i in ti.static(range(variables))]
+                    S5, P5, A5, found = add_effects(F, P, A, before, effect_settings)
+                    for i in ti.static(range(variables)):
+                        for l in ti.static(range(LANES)):
+                            states_found[elements[b, l], q, i] = found[i][l]
+                    for i in ti.static(range(4)):
+                        for l in ti.static(range(LANES)):
+                            states_found[elements[b, l], q, variables + i] = S5[i][l]
+                    for i in ti.static(range(5)):
+                        P[i] = P5[i]
+                    for n in ti.static(range(15)):
+                        A[n] = A5[n]
         modulus, w = moduli[b], weights[b * points + q]
         P4, A4 = add_volume(F, p, [modulus * P[i] for i in ti.static(range(5))],
                             [modulus * A[n] for n in ti.static(range(15))])
@@ -128,12 +131,14 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
                   dofs: ti.template(), gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template(),
                   weights: ti.template(), mode_values: ti.template(), moduli: ti.template(),
                   coefficients: ti.template(), past: ti.template(), inherited: ti.template(), largest: ti.template(),
-                  stresses: ti.template(), energies: ti.template(), volume_r: ti.template(), volume_z: ti.template(),
+                  stresses: ti.template(), energies: ti.template(), effect_settings: ti.template(),
+                  states: ti.template(), states_found: ti.template(), volume_r: ti.template(), volume_z: ti.template(),
                   gap: ti.template()):
         """Forces of all nodes, with the pressure's share of what the volume still misses; returns the smallest J.
 
         Where the tissue `remembers`, `past` holds how it does, `inherited` what is left of earlier stresses and
-        `largest` the largest energy of each point; its stress and energy now go to `stresses` and `energies`.
+        `largest` the largest energy of each point; its stress and energy now go to `stresses` and `energies`. The
+        memory of added effects is in `states`, and what becomes of it goes to `states_found`.
         """
         for a in range(nodes):
             i = b * nodes + a
@@ -168,10 +173,10 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
             # Twice the code is twice the time to compile: what has a history always gets its tangent, too.
             if tangent == 1 or remembers == 1:
                 at_point(b, q, F, 1.0 + dilation, p, remembers, True, elements, weights, moduli, coefficients, past,
-                         inherited, largest, stresses, energies)
+                         inherited, largest, stresses, energies, effect_settings, states, states_found)
             else:
                 at_point(b, q, F, 1.0 + dilation, p, remembers, False, elements, weights, moduli, coefficients, past,
-                         inherited, largest, stresses, energies)
+                         inherited, largest, stresses, energies, effect_settings, states, states_found)
         for a in range(nodes):
             fr, fz = vec(0.0), vec(0.0)
             vr, vz = [vec(0.0) for _m in ti.static(range(modes))], [vec(0.0) for _m in ti.static(range(modes))]

@@ -7,13 +7,15 @@ from dataclasses import replace
 import numpy as np
 
 from tissue_sim.errors import ConvergenceError, InputError, nearest
-from tissue_sim.experiment.experiment import Experiment, Model, Specimen
+from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.fem.axisymmetric.contact_pairs import build_contact
-from tissue_sim.fem.axisymmetric.elements import Q9P1, Element
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.material.layer import Layer
 from tissue_sim.mesh import Mesh, cylinder_mesh, needle_mesh, structured_mesh, tip_mesh, with_lines
+from tissue_sim.mesh.elements import Q9P1, Element
+from tissue_sim.model import Model
+from tissue_sim.specimen import Specimen
 
 #: Resolution -> elements and grading along r and z of a cylinder as slender as the study's (radius 40, height 70 mm)
 #: between plates. Bonded compression to 10 mm errs by 0.28 % (fast) and 0.03 % (accurate) at most.

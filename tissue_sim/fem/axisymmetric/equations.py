@@ -16,6 +16,7 @@ from tissue_sim.fem.axisymmetric.reference import integrate
 from tissue_sim.fem.axisymmetric.state import State
 from tissue_sim.fem.history import Memory
 from tissue_sim.fem.linear import band
+from tissue_sim.fem.point_effects import PointEffects
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.laws import KernelEnergy
@@ -35,7 +36,8 @@ class Equations:
         equation, direction: of each freedom, see `tissue_sim.fem.axisymmetric.numbering`; free, half_band: of them.
         reference: integrals over the undeformed mesh.
         specific_weight: N/m3.
-        surface: contact points; memory: of the tissue; state: what a step works on.
+        surface: contact points; memory: of the tissue, effects: what was added
+            to it; state: what a step works on.
         moduli: of the elements in units of the material's, shape (elements,); bulk_modulus: Pa.
         counts, settings: what a step is told, places as in `tissue_sim.fem.axisymmetric.newton`; report: its answer.
         entries, upper: blocks of the tangent, and of its transpose where contact slips; residual: unbalanced forces.
@@ -51,6 +53,7 @@ class Equations:
         self.batches = ElementBatches(mesh, reference.node_gradients, reference.weights, reference.pressure_modes,
                                       reference.volumes)
         self.surface, self.memory = ContactPoints(mesh, contact), Memory(reference.weights.shape)
+        self.effects = PointEffects(reference.weights.shape)
         self._tangent_arrays()
         elements, freedoms = len(mesh.connectivity), 2 * len(mesh.nodes)
         self._element_layers, self._contact_radius, self.moduli = element_layers, contact_radius, np.ones(elements)
@@ -60,7 +63,7 @@ class Equations:
             x[: settled.size] = settled
             self.surface.anchors[: bound.count], self.surface.slipped[: bound.count] = (
                 bound.anchors[: bound.count], bound.slipped[: bound.count])
-        self.state = State(x, self.surface, self.memory)
+        self.state = State(x, self.surface, self.memory, self.effects)
         self.start = x[:freedoms].copy()
         self._target, self._motion, self.masses, self.rest = np.zeros((4, freedoms))
         self.weights, self._predicted = np.array([1.0, 0.0, 0.0]), 0.0
@@ -72,6 +75,7 @@ class Equations:
         self.set_material(material)
         if start is not None:
             self.memory.restore(start.memory.save())
+            self.effects.states[:] = start.effects.states
 
     def _tangent_arrays(self) -> None:
         rows, width = band.block_shape(self.free, self.half_band)
@@ -104,9 +108,10 @@ class Equations:
         self.batches.set_moduli(moduli)
         self._coefficients = np.array(coefficients)
         self.memory.set_material(self.relaxation(material), material.softening, factor)
-        self.counts[newton.REMEMBERS] = self.memory.works
+        self.effects.set_effects(material.effects.values())
+        self.counts[newton.REMEMBERS] = self.remembers
         with LOCK:
-            kernel = newton.step_kernel(self.mesh.element.name, energy, self.surface.slips)
+            kernel = newton.step_kernel(self.mesh.element.name, energy, self.surface.slips, self.effects.formulas)
             self._kernel = BoundKernel(kernel, self._kernel_arrays())
         self.surface.set_stiffness(contacts.STIFFNESS * material.mu0)
         # Displacements are rounded, and so are the forces of what is stiff: per m of depth, and of the places.
@@ -135,6 +140,16 @@ class Equations:
     def relaxation(self, material: Material) -> Prony | None:
         """All that relaxes in this material here."""
         return material.relaxation(self._contact_radius)
+
+    @property
+    def remembers(self) -> bool:
+        """Whether the tissue has a memory, which the kernel then keeps with its stresses."""
+        return self.memory.works or bool(self.effects.formulas)
+
+    def prepare(self, dt: float) -> None:
+        """Before a step of dt, s."""
+        self.memory.prepare(dt)
+        self.effects.prepare(dt)
 
     def predict(self, weights: list[float]) -> None:
         """Begin the next step with this combination of the latest states."""
@@ -166,7 +181,8 @@ class Equations:
         """Assemble the exact tangent at the equilibrium just found, with the contact as it was in the step, and call
         `launch` there."""
         surface, after = self.surface, self.surface.held.copy()
-        remembered = self.memory.stresses.copy(), self.memory.energies.copy()
+        remembered = [(array, array.copy()) for array in (
+            self.memory.stresses, self.memory.energies, self.effects.found)]
         surface.held[:] = surface.anchors
         released = (surface.anchors[..., 0] == contact_kernels.HELD) & (after != surface.anchors).any(axis=-1)
         surface.held[released] = 0.0
@@ -179,12 +195,13 @@ class Equations:
         self.counts[newton.KEEPS] = 0
         surface.held[:] = after
         # With the tangent they come out rounded otherwise.
-        self.memory.stresses[:], self.memory.energies[:] = remembered
+        for array, before in remembered:
+            array[:] = before
 
     def tangent(self) -> np.ndarray:
         """Condensed tangent at the last committed state: lower band in LAPACK's storage, (half_band + 1, free), N/m."""
         self.predict([1.0, 0.0, 0.0])
-        self.memory.prepare(0.0)
+        self.prepare(0.0)
         # No residual is small enough and no iteration is allowed: the matrix stays as it was assembled.
         self.solve(self.state.depths[0], -1.0, 0)
         return band.unpack(self.entries, self.free, self.half_band)
@@ -214,7 +231,9 @@ class Equations:
                 "target": self._target, "edge_places": surface.places, "areas": surface.areas,
                 "vertices": surface.vertices, "edge_rounding": surface.rounding, "friction": surface.friction,
                 "met": surface.met, "forces": surface.forces, "known_rates": surface.known_rates,
-                "stresses": memory.stresses, "energies": memory.energies, "masses": self.masses, "rest": self.rest,
+                "stresses": memory.stresses, "energies": memory.energies,
+                "effect_settings": self.effects.settings, "effect_states": self.effects.states,
+                "effect_states_found": self.effects.found, "masses": self.masses, "rest": self.rest,
                 "motion": self._motion, "history": state.history, "slots": state.slots, "weights": self.weights,
                 "flat": self._scattered[:-1].reshape(-1, band.BLOCK), "scattered": self._scattered,
                 "upper": self.upper, "pull": self._pull, "reaction": self._reaction, "report": self.report}

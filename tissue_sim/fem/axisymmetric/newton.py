@@ -8,6 +8,7 @@ from tissue_sim.fem.axisymmetric.batches import LANES
 from tissue_sim.fem.linear import band as band_matrix
 from tissue_sim.fem.linear.cholesky import BAND_CHOLESKY
 from tissue_sim.fem.linear.lu import BAND_LU
+from tissue_sim.fem.point_effects import EffectFormula
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
@@ -31,13 +32,14 @@ STATUS, ITERATIONS, RESIDUAL, FORCE, VIOLATION, SLIPPING, STIFFNESS = range(7)
 
 
 @cache
-def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
+def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: tuple[EffectFormula, ...] = ()):
     """The compiled step of one element and one family of laws; see `AxisymmetricSolver.step` for its arguments.
 
-    Only where something `slips` against friction it contains the solution of unsymmetric equations.
+    Nothing is compiled of `effects` at the points that are not there; only where something `slips` against friction it
+    contains the solution of unsymmetric equations.
     """
     ti = initialise()
-    work = element_functions(element_name, energy)
+    work = element_functions(element_name, energy, effects)
     vec = ti.types.vector(LANES, ti.f64)
     block = ti.types.vector(band_matrix.BLOCK, ti.f64)
     B = band_matrix.BLOCK
@@ -81,10 +83,11 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
              edges: int2, spans: int2, edge_shapes: real3, edge_places: real3, areas: real2, vertices: real2,
              edge_rounding: real1, friction: real2, springs: real2, held: real3, ways: real2, met: real3,
              forces: real3, contact_rates: real3, known_rates: real3, coefficients: real1, past: real1,
-             inherited: real3, largest: real2, stresses: real3, energies: real2, masses: real1, rest: real1,
-             x: real1, motion: real1, history: real2, slots: int1, weights: real1, entries: real4, blocks: block3,
-             flat: block1, scattered: real1, upper: real4, upper_blocks: block3, inverse: real1, right: block1,
-             residual: real1, pull: real1, reaction: real1, report: real1):
+             inherited: real3, largest: real2, stresses: real3, energies: real2, effect_settings: real1,
+             effect_states: real3, effect_states_found: real3, masses: real1, rest: real1, x: real1, motion: real1,
+             history: real2, slots: int1, weights: real1, entries: real4, blocks: block3, flat: block1,
+             scattered: real1, upper: real4, upper_blocks: block3, inverse: real1, right: block1, residual: real1,
+             pull: real1, reaction: real1, report: real1):
         # One pass of one serial task, started without waking a thread pool; the count is an argument so that the loop
         # is not unrolled into many tasks.
         ti.loop_config(serialize=True)
@@ -137,8 +140,8 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool):
                 for b in range(batches):
                     J = work.integrate(b, tangent, kappa, counts[REMEMBERS], x, pressures, elements, dofs,
                                        gradient_r, gradient_z, value_r, point_weights, mode_values, moduli,
-                                       coefficients, past, inherited, largest, stresses, energies, volume_r, volume_z,
-                                       gap)
+                                       coefficients, past, inherited, largest, stresses, energies, effect_settings,
+                                       effect_states, effect_states_found, volume_r, volume_z, gap)
                     smallest = ti.min(smallest, J)
                     if weight != 0.0:
                         work.add_weight(b, weight, volumes)

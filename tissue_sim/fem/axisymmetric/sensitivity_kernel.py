@@ -13,7 +13,6 @@ from tissue_sim.fem.axisymmetric import energy as point
 from tissue_sim.fem.axisymmetric.batches import LANES
 from tissue_sim.fem.axisymmetric.contact import HOLD, MOVES
 from tissue_sim.fem.axisymmetric.contact_kernels import HELD, TOUCHED
-from tissue_sim.fem.axisymmetric.elements import ELEMENTS
 from tissue_sim.fem.axisymmetric.newton import CONTACTS, KAPPA, REMEMBERS, UNSYMMETRIC
 from tissue_sim.fem.axisymmetric.newton import FREE as FREE_EQUATIONS
 from tissue_sim.fem.history import FACTOR, INSTANT, LOSS, LOSS_MODULUS, LOSS_SHARE
@@ -22,6 +21,7 @@ from tissue_sim.fem.linear.cholesky import BAND_CHOLESKY
 from tissue_sim.fem.linear.lu import BAND_LU
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
+from tissue_sim.mesh.elements import ELEMENTS
 
 #: Places in `which`: the parameter; whether the matrix has still to be factorised (what stays 1 is singular); whether
 #: the law is needed at all points, not only where the tool pulls at what it holds.

@@ -89,7 +89,7 @@ class AxisymmetricSolver(Solver):
         equations, state = self.equations, self.committed
         if not resumes:
             equations.predict(extrapolation(state.depths, depth, predictor_order))
-        equations.memory.prepare(dt)
+        equations.prepare(dt)
         if state.motion is not None:
             equations.settings[newton.INERTIA] = state.motion.prepare(state.latest, dt) if inertial else 0.0
         equations.solve(depth, tolerance, max_iterations, goes_on_from=self._tried if resumes else None)
@@ -117,8 +117,10 @@ class AxisymmetricSolver(Solver):
         """Let every step answer how the force grows with depth."""
         self.equations.counts[newton.STIFFNESS_ASKED] = 1
 
-    def differentiate(self, neighbours: Neighbours) -> Sensitivity:
-        """Carry exact derivatives along from now on, before the first step."""
+    def differentiate(self, neighbours: Neighbours) -> Sensitivity | None:
+        """Carry exact derivatives along from now on, before the first step; there are none with effects at points."""
+        if neighbours and self.equations.effects.formulas:
+            return None
         self._sensitivity = Sensitivity(self.equations, neighbours)
         return self._sensitivity
 
@@ -167,8 +169,11 @@ class AxisymmetricSolver(Solver):
 
     def sample(self) -> Sample:
         """What `fields` needs of the last committed state."""
-        memory = self.equations.memory
-        return Sample(self.state, memory.total() if memory.works else None)
+        equations = self.equations
+        if not equations.remembers:
+            return Sample(self.state, None)
+        stresses = equations.memory.total()
+        return Sample(self.state, stresses + equations.effects.stress if equations.effects.formulas else stresses)
 
     def fields(self, samples: Sequence[Sample]) -> Fields:
         """Fields of states that `sample` gave."""

@@ -10,6 +10,7 @@ from tissue_sim.fem.axisymmetric.contact import ContactPoints
 from tissue_sim.fem.axisymmetric.predictor import KEPT
 from tissue_sim.fem.history import Memory, SavedMemory
 from tissue_sim.fem.inertia import Motion, SavedMotion
+from tissue_sim.fem.point_effects import PointEffects
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,6 +23,7 @@ class SavedState:
     anchors: np.ndarray
     slipped: np.ndarray
     memory: SavedMemory
+    effects: np.ndarray
     motion: SavedMotion | None
     largest_force: float
     unchanged: int
@@ -33,7 +35,7 @@ class State:
 
     Args:
         x: where the first step begins, shape (unknowns,): nodal displacements, pressure amplitudes, contact forces.
-        surface: points of the contact; memory: of the tissue.
+        surface: points of the contact; memory: of the tissue; effects: at its points.
 
     Attributes:
         x: the state that a step works on.
@@ -44,8 +46,8 @@ class State:
         motion: velocities, where somebody asked for inertia.
     """
 
-    def __init__(self, x: np.ndarray, surface: ContactPoints, memory: Memory):
-        self.x, self.surface, self.memory = x, surface, memory
+    def __init__(self, x: np.ndarray, surface: ContactPoints, memory: Memory, effects: PointEffects):
+        self.x, self.surface, self.memory, self.effects = x, surface, memory, effects
         self.history = np.zeros((KEPT, x.size))
         self.history[0] = x
         self.slots = np.arange(KEPT, dtype=np.int32)
@@ -74,6 +76,7 @@ class State:
             self.depths = [depth, *self.depths][:KEPT]
         self.history[self.slots[0]] = self.x
         self.memory.commit()
+        self.effects.commit()
         surface = self.surface
         surface.anchors[:], surface.slipped[:] = surface.held, surface.ways
         if watched:
@@ -94,7 +97,7 @@ class State:
         """All that a committed step leaves behind."""
         surface = self.surface
         return SavedState(self.history.copy(), self.slots.copy(), tuple(self.depths), surface.anchors.copy(),
-                          surface.slipped.copy(), self.memory.save(),
+                          surface.slipped.copy(), self.memory.save(), self.effects.states.copy(),
                           None if self.motion is None else self.motion.save(), self.largest_force, self.unchanged,
                           self._touching)
 
@@ -104,6 +107,7 @@ class State:
         self.history[:], self.slots[:], self.depths = saved.history, saved.slots, list(saved.depths)
         surface.anchors[:], surface.slipped[:] = saved.anchors, saved.slipped
         self.memory.restore(saved.memory)
+        self.effects.states[:] = saved.effects
         self.largest_force, self.unchanged, self._touching = saved.largest_force, saved.unchanged, saved.touching
         if self.motion is not None and saved.motion is not None:
             self.motion.restore(saved.motion)

@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import InputError
+from tissue_sim.files import read_bytes
 from tissue_sim.recording.formats.afm_curve import curve_recording, tip_radius
 from tissue_sim.recording.formats.extra import require
-from tissue_sim.recording.formats.text import read_bytes
 from tissue_sim.recording.recording import Recording
 
 EXPECTED = "force curves of an AFM"

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from tissue_sim.errors import InputError, nearest
+from tissue_sim.files import read_text
 from tissue_sim.recording.formats.header import (
     DELIMITERS,
     DELIMITERS_OF_NUMBERS,
@@ -17,7 +18,6 @@ from tissue_sim.recording.formats.header import (
     text_tables,
 )
 from tissue_sim.recording.formats.table import Column, Row, conversion, read_recording_table
-from tissue_sim.recording.formats.text import read_text
 from tissue_sim.recording.formats.workbook import is_workbook, read_sheet
 from tissue_sim.recording.recording import CHANNELS, LABELS, Recording
 from tissue_sim.units import split_header

@@ -10,10 +10,10 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from tissue_sim.files import read_text
 from tissue_sim.recording.formats.columns import read_columns
 from tissue_sim.recording.formats.header import find_header, text_tables
 from tissue_sim.recording.formats.table import is_number
-from tissue_sim.recording.formats.text import read_text
 from tissue_sim.recording.recording import Recording
 from tissue_sim.units import split_header, to_si
 

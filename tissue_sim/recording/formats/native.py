@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from tissue_sim.errors import InputError, nearest
+from tissue_sim.files import read_text
 from tissue_sim.recording.formats.columns import read_columns
 from tissue_sim.recording.formats.table import Column, Row, conversion, is_number, read_recording_table, split_rows
-from tissue_sim.recording.formats.text import read_text
 from tissue_sim.recording.recording import CHANNELS, LABELS, Recording
 from tissue_sim.units import split_header, to_si
 

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from tissue_sim.errors import InputError, nearest
+from tissue_sim.files import ZIP_MAGIC, read_bytes
 from tissue_sim.recording.formats.extra import require
 from tissue_sim.recording.formats.header import Table
 from tissue_sim.recording.formats.table import Row
-from tissue_sim.recording.formats.text import ZIP_MAGIC, read_bytes
 
 EXPECTED = "a spreadsheet (xlsx)"
 #: How an .xls of Excel 97 to 2003 begins, and an xlsx with a password.

@@ -1,0 +1,27 @@
+"""An effect of the tissue in reduced form: a wet surface lets go of some of the force while the tool stays in it."""
+
+import math
+from dataclasses import dataclass
+
+import tissue_sim as ts
+
+
+@dataclass(frozen=True)
+class Seepage(ts.ReducedEffect):
+    """The force falls by a share of itself with a time of its own."""
+
+    name = "seepage"
+    title = "seepage at the surface"
+    ages = True
+    under_plates = False
+    share_lost: float = ts.parameter("s", "1", key="share_lost", bounds=(0.0, 0.9), absent=0.0)
+    time: float = ts.parameter("tau_s", "s", key="time_s", bounds=(1e-3, 1e4))
+
+    def __post_init__(self):
+        if not 0 <= self.share_lost < 1:
+            raise ts.InputError(f"{self.share_lost:g} is outside 0 to 1", field="share_lost")
+        if not self.time > 0:
+            raise ts.InputError(f"{self.time:g} s is not a positive time", field="time")
+
+    def share(self, history):
+        return 1.0 - self.share_lost * -math.expm1(-history.time / self.time)

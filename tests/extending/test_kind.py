@@ -1,0 +1,95 @@
+"""A kind of test from one file: its recordings are read, and calibrated by its closed form."""
+
+import numpy as np
+import pytest
+
+import calibration
+import tissue_sim as ts
+from scenes import SCENES
+
+TRUTH = {"C10": 1200.0, "C01": 500.0}
+HEIGHT, AREA = 0.020, 150e-6
+CAMPAIGN = """
+[[specimen]]
+shape = "prism"
+area_mm2 = 150.0
+height_mm = 20.0
+
+[[test]]
+kind = "planar_tension"
+recordings = ["sheet_*.csv"]
+
+[[test]]
+kind = "uniaxial_tension"
+recordings = ["strip_*.csv"]
+
+[fit]
+method = "METHOD"
+laws = ["mooney_rivlin"]
+start = { C10 = 1000.0, C01 = 400.0 }
+
+[noise]
+force_N = 0.001
+nominal_stress_Pa = 5.0
+"""
+
+
+def stress(stretch):
+    """Mooney-Rivlin written out: 2 (C10 + C01) (l - l^-3) in planar tension, 2 (C10 + C01/l) (l - l^-2) in uniaxial."""
+    C10, C01 = TRUTH.values()
+    return 2 * (C10 + C01) * (stretch - stretch**-3), 2 * (C10 + C01 / stretch) * (stretch - stretch**-2)
+
+
+def write(folder):
+    stretch = np.linspace(1.0, 1.6, 61)
+    noise = np.random.default_rng(2)
+    for name, values in zip(("sheet", "strip"), stress(stretch), strict=True):
+        force = values * AREA + noise.normal(0.0, 0.001, values.size)
+        channels = {"time": stretch - 1.0, "displacement": (stretch - 1.0) * HEIGHT, "force": force}
+        ts.write_recording(ts.Recording(channels), folder / f"{name}_1.csv")
+
+
+@pytest.fixture
+def kind(plugin, registers):
+    return registers(ts.KINDS, plugin("planar_tension").KIND)
+
+
+@pytest.mark.parametrize("method", ["analytical", "inverse_fem"])
+def test_kind_of_one_file(kind, tmp_path, method):
+    write(tmp_path)
+    path = tmp_path / "study.toml"
+    path.write_text(CAMPAIGN.replace("METHOD", method), encoding="utf-8")
+    campaign = calibration.load_campaign(path)
+    assert [test.kind.name for test in campaign.tests] == ["planar_tension", "uniaxial_tension"]
+    result, = calibration.calibrate([path], tmp_path / "out", figures=False)
+    assert result.best.parameters == pytest.approx(TRUTH, rel=0.03)
+    # What planar tension tells is the sum of the two.
+    assert sum(result.best.parameters.values()) == pytest.approx(sum(TRUTH.values()), rel=3e-3)
+
+
+def test_its_recordings_need_its_channels(kind, tmp_path):
+    stretch = np.linspace(1.0, 1.6, 7)
+    ts.write_recording(ts.Recording({"stretch": stretch, "nominal stress": stress(stretch)[0]}), tmp_path / "a.csv")
+    assert len(ts.read_recording(tmp_path / "a.csv", kind="planar_tension")) == 7
+    ts.write_recording(ts.Recording({"shear strain": stretch, "nominal stress": stretch}), tmp_path / "b.csv")
+    with pytest.raises(ts.InputError, match="planar_tension needs columns 'displacement' and 'force' or 'stretch'"):
+        ts.read_recording(tmp_path / "b.csv", kind="planar_tension")
+
+
+def test_a_kind_with_a_tool_is_a_scene(registers):
+    sliding = registers(ts.KINDS, ts.TestKind(name="oiled_indentation", title="Oiled indentation", sign=-1.0,
+                                              tool=ts.Tool("sphere", radius=5e-3), face=ts.KINDS[
+                                                  "lubricated_compression"].face))
+    assert "oiled_indentation" in SCENES and "simple_shear" not in SCENES
+    experiment = SCENES["oiled_indentation"].experiment(specimen=ts.Specimen(0.04, 0.07),
+                                                        protocol=ts.Protocol.ramp(2e-3, 3))
+    assert (experiment.friction, experiment.tool) == ("frictionless", sliding.tool)
+
+
+def test_what_nothing_can_answer_is_refused(kind):
+    with pytest.raises(ts.InputError, match="the name 'simple_shear' is taken by another kind of test"):
+        ts.KINDS.register(kind, "simple_shear")
+    with pytest.raises(ts.InputError, match="neither a tool nor a closed form"):
+        ts.KINDS.register(ts.TestKind(name="pulling", title="Pulling", tool=None, sign=1.0))
+    with pytest.raises(ts.InputError, match="is controlled by its force"):
+        ts.KINDS.register(ts.TestKind(name="creep", title="Creep", tool=ts.Tool(), sign=-1.0, control="force"))

@@ -1,0 +1,242 @@
+"""An effect at the points from one file: a Maxwell branch, which must be the built-in Prony term.
+
+Beside a neo-Hooke law of (1 - g) C10 a branch of shear modulus 2 g C10 is the term (g, tau) of a law of C10: both take
+the same recursion for the same isochoric second Piola-Kirchhoff stress.
+"""
+
+import subprocess
+import sys
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import tissue_sim as ts
+from tissue_sim.errors import InputError
+from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver, element_layers
+from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
+from tissue_sim.fem.solver import StepStatus
+from tissue_sim.material.effect import EFFECTS
+from tissue_sim.mesh import cylinder_mesh
+from tissue_sim.mesh.elements import Q4P0, Q9P1
+from tissue_sim.parameters import value
+
+C10, G, TAU = 1500.0, 0.3, 2.0
+BULK = ts.Bulk("K_Pa", 3e7)
+RADIUS, HEIGHT = 0.04, 0.07
+PATH = ts.Protocol.parse("ramp 6mm @0.6mm/s; hold 5s; unload", points=7)
+
+
+@pytest.fixture
+def branch(plugin, registers):
+    return registers(EFFECTS, plugin("maxwell_branch").MaxwellBranch)
+
+
+def material(branch, **options) -> ts.Material:
+    return ts.Material("neo_hooke", {"C10": (1 - G) * C10}, BULK, effects=[branch(2 * G * C10, TAU)], **options)
+
+
+def built_in(**options) -> ts.Material:
+    return ts.Material("neo_hooke", {"C10": C10}, BULK, viscoelastic=ts.Prony((ts.PronyTerm(G, TAU),)), **options)
+
+
+def model(stuff, friction="bonded", protocol=PATH):
+    return ts.Model(ts.Experiment(ts.Specimen(RADIUS, HEIGHT), protocol, friction=friction, friction_base=friction),
+                    stuff)
+
+
+def needle(stuff):
+    return ts.Model(ts.Experiment(ts.Specimen(RADIUS, HEIGHT), PATH, tool=ts.Tool("flat", radius=8e-3)), stuff)
+
+
+def test_formula_on_plain_numbers(branch):
+    """In three dimensions: the tangent is the derivative of the stress, and symmetric."""
+    rng = np.random.default_rng(0)
+    for dt in (0.0, 1e-7, 0.4, 1e30):
+        F = np.eye(3) + 0.2 * rng.normal(size=(3, 3))
+        C = (F.T @ F)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        state, effect = rng.normal(size=12).tolist(), branch(100.0, TAU)
+        _, tangent, after = effect.response(C.tolist(), state, dt)
+        numeric = np.zeros((6, 6))
+        for k in range(6):
+            kick = 1e-6 * (np.arange(6) == k) * (1.0 if k > 2 else 2.0)
+            more, less = (np.array(effect.response((C + way * kick).tolist(), state, dt)[0]) for way in (1, -1))
+            numeric[:, k] = (more - less) / 2e-6
+        np.testing.assert_allclose(tangent, numeric, atol=1e-6 * abs(numeric).max() + 1e-8)
+        np.testing.assert_allclose(tangent, np.transpose(tangent), atol=1e-12 * np.abs(tangent).max())
+        assert np.isfinite(after).all()
+
+
+@pytest.mark.parametrize(("make", "tolerance"), [
+    (lambda stuff: model(stuff, "frictionless"), 1e-8), (model, 1e-8), (needle, 1e-6)],
+    ids=["homogeneous", "bonded", "needle"])
+def test_branch_is_the_built_in_term(branch, make, tolerance):
+    """To the tolerance of the equilibrium (1e-9 of the reactions), through ramp, hold and unloading; that of a needle's
+    contact is coarser, and its springs are measured by the law's shear modulus, which the two do not share."""
+    plugin, own = (ts.simulate(make(stuff), fields=True) for stuff in (material(branch), built_in()))
+    np.testing.assert_allclose(plugin.force, own.force, rtol=0, atol=tolerance * own.force.max())
+    elastic = ts.simulate(make(ts.Material("neo_hooke", {"C10": C10}, BULK))).force
+    assert abs(own.force - elastic).max() > 0.1 * elastic.max(), "it relaxes"
+    for sample in (3, 9, -2):
+        for name in ("von_mises", "cauchy_zz"):
+            field = own.fields.at_points(name, sample)
+            np.testing.assert_allclose(plugin.fields.at_points(name, sample), field, rtol=0,
+                                       atol=100 * tolerance * abs(field).max())
+
+
+def test_layers_scale_it_as_the_law(branch):
+    layers = (ts.Layer(0.004, 3.0),)
+    plugin, own = (ts.simulate(model(stuff)).force
+                   for stuff in (material(branch, layers=layers), built_in(layers=layers)))
+    np.testing.assert_allclose(plugin, own, atol=1e-8 * own.max())
+
+
+@pytest.mark.parametrize("element", [Q9P1, Q4P0], ids=lambda e: e.name)
+def test_tangent_is_the_derivative_of_the_residual(branch, element):
+    """As in test_memory.py: every column of the condensed tangent against differences of nodal forces."""
+    mesh = cylinder_mesh(RADIUS, HEIGHT, (2, 2), element)
+    stuff = material(branch, layers=(ts.Layer(HEIGHT / 2, 2.5),))
+    layers = element_layers(mesh, stuff.layers)
+    solver = AxisymmetricSolver(mesh, stuff, {"base": "rz"}, {"top": "rz"}, element_layers=layers)
+    for depth, dt in ((5e-3, 0.5), (10e-3, 1.0), (8e-3, 0.3)):
+        assert solver.step(depth, dt).status is StepStatus.CONVERGED
+    equations, lower = solver.equations, solver.tangent()
+    equation, free = equations.equation, equations.free
+    tangent = np.zeros((free, free))
+    for d in range(lower.shape[0]):
+        i = np.arange(free - d)
+        tangent[i + d, i] = tangent[i, i + d] = lower[d, : free - d]
+    freedoms, states = 2 * len(mesh.nodes), equations.effects.states.copy()
+    assert abs(states).max() > 10.0
+    shared = np.unique(mesh.connectivity[:, : element.boundary_nodes])
+    everything_held = type(mesh)(element, mesh.nodes, mesh.connectivity, {**mesh.sets, "shared": shared})
+
+    def nodal_forces(displacement):
+        held = AxisymmetricSolver(everything_held, stuff, {"shared": "rz"}, {}, element_layers=layers)
+        held.equations.effects.states[:] = states
+        held.equations.direction[:] = displacement / depth
+        assert held.step(depth, 0.0, tolerance=1e-13).status is StepStatus.CONVERGED
+        return held.equations.residual[held.equations.equation]
+
+    h, displacement = 1e-7, solver.state[:freedoms]
+    unknowns = np.flatnonzero((equation >= 0) & (equation < free))
+    numeric = np.zeros_like(tangent)
+    for dof in unknowns:
+        kick = h * (np.arange(freedoms) == dof)
+        column = (nodal_forces(displacement + kick) - nodal_forces(displacement - kick)) / (2 * h)
+        numeric[equation[unknowns], equation[dof]] = column[unknowns]
+    assert abs(tangent - numeric).max() < 1e-7 * abs(tangent).max()
+
+
+def test_newton_converges_quadratically(branch):
+    m = model(material(branch))
+    solver = build_solver(m, build_mesh(m.experiment))
+    assert solver.step(4e-3, 0.5).status is StepStatus.CONVERGED
+    saved, residuals = solver.save(), []
+    for most in range(1, 5):
+        solver.restore(saved)
+        residuals.append(solver.step(5e-3, 0.5, tolerance=1e-13, max_iterations=most, predictor_order=0).residual)
+    falling = [r for r in residuals if r > 1e-9]
+    assert len(falling) >= 3 or residuals[-1] < 1e-9
+    for before, after in pairwise(falling):
+        assert after < 30.0 * before**2 or after < 1e-2 * before
+
+
+def test_simulator_remembers_saves_and_restores(branch):
+    """Step by step the forces of the built-in term, and bit for bit the same again from a saved state."""
+    plugin, own = (ts.Simulator(needle(stuff), inertia="off", tolerance=1e-9)
+                   for stuff in (material(branch), built_in()))
+    way = [2e-5 * k for k in range(1, 60)] + [1.2e-3] * 40 + [1.2e-3 - 2e-5 * k for k in range(1, 30)]
+    forces = [(plugin.step(depth, 0.02).force, own.step(depth, 0.02).force) for depth in way]
+    np.testing.assert_allclose(*np.transpose(forces), rtol=1e-6)
+    saved = plugin.save()
+    once = [plugin.step(depth, 0.02).force for depth in way]
+    plugin.restore(saved)
+    assert [plugin.step(depth, 0.02).force for depth in way] == once
+    plugin.reset()
+    assert plugin.step(way[0], 0.02).force == pytest.approx(forces[0][0], rel=1e-9)
+
+
+def test_its_parameters_are_those_of_the_model(branch, tmp_path):
+    """By path, in a material file, and changed while the simulator runs."""
+    stuff = material(branch)
+    assert value(stuff, "effects.maxwell_branch.tau") == TAU
+    ts.write_material_file(ts.MaterialFile.of(stuff), tmp_path / "m.material.json")
+    assert ts.load_material(tmp_path / "m.material.json").effects == stuff.effects
+    sim = ts.Simulator(needle(stuff), inertia="off")
+    force = sim.step(1e-3, 0.0).force
+    sim.reset()
+    sim.set_parameters(**{"effects.maxwell_branch.mu": 0.0})
+    assert sim.step(1e-3, 0.0).force == pytest.approx((1 - G) * force, rel=1e-3)
+
+
+def test_sensitivities_are_differences_and_say_so(branch):
+    plugin = ts.sensitivities(model(material(branch)), ["effects.maxwell_branch.tau"])
+    own = ts.sensitivities(model(built_in()), ["viscoelastic.terms[0].tau"])
+    assert not plugin.exact[0] and own.exact[0]
+    np.testing.assert_allclose(plugin.values, own.values, atol=1e-4 * abs(own.values).max())
+
+
+STIFFENER = """
+from dataclasses import dataclass
+from tissue_sim.material.effect import PointEffect
+from tissue_sim.parameters import parameter
+
+@dataclass(frozen=True)
+class Stiffener(PointEffect):
+    name = "stiffener"
+    modulus: float = parameter("E", "Pa", key="modulus_Pa", absent=0.0)
+
+    def response(self, C, state, dt):
+        k = {factor} * self.modulus
+        S = [0.5 * k * (C[i] - (i < 3)) for i in range(3)] + [0.5 * k * C[i] for i in range(3, 6)]
+        return S, [[k * (1.0 if i < 3 else 0.5) * (i == j) for j in range(6)] for i in range(6)], state
+"""
+FORCE = """
+import sys
+import tissue_sim as ts
+from {module} import Stiffener
+from tissue_sim.mesh.elements import Q4P0
+from tissue_sim.mesh import cylinder_mesh
+material = ts.Material("neo_hooke", {{"C10": 1500.0}}, ts.Bulk("K_Pa", 3e7), effects=[Stiffener(1000.0)])
+experiment = ts.Experiment(ts.Specimen(0.04, 0.07), ts.Protocol.ramp(1e-3, 2))
+force = ts.simulate(ts.Model(experiment, material), mesh=cylinder_mesh(0.04, 0.07, (2, 2), Q4P0)).force[-1]
+print(repr(float(force)))
+"""
+
+
+def test_two_plugins_of_one_name_are_two_kernels(tmp_path, monkeypatch):
+    """Another content is another kernel, in this process and in the kernels that are kept on disk."""
+    forces = {}
+    for factor in (1, 3):
+        (tmp_path / f"stiffener_{factor}.py").write_text(STIFFENER.format(factor=float(factor)), encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    for factor in (1, 3, 1):
+        names = {"print": lambda *_: None}
+        exec(FORCE.format(module=f"stiffener_{factor}"), names)
+        assert forces.setdefault(factor, names["force"]) == names["force"]
+    assert forces[3] - forces[1] > 0.1 * forces[1]
+    # The next process: the plugin has been changed under its old name.
+    (tmp_path / "stiffener_1.py").write_text(STIFFENER.format(factor=3.0), encoding="utf-8")
+    process = subprocess.run([sys.executable, "-c", FORCE.format(module="stiffener_1")], cwd=tmp_path, check=True,
+                             capture_output=True, text=True)
+    assert float(process.stdout) == forces[3]
+
+
+@pytest.mark.parametrize(("line", "message"), [
+    ("k = self.modulus if C[0] > 1.0 else 0.0", r"choose with numpy\.where"),
+    ("import numpy; k = numpy.arctan(C[0])", r"cannot use numpy\.arctan"),
+    ("k = self.modulus; state = [k]", "1 state variables; give 6, 6 rows of 6, and as many as in `rest`, 0"),
+])
+def test_what_a_kernel_cannot_do_is_refused(line, message):
+    names = {}
+    exec(STIFFENER.replace("k = {factor} * self.modulus", line), names)
+    stuff = ts.Material("neo_hooke", {"C10": C10}, BULK, effects=[names["Stiffener"](1000.0)])
+    with pytest.raises(InputError, match=message) as caught:
+        ts.simulate(model(stuff))
+    assert caught.value.field == "effects.stiffener" or caught.value.field.startswith("effects.stiffener.")
+
+
+def test_a_name_is_taken_once(branch):
+    with pytest.raises(InputError, match="taken by another effect of the tissue"):
+        EFFECTS.register(type("Other", (branch,), {}))

@@ -1,0 +1,85 @@
+"""Kinds of test: what each says, and that all of it can be used."""
+
+import pickle
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import tissue_sim as ts
+from scenes import SCENES
+from tissue_sim.experiment.interfaces import checked_interface
+from tissue_sim.recording.recording import CHANNELS
+
+EVERY = pytest.mark.parametrize("name", ts.KINDS)
+HOMOGENEOUS = [name for name, kind in ts.KINDS.items() if kind.closed_form is not None]
+
+
+def test_those_with_a_tool_are_the_scenes():
+    assert set(SCENES) == {name for name, kind in ts.KINDS.items() if kind.tool is not None}
+    with pytest.raises(KeyError):
+        SCENES["simple_shear"]
+
+
+@EVERY
+def test_a_kind_is_what_its_parts_know(name):
+    kind = ts.KINDS[name]
+    assert kind.name == name and pickle.loads(pickle.dumps(kind)) == kind
+    assert {channel for pair in kind.channels for channel in pair} <= set(CHANNELS)
+    for field, usual in kind.interfaces.items():
+        assert checked_interface(usual, field) == usual
+
+
+@EVERY
+def test_its_experiment(name):
+    kind, setting = ts.KINDS[name], {"specimen": ts.Specimen(0.04, 0.07), "protocol": ts.Protocol.ramp(0.01)}
+    if kind.gripped:
+        with pytest.raises(ts.InputError, match="has no tool and is not simulated"):
+            kind.experiment(**setting)
+        return
+    experiment = kind.experiment(**setting)
+    assert experiment.tool == kind.tool and kind.fits(experiment.tool)
+    assert kind.experiment(**setting, friction="stick").friction == "stick"
+
+
+@pytest.mark.parametrize(("name", "abscissa", "strain"), [
+    ("lubricated_compression", 0.9, 0.1), ("uniaxial_tension", 1.2, 0.2), ("simple_shear", -0.3, -0.3)])
+def test_strain_under_load(name, abscissa, strain):
+    kind = ts.KINDS[name]
+    assert kind.strain(np.array([abscissa])) == pytest.approx([strain])
+    assert kind.abscissa(kind.strain(abscissa)) == pytest.approx(abscissa)
+
+
+@pytest.mark.parametrize("name", HOMOGENEOUS)
+def test_stress_is_against_the_strain(name):
+    """At a small strain: 3 mu of tension and compression, mu of shear."""
+    kind, law, values = ts.KINDS[name], ts.find_law("neo_hooke"), {"C10": 500.0}
+    small = kind.abscissa(np.array([1e-6]))
+    modulus = 1000.0 if name == "simple_shear" else 3000.0
+    assert kind.sign * kind.closed_form.stress(law, small, values) == pytest.approx(modulus * 1e-6, rel=1e-4)
+    assert kind.closed_form.slope(law, small, values) == pytest.approx(modulus, rel=1e-4)
+
+
+@pytest.mark.parametrize(("name", "abscissa", "stretches"), [
+    ("lubricated_compression", 0.25, (0.25, 2.0)), ("uniaxial_tension", 4.0, (0.5, 4.0)),
+    # l - 1/l = 1.5 at l = 2.
+    ("simple_shear", 1.5, (0.5, 2.0)), ("simple_shear", -1.5, (0.5, 2.0))])
+def test_extreme_stretches(name, abscissa, stretches):
+    assert ts.KINDS[name].closed_form.extremes(abscissa, abscissa) == pytest.approx(stretches)
+
+
+def test_a_history_that_has_no_closed_form_is_refused():
+    from tissue_sim.closed_form.homogeneous import PLANAR
+
+    material = ts.Material("neo_hooke", {"C10": 500.0}, viscoelastic=ts.Prony((ts.PronyTerm(0.3, 2.0),)))
+    with pytest.raises(ts.InputError, match="uniaxial and simple_shear, not of planar"):
+        PLANAR.history(material, np.arange(3.0), np.array([1.0, 1.1, 1.1]), 0.01)
+
+
+def test_names_and_sizes_need_no_numpy():
+    """Help lists kinds, shapes and sizes."""
+    code = ("import sys; from scenes.catalogue import SCENES; from tissue_sim.experiment.tools.tool import tool_sizes; "
+            "print(len(SCENES), len(tool_sizes()), 'numpy' in sys.modules)")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, encoding="utf-8", check=True)
+    assert done.stdout.split() == ["4", "4", "False"]

@@ -1,0 +1,56 @@
+"""Effects at the points in the axisymmetric solid: six components reduced to four, stress and tangent to those of F."""
+
+from functools import cache
+from typing import Any
+
+from tissue_sim.fem.axisymmetric.energy import PACKED
+from tissue_sim.fem.point_effects import EffectFormula
+from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.taichi.trace import expressions, traced
+
+#: Places of RR, ZZ, hoop and RZ among six components, in the order of a memory: RR, RZ, ZZ, hoop.
+_PLACES = (0, 3, 1, 2)
+
+
+@cache
+def effects_function(formulas: tuple[EffectFormula, ...]):
+    """Taichi function ``add_effects(F, P, A, states, settings) -> (S, P, A, states)`` of vectors: add the stress of
+    effects, F S, to P and its derivative to A; see `tissue_sim.fem.point_effects.PointEffects` for the rest."""
+    ti = initialise()
+    count = 1 + sum(len(formula.parameters) for formula in formulas)
+
+    def added(F, P, A, states, settings):
+        return _added(formulas, F, P, A, states, settings)
+
+    @ti.func
+    def add_effects(F, P, A, states, settings: ti.template()):
+        return ti.static(added(F, P, A, states, [settings[i] for i in range(count)]))
+
+    return add_effects
+
+
+def _added(formulas: tuple[EffectFormula, ...], F: list, P: list, A: list, states: list, settings: list) -> tuple:
+    """What `add_effects` does, on expressions of Taichi."""
+    F, P, A = traced(F, lanes=True), traced(P, lanes=True), traced(A, lanes=True)
+    states, (dt, *numbers) = traced(states, lanes=True), traced(settings, lanes=False)
+    C = [F[0] * F[0] + F[2] * F[2], F[1] * F[1] + F[3] * F[3], F[4] * F[4], F[0] * F[1] + F[2] * F[3], 0.0, 0.0]
+    S: list[Any] = [0.0] * 4
+    D: list[list[Any]] = [[0.0] * 4 for _ in range(4)]
+    found: list[Any] = []
+    for formula in formulas:
+        parameters, numbers = numbers[: len(formula.parameters)], numbers[len(formula.parameters):]
+        state, states = states[: len(formula.kind.rest)], states[len(formula.kind.rest):]
+        stress, tangent, new = formula.bind(parameters).response(list(C), state, dt)
+        S = [S[i] + stress[place] for i, place in enumerate(_PLACES)]
+        D = [[D[i][k] + tangent[row][column] for k, column in enumerate(_PLACES)] for i, row in enumerate(_PLACES)]
+        found += new
+    # How the Green strains RR, 2 RZ, ZZ and hoop change with F.
+    B = [[F[0], 0.0, F[2], 0.0, 0.0], [F[1], F[0], F[3], F[2], 0.0], [0.0, F[1], 0.0, F[3], 0.0],
+         [0.0, 0.0, 0.0, 0.0, F[4]]]
+    DB = [[sum((D[i][m] * B[m][k] for m in range(4)), 0.0) for k in range(5)] for i in range(4)]
+    geometric = {(0, 0): S[0], (1, 0): S[1], (1, 1): S[2], (2, 2): S[0], (3, 2): S[1], (3, 3): S[2], (4, 4): S[3]}
+    P = [P[k] + sum((B[i][k] * S[i] for i in range(4)), 0.0) for k in range(5)]
+    A = [A[n] + geometric.get((i, k), 0.0) + sum((B[m][i] * DB[m][k] for m in range(4)), 0.0)
+         for n, (i, k) in enumerate(PACKED)]
+    like = F[0]
+    return expressions(S, like), expressions(P, like), expressions(A, like), expressions(found, like)

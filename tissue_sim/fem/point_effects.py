@@ -1,0 +1,116 @@
+"""Effects of the tissue at the quadrature points: their numbers and memory, whatever the elements are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import fields
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tissue_sim.errors import InputError
+from tissue_sim.fem.taichi.trace import TRIED, traced
+from tissue_sim.material.effect import PointEffect, TissueEffect
+from tissue_sim.parameters import declared
+
+#: The longest step that a formula sees, s: kernels know no infinity.
+LONGEST = 1e30
+
+
+class EffectFormula(NamedTuple):
+    """What a kernel is compiled for: the class, which is another one wherever its content is, and what it is told
+    beside its parameters."""
+
+    kind: type[PointEffect]
+    constants: tuple[tuple[str, Any], ...]
+
+    @classmethod
+    def of(cls, effect: PointEffect) -> EffectFormula:
+        """The formula of an effect."""
+        known = declared(type(effect))
+        return cls(type(effect), tuple((entry.name, getattr(effect, entry.name)) for entry in fields(effect)
+                                       if entry.name not in known))
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the declared ones, in order."""
+        return tuple(declared(self.kind))
+
+    def bind(self, parameters: Iterable[Any]) -> PointEffect:
+        """An effect with these numbers in its fields, which are not checked: they may be those of a kernel."""
+        effect = object.__new__(self.kind)
+        for name, value in (*self.constants, *zip(self.parameters, parameters, strict=True)):
+            object.__setattr__(effect, name, value)
+        return effect
+
+
+class PointEffects:
+    """The arrays of all such effects of a material that a step's kernel works on.
+
+    Attributes:
+        formulas: of the effects, in order.
+        settings: the time step, s, then the parameters of all effects.
+        states: state variables of all effects at the last committed step, then their stress, a second Piola-Kirchhoff
+            stress (RR, RZ, ZZ, hoop), Pa, shape (elements, q, variables + 4); found: in the step now.
+    """
+
+    def __init__(self, points: tuple[int, int]):
+        self._points = points
+        self.formulas: tuple[EffectFormula, ...] = ()
+        self._allocate(())
+
+    def _allocate(self, rest: tuple[float, ...]) -> None:
+        # Without effects nobody looks at them.
+        shape = (*self._points, len(rest) + 4) if self.formulas else (1, 1, 1)
+        self.states = np.zeros(shape)
+        self.states[..., : len(rest)] = rest
+        self.found = self.states.copy()
+
+    def set_effects(self, effects: Iterable[TissueEffect]) -> None:
+        """Take over the effects of a material; the memory is kept where they are of the same make.
+
+        Raises:
+            InputError: a formula that no kernel can take over, or one that gives something else than it should.
+        """
+        effects = [effect for effect in effects if isinstance(effect, PointEffect)]
+        formulas = tuple(EffectFormula.of(effect) for effect in effects)
+        if formulas != self.formulas:
+            for formula in formulas:
+                _try(formula)
+            self.formulas = formulas
+            self._allocate(tuple(value for effect in effects for value in effect.rest))
+        self.settings = np.array([0.0, *(float(getattr(effect, name)) for effect, formula in
+                                         zip(effects, formulas, strict=True) for name in formula.parameters)])
+
+    def prepare(self, dt: float) -> None:
+        """Before a step of `dt`, s."""
+        self.settings[0] = min(dt, LONGEST)
+
+    def commit(self) -> None:
+        """After a step that converged."""
+        self.states[:] = self.found
+
+    @property
+    def stress(self) -> np.ndarray:
+        """Of all effects together at the last committed step, Pa, shape (elements, q, 4)."""
+        return self.states[..., -4:]
+
+
+def _try(formula: EffectFormula) -> None:
+    """Run a formula once without a kernel.
+
+    Raises:
+        InputError: it does what a kernel cannot, or answers in another shape.
+    """
+    kind, field = formula.kind, f"effects.{formula.kind.name}"
+    parameters = traced([TRIED] * len(formula.parameters), lanes=False)
+    C, state, (dt,) = traced([TRIED] * 6, True), traced([TRIED] * len(kind.rest), True), traced([TRIED], False)
+    try:
+        stress, tangent, found = formula.bind(parameters).response(C, state, dt)
+    except InputError as error:
+        raise error.located(field=field) from None
+    shape = len(stress), len(tangent), {len(row) for row in tangent}, len(found)
+    if shape != (6, 6, {6}, len(kind.rest)):
+        raise InputError(f"the response of {kind.__name__} has {len(stress)} stresses, {len(tangent)} rows of tangent "
+                         f"and {len(found)} state variables; give 6, 6 rows of 6, and as many as in `rest`, "
+                         f"{len(kind.rest)}", field=field)

@@ -1,0 +1,162 @@
+"""Formulas that others write, as code of a kernel: plain Python and numpy, run once on numbers that note what is done.
+
+Taichi reads the source of its own functions and knows no others. A formula of a plugin is called instead with `Traced`
+numbers when the kernel is compiled, and every operation becomes one of the kernel. It may call functions, loop and
+index as it likes, as long as no branch depends on a number: that takes ``numpy.where``. Zeros and ones that are plain
+numbers fold, so that what is absent in a plane or on an axis costs nothing.
+
+Taichi keeps compiled kernels by the operations that they consist of, so two formulas of one name are two kernels.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from tissue_sim.errors import InputError
+from tissue_sim.fem.taichi.runtime import initialise
+
+#: Numpy's functions of one number that a formula may use, by the name of Taichi's.
+_FUNCTIONS = {np.exp: "exp", np.log: "log", np.sqrt: "sqrt", np.tanh: "tanh", np.sin: "sin", np.cos: "cos",
+              np.tan: "tan", np.absolute: "abs"}
+_OPERATORS: dict[Any, Callable] = {
+    np.add: operator.add, np.subtract: operator.sub, np.multiply: operator.mul, np.divide: operator.truediv,
+    np.negative: operator.neg, np.power: operator.pow, np.less: operator.lt, np.less_equal: operator.le,
+    np.greater: operator.gt, np.greater_equal: operator.ge}
+#: Whole powers up to this one are products.
+_PRODUCTS = 4
+#: Stands for an expression where a formula is only tried, without a kernel.
+TRIED = object()
+
+
+class Traced:
+    """A number of a kernel, or as many of them as a vector has lanes, that notes what a formula does with it.
+
+    Args:
+        value: a Taichi expression.
+        lanes: whether it is a vector.
+    """
+
+    __slots__ = ("lanes", "value")
+    __array_priority__ = 100.0
+
+    def __init__(self, value: Any, lanes: bool):
+        # A variable of the kernel: an expression that is used twice would be computed twice.
+        self.value, self.lanes = value if value is TRIED else initialise().lang.impl.expr_init(value), lanes
+
+    def __add__(self, other):
+        return self if _is(other, 0) else _noted(operator.add, self, other)
+
+    def __radd__(self, other):
+        return self if _is(other, 0) else _noted(operator.add, other, self)
+
+    def __sub__(self, other):
+        return self if _is(other, 0) else _noted(operator.sub, self, other)
+
+    def __rsub__(self, other):
+        return -self if _is(other, 0) else _noted(operator.sub, other, self)
+
+    def __mul__(self, other):
+        return 0.0 if _is(other, 0) else self if _is(other, 1) else _noted(operator.mul, self, other)
+
+    def __rmul__(self, other):
+        return self * other
+
+    def __truediv__(self, other):
+        return self if _is(other, 1) else _noted(operator.truediv, self, other)
+
+    def __rtruediv__(self, other):
+        return 0.0 if _is(other, 0) else _noted(operator.truediv, other, self)
+
+    def __pow__(self, power):
+        if isinstance(power, int) and 1 <= power <= _PRODUCTS:
+            product = self
+            for _ in range(power - 1):
+                product = product * self
+            return product
+        return _noted(initialise().pow, self, power)
+
+    def __rpow__(self, base):
+        return _noted(initialise().pow, base, self)
+
+    def __neg__(self):
+        return _noted(operator.neg, self)
+
+    def __abs__(self):
+        return _noted(abs, self)
+
+    def __lt__(self, other):
+        return _noted(operator.lt, self, other)
+
+    def __le__(self, other):
+        return _noted(operator.le, self, other)
+
+    def __gt__(self, other):
+        return _noted(operator.gt, self, other)
+
+    def __ge__(self, other):
+        return _noted(operator.ge, self, other)
+
+    def __bool__(self):
+        raise InputError("a formula in a kernel cannot branch on a number; choose with numpy.where", field="formula")
+
+    def __array_ufunc__(self, ufunc, method, *inputs, **options):
+        """What numpy's functions do with it."""
+        if method != "__call__" or options:
+            return NotImplemented
+        if ufunc in _OPERATORS:
+            # As Python's own operators, which fold zeros and ones; numpy's numbers would come back here.
+            return _OPERATORS[ufunc](*(float(x) if isinstance(x, np.generic) else x for x in inputs))
+        if ufunc in (np.maximum, np.minimum):
+            return _noted(initialise().max if ufunc is np.maximum else initialise().min, *inputs)
+        if ufunc in _FUNCTIONS:
+            return _noted(getattr(initialise(), _FUNCTIONS[ufunc]), *inputs)
+        raise InputError(f"a formula in a kernel cannot use numpy.{ufunc.__name__}; it has exp, log, sqrt, tanh, sin, "
+                         "cos, tan, abs, maximum, minimum and where", field="formula")
+
+    def __array_function__(self, function, types, arguments, options):
+        """``numpy.where``."""
+        if function is not np.where or options or len(arguments) != 3:
+            return NotImplemented
+        condition, yes, no = arguments
+        vector = next((x for x in arguments if isinstance(x, Traced) and x.lanes), None)
+        if vector is not None:
+            yes, no = (_spread(x, vector) for x in (yes, no))
+            if not condition.lanes:
+                condition = _spread(_noted(initialise().select, condition, 1.0, 0.0), vector) > 0.5
+        return _noted(initialise().select, condition, yes, no)
+
+
+def traced(values: Sequence[Any], lanes: bool) -> list[Traced]:
+    """Expressions as numbers that a formula can take."""
+    return [Traced(value, lanes) for value in values]
+
+
+def expressions(values: Sequence[Any], like: Any) -> list[Any]:
+    """What a formula gave back as expressions, vectors where `like` is one; plain numbers among them become that."""
+    return [_spread(value, like).value for value in values]
+
+
+def _is(value: Any, number: int) -> bool:
+    return not isinstance(value, Traced) and value == number
+
+
+def _noted(function: Callable, *operands: Any) -> Traced:
+    lanes = any(isinstance(x, Traced) and x.lanes for x in operands)
+    if any(isinstance(x, Traced) and x.value is TRIED for x in operands):
+        return Traced(TRIED, lanes)
+    return Traced(function(*(x.value if isinstance(x, Traced) else float(x) for x in operands)), lanes)
+
+
+def _spread(value: Any, vector: Traced) -> Traced:
+    """A number in all lanes of a vector."""
+    if isinstance(value, Traced) and value.lanes:
+        return value
+    if vector.value is TRIED:
+        return Traced(TRIED, lanes=True)
+    plain = value.value if isinstance(value, Traced) else float(value)
+    # The lanes of a comparison are no numbers: a select makes them some.
+    return Traced(vector.value * 0.0 + plain, lanes=True)
