@@ -115,9 +115,13 @@ def test_protocol_is_played_paused_stepped_and_reset(shown, reader):
                            lambda now: now.depth > standing + 1.25e-6 and at_rest(reader)(now)).depth
     assert stepped < standing + 2.5e-6, "a frame of 0.05 mm/s is 0.0017 mm"
     reader.phase("paused")
-    reader.fill("protocol", "ramp 4mm @2mm/s; hold 600s; unload")
     reader.press("Play")
     reader.phase("running")
+    reader.until(lambda: shown.frame.readouts.depth, lambda depth: depth > stepped + 0.01e-3)
+    reader.press("Reset")
+    reader.page.get_by_test_id("phase").filter(has_text="running · by hand").wait_for()
+    reader.fill("protocol", "ramp 4mm @2mm/s; hold 600s; unload")
+    reader.press("Play")
     reader.wait_for("depth", "4.00")
     assert reader.read("phase") == "running · protocol"
     live = reader.until(lambda: reader.curves()[0]["live load"], lambda live: len(live) > 155)
