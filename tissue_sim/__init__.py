@@ -8,7 +8,8 @@ from tissue_sim.version import __version__
 
 _HOMES = {
     "Bulk": "material.material", "Material": "material.material",
-    "Adhesion": "experiment.experiment", "Experiment": "experiment.experiment",
+    "Adhesion": "experiment.adhesion", "CONTACT_LAWS": "experiment.contact_law",
+    "ContactLaw": "experiment.contact_law", "Traction": "experiment.contact_law", "Experiment": "experiment.experiment",
     "Model": "model", "Protocol": "experiment.protocol", "Specimen": "specimen",
     "Tool": "experiment.tools.tool", "TOOLS": "experiment.tools.tool",
     "TestKind": "experiment.kinds.kind", "KINDS": "experiment.kinds.kind",

@@ -234,7 +234,7 @@ def test_what_a_kernel_cannot_do_is_refused(line, message):
     stuff = ts.Material("neo_hooke", {"C10": C10}, BULK, effects=[names["Stiffener"](1000.0)])
     with pytest.raises(InputError, match=message) as caught:
         ts.simulate(model(stuff))
-    assert caught.value.field == "effects.stiffener" or caught.value.field.startswith("effects.stiffener.")
+    assert caught.value.field == "effects.stiffener"
 
 
 def test_a_name_is_taken_once(branch):
