@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import tissue_sim as ts
 from tissue_sim.experiment.tools.tool import TOOLS
 from tissue_sim.material.parts import find_declaration, make_material
-from tissue_sim.parameters import declared, full_path, parameter_values, parameters, value, with_values
+from tissue_sim.parameters import declared, find_parameters, parameter_values, parameters, value, with_values
 
 MATERIAL = ts.Material(
     "ogden_2", {"mu1": 1500.0, "alpha1": 3.0, "mu2": 800.0, "alpha2": -2.5}, ts.Bulk("bulk_ratio", 1e3), 1040.0,
@@ -63,11 +63,11 @@ def test_several_change_at_once():
 def test_a_path_may_start_at_any_part():
     starts = ((MODEL, "experiment.tool.radius"), (EXPERIMENT, "tool.radius"), (EXPERIMENT.tool, "radius"))
     assert {value(part, path) for part, path in starts} == {8e-3}
-    assert full_path(MODEL, "layers[0].ratio") == "material.layers[0].ratio"
+    assert [each.path for each in find_parameters(MODEL, ["layers[0].ratio"])] == ["material.layers[0].ratio"]
     for name, words in (("experiment.tool.raduis", "did you mean 'experiment.tool.radius'"),
                         ("experiment.friction_base", "'bonded' and not a number"), ("C10", "unknown parameter")):
         with pytest.raises(ts.InputError, match=words):
-            full_path(MODEL, name)
+            find_parameters(MODEL, [name])
     with pytest.raises(ts.InputError, match=r"did you mean 'rig\.latency'"):
         with_values(MODEL, {"rig.latncy": 1.0})
 
