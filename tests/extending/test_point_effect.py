@@ -237,6 +237,12 @@ def test_what_a_kernel_cannot_do_is_refused(line, message):
     assert caught.value.field == "effects.stiffener"
 
 
+def test_closed_forms_leave_it_to_the_elements(branch):
+    with pytest.raises(InputError, match="closed forms know nothing of effects") as caught:
+        ts.nominal_stress_history(material(branch), [0.0, 1.0], [1.0, 0.9])
+    assert caught.value.field == "effects.maxwell_branch"
+
+
 def test_a_name_is_taken_once(branch):
     with pytest.raises(InputError, match="taken by another effect of the tissue"):
         EFFECTS.register(type("Other", (branch,), {}))

@@ -59,7 +59,8 @@ class PointEffects:
 
     def commit(self) -> None:
         """After a step that converged."""
-        self.states[:] = self.found
+        if self.formulas:
+            self.states[:] = self.found
 
     @property
     def stress(self) -> np.ndarray:
