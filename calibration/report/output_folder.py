@@ -9,8 +9,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from calibration.analytical.replicates import Replicate
 from calibration.campaign.campaign import Campaign
+from calibration.campaign.measured import MeasuredCurve
 from tissue_sim.atomic_write import write_text
 from tissue_sim.errors import InputError
 
@@ -21,16 +21,16 @@ TABLES = ("report.html", "curves.csv", "residuals.csv")
 WORK_SCHEMA = "tissue_sim/calibration/2"
 
 
-def claim(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaign], replicates: Sequence[Replicate],
-          works: Mapping[str, str], overwrite: bool) -> None:
-    """Make `output` ready for this work; what it holds of this very work stays.
+def claim(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaign], recordings: Sequence[MeasuredCurve],
+          digests: Mapping[str, str], overwrite: bool) -> None:
+    """Make `output` ready for these campaigns; what it holds of these very ones stays.
 
     Files of an earlier calibration are removed, by the list that it left in ``work.json``; no other file is touched.
 
     Args:
-        output: folder of the whole work. folders: of each campaign, by its name.
-        campaigns, replicates: what is read, which no result may replace.
-        works: digest of each campaign, by its name.
+        output: folder of all results. folders: of each campaign, by its name.
+        campaigns, recordings: what is read, which no result may replace.
+        digests: of each campaign, by its name.
         overwrite: whether other work in `output` may be replaced.
 
     Raises:
@@ -45,10 +45,10 @@ def claim(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaig
         if (folder / SOLVES).exists() and not (folder / SOLVES).is_dir():
             raise InputError("is in the way: simulations are kept in a folder of that name; move it away",
                              file=folder / SOLVES)
-    _protect_inputs(planned, campaigns, replicates)
+    _protect_inputs(planned, campaigns, recordings)
     found = _read_work(output)
     if not overwrite and output.exists() and any(output.iterdir()):
-        if found.get("campaigns") != works:
+        if found.get("campaigns") != digests:
             what = "the results of other work" if found else "other files"
             raise InputError(f"the folder holds {what}; choose an empty one or add --overwrite", file=output)
         return
@@ -60,7 +60,7 @@ def claim(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaig
     _clear_solves({path.parent for path in earlier})
     _remove(earlier, output)
     files = [path.relative_to(output).as_posix() for path in planned]
-    content = {"schema": WORK_SCHEMA, "campaigns": dict(works), "files": files}
+    content = {"schema": WORK_SCHEMA, "campaigns": dict(digests), "files": files}
     write_text(output / WORK_FILE, json.dumps(content, indent=2) + "\n")
 
 
@@ -70,10 +70,10 @@ def result_files(campaign: Campaign, folder: Path) -> list[Path]:
             folder / FIT_FILE]
 
 
-def _protect_inputs(planned: Sequence[Path], campaigns: Sequence[Campaign], replicates: Sequence[Replicate]) -> None:
-    recordings = {replicate.file for replicate in replicates}
-    inputs = [*(campaign.path for campaign in campaigns), *recordings,
-              *(path.with_suffix(".json") for path in recordings)]
+def _protect_inputs(planned: Sequence[Path], campaigns: Sequence[Campaign],
+                    recordings: Sequence[MeasuredCurve]) -> None:
+    files = {recording.file for recording in recordings}
+    inputs = [*(campaign.path for campaign in campaigns), *files, *(path.with_suffix(".json") for path in files)]
     existing = [path for path in inputs if path.exists()]
     for path in planned:
         # By identity: links, and names that a file system does not tell apart, are the same file.
