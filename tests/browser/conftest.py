@@ -170,7 +170,7 @@ class Shown:
 def shown(browser, tmp_path_factory):
     """One viewer for all tests of its page."""
     import tissue_sim as ts
-    from scenes.commands.loop import read_material
+    from scenes.commands.shared.tissue_flags import read_material
     from scenes.viewer.measurement import measurement
     from scenes.viewer.scene import Scene
     from tissue_sim.experiment.kinds.indentation import NEEDLE

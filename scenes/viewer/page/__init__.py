@@ -8,7 +8,7 @@ from pathlib import Path
 
 import viser
 
-from scenes.figures import LABELS
+from scenes.commands.shared.figures import LABELS
 from scenes.viewer.colours import colour_bar_html
 from scenes.viewer.frame import Commands, Frame, Phase
 from scenes.viewer.page.curve_plots import CurvePlots

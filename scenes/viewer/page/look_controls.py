@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import viser
 
-from scenes.figures import LABELS
+from scenes.commands.shared.figures import LABELS
 from scenes.viewer.camera import FIELD_OF_VIEW, PRESETS, camera_pose
 from scenes.viewer.frame import Frame
 from scenes.viewer.page.solid import Look

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from scenes.console import print_json, progress_console, results_console
-from scenes.parsing import Parser, add_json, add_overwrite, at_least
+from scenes.commands.shared.console import print_json, progress_console, results_console
+from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, at_least
 
 SUMMARY = "fit strain-energy laws to the recordings of one or more campaigns"
 EXAMPLE = "tissue-sim calibrate campaign.toml -o results --workers 4"
@@ -28,7 +28,7 @@ def add_arguments(parser: Parser) -> None:
 
 def run(arguments) -> int:
     from calibration import Workers, calibrate, to_json
-    from scenes.calibration_progress import CalibrationProgress
+    from scenes.commands.calibrate.progress import CalibrationProgress
 
     before = _claim_on(arguments.output)
     try:
@@ -44,7 +44,7 @@ def run(arguments) -> int:
     if arguments.json:
         print_json(to_json(results))
     else:
-        from scenes.calibration_results import print_results
+        from scenes.commands.calibrate.results import print_results
 
         print_results(results, arguments.output, results_console())
     # The goal is a material that a simulator can use: a usable fit at the top of each ranking.

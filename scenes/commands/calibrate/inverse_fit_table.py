@@ -15,7 +15,7 @@ from calibration.report.page import number, parameter_unit, stable_stretches
 from calibration.report.pressure import pressure_unit
 from calibration.report.report_tables import direction_in_words, place_of, suggestion_in_words
 from calibration.report.self_weight import statement
-from scenes.fit_table import (
+from scenes.commands.calibrate.fit_table import (
     error_unit,
     print_remarks,
     ranked_name,
@@ -23,7 +23,7 @@ from scenes.fit_table import (
     remark_on_error,
     share_of_variance,
 )
-from scenes.text_table import print_sentence, text_table
+from scenes.commands.shared.text_table import print_sentence, text_table
 from tissue_sim.laws import find_law
 
 if TYPE_CHECKING:

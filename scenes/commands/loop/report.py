@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from haptics.loop.ticker import LATE
-from scenes.text_table import print_sentence, text_table
+from scenes.commands.shared.text_table import print_sentence, text_table
 
 if TYPE_CHECKING:
     from rich.console import Console
