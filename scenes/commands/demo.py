@@ -50,5 +50,5 @@ def _view(arguments, material_file: Path) -> int:
 
     experiment = NEEDLE.experiment(specimen=SPECIMEN, protocol=ts.Protocol.ramp(DEPTH))
     measured = read_measurements(sorted((arguments.output / "measured").glob("*.csv")), NEEDLE.name)
-    setup = Scene(NEEDLE, experiment, ts.load_material(material_file), material_file.name, measured)
-    return run_page(setup, material_file.parent, page_options(arguments), json=arguments.json)
+    scene = Scene(NEEDLE, experiment, ts.load_material(material_file), material_file.name, measured)
+    return run_page(scene, material_file.parent, page_options(arguments), json=arguments.json)

@@ -74,12 +74,12 @@ def run(arguments) -> int:
 
     material = read_material(arguments.material)
     experiment = make_experiment(arguments, make_protocol(arguments), material)
-    setup = Scene(SCENES[arguments.scene], experiment, material,
+    scene = Scene(SCENES[arguments.scene], experiment, material,
                   BUILT_IN if arguments.material is None else arguments.material.name,
-                  read_measurements(arguments.measured, arguments.scene))
+                  read_measurements(arguments.measured, arguments.scene), arguments.solver)
     options = {"resolution": arguments.resolution, "real_time": not arguments.no_real_time}
     if arguments.headless:
-        answer = run_headless(setup, arguments.seconds, protocol=arguments.protocol,
+        answer = run_headless(scene, arguments.seconds, protocol=arguments.protocol,
                               speed=arguments.speed_mm_s * 1e-3, **options)
         if arguments.json:
             print_json(answer)
@@ -90,7 +90,7 @@ def run(arguments) -> int:
                   f"largest force {answer['largest_force_N']:.3f} N", file=sys.stdout)
         return 0 if answer["phase"] != "stopped" else 1
     folder = arguments.materials or (arguments.material.parent if arguments.material else Path())
-    return run_page(setup, folder, page_options(arguments), seconds=arguments.seconds, json=arguments.json, **options)
+    return run_page(scene, folder, page_options(arguments), seconds=arguments.seconds, json=arguments.json, **options)
 
 
 def page_options(arguments) -> dict:

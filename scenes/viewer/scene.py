@@ -26,6 +26,7 @@ class Scene:
         material: as it is now.
         source: where the material comes from, for people.
         measurements: by the name of the kind that they belong to.
+        solver: name in `tissue_sim.fem.solver.SOLVERS`.
     """
 
     kind: TestKind
@@ -33,6 +34,7 @@ class Scene:
     material: ts.Material
     source: str = BUILT_IN
     measurements: Mapping[str, Measurement] = field(default_factory=dict)
+    solver: str = "axisymmetric"
 
     @property
     def model(self) -> ts.Model:

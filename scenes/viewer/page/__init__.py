@@ -61,7 +61,7 @@ class Page:
 
     def _build(self, session: Commands, frame: Frame, materials: Path, low_graphics: bool, dark: bool) -> None:
         server, gui = self.server, self.server.gui
-        self._solid = Solid(server, frame.setup, low_graphics=low_graphics)
+        self._solid = Solid(server, frame.scene, low_graphics=low_graphics)
         self._solid.on_drag(lambda depth: session.post("aim", depth=depth))
         self._status = gui.add_html(status_html(frame))
         self._restart = gui.add_button("Restart", icon=viser.Icon.REFRESH, color="red", visible=False)

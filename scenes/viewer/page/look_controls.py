@@ -76,7 +76,7 @@ class LookControls:
             client.camera.position, client.camera.look_at = position, look_at
 
     def _pose(self, preset: str, aspect: float):
-        experiment, snapshot = self._frame.setup.experiment, self._frame.snapshot
+        experiment, snapshot = self._frame.scene.experiment, self._frame.snapshot
         depth = 0.0 if snapshot is None else snapshot.depth
         above = picture_height(experiment.tool, experiment.specimen)
         pose = camera_pose(preset, experiment.specimen, experiment.tool, depth, above, aspect)

@@ -93,7 +93,7 @@ class MaterialControls:
         if self._shows % _LIST_EVERY == 0:
             with suppress(ts.InputError):  # somebody has removed the folder: what is on the list stays
                 self._list()
-        material, source = frame.setup.material, frame.setup.source
+        material, source = frame.scene.material, frame.scene.source
         # What was entered a moment ago is newer than the frame.
         if self._shown == (material, source) or self._entered != self._obeyed:
             return
