@@ -60,8 +60,8 @@ class Session:
         self._felt = 0
         self._motion, self._target = "hand", 0.0
         self._simulation: LiveSimulation | None = None
-        #: Whether the material was changed before the simulation could be told.
-        self._owed = False
+        #: Whether the material was changed while the simulation was starting, so that it still has the old one.
+        self._material_is_late = False
         self._begin()
 
     @property
@@ -86,8 +86,8 @@ class Session:
         self._obey()
         simulation = self._simulation
         records = simulation.poll()
-        if self._owed and simulation.phase is Phase.RUNNING:
-            self._owed = False
+        if self._material_is_late and simulation.phase is Phase.RUNNING:
+            self._material_is_late = False
             try:
                 simulation.ask("set_parameters", **parameter_values(self.scene.material))
             except InputError:
@@ -202,7 +202,7 @@ class Session:
         if self._simulation.phase in (Phase.RUNNING, Phase.PAUSED):
             self._simulation.ask("set_parameters", **parameter_values(material))
         # Another simulation would begin with it; one that is about to run gets it then.
-        self._owed = self._simulation.phase is Phase.STARTING
+        self._material_is_late = self._simulation.phase is Phase.STARTING
         self.scene = scene
         self._curve.ask(self._test())
 
@@ -271,7 +271,7 @@ class Session:
             self._simulation.close()
         self._motion, self._target = "hand", 0.0
         self._forget_trace()
-        self._owed = False
+        self._material_is_late = False
         self._simulation = LiveSimulation(self.scene.model, HandMotion(0.0, HAND_SPEED), solver=self.scene.solver,
                                           resolution=self._resolution, real_time=self._real_time)
         self._curve.ask(self._test())

@@ -153,12 +153,12 @@ class Trace:
 
     def branches(self) -> tuple[Branch | None, Branch | None]:
         """The newest loading branch and the newest unloading branch; None where there was none."""
-        found: dict[int, Branch] = {}
+        newest: dict[int, Branch] = {}
         for direction, first, last in reversed(self._branches()):
-            found.setdefault(direction, self._branch(first, last))
-            if len(found) == 2:
+            newest.setdefault(direction, self._branch(first, last))
+            if len(newest) == 2:
                 break
-        return found.get(1), found.get(-1)
+        return newest.get(1), newest.get(-1)
 
     def newest_passes(self, grid: np.ndarray, most: int = 40) -> tuple[np.ndarray, np.ndarray]:
         """Force at each depth of a grid when the tool last went in past it, and when it last went out past it.

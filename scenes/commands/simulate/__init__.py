@@ -8,6 +8,7 @@ from pathlib import Path
 from scenes.catalogue import SCENES
 from scenes.commands.shared.console import print_json, progress_console, results_console
 from scenes.commands.shared.experiment_flags import add_experiment_flags, check_scene, make_experiment, make_protocol
+from scenes.commands.shared.field_labels import LABELS
 from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, new_file
 from scenes.commands.shared.tissue_flags import add_solver_flags, check_solver
 from scenes.commands.simulate.replicates import add_rig_flags, make_rig, output_files, read_replicates
@@ -17,9 +18,6 @@ from tissue_sim.errors import ConvergenceError, InputError
 SUMMARY = "simulate a test and print force against displacement"
 EXAMPLE = ("tissue-sim simulate needle_indentation --material m.material.json --friction 0.7 --edge-radius-mm 0.25 "
            "--protocol 'ramp 10mm @0.248mm/s; hold 60s; unload' -o needle.csv")
-#: Names only, as help must answer at once. A test holds these against the fields.
-FIELDS = ("displacement", "von_mises", "cauchy_rr", "cauchy_zz", "cauchy_rz", "cauchy_hoop", "pressure", "energy", "J",
-          "stretch")
 FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
 
 
@@ -31,7 +29,7 @@ def add_arguments(parser: Parser) -> None:
     add_solver_flags(parser, ("fast", "accurate"))
     parser.add_argument("-o", dest="output", type=Path, metavar="CURVE.csv", help="write the curve as a recording")
     parser.add_argument("--figure", type=Path, metavar="F.png", help="draw the deformed mesh, coloured by --field")
-    parser.add_argument("--field", choices=FIELDS, help="colour of --figure (default: von_mises)")
+    parser.add_argument("--field", choices=tuple(LABELS), help="colour of --figure (default: von_mises)")
     add_overwrite(parser)
     add_json(parser)
     parser.set_defaults(run=run)

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import viser
 
-from scenes.commands.shared.figures import LABELS
+from scenes.commands.shared.field_labels import LABELS
 from scenes.viewer.frame import Frame
 from scenes.viewer.measurement import branches_on_grid
 from scenes.viewer.page.look_controls import LookControls
-from scenes.viewer.page.notices import answer_to, send_file, tell
+from scenes.viewer.page.notices import answer_to, notify, send_file
 from scenes.viewer.page.solid import Solid
 from scenes.viewer.picture_file import Curve, compose_png
 from scenes.viewer.plots import LIGHT, depth_grid
@@ -90,7 +90,7 @@ class Saving:
         width, height = (min(size, _LARGEST) for size in (camera.image_width, camera.image_height))
         render = _rendered(event.client, height, width)
         if render is None:
-            tell(event.client, "That did not work", "the browser drew no picture; try again", "red")
+            notify(event.client, "That did not work", "the browser drew no picture; try again", "red")
             return
         scene, now = frame.scene, frame.readouts
         caption = [f"{scene.kind.title}, {scene.material.energy_law.title} ({scene.source})"]

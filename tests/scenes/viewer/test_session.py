@@ -340,7 +340,7 @@ def springs(of_gel, pool, needle):
 
 
 def newest_model(pool):
-    (model, _), _ = pool.tasks[-1]
+    (model, *_), _ = pool.tasks[-1]
     return model
 
 
