@@ -175,6 +175,36 @@ def tokens(path: str) -> list[str | int]:
     return [name if name else int(index) for name, index in _TOKEN.findall(path)]
 
 
+def to_keys(part: Any) -> dict[str, float]:
+    """Key of files -> value in its unit, 15 digits, of the numbers that a part declares and has."""
+    return {what.key: float(f"{number / what.factor:.15g}") for name, what in declared(type(part)).items()
+            if (number := getattr(part, name)) is not None}
+
+
+def from_keys(kind: type[Part], content: Mapping[str, float], field: str) -> Part:
+    """A part from the keys of a file.
+
+    Args:
+        kind: its class.
+        content: key -> value in its unit.
+        field: where they stand, for messages.
+
+    Raises:
+        InputError: an unknown key (names the nearest), a missing one, or a value that the part refuses; with the field.
+    """
+    names = {what.key: (name, what.factor) for name, what in declared(kind).items()}
+    for key in content:
+        if key not in names:
+            raise InputError(f"unknown key{nearest(key, names)}", field=f"{field}.{key}")
+    needed = {declaration(entry).key for entry in fields(kind) if declaration(entry) and entry.default is MISSING}
+    if missing := [key for key in names if key in needed and key not in content]:
+        raise InputError(f"needs {', '.join(missing)}", field=field)
+    try:
+        return kind(**{names[key][0]: names[key][1] * value for key, value in content.items()})
+    except InputError as error:
+        raise error.located(field=field) from None
+
+
 def _at(part: Any, path: str) -> Any:
     """What stands at a path, the part itself at the empty one; None where nothing does."""
     for token in tokens(path):
