@@ -41,7 +41,7 @@ class LiveSimulation:
 
     Attributes:
         phase, message: what it does, or why it ended.
-        snapshot: newest; None before the first.
+        snapshot: newest; None before the first, and of a tissue that has no fields to show.
         readouts: None before the first tick.
     """
 
@@ -95,14 +95,17 @@ class LiveSimulation:
             return None
         if self._ring is None:
             self._ring = self._files.enter_context(self._loop.ring())
-            self._snapshots = self._files.enter_context(self._loop.snapshots())
+            snapshots = self._loop.snapshots()
+            if snapshots is not None:
+                self._snapshots = self._files.enter_context(snapshots)
         self.phase = Phase.PAUSED if self._paused else Phase.RUNNING
         ticks = self._ring.since(self._number)
         self._number = ticks.number
-        self._snapshots.pattern = self._loop.pattern
-        published = self._snapshots.latest(after=self._published)
-        if published is not None:
-            self._published, self.snapshot = published.number, published.snapshot
+        if self._snapshots is not None:
+            self._snapshots.pattern = self._loop.pattern
+            published = self._snapshots.latest(after=self._published)
+            if published is not None:
+                self._published, self.snapshot = published.number, published.snapshot
         if len(ticks.records):
             self._read_out(ticks.records)
         return ticks.records
