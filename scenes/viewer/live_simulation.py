@@ -101,15 +101,18 @@ class LiveSimulation:
             return None
         if self._ring is None:
             self._ring = self._files.enter_context(self._loop.ring())
-            self._snapshots = self._files.enter_context(self._loop.snapshots())
+            snapshots = self._loop.snapshots()
+            if snapshots is not None:
+                self._snapshots = self._files.enter_context(snapshots)
         self.phase = Phase.PAUSED if self._paused else Phase.RUNNING
         ticks = self._ring.since(self._number)
         self._number = ticks.number
-        self._snapshots.pattern = self._loop.pattern
-        published = self._snapshots.latest(after=self._published)
-        if published is not None:
-            self._published = published.number
-            self._take(published.snapshot)
+        if self._snapshots is not None:
+            self._snapshots.pattern = self._loop.pattern
+            published = self._snapshots.latest(after=self._published)
+            if published is not None:
+                self._published = published.number
+                self._take(published.snapshot)
         if len(ticks.records):
             self._read_out(ticks.records)
         return ticks.records
