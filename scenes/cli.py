@@ -10,7 +10,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-from calibration.tasks.executors import WorkerError
+from calibration.tasks.errors import WorkerError
 from scenes.commands import calibrate, demo, doctor, loop, material, serve, simulate, view
 from scenes.commands.shared.parsing import Parser, later_answer
 from tissue_sim import __version__

@@ -130,6 +130,11 @@ class LoopProcess:
         return self._ready
 
     @property
+    def ready(self) -> bool:
+        """Whether the process is known to have come to its first tick; `poll` looks."""
+        return self._ready
+
+    @property
     def alive(self) -> bool:
         """Whether the process runs."""
         return self._process is not None and self._process.is_alive()
@@ -228,7 +233,9 @@ class LoopProcess:
         """End the process, by force where it does not end by itself. Returns its report, None where there is none."""
         if self._process is None:
             return None
-        with suppress(LoopError, InputError):  # it has died: there is nothing to stop
+        with suppress(LoopError, InputError, OSError):  # it has died: there is nothing to stop
+            while not self._ready and self._connection.poll():
+                self._read(0.0)
             if self._ready and self.report is None:
                 self.ask("stop")
                 self.wait(PATIENCE)
