@@ -182,7 +182,7 @@ def test_table_of_fixed_bounded_and_unsound(campaign, tmp_path, capsys):
     campaign.write_text(text, encoding="utf-8")
     main(["calibrate", str(campaign), "-o", str(tmp_path / "out")])
     shown = capsys.readouterr().out
-    assert "700 Pa (fixed)" in shown and "2 kPa (on its bound)" in shown
+    assert "700 Pa (fixed)" in shown and "2000 Pa (on its bound)" in shown
     assert "mooney_rivlin: C01 ended on its bound 2000" in shown
 
 
