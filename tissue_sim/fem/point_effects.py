@@ -72,15 +72,15 @@ class PointEffects:
         Raises:
             InputError: a formula that no kernel can take over, or one that gives something else than it should.
         """
-        effects = [effect for effect in effects if isinstance(effect, PointEffect)]
-        formulas = tuple(EffectFormula.of(effect) for effect in effects)
+        points = [effect for effect in effects if isinstance(effect, PointEffect)]
+        formulas = tuple(EffectFormula.of(effect) for effect in points)
         if formulas != self.formulas:
             for formula in formulas:
                 _try(formula)
             self.formulas = formulas
-            self._allocate(tuple(value for effect in effects for value in effect.rest))
+            self._allocate(tuple(value for effect in points for value in effect.rest))
         self.settings = np.array([0.0, *(float(getattr(effect, name)) for effect, formula in
-                                         zip(effects, formulas, strict=True) for name in formula.parameters)])
+                                         zip(points, formulas, strict=True) for name in formula.parameters)])
 
     def prepare(self, dt: float) -> None:
         """Before a step of `dt`, s."""

@@ -60,14 +60,13 @@ class Profile:
         """Points (r, z) of the surface from the axis up to `height`, m, for drawing, shape (n, 2)."""
         import numpy as np
 
-        way = np.diff(self.vertices, axis=0)
+        vertices = np.asarray(self.vertices)
+        way = np.diff(vertices, axis=0)
         angle = np.arctan2(-way[:, 0], way[:, 1])  # of the outward normal
         # The surface begins on the axis, under the first vertex.
-        angle = np.concatenate([[-np.pi / 2], angle, [np.pi / 2 if self.vertices[-1, 1] < height else angle[-1]]])
-        points = []
-        for k, vertex in enumerate(self.vertices):
-            turn = np.linspace(angle[k], angle[k + 1], 25)
-            points.append(vertex + self.rounding * np.stack([np.cos(turn), np.sin(turn)], axis=-1))
-        points = np.concatenate(points)
+        angle = np.concatenate([[-np.pi / 2], angle, [np.pi / 2 if vertices[-1, 1] < height else angle[-1]]])
+        turns = np.linspace(angle[:-1], angle[1:], 25, axis=1)
+        normals = np.stack([np.cos(turns), np.sin(turns)], axis=-1)
+        points = (vertices[:, None] + self.rounding * normals).reshape(-1, 2)
         points[:, 1] = np.minimum(points[:, 1], height)
         return points

@@ -29,7 +29,7 @@ _OPERATORS: dict[Any, Callable] = {
 #: Whole powers up to this one are products.
 _PRODUCTS = 4
 #: Stands for an expression where a formula is only tried, without a kernel.
-TRIED = object()
+TRIED: Any = object()
 
 
 class Traced:
