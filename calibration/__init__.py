@@ -9,13 +9,11 @@ _HOMES = {
     "Campaign": "campaign.campaign", "FitSettings": "campaign.campaign", "Noise": "campaign.campaign",
     "Test": "campaign.campaign",
     "load_campaign": "campaign.campaign",
-    "Replicate": "analytical.replicates", "read_replicates": "analytical.replicates",
-    "fit_law": "analytical.uniaxial",
     "Fit": "fit.fit", "Minimum": "fit.fit", "Nuisance": "fit.fit", "Prediction": "fit.fit",
     "CalibrationResult": "fit.result", "to_json": "fit.result",
-    "calibrate": "pipeline",
+    "calibrate": "pipeline", "HoldFit": "fit.hold", "fit_hold": "fit.hold",
     "MeasuredCurve": "campaign.measured", "read_measured": "campaign.measured",
-    "Workers": "tasks.executors", "WorkerError": "tasks.executors",
+    "Workers": "tasks.executors", "WorkerError": "tasks.errors",
 }
 
 __all__ = sorted(_HOMES)

@@ -10,7 +10,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-from calibration.tasks.executors import WorkerError
+from calibration.tasks.errors import WorkerError
 from scenes.commands import COMMANDS, LATER
 from scenes.parsing import Parser, later_answer
 from tissue_sim import __version__

@@ -113,7 +113,7 @@ def build_experiment(arguments, protocol: Protocol, material: Material) -> Exper
         raise InputError("adhesion needs a force and a length; give both or neither",
                          field="--adhesion-N" if arguments.adhesion_N is not None else "--adhesion-length-mm")
     if arguments.adhesion_N is not None:
-        from tissue_sim.experiment.experiment import Adhesion
+        from tissue_sim.experiment.adhesion import Adhesion
 
         changes["adhesion"] = Adhesion(arguments.adhesion_N, arguments.adhesion_length_mm * 1e-3)
     if arguments.tilt_mm is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from calibration.report.page import stable_stretches
+from calibration.report.page import parameter_unit, stable_stretches
 from calibration.report.pressure import format_pressure, pressure_unit
 from calibration.report.self_weight import statement
 from scenes.text_table import print_sentence, text_table
@@ -78,20 +78,21 @@ def _parameter_table(fits: Sequence[Fit]) -> Table:
     """The parameters and their standard errors, in the order of the ranking."""
     table = text_table("law", "parameter", "value ± standard error", text=3)
     for fit in fits:
-        units = find_law(fit.law).units
+        law = find_law(fit.law)
         for i, (name, value) in enumerate(fit.parameters.items()):
-            table.add_row(fit.law if i == 0 else "", name, _value(fit, name, value, units[name] != "1"))
+            table.add_row(fit.law if i == 0 else "", name, _value(fit, name, value, parameter_unit(law, name)))
     return table
 
 
-def _value(fit: Fit, name: str, value: float, pressure: bool) -> str:
+def _value(fit: Fit, name: str, value: float, unit: str) -> str:
     """A parameter with its standard error, or why it has none."""
     error = fit.standard_errors.get(name)
     spread = error or None
-    if pressure:
+    if unit == "Pa":
         text = format_pressure(value, error=spread)
     else:
         text = f"{value:.5g}" if spread is None else f"{value:.5g} ± {spread:.2g}"
+        text = f"{text} {unit}".rstrip()
     return f"{text}{remark_on_error(fit, name)}"
 
 

@@ -12,7 +12,7 @@ from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.fem.solver import Derivatives, Solver
 from tissue_sim.material.effect import ReducedEffect, TissueEffect
 from tissue_sim.model import Model
-from tissue_sim.parameters import Parameter, full_path, parameter_values, parameters, with_values
+from tissue_sim.parameters import Parameter, find_parameters, parameters, with_values
 from tissue_sim.recording.recording import Recording
 from tissue_sim.simulation import simulate
 
@@ -46,10 +46,10 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
     Those with the material are exact: the equations of every converged step are differentiated, history, slip and
     anchors included; bulk modulus as the material states it, so that `bulk.bulk_ratio` is held while the law changes
     where the bulk response is a ratio, and `bulk.K_Pa` where it is a modulus. Where the start or the motion depends on
-    the material (self-weight, a rig that gives way), the tool adheres or leans, an effect was added to the material, or
-    the parameter is one of the experiment, the rig or the mesh, it is a central difference of two simulations
-    `SIMULATION_WIDTH` apart, one-sided at the end of the parameter's range. Geometry moves the nodes of one mesh, so
-    that such a difference has no jumps of remeshing.
+    the material (self-weight, a rig that gives way), the tool adheres or leans, an effect was added to the material or
+    a law to the contact, or the parameter is one of the experiment, the rig or the mesh, it is a central difference of
+    two simulations `SIMULATION_WIDTH` apart, one-sided at the end of the parameter's range. Geometry moves the nodes of
+    one mesh, so that such a difference has no jumps of remeshing.
 
     Args:
         model: experiment, material, rig; forces are those on the tool, before the sensor of the rig reads them.
@@ -63,11 +63,12 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
     Source: implicit differentiation at the converged step, as in Michaleris, Tortorelli and Vidal, Int. J. Numer.
     Methods Eng. 37 (1994) 2471.
     """
-    known = parameters(model)
-    names = tuple(parameter_values(model.material)) if names is None else tuple(names)
-    asked = [known[full_path(model, name)] for name in names]
+    of_material = parameters(model.material)
+    names = tuple(of_material) if names is None else tuple(names)
+    asked = find_parameters(model, names)
     model = replace(model, rig=model.rig.motion_only)
-    exact = np.array([_exact(model, parameter) for parameter in asked], dtype=bool)
+    own = {f"material.{path}" for path in of_material}
+    exact = np.array([parameter.path in own and _exact(model, parameter) for parameter in asked], dtype=bool)
     options = {"resolution": resolution, "mesh": mesh, "solver": solver, "topology": topology or model}
     watch = _Watch([_pair(model, parameter) for parameter, one in zip(asked, exact, strict=True) if one])
     recording = simulate(model, watch=watch, **options)
@@ -106,16 +107,15 @@ class _Watch:
 
 
 def _exact(model: Model, parameter: Parameter) -> bool:
-    """Whether the solver differentiates its equations with respect to the parameter."""
+    """Whether the solver differentiates its equations with respect to a parameter of the material."""
     experiment, pores = model.experiment, model.material.poroelasticity
-    if experiment.specimen.specific_weight or experiment.adhesion or experiment.tilt or model.rig.compliance:
+    if experiment.specimen.specific_weight or experiment.acting_laws or experiment.tilt or model.rig.compliance:
         return False
     added = [effect for effect in model.material.effects.values() if not isinstance(effect, ReducedEffect)]
     if issubclass(parameter.part, TissueEffect) or added or parameter.declaration.shapes_mesh:
         return False
-    if pores is not None and pores.phi == 0 and parameter.part is type(pores):
-        return False  # a term that appears
-    return parameter.path in {f"material.{path}" for path in parameter_values(model.material)}
+    # Pores of no share are a term that appears.
+    return not (pores is not None and pores.phi == 0 and parameter.part is type(pores))
 
 
 def _pair(model: Model, parameter: Parameter):

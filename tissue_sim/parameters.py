@@ -9,7 +9,7 @@ at any part: ``viscoelastic.terms[0].g`` is one of a `Material`.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
 from math import inf
 from numbers import Real
@@ -127,16 +127,20 @@ def value(part: Any, path: str) -> float:
     return known[path].value
 
 
-def full_path(model: Any, name: str) -> str:
-    """The path of a parameter of a model; ``material.`` may be left out.
+def find_parameters(model: Any, names: Iterable[str]) -> list[Parameter]:
+    """Parameters of a model by their paths; ``material.`` may be left out.
 
     Raises:
         InputError: no such parameter; names the nearest.
     """
     known = parameters(model)
+    return [_find(model, name, known) for name in names]
+
+
+def _find(model: Any, name: str, known: Mapping[str, Parameter]) -> Parameter:
     for path in (name, f"material.{name}"):
         if path in known:
-            return path
+            return known[path]
         word = _at(model, path)
         if isinstance(word, str):
             raise InputError(f"is {word!r} and not a number that could change", field=name)
@@ -154,12 +158,11 @@ def with_values(part: Part, values: Mapping[str, float]) -> Part:
     Raises:
         InputError: no such parameter (names the nearest), or what the parts refuse.
     """
-    known = {each.path for each in _walk(part, "")}
     tree: dict = {}
     for path, number in values.items():
-        if path not in known:
-            raise InputError(f"there is no parameter {path!r}{nearest(path, known)}", field="parameters")
         *outer, last = tokens(path)
+        if not _has(_at(part, path.rpartition(".")[0]), last):
+            raise InputError(f"there is no parameter {path!r}{nearest(path, parameters(part))}", field="parameters")
         branch = tree
         for token in outer:
             branch = branch.setdefault(token, {})
@@ -173,7 +176,7 @@ def tokens(path: str) -> list[str | int]:
 
 
 def _at(part: Any, path: str) -> Any:
-    """What stands at a path; None where nothing does."""
+    """What stands at a path, the part itself at the empty one; None where nothing does."""
     for token in tokens(path):
         if isinstance(token, int):
             part = part[token] if isinstance(part, tuple) and token < len(part) else None
@@ -182,18 +185,21 @@ def _at(part: Any, path: str) -> Any:
     return part
 
 
+def _has(part: Any, name: str | int) -> bool:
+    """Whether a part has a parameter of that name itself."""
+    if not is_dataclass(part):
+        return False
+    return any(each.path == name for each in _parameters_of(part, ""))
+
+
 def _walk(part: Any, place: str) -> Iterator[Parameter]:
     """Every parameter at and below a part."""
-    if isinstance(part, HasParameters):
-        for name, (what, number) in part.own_parameters().items():
-            yield Parameter(place + name, what, number, type(part))
+    yield from _parameters_of(part, place)
     for entry in fields(part):
         content = getattr(part, entry.name)
-        if (stated := declaration(entry)) is not None:
-            content = stated.words.get(content, content) if isinstance(content, str) else content
-            if isinstance(content, Real) and not isinstance(content, bool):
-                yield Parameter(place + entry.name, stated, float(content), type(part))
-        elif is_dataclass(content):
+        if declaration(entry) is not None:
+            continue
+        if is_dataclass(content):
             yield from _walk(content, f"{place}{entry.name}.")
         elif isinstance(content, tuple) and content and all(map(is_dataclass, content)):
             for index, item in enumerate(content):
@@ -201,6 +207,20 @@ def _walk(part: Any, place: str) -> Iterator[Parameter]:
         elif isinstance(content, Mapping) and content and all(map(is_dataclass, content.values())):
             for name, item in content.items():
                 yield from _walk(item, f"{place}{entry.name}.{name}.")
+
+
+def _parameters_of(part: Any, place: str) -> Iterator[Parameter]:
+    """The parameters of a part itself."""
+    if isinstance(part, HasParameters):
+        for name, (what, number) in part.own_parameters().items():
+            yield Parameter(place + name, what, number, type(part))
+    for entry in fields(part):
+        stated = declaration(entry)
+        if stated is not None:
+            content = getattr(part, entry.name)
+            content = stated.words.get(content, content) if isinstance(content, str) else content
+            if isinstance(content, Real) and not isinstance(content, bool):
+                yield Parameter(place + entry.name, stated, float(content), type(part))
 
 
 def _changed(part: Any, tree: Mapping[Any, Any]) -> Any:

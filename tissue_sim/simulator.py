@@ -108,7 +108,7 @@ class Simulator:
             self._solver.follow_motion(self.density)
         # Whether the tool stays on the tissue, and whether the tissue can pull at it.
         self._bonded = model.experiment.friction == "bonded"
-        self._pulls = self._bonded or model.experiment.adhesion is not None
+        self._pulls = self._bonded or bool(model.experiment.acting_laws)
         # A turn counts as the way of a point at the edge of the contact.
         self._radius = model.experiment.contact_radius
         self._largest_part = _LARGEST_PART * self._radius

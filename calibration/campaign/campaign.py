@@ -13,6 +13,7 @@ import numpy as np
 from calibration.campaign.checks import (
     check_available,
     check_bulk_ratio,
+    check_closed,
     check_parameters,
     check_unused,
     find_recordings,
@@ -311,6 +312,8 @@ def _fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ...]) -
     named = find_named(table, [
         Surroundings(test.name, None if test.specimen is None else test.experiment, test.rig) for test in tests])
     check_values(table, named)
+    if table.method == "analytical":
+        check_closed(table, named)
     by_path = {what.path: what for what in named.values()}
     start, fixed, prior, bounds = (
         {named[name].path: _in_SI(value, named[name].declaration.factor) for name, value in getattr(table, key).items()}

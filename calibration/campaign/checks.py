@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from calibration.campaign.parameters import SHARED, Named, is_of_material
 from calibration.campaign.schema import FitTable, NoiseTable, TestTable
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.interfaces import INTERFACES
@@ -120,6 +121,19 @@ def check_unused(table: FitTable, noise: NoiseTable) -> None:
             if getattr(noise, key) == "estimate" or getattr(noise, key) == 0:
                 raise InputError('offset = "fit" needs the prior of the offsets: give a standard deviation, or leave '
                                  "offset out", field=f"noise.{key}")
+
+
+def check_closed(table: FitTable, named: Mapping[str, Named]) -> None:
+    """Refuse parameters that a closed form does not have."""
+    others = [name for name in named if not named[name].of_law]
+    if others and table.strain_points is not None:
+        raise InputError(f"points at even strains have no history, and {others[0]} needs one; leave it out",
+                         field="fit.strain_points")
+    for name, what in named.items():
+        if not is_of_material(name, named) or what.scope != SHARED:
+            key = next(key for key in ("scope", "start", "fixed", "prior", "bounds") if name in getattr(table, key))
+            raise InputError("the analytical method fits one material to all tests; leave it out, or set fit.method = "
+                             "'inverse_fem'", field=f"fit.{key}.{name}")
 
 
 def check_parameters(table: FitTable) -> None:

@@ -1,28 +1,37 @@
-"""Recordings as curves of force against displacement, ready for an inverse fit."""
+"""Recordings as curves of force against displacement, ready to fit."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.analytical.replicates import NOT_LOADING, check_size, names_of
 from calibration.campaign.campaign import Campaign, Test
 from calibration.statistics.sensor_noise import SensorNoise, estimate_shared_noise, spread_stamps
+from calibration.statistics.statistics import estimate_noise, resolution
 from tissue_sim.errors import InputError
 from tissue_sim.material.material import Material
 from tissue_sim.recording.file import read_recordings
 from tissue_sim.recording.recording import MIN_POINTS, Recording
 from tissue_sim.recording.segmentation import label_motion, number_runs
 
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+#: Largest difference of a specimen's size between a recording's own word and the campaign's, as a share.
+SIZE_TOLERANCE = 0.02
+#: Segments other than a first loading, to which an elastic law is fitted.
+NOT_LOADING = ("approach", "hold", "unload", "reload", "retract")
 #: Replicates of one test may differ by this share in their speed and in their largest displacement.
 REPLICATE_TOLERANCE = 0.2
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredCurve:
-    """One recording, as far as it is compared with a simulation.
+    """One recording, as far as it is compared with a model.
 
     A test without a specimen was recorded as stretch (or shear strain) and nominal stress. It is taken as done on a
     cube of 1 m, whose displacement is the strain and whose force in N is the stress in Pa.
@@ -35,6 +44,7 @@ class MeasuredCurve:
         stressed: whether it was recorded as strain and stress.
         later: samples after the loading (holds, returns) that are left out, because the model does not remember.
         noise: of the sensor; None before anybody has estimated it.
+        interpolation: what takes the samples of the file to these points, shape (n, samples); None: they are samples.
     """
 
     name: str
@@ -48,6 +58,7 @@ class MeasuredCurve:
     stressed: bool = False
     later: int = 0
     noise: SensorNoise | None = None
+    interpolation: csr_array | None = None
 
     @property
     def speed(self) -> float | None:
@@ -69,9 +80,10 @@ def read_measured(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:
 
     Raises:
         InputError: an unreadable recording, columns that do not fit the kind, a recording deeper than its specimen or
-            of a specimen of another size, force of the wrong sign, too few points, replicates that differ in speed or
-            depth, a material that ages and a recording without time.
+            of a specimen of another size, force of the wrong sign, too few points, a material that ages and a recording
+            without time; of an inverse fit also replicates that differ in speed or depth.
     """
+    analytical = campaign.fit.method == "analytical"
     found: dict[str, tuple[MeasuredCurve, ...]] = {}
     names: set[str] = set()
     for test in campaign.tests:
@@ -89,84 +101,177 @@ def read_measured(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:
                 raise InputError(f"two recordings are called {curve.name!r}; give their tests different names",
                                  file=campaign.path, field=f"{test.place}.recordings")
             names.add(curve.name)
-        _check_replicates(curves, test, campaign)
-        noise = _noise(curves, test, campaign)
-        found[test.name] = tuple(replace(curve, noise=noise) for curve in curves)
+        if not analytical:
+            _check_replicates(curves, test, campaign)
+            noise = _noise(curves, test, campaign)
+            curves = [replace(curve, noise=noise) for curve in curves]
+        found[test.name] = tuple(curves)
+    fitted = [curve for test in campaign.tests if not test.hold_out for curve in found[test.name]]
+    if analytical and campaign.fit.offset == "fit" and all(curve.stressed for curve in fitted):
+        raise InputError('offset = "fit" needs tests recorded as displacement and force; use "none"',
+                         file=campaign.path, field="fit.offset")
     return found
 
 
+def names_of(recordings: Sequence[Recording], path: Path, test: Test) -> list[str]:
+    """Names of the recordings of one file: the file's, or their own where it holds several."""
+    return [f"{test.name}/{path.stem if len(recordings) == 1 else recording.name}" for recording in recordings]
+
+
+def check_size(recording: Recording, test: Test, campaign: Campaign, path: Path) -> None:
+    """Refuse a recording that says itself that its specimen has another size."""
+    said = recording.metadata.get("specimen")
+    if test.specimen is None or not isinstance(said, Mapping):
+        return
+    place = f"specimen[{list(campaign.specimens).index(test.specimen.name)}]"
+    for key, size in (("radius_mm", test.specimen.radius * 1e3), ("height_mm", test.specimen.height * 1e3)):
+        stated = said.get(key)
+        if isinstance(stated, int | float) and abs(stated - size) > SIZE_TOLERANCE * size:
+            raise InputError(f"{size:g} mm, but {path.name} says of itself that it is {stated:g} mm; mend the one that "
+                             "is wrong", file=campaign.path, field=f"{place}.{key}")
+
+
 def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Campaign) -> MeasuredCurve:
-    material = campaign.fit.material
+    material, closed = campaign.fit.material, campaign.fit.method == "analytical" or test.experiment is None
     check_size(recording, test, campaign, path)
     displacement, force, stressed = _mechanical(recording, test, path)
-    _check_parts(test, material, stressed, path)
+    _check_parts(test, material, stressed or closed, path)
     time = np.array(recording.time) if "time" in recording else None
     if time is None and test.rig.needs_time:
         raise InputError(f"{path.name} has no time, and the rig of its test needs it (latency, damping or drift); give "
                          "a time column, or speed_mm_s", field="recordings")
+    remembering, height = remembers(test, material), 1.0 if test.specimen is None else test.specimen.height
     labels = np.char.lower(recording.labels["segment"].astype(str)) if "segment" in recording.labels else None
     keep = np.ones(displacement.size, bool)
     if labels is not None:
-        away = ("approach",) if remembers(test, material) else NOT_LOADING
+        away = ("approach",) if remembering else NOT_LOADING
         keep = ~np.isin(labels, away)
         keep = keep if keep.any() else np.ones(displacement.size, bool)
-    if not keep.any() or np.ptp(displacement[keep]) == 0:
-        raise InputError(f"{path.name} does not move: its displacement has the same value in all "
-                         f"{int(keep.sum())} samples; check which column it is read from", field="recordings")
-    height = 1.0 if test.specimen is None else test.specimen.height
-    if not test.kind.gripped and displacement[keep].max() >= height:
-        raise InputError(f"{path.name} goes to {displacement[keep].max() * 1e3:g} mm, deeper than the specimen "
-                         f"{test.specimen.name!r} is high ({height * 1e3:g} mm)", field="recordings")
-    if displacement[keep].max() <= 0:
-        raise InputError(f"{path.name} holds no loading: its largest displacement is "
-                         f"{displacement[keep].max() * 1e3:g} mm; turn the column with sign = -1", field="recordings")
+    _check_way(displacement[keep], height, test, path)
     places, later = np.flatnonzero(keep), 0
-    if not remembers(test, material):
-        if time is None and "displacement" not in recording:
-            # A table of stress and stretch has no order in time.
-            places = places[np.argsort(displacement[places], kind="stable")]
-        places = places[: int(np.argmax(displacement[places])) + 1]
+    if remembering:
+        if time is None:
+            raise InputError(f"{path.name} has no time, and the force of this material depends on it; give a time "
+                             "column, or speed_mm_s" if material.ages else
+                             f"{path.name} has no time, which tells loading from unloading; give a time column, or "
+                             "speed_mm_s", field="recordings")
+        if not np.ptp(time) > 0:
+            raise InputError(f"{path.name} has a time that does not advance; relaxation needs samples at different "
+                             "times", field="recordings")
+    elif time is None and stressed:
+        # A table of stress and stretch has no order in time; sorted, its neighbours tell the noise.
+        places = places[np.argsort(displacement[places], kind="stable")]
+    else:
+        last = int(np.argmax(displacement[places]))
+        if last + 1 < MIN_POINTS:
+            raise InputError(f"{path.name} has its largest strain in sample {last + 1}, and what follows counts as "
+                             f"unloading; sort the file by time, so that at least {MIN_POINTS} samples load the "
+                             "specimen", field="recordings")
+        places = places[: last + 1]
         later = displacement.size - 1 - int(places[-1]) if time is not None else 0
-        labels = None
-    elif time is None:
-        raise InputError(f"{path.name} has no time, and the force of this material depends on it; give a time column, "
-                         "or speed_mm_s" if material.ages else
-                         f"{path.name} has no time, which tells loading from unloading; give a time column, or "
-                         "speed_mm_s", field="recordings")
+    loading, inside = places, np.ones(places.size, bool)
     if test.max_strain is not None:
         reached = np.abs(displacement) if test.kind.both_ways else displacement
         inside = reached[places] <= test.max_strain * height * (1 + 1e-9)
         # A window of the loading; what comes after the first sample beyond it had a history outside it.
         beyond = np.flatnonzero(~inside)
-        places = places[: beyond[0]] if remembers(test, material) and beyond.size else places[inside]
+        places = places[: beyond[0]] if remembering and beyond.size else places[inside]
     if places.size < MIN_POINTS:
         raise InputError(f"{path.name} has {places.size} points of loading in the window; at least {MIN_POINTS} are "
                          "needed, so sort the file by time or widen max_strain", field="recordings")
-    displacement, force = displacement[places], force[places]
-    if np.sum(force * displacement) <= 0:
-        raise InputError(f"{path.name} has a force against the load; {test.kind.name} expects force above zero, so "
-                         "turn the column with sign = -1", field="recordings")
+    if np.sum(force[places] * displacement[places]) <= 0:
+        raise InputError(f"{path.name} has a force or stress against the load; {test.kind.name} expects force above "
+                         "zero, so turn the column with sign = -1", field="recordings")
     time = None if time is None else time[places]
-    if remembers(test, material):
+    if remembering:
         if "speed" in test.reading and (np.diff(time) <= 0).any():
             raise InputError(f"{path.name} stands still or turns, and speed_mm_s cannot tell the time there; give a "
                              "time column", field="speed_mm_s")
-        # A clock that is coarser than the sampling.
-        time = spread_stamps(time, time.size)
-        labels = number_runs(label_motion(time, displacement) if labels is None else labels[places])
-    return MeasuredCurve(name, test, time, displacement, force, labels, path,
-                         str(recording.metadata.get("sha256", "")), stressed, later)
+        if campaign.fit.method != "analytical":
+            # A clock that is coarser than the sampling.
+            time = spread_stamps(time, time.size)
+        labels = number_runs(label_motion(time, displacement[places]) if labels is None else labels[places])
+    curve = MeasuredCurve(name, test, time, displacement[places], force[places], labels if remembering else None, path,
+                          str(recording.metadata.get("sha256", "")), stressed, later)
+    if campaign.fit.method == "analytical":
+        curve = with_noise(replace(curve, displacement=displacement[loading], force=force[loading]), campaign,
+                           curve)
+    for array in (curve.displacement, curve.force):
+        array.flags.writeable = False
+    return curve
 
 
-def _check_parts(test: Test, material: Material, stressed: bool, path: Path) -> None:
+def _check_way(displacement: np.ndarray, height: float, test: Test, path: Path) -> None:
+    """Refuse a motion that is none, or that no specimen follows."""
+    if np.ptp(displacement) == 0:
+        raise InputError(f"{path.name} does not move: its displacement has the same value in all {displacement.size} "
+                         "samples of loading; check which column it is read from", field="recordings")
+    largest = float(displacement.max())
+    if not test.kind.gripped and largest >= height:
+        raise InputError(f"{path.name} reaches stretch {1 - largest:g}; a stretch is above zero"
+                         if test.specimen is None else
+                         f"{path.name} goes to {largest * 1e3:g} mm, deeper than the specimen {test.specimen.name!r} "
+                         f"is high ({height * 1e3:g} mm)", field="recordings")
+    if largest <= 0:
+        raise InputError(f"{path.name} holds no loading: its largest strain is {largest / height:g}; check the kind, "
+                         "or turn the column with sign = -1", field="recordings")
+
+
+def with_noise(loading: MeasuredCurve, campaign: Campaign, window: MeasuredCurve | None = None) -> MeasuredCurve:
+    """A curve with the noise of its samples, stated or estimated, and interpolated where the campaign asks for it.
+
+    Args:
+        loading: all of its samples. campaign: what is stated. window: those that are fitted; None: all.
+    """
+    stated, window = _stated_noise(loading, campaign), loading if window is None else window
+    if stated is None:
+        spread = estimate_noise(loading.force, loading.displacement)
+        rounding = resolution(loading.force) / np.sqrt(12.0)
+        noise = SensorNoise(spread, source="estimated") if spread >= rounding else \
+            SensorNoise(rounding, source="resolution")
+    else:
+        noise = SensorNoise(stated)
+    if campaign.fit.strain_points is None:
+        return replace(window, noise=noise)
+    grid, interpolation = _evenly_spaced(loading.displacement, loading, campaign)
+    return replace(window, noise=noise, time=None, displacement=grid, force=interpolation @ loading.force,
+                   interpolation=interpolation)
+
+
+def _evenly_spaced(displacement: np.ndarray, curve: MeasuredCurve,
+                   campaign: Campaign) -> tuple[np.ndarray, csr_array]:
+    """Even displacements from rest to the end of the window, and the linear interpolation onto them."""
+    from scipy.sparse import csr_array
+
+    test, points = curve.test, campaign.fit.strain_points
+    height = 1.0 if test.specimen is None else test.specimen.height
+    limit = np.inf if test.max_strain is None else test.max_strain * height
+    way, samples = np.unique(displacement, return_index=True)
+    start = max(way[0], -limit if test.kind.both_ways else 0.0)
+    grid = np.linspace(start, min(way[-1], limit), points)
+    inside = int(np.sum((way >= grid[0]) & (way <= grid[-1] * (1 + 1e-9))))
+    if points > inside:
+        raise InputError(f"{points} points, but {curve.file.name} has {inside} samples of different strain in the "
+                         f"window; give at most {inside}", file=campaign.path, field="fit.strain_points")
+    right = np.clip(np.searchsorted(way, grid), 1, way.size - 1)
+    share = (grid - way[right - 1]) / (way[right] - way[right - 1])
+    weights = np.concatenate([1.0 - share, share])
+    places = np.tile(np.arange(points), 2), np.concatenate([samples[right - 1], samples[right]])
+    return grid, csr_array((weights, places), shape=(points, displacement.size))
+
+
+def _check_parts(test: Test, material: Material, closed: bool, path: Path) -> None:
     """Refuse what the closed form of a homogeneous test leaves out."""
-    if test.experiment is not None and not stressed:
+    if not closed:
         return
     if material.layers:
         raise InputError(f"a layered specimen does not deform homogeneously, and {path.name} has a closed form only; "
                          "give displacement and force of a compression or a needle", field="kind")
     if test.specimen is None and material.poroelasticity is not None:
         raise InputError("a material that drains needs the size of the specimen; add a [[specimen]]", field="specimen")
+    if test.specimen is not None and test.specimen.specific_weight and material.remembers:
+        raise InputError("a specimen that weighs has no closed form of a material that remembers; set gravity = false, "
+                         "or fit.method = 'inverse_fem'", field="specimen")
     if not test.rig.ideal:
         raise InputError(f"{path.name} holds stress, which no load frame reads; leave the rig out", field="rig")
 
@@ -174,18 +279,23 @@ def _check_parts(test: Test, material: Material, stressed: bool, path: Path) -> 
 def _mechanical(recording: Recording, test: Test, path: Path) -> tuple[np.ndarray, np.ndarray, bool]:
     """Displacement, m, and force, N, positive under load, and whether they were recorded as strain and stress."""
     mechanical, *direct = test.kind.channels
-    if all(name in recording for name in mechanical):
+    stated = next((pair for pair in direct if all(name in recording for name in pair)), None)
+    if all(name in recording for name in mechanical) and (test.specimen is not None or stated is None):
         if test.specimen is None:
-            raise InputError(f"{path.name} holds displacement and force, which need a [[specimen]]", field="specimen")
+            raise InputError(f"{path.name} holds displacement and force, which need a [[specimen]] to become stress",
+                             field="specimen")
         return np.array(recording.displacement), np.array(recording.force), False
-    for motion, load in direct:
-        if motion in recording and load in recording:
-            height, area = (1.0, 1.0) if test.specimen is None else (test.specimen.height, test.specimen.area)
-            return (height * test.kind.strain(recording.channel(motion)),
-                    test.kind.sign * area * recording.channel(load), True)
-    wanted = " or ".join(" and ".join(pair) for pair in test.kind.channels)
-    raise InputError(f"{path.name} has {', '.join(recording.channels)}; {test.kind.name} needs {wanted}",
-                     field="recordings")
+    if stated is None:
+        wanted = ", or ".join(" and ".join(pair) for pair in test.kind.channels)
+        raise InputError(f"{path.name} has {', '.join(recording.channels)}; {test.kind.name} needs {wanted}",
+                         field="recordings")
+    if test.specimen is not None and test.specimen.specific_weight:
+        raise InputError(f"{path.name} holds {' and '.join(stated)}, which differ from slice to slice under gravity = "
+                         f"true; give {' and '.join(mechanical)}, or set gravity = false", field="recordings")
+    motion, load = stated
+    height, area = (1.0, 1.0) if test.specimen is None else (test.specimen.height, test.specimen.area)
+    return (height * test.kind.strain(recording.channel(motion)), test.kind.sign * area * recording.channel(load),
+            True)
 
 
 def _check_replicates(curves: list[MeasuredCurve], test: Test, campaign: Campaign) -> None:
@@ -203,12 +313,17 @@ def _check_replicates(curves: list[MeasuredCurve], test: Test, campaign: Campaig
 
 
 def _noise(curves: list[MeasuredCurve], test: Test, campaign: Campaign) -> SensorNoise:
-    """One noise for the recordings of a test: what is stated in the unit that they were recorded in counts first."""
-    force, stress = campaign.noise.force, campaign.noise.nominal_stress
-    area = 1.0 if test.specimen is None else test.specimen.area
-    if curves[0].stressed:
-        stated = stress * area if stress is not None else None if test.specimen is None else force
-    else:
-        stated = force
-    return estimate_shared_noise([(curve.force, curve.time, curve.segment) for curve in curves], deviation=stated,
+    """One noise for the recordings of a test."""
+    return estimate_shared_noise([(curve.force, curve.time, curve.segment) for curve in curves],
+                                 deviation=_stated_noise(curves[0], campaign),
                                  correlation_time=campaign.noise.correlation_time)
+
+
+def _stated_noise(curve: MeasuredCurve, campaign: Campaign) -> float | None:
+    """N; what is stated in the unit that the curve was recorded in counts first. None: to be estimated."""
+    force, stress, specimen = campaign.noise.force, campaign.noise.nominal_stress, curve.test.specimen
+    if not curve.stressed:
+        return force
+    if stress is not None:
+        return stress * (1.0 if specimen is None else specimen.area)
+    return None if specimen is None else force

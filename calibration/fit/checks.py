@@ -7,7 +7,7 @@ import numpy as np
 from calibration.campaign.campaign import Campaign
 from calibration.fit.problem import Problem
 from calibration.fit.starts import starts
-from calibration.forward.forces import InfeasibleError
+from calibration.forward.contract import InfeasibleError
 from tissue_sim.errors import InputError
 from tissue_sim.laws import check_stability, find_law
 

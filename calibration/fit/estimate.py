@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.fit.fit import Iteration
+from calibration.fit.fit import Iteration, Minimum
 from calibration.fit.levenberg_marquardt import Listener, descend
-from calibration.fit.problem import Problem
+from calibration.fit.problem import LeastSquares, Problem
 from calibration.forward.build import FAST_REMAINDERS, REMAINDERS, remainder
-from calibration.forward.forces import InfeasibleError
+from calibration.forward.contract import InfeasibleError
 from calibration.statistics.jitter import Jitter, estimate_jitter
 
 #: The difference of the meshes is computed again until that moves no parameter by more than this share of its size;
@@ -41,9 +41,10 @@ class Estimate:
         differences: accurate against fast mesh for each test, relative to the largest force; NaN where the accurate
             mesh did not get through. refreshes: how often they were computed.
         history, simulations, cpu_s: as in `Descent`.
+        minima: distinct ends of the starts, best first.
     """
 
-    problem: Problem
+    problem: LeastSquares
     theta: np.ndarray
     error: float
     converged: bool
@@ -54,6 +55,7 @@ class Estimate:
     history: tuple[Iteration, ...]
     simulations: dict[tuple[str, str], int]
     cpu_s: float
+    minima: tuple[Minimum, ...] = ()
 
 
 def settle(problem: Problem, theta: np.ndarray, stated: Stated, start: int = 1, past: int = 0,

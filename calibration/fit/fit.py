@@ -107,7 +107,7 @@ class Region(msgspec.Struct, frozen=True, kw_only=True):
         test, segment: names. start, end: displacement at its ends, mm (strain where the test has no specimen).
         p: probability of so large a misfit by chance, adjusted for the number of regions (Holm).
         statistic, freedom: of the test, see `calibration.statistics.adequacy`.
-        misfit_N: root mean square of the smooth part of data minus model (Pa where the test has no specimen).
+        misfit_N: root mean square of the smooth part of model minus data (Pa where the test has no specimen).
         largest_N, at: where that is largest: its value with sign, and the displacement there, mm.
         adequate: p above 0.05.
     """

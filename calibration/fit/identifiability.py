@@ -9,8 +9,8 @@ import numpy as np
 from calibration.fit.fit import Direction, Suggestion
 from calibration.fit.parameters import ParameterSpace
 from calibration.fit.problem import Problem
-from calibration.fit.uncertainty import Uncertainty
 from calibration.forward.motion import offset_rate
+from calibration.statistics.uncertainty import Uncertainty
 from tissue_sim.differentiation import sensitivities
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.experiment import Experiment
@@ -57,7 +57,7 @@ def weak_directions(space: ParameterSpace, spread: Uncertainty) -> list[Directio
 
 def not_identifiable(space: ParameterSpace, spread: Uncertainty) -> list[str]:
     """Parameters whose standard error exceeds their size."""
-    return [name for name, error, size in zip(space.free, spread.standard_errors, spread.sizes, strict=True)
+    return [name for name, error, size in zip(space.free, spread.standard_errors, spread.sizes, strict=False)
             if not error <= size and not np.isnan(error)]
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from calibration.fit.fit import Iteration
-from calibration.fit.problem import Evaluation, Problem
-from calibration.forward.forces import InfeasibleError
+from calibration.fit.problem import Evaluation, LeastSquares, Problem
+from calibration.forward.contract import InfeasibleError
 
 #: A step that lowers the sum of squares by less than this share of it ends the descent.
 TOLERANCE = 1e-7
@@ -20,6 +20,8 @@ TOLERANCE = 1e-7
 #: error. A start is only to tell its minimum from others.
 ENOUGH, ENOUGH_OF_A_START = 1e-3, 3e-2
 MOST_SOLVES = 60
+#: Of scipy's test of the gradient, which the gain replaces.
+GRADIENT = 1e-14
 
 Listener = Callable[[Iteration], None]
 
@@ -45,18 +47,18 @@ class Descent:
 
 
 class _Outer:
-    """The problem as scipy sees it, in parameters relative to the start."""
+    """The problem as scipy sees it."""
 
-    def __init__(self, problem: Problem, scale: np.ndarray, free: np.ndarray, base: np.ndarray, note: Callable,
-                 enough: float):
-        self.problem, self.scale, self.free, self.base, self.note = problem, scale, free, base, note
-        self.enough = enough
+    def __init__(self, problem: LeastSquares, base: np.ndarray, free: np.ndarray, note: Callable, enough: float):
+        self.problem, self.free, self.note, self.enough = problem, free, note, enough
+        self.variables = problem.variables(base)
+        self.base = np.clip(self.variables.of(base), self.variables.low, self.variables.high)
         self.failure = ""
 
     def theta(self, u: np.ndarray) -> np.ndarray:
-        theta = self.base.copy()
-        theta[self.free] = u * self.scale[self.free]
-        return theta
+        variables = self.base.copy()
+        variables[self.free] = u
+        return self.variables.unknowns(variables)
 
     def residual(self, u: np.ndarray) -> np.ndarray:
         try:
@@ -70,14 +72,16 @@ class _Outer:
         return residual
 
     def jacobian(self, u: np.ndarray) -> np.ndarray:
-        theta = self.theta(u)
+        theta, variables = self.theta(u), self.base.copy()
+        variables[self.free] = u
         evaluation = self.problem.evaluate(theta)
         residual, jacobian = evaluation.projected
-        jacobian = jacobian[:, self.free] * self.scale[self.free]
-        # What the best step would still gain; it is not worth a solve when it does not count.
-        gain = float(np.sum((jacobian @ np.linalg.lstsq(jacobian, residual, rcond=1e-12)[0])**2))
-        if gain < self.enough * max(1.0, evaluation.error / self.problem.samples):
-            raise _SettledError(theta, evaluation.error)
+        jacobian = self.variables.times(jacobian, variables)[:, self.free]
+        if self.enough:
+            # What the best step would still gain; it is not worth a solve when it does not count.
+            gain = float(np.sum((jacobian @ np.linalg.lstsq(jacobian, residual, rcond=1e-12)[0])**2))
+            if gain < self.enough * max(1.0, evaluation.error / self.problem.samples):
+                raise _SettledError(theta, evaluation.error)
         return jacobian
 
     size = 1
@@ -91,9 +95,9 @@ class _SettledError(Exception):
         self.theta, self.error = theta, error
 
 
-def descend(problem: Problem, theta: np.ndarray, *, start: int = 1, held: int | None = None,
-            corrected: bool = False, enough: float = ENOUGH, listen: Listener | None = None,
-            past: int = 0) -> Descent:
+def descend(problem: LeastSquares, theta: np.ndarray, *, start: int = 1, held: int | None = None,
+            corrected: bool = False, enough: float = ENOUGH, tolerance: float = TOLERANCE, gradient: float = GRADIENT,
+            most_solves: int = MOST_SOLVES, listen: Listener | None = None, past: int = 0) -> Descent:
     """Trust-region Levenberg-Marquardt from `theta`.
 
     Where forces are proportional to the moduli and none is fixed, the first solve finds the factor that suits all of
@@ -103,11 +107,13 @@ def descend(problem: Problem, theta: np.ndarray, *, start: int = 1, held: int | 
         problem: what to fit. theta: start, SI, shape (p,).
         start: number for the history. held: index of a parameter that stays where it is.
         corrected: whether the difference to the accurate mesh is in.
-        enough: gain in the sum of squares, in units of the noise or the residuals, that is not worth a solve.
+        enough: gain in the sum of squares, in units of the noise or the residuals, that is not worth a solve; 0: any
+            gain is, and the tolerances alone end the descent. tolerance, gradient, most_solves: scipy's.
         listen: called after each solve. past: solves of this start so far.
 
-    Source: scipy's trust region reflective method, see `calibration.analytical.uniaxial.fit_law`; the step is that of
-    Levenberg and Marquardt in its form of Moré, Lecture Notes in Mathematics 630 (1978) 105.
+    Source: trust region reflective method of scipy.optimize.least_squares (Branch, Coleman, Li, SIAM J. Sci. Comput.
+    21 (1999) 1); the step is that of Levenberg and Marquardt in its form of Moré, Lecture Notes in Mathematics 630
+    (1978) 105.
     """
     space = problem.space
     began, counted = time.process_time(), Counter(problem.solves.counts)
@@ -122,42 +128,41 @@ def descend(problem: Problem, theta: np.ndarray, *, start: int = 1, held: int | 
             listen(history[-1])
 
     def named(evaluation: Evaluation) -> dict[str, float]:
-        return dict(zip(space.free, evaluation.theta.tolist(), strict=True))
+        return dict(zip(space.free, evaluation.theta.tolist(), strict=False))
 
     def done(theta: np.ndarray, error: float, converged: bool, failure: str) -> Descent:
         return Descent(start, theta, error, converged, failure, tuple(history),
                        dict(problem.solves.counts - counted), time.process_time() - began)
 
-    theta = np.clip(theta, space.low, space.high)
+    theta = np.clip(theta, *problem.bounds)
     free = np.array([i for i in range(theta.size) if i != held], dtype=int)
     try:
         note(problem.evaluate(theta))
-        if held is None and not corrected:
+        if held is None and not corrected and enough:
             theta = _rescaled(problem, theta)
         evaluation = problem.evaluate(theta)
     except InfeasibleError as error:
         return done(theta, np.inf, False, str(error))
     if not free.size:
         return done(theta, evaluation.error, True, "")
-    scale = space.sizes(space.values(theta))
-    outer = _Outer(problem, scale, free, theta, note, enough)
+    outer = _Outer(problem, theta, free, note, enough)
     try:
+        # Scaled by the columns of the Jacobian: Pa, exponents, metres and newtons stand side by side.
         result = least_squares(
-            outer.residual, theta[free] / scale[free], outer.jacobian,
-            bounds=(space.low[free] / scale[free], space.high[free] / scale[free]), x_scale="jac", ftol=TOLERANCE,
-            xtol=TOLERANCE, gtol=1e-14, max_nfev=MOST_SOLVES)
+            outer.residual, outer.base[free], outer.jacobian, x_scale="jac",
+            bounds=(outer.variables.low[free], outer.variables.high[free]), ftol=tolerance, xtol=tolerance,
+            gtol=gradient, max_nfev=most_solves)
     except _SettledError as settled:
         return done(settled.theta, settled.error, True, "")
     theta = outer.theta(result.x)
     failure = "" if result.status > 0 else \
-        f"no minimum after {MOST_SOLVES} solves{f'; {outer.failure}' if outer.failure else ''}"
+        f"no minimum after {most_solves} solves{f'; {outer.failure}' if outer.failure else ''}"
     return done(theta, float(2 * result.cost), result.status > 0, failure)
 
 
-def rmse(problem: Problem, evaluation: Evaluation) -> float:
+def rmse(problem: LeastSquares, evaluation: Evaluation) -> float:
     """Root mean square of model minus data, with offsets and zeros, N."""
-    data = np.concatenate([measured.force for measured in problem.measured])
-    return float(np.sqrt(np.mean((evaluation.force - data)**2)))
+    return float(np.sqrt(np.mean((evaluation.force - problem.data)**2)))
 
 
 def _rescaled(problem: Problem, theta: np.ndarray) -> np.ndarray:

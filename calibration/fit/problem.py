@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.parameters import ParameterSpace
-from calibration.forward.forces import ClosedTest, InfeasibleError, SimulatedTest
+from calibration.fit.variables import Scaled, Variables
+from calibration.forward.contract import ForwardTest, InfeasibleError
 from calibration.forward.solves import Solves
 from calibration.statistics.jitter import Jitter, WhitenedReplicate
 from calibration.statistics.sensor_noise import whiten
+from tissue_sim.errors import InputError
 
 #: Offsets are found by this many linear steps at most, to this share of their standard deviation; the force is almost
 #: a straight line over their size.
@@ -91,9 +94,31 @@ class Evaluation:
         return np.concatenate([self.residual, self.nuisances, self.prior_residual]), np.concatenate(rows)
 
 
+class LeastSquares(Protocol):
+    """What a descent needs of a problem; its weights are its own.
+
+    Attributes:
+        space: parameters. samples: number of them. solves: what has been simulated. data: measured force, N.
+        bounds: lowest and highest values of the unknowns: the free parameters, then others, if any.
+    """
+
+    space: ParameterSpace
+    samples: int
+    solves: Solves
+    data: np.ndarray
+    bounds: tuple[np.ndarray, np.ndarray]
+
+    def variables(self, theta: np.ndarray) -> Variables:
+        """What is varied from `theta` on."""
+
+    def evaluate(self, theta: np.ndarray) -> Evaluation:
+        """Everything at these unknowns."""
+
+
 @dataclass(eq=False)
 class Problem:
-    """All fitted tests of a campaign with one law.
+    """All fitted tests of a campaign with one law: generalised least squares, with what differs from recording to
+    recording eliminated.
 
     Attributes:
         space: parameters. tests: those that count. solves: what has been simulated.
@@ -102,7 +127,7 @@ class Problem:
     """
 
     space: ParameterSpace
-    tests: tuple[SimulatedTest | ClosedTest, ...]
+    tests: tuple[ForwardTest, ...]
     solves: Solves
     jitter: Jitter
     mesh_error: tuple[float, ...]
@@ -121,7 +146,7 @@ class Problem:
                 start += measured.force.size
         kinds = [("contact", self.jitter.contact), ("zero", self.jitter.zero)]
         self.kinds = [name for name, deviation in kinds if deviation > 0]
-        self.own = [slice(column + i * len(self.kinds), column + (i + 1) * len(self.kinds))
+        self.offset_columns = [slice(column + i * len(self.kinds), column + (i + 1) * len(self.kinds))
                     for i in range(len(self.places))]
         column = len(self.places) * len(self.kinds)
         self.shared = []
@@ -135,6 +160,24 @@ class Problem:
     def measured(self) -> list:
         """The recordings, in the order of the rows."""
         return [self.tests[t].measured[r] for t, r in self.places]
+
+    @property
+    def data(self) -> np.ndarray:
+        """Measured force, N, shape (N,)."""
+        return np.concatenate([curve.force for curve in self.measured])
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest values of the unknowns, shapes (p,)."""
+        return self.space.low, self.space.high
+
+    def sizes(self, theta: np.ndarray) -> np.ndarray:
+        """How large a change of each unknown is a whole one, shape (p,)."""
+        return self.space.sizes(self.space.values(theta))
+
+    def variables(self, theta: np.ndarray) -> Variables:
+        """The parameters, in units of their sizes at `theta`."""
+        return Scaled(self.sizes(theta), self.bounds)
 
     def with_tests(self, numbers: Sequence[int]) -> Problem:
         """The same problem with some of the tests."""
@@ -150,6 +193,10 @@ class Problem:
         theta = np.array(theta, dtype=float)
         if self._last is not None and np.array_equal(self._last.theta, theta):
             return self._last
+        try:
+            self.space.material(self.space.values(theta))
+        except InputError as error:
+            raise InfeasibleError(str(error)) from None
         answers = [test.solve(self.space, theta, self.solves) for test in self.tests]
         nuisances, (residual, rates, columns, force) = self._best_nuisances(answers)
         prior = np.flatnonzero(np.isfinite(self.space.prior_deviation))
@@ -202,9 +249,9 @@ class Problem:
         if "contact" not in self.kinds:
             return trial
         places = np.linspace(-_SCANNED, _SCANNED, _SCAN_POINTS)
-        for own, (t, r) in zip(self.own, self.places, strict=True):
+        for columns, (t, r) in zip(self.offset_columns, self.places, strict=True):
             test, measured = self.tests[t], self.tests[t].measured[r]
-            if isinstance(test, ClosedTest):
+            if not hasattr(test, "scan"):
                 continue
             gaps = test.scan(answers[t], r, places * self.jitter.contact) - measured.force[:, None]
             white = whiten(np.column_stack([gaps, np.full(measured.force.size, self.jitter.zero)]), measured.time,
@@ -215,7 +262,7 @@ class Problem:
             squares = np.einsum("ng,ng->g", gaps, gaps) - (1.0 + zero @ zero) * zeros**2 + places**2
             best = int(np.argmin(squares))
             found = {"contact": places[best], "zero": zeros[best]}
-            trial[own] = [found[kind] for kind in self.kinds]
+            trial[columns] = [found[kind] for kind in self.kinds]
         return trial
 
     def forget(self) -> None:
@@ -230,9 +277,9 @@ class Problem:
         columns = np.zeros((self.samples, self.nuisances))
         force = np.empty(self.samples)
         sizes = [getattr(self.jitter, name) for name in self.kinds]
-        for rows, own, (t, r) in zip(self.rows, self.own, self.places, strict=True):
+        for rows, places, (t, r) in zip(self.rows, self.offset_columns, self.places, strict=True):
             test, measured = self.tests[t], self.tests[t].measured[r]
-            values = dict(zip(self.kinds, nuisances[own] * sizes, strict=True))
+            values = dict(zip(self.kinds, nuisances[places] * sizes, strict=True))
             offset, farthest = values.get("contact", 0.0), FARTHEST * self.jitter.contact
             near = float(np.clip(offset, -farthest, farthest))
             model, model_rates, contact_rate = test.evaluate(answers[t], r, near)
@@ -244,15 +291,15 @@ class Problem:
             modes, weights = self._mesh_columns(t, measured, model), nuisances[self.shared[t]]
             # An error in proportion to the force changes its derivatives too.
             factor = 1.0 + self._mesh_columns(t, measured, np.ones_like(model)) @ weights
-            own_columns = {"contact": factor * contact_rate, "zero": np.ones_like(model)}
+            nuisance_columns = {"contact": factor * contact_rate, "zero": np.ones_like(model)}
             force[rows] = model + values.get("zero", 0.0)
             gap = force[rows] - measured.force + modes @ weights
             white = whiten(np.column_stack([gap, factor[:, None] * model_rates, *(
-                size * own_columns[name] for name, size in zip(self.kinds, sizes, strict=True)), modes]),
+                size * nuisance_columns[name] for name, size in zip(self.kinds, sizes, strict=True)), modes]),
                 measured.time, measured.noise)
             p = rates.shape[1]
             residual[rows], rates[rows] = white[:, 0], white[:, 1:p + 1]
-            columns[rows, own] = white[:, p + 1:p + 1 + len(self.kinds)]
+            columns[rows, places] = white[:, p + 1:p + 1 + len(self.kinds)]
             columns[rows, self.shared[t]] = white[:, p + 1 + len(self.kinds):]
         if not np.isfinite(residual).all():
             raise InfeasibleError("the model gives a force that is not a number")

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.fit.problem import Problem
-from calibration.fit.uncertainty import Uncertainty
-from calibration.forward.forces import InfeasibleError
+from calibration.forward.contract import InfeasibleError
+from calibration.statistics.uncertainty import Uncertainty
 
 #: The rise at the end of an interval is met within this, in units of its square root.
 _NEAR, _MOST_POINTS = 0.02, 8

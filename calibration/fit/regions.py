@@ -34,13 +34,13 @@ def judge_regions(problem: Problem, evaluation: Evaluation) -> list[Region]:
             if t != number or not mine.any():
                 continue
             measured = problem.tests[t].measured[r]
-            own = np.zeros((mine.size, modes))
-            own[mine] = cosine_modes(along[mine], modes)
-            shapes[rows] = own
-            columns[rows] = whiten(own, measured.time, measured.noise)
+            waves = np.zeros((mine.size, modes))
+            waves[mine] = cosine_modes(along[mine], modes)
+            shapes[rows] = waves
+            columns[rows] = whiten(waves, measured.time, measured.noise)
         answer = misfit(residual, design, columns)
-        # What the model lacks: data minus model.
-        smooth = shapes @ answer.amplitudes
+        # Model minus data, of what is smooth.
+        smooth = -shapes @ answer.amplitudes
         rows = np.concatenate([np.arange(rows.start, rows.stop)[mine]
                                for rows, mine in zip(problem.rows, inside, strict=True)])
         displacement = np.concatenate([curve.displacement for curve in problem.measured])[rows]

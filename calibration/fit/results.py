@@ -1,4 +1,4 @@
-"""What an inverse calibration leaves for tables and pictures, beside its fits."""
+"""What a calibration leaves for tables and pictures, beside its fits."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ class TestCurves:
         force_error: standard error of that, from the parameters and the mesh, shape (k,).
         band: half width of the 95 % band for a new recording: with noise, offset and zero, shape (k,).
         fitted: of each recording the model's force at its samples, with its own offset and zero.
+        area: cross-section of the nominal stress, m2 (1 where stress was recorded); None where that is not homogeneous.
     """
 
     test: Test
@@ -33,3 +34,4 @@ class TestCurves:
     force_error: np.ndarray
     band: np.ndarray
     fitted: tuple[np.ndarray, ...]
+    area: float | None = None

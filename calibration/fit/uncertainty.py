@@ -1,14 +1,12 @@
-"""What the minimum is worth: covariance of the parameters, and how far their profiles rise."""
+"""What the minimum of a generalised least-squares problem is worth: the covariance of its parameters."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
 
 from calibration.fit.problem import Evaluation, Problem
-from calibration.statistics.statistics import RESIDUAL_RATIO
+from calibration.statistics.uncertainty import RESIDUAL_RATIO, Uncertainty
 
 #: A parameter this near to its bound, relative to its size, is on it.
 ON_BOUND = 1e-6
@@ -16,33 +14,6 @@ ON_BOUND = 1e-6
 SINGULAR = 1e-14
 #: Factor of a variance of the jitter for a derivative.
 _MORE = 1.2
-
-
-@dataclass(frozen=True, eq=False)
-class Uncertainty:
-    """Generalised least squares at the minimum; what a bound holds counts as fixed.
-
-    Attributes:
-        covariance: of the free parameters, SI, shape (p, p); zero beside those on a bound.
-        standard_errors: shape (p,); NaN on a bound, inf in a direction that nothing determines.
-        on_bound: shape (p,), bool.
-        basis: ``"noise"``, ``"residuals"`` (they exceed the noise) or ``"replicates"`` (the jitter is estimated).
-        quantile: half widths of the 95 % intervals in standard errors, shape (p,).
-        inflation: factor of all variances because the residuals exceed the noise, at least 1.
-        ratio: root mean square of the whitened residuals.
-        sizes: whole changes of the parameters, see `ParameterSpace.sizes`, shape (p,).
-        information: of the parameters in units of their sizes, shape (p, p).
-    """
-
-    covariance: np.ndarray
-    standard_errors: np.ndarray
-    on_bound: np.ndarray
-    basis: str
-    quantile: np.ndarray
-    inflation: float
-    ratio: float
-    sizes: np.ndarray
-    information: np.ndarray
 
 
 def assess_uncertainty(problem: Problem, evaluation: Evaluation) -> Uncertainty:
@@ -81,7 +52,9 @@ def assess_uncertainty(problem: Problem, evaluation: Evaluation) -> Uncertainty:
         basis = "residuals" if basis == "residuals" else "replicates"
         quantile[inside] = stats.t.ppf(0.975, _freedom(problem, evaluation, sizes, inside))
     ratio = float(np.sqrt(np.mean(evaluation.residual**2)))
-    return Uncertainty(covariance, errors, on_bound, basis, quantile, float(inflation), ratio, sizes,
+    # Laws may come to another jitter, so that the determinant of the covariance counts.
+    criteria = evaluation.error + evaluation.log_determinant, float(problem.samples)
+    return Uncertainty(covariance, errors, on_bound, basis, quantile, float(inflation), ratio, criteria, sizes,
                        information)
 
 

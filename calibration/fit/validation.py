@@ -8,12 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibration.fit.estimate import Estimate
 from calibration.fit.fit import Prediction
 from calibration.fit.identifiability import not_identifiable
 from calibration.fit.levenberg_marquardt import descend
-from calibration.fit.problem import Problem
+from calibration.fit.problem import LeastSquares, Problem
 from calibration.fit.uncertainty import assess_uncertainty
-from calibration.forward.forces import ClosedTest, InfeasibleError, SimulatedTest
+from calibration.forward.contract import ForwardTest, InfeasibleError
+from calibration.statistics.jitter import Jitter
+from calibration.statistics.uncertainty import Uncertainty
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,31 +54,41 @@ def leave_out(problem: Problem, theta: np.ndarray, number: int) -> LeftOut:
             if open_names := not_identifiable(problem.space, spread):
                 answer = unpredicted(test.name, law, names, f"the other tests do not determine {', '.join(open_names)}")
             else:
-                answer = predict(problem, test, descent.theta, spread.covariance, names)
+                answer = predict(problem, test, descent.theta, spread.covariance, names, problem.jitter)
         except InfeasibleError as failure:
             answer = unpredicted(test.name, law, names, str(failure))
     return LeftOut(answer, descent.theta, dict(problem.solves.counts - counted), time.process_time() - began)
 
 
-def predict(problem: Problem, test: SimulatedTest | ClosedTest, theta: np.ndarray, covariance: np.ndarray,
-            fitted: list[str]) -> Prediction:
+def predict_held_out(test: ForwardTest, estimate: Estimate, spread: Uncertainty, scatter: Jitter | None) -> Prediction:
+    """How an estimate predicts a test that the campaign holds out."""
+    space = estimate.problem.space
+    free = len(space.free)
+    try:
+        return predict(estimate.problem, test, estimate.theta[:free], spread.covariance[:free, :free], [], scatter)
+    except InfeasibleError as failure:
+        return unpredicted(test.name, space.law, [], str(failure))
+
+
+def predict(problem: LeastSquares, test: ForwardTest, theta: np.ndarray, covariance: np.ndarray, fitted: list[str],
+            scatter: Jitter | None) -> Prediction:
     """How parameters predict a test, with no offset and no zero of its own.
 
     Args:
-        problem: for noise, jitter and what is simulated. test: with its recordings.
-        theta, covariance: SI, shapes (p,) and (p, p). fitted: tests that these come from.
+        problem: for the parameters and what is simulated. test: with its recordings.
+        theta, covariance: SI, shapes (p,) and (p, p). fitted: tests that these come from. scatter: between recordings.
 
     Raises:
-        InfeasibleError: the simulation does not get through.
+        InfeasibleError: the test does not get through.
     """
     answer = test.solve(problem.space, theta, problem.solves)
     squares, expected, largest, samples = 0.0, 0.0, 0.0, 0
     for recording, measured in enumerate(test.measured):
         force, rates, contact = test.evaluate(answer, recording, 0.0)
         squares += float(np.sum((force - measured.force)**2))
-        variance = np.einsum("np,pq,nq->n", rates, covariance, rates) + measured.noise.deviation**2
-        variance = variance + (problem.jitter.contact * contact)**2 + problem.jitter.zero**2
-        expected += float(variance.sum())
+        if scatter is not None:
+            variance = np.einsum("np,pq,nq->n", rates, covariance, rates) + measured.noise.deviation**2
+            expected += float(np.sum(variance + (scatter.contact * contact)**2 + scatter.zero**2))
         largest = max(largest, float(np.abs(measured.force).max()))
         samples += measured.force.size
     rmse = float(np.sqrt(squares / samples))
@@ -83,10 +96,11 @@ def predict(problem: Problem, test: SimulatedTest | ClosedTest, theta: np.ndarra
     if not np.isfinite(rmse):
         return unpredicted(test.name, problem.space.law, fitted, "the law gives no finite force")
     return Prediction(test=test.name, law=problem.space.law, RMSE_N=None if stressed else rmse,
-                      RMSE_Pa=rmse if stressed else float(rmse / test.area) if isinstance(test, ClosedTest) else None,
-                      percent=100.0 * rmse / largest,
-                      expected_N=None if stressed else float(np.sqrt(expected / samples)), fitted=fitted,
-                      parameters=dict(zip(problem.space.free, np.asarray(theta).tolist(), strict=True)))
+                      RMSE_Pa=None if test.area is None else rmse / test.area, percent=100.0 * rmse / largest,
+                      expected_N=None if stressed or scatter is None else float(np.sqrt(expected / samples)),
+                      fitted=fitted,
+                      parameters={} if scatter is None else dict(zip(problem.space.free, np.asarray(theta).tolist(),
+                                                                     strict=True)))
 
 
 def unpredicted(test: str, law: str, fitted: list[str], note: str) -> Prediction:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from calibration.campaign.campaign import Campaign, Test
+from calibration.campaign.campaign import Campaign, FitSettings, Test
 from calibration.campaign.measured import MeasuredCurve, remembers
 from calibration.fit.parameters import ParameterSpace
 from calibration.fit.problem import Problem
-from calibration.forward.forces import ClosedTest, SimulatedTest
+from calibration.forward.closed import ClosedTest
+from calibration.forward.column import ColumnTest
 from calibration.forward.motion import Loading, Timed
+from calibration.forward.simulated import SimulatedTest
 from calibration.forward.solves import Solves
 from calibration.statistics.jitter import Jitter
 from tissue_sim.experiment.protocol import STUDY_SPEED
@@ -22,6 +25,9 @@ from tissue_sim.material.material import Material
 REMAINDERS = {"plate": 0.0005, "flat": 0.001, "other": 0.002}
 #: The same of the fast mesh, where the accurate one does not get through.
 FAST_REMAINDERS = {"plate": 0.003, "flat": 0.008, "other": 0.01}
+#: Of an analytical fit: histories are divided less finely than for a prediction, 1e-4 of the largest stress, below what
+#: is measured.
+FITTED_STEP = 0.01
 #: The simulated way goes on for so many standard deviations of the contact offset, but for this share at least.
 _MARGIN, _LEAST_MARGIN = 4.0, 1e-3
 #: Standard deviations with which an estimate of the jitter begins, and which are assumed where no test has two
@@ -49,8 +55,7 @@ def build_test(test: Test, curves: Sequence[MeasuredCurve], material: Material,
     """A test and how it is simulated; `contact` is the standard deviation of the contact offset, m."""
     curves = tuple(curves)
     if test.experiment is None or curves[0].stressed:
-        size = (1.0, 1.0) if test.specimen is None else (test.specimen.height, test.specimen.area)
-        return ClosedTest(test.name, test.kind, *size, curves)
+        return closed_test(test, curves)
     layered = bool(material.layers)
     one_way = all(set(curve.segment.tolist()) == {"ramp"} for curve in curves if curve.segment is not None)
     if material.ages or (remembers(test, material) and not one_way):
@@ -69,6 +74,22 @@ def build_test(test: Test, curves: Sequence[MeasuredCurve], material: Material,
     smooth = tool.is_plate or (tool.sharp_edge and not test.experiment.slides)
     motion = Loading.to(float(depth), max(speed, 1e-9), smooth=smooth, strain=float(depth / test.specimen.height))
     return SimulatedTest(test.name, test.experiment, test.rig, (motion,), (0,) * len(curves), curves, layered)
+
+
+def closed_test(test: Test, curves: Sequence[MeasuredCurve]) -> ClosedTest:
+    """A homogeneous test; a cube of 1 m where the recordings are stretch and stress."""
+    size = (1.0, 1.0) if test.specimen is None else (test.specimen.height, test.specimen.area)
+    return ClosedTest(test.name, test.kind, *size, tuple(curves))
+
+
+def analytical_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSettings) -> ClosedTest:
+    """The closed form of a test, that of a column where the specimen weighs."""
+    plain = closed_test(test, curves)
+    if test.specimen is not None and test.specimen.specific_weight:
+        reserve = settings.offset_bound if settings.offset == "fit" else 0.0
+        return ColumnTest(plain.name, plain.kind, plain.height, plain.area, plain.measured, specimen=test.specimen,
+                          reserve=reserve)
+    return replace(plain, largest_step=FITTED_STEP)
 
 
 def first_jitter(campaign: Campaign, curves: Sequence[MeasuredCurve]) -> Jitter:

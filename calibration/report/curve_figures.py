@@ -147,9 +147,9 @@ def _draw_force(axes, drawn, scale: Scale, by_time: bool) -> None:
 
 
 def _draw_band(axes, best: TestCurves, colour: str, x: _Abscissa) -> None:
-    """Recordings minus the law's curve as it stands, without their offsets and zeros, in its prediction band."""
+    """The law's curve as it stands minus the recordings, without their offsets and zeros, in its prediction band."""
     y = x.scale.y
-    axes.set_ylabel(f"data − model [{x.scale.y_unit}]")
+    axes.set_ylabel(f"model − data [{x.scale.y_unit}]")
     axes.axhline(0.0, color=colour, lw=1.6)
     first = best.measured[0]
     if _along(best, first) is None:
@@ -164,7 +164,7 @@ def _draw_band(axes, best: TestCurves, colour: str, x: _Abscissa) -> None:
                       label="± 2 standard errors of the model")
     for i, m in enumerate(best.measured):
         thin = thinned(m.force.size)
-        away = y * (m.force - _along(best, m)[:, 0])
+        away = y * (_along(best, m)[:, 0] - m.force)
         axes.plot(x.of(m)[thin], away[thin], "o", ms=2.2, mew=0, color="0.35", alpha=0.4,
                   label="recordings" if i == 0 else None)
     _head(axes, "Recordings as they came, against the prediction band")
@@ -194,7 +194,7 @@ def _draw_residuals(axes, drawn, x: _Abscissa) -> None:
     for rank, (curves, _, other) in enumerate(drawn):
         by_run: dict[int, list[np.ndarray]] = {}
         for m, fitted in zip(curves.measured, curves.fitted, strict=True):
-            for run, (means, spread) in enumerate(_binned(m, y * (m.force - fitted), x, edges)):
+            for run, (means, spread) in enumerate(_binned(m, y * (fitted - m.force), x, edges)):
                 by_run.setdefault(run, []).append(means)
                 if rank == 0:
                     reach.append(np.abs(means[1][np.isfinite(means[1])]).max(initial=0.0))
@@ -210,7 +210,7 @@ def _draw_residuals(axes, drawn, x: _Abscissa) -> None:
                       zorder=5 - rank / len(drawn), label="all" if rank == 0 and run == 0 else None)
     axes.axhline(0.0, color="0.3", lw=0.8)
     axes.set_ylim(-1.45 * max(reach), 1.45 * max(reach))
-    axes.set_ylabel(f"data − model [{x.scale.y_unit}]")
+    axes.set_ylabel(f"model − data [{x.scale.y_unit}]")
     _head(axes, "Residuals, own offset and zero taken out (means of bins)")
 
 

@@ -1,4 +1,4 @@
-"""The folder of a calibration: which work it holds, and which of its files an earlier calibration wrote."""
+"""The folder of a calibration: which campaigns it holds, and which of its files an earlier calibration wrote."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from calibration.analytical.replicates import Replicate
 from calibration.campaign.campaign import Campaign
+from calibration.campaign.measured import MeasuredCurve
 from tissue_sim.atomic_write import write_text
 from tissue_sim.errors import InputError
 
-WORK_FILE, FIT_FILE, SUMMARY_FILE = "work.json", "fit.json", "summary.csv"
+CLAIM_FILE, FIT_FILE, SUMMARY_FILE = "work.json", "fit.json", "summary.csv"
 #: Folder of the simulations of an inverse fit, beside its results.
 SOLVES = "solves"
 TABLES = ("report.html", "curves.csv", "residuals.csv")
-WORK_SCHEMA = "tissue_sim/calibration/2"
+CLAIM_SCHEMA = "tissue_sim/calibration/2"
 
 
-def claim(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaign], replicates: Sequence[Replicate],
-          works: Mapping[str, str], overwrite: bool) -> None:
-    """Make `output` ready for this work; what it holds of this very work stays.
+def claim(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaign], recordings: Sequence[MeasuredCurve],
+          digests: Mapping[str, str], overwrite: bool) -> None:
+    """Make `output` ready for these campaigns; what it holds of these very ones stays.
 
     Files of an earlier calibration are removed, by the list that it left in ``work.json``; no other file is touched.
 
     Args:
-        output: folder of the whole work. folders: of each campaign, by its name.
-        campaigns, replicates: what is read, which no result may replace.
-        works: digest of each campaign, by its name.
+        output: folder of all results. folders: of each campaign, by its name.
+        campaigns, recordings: what is read, which no result may replace.
+        digests: of each campaign, by its name.
         overwrite: whether other work in `output` may be replaced.
 
     Raises:
@@ -40,15 +40,15 @@ def claim(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaig
     if output.exists() and not output.is_dir():
         raise InputError("is a file; give a folder for the results", file=output)
     planned = [path for campaign in campaigns for path in result_files(campaign, folders[campaign.name])]
-    planned += [output / WORK_FILE, *([output / SUMMARY_FILE] if len(campaigns) > 1 else [])]
+    planned += [output / CLAIM_FILE, *([output / SUMMARY_FILE] if len(campaigns) > 1 else [])]
     for folder in folders.values():
         if (folder / SOLVES).exists() and not (folder / SOLVES).is_dir():
             raise InputError("is in the way: simulations are kept in a folder of that name; move it away",
                              file=folder / SOLVES)
-    _protect_inputs(planned, campaigns, replicates)
-    found = _read_work(output)
+    _protect_inputs(planned, campaigns, recordings)
+    found = _read_claim(output)
     if not overwrite and output.exists() and any(output.iterdir()):
-        if found.get("campaigns") != works:
+        if found.get("campaigns") != digests:
             what = "the results of other work" if found else "other files"
             raise InputError(f"the folder holds {what}; choose an empty one or add --overwrite", file=output)
         return
@@ -60,8 +60,8 @@ def claim(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaig
     _clear_solves({path.parent for path in earlier})
     _remove(earlier, output)
     files = [path.relative_to(output).as_posix() for path in planned]
-    content = {"schema": WORK_SCHEMA, "campaigns": dict(works), "files": files}
-    write_text(output / WORK_FILE, json.dumps(content, indent=2) + "\n")
+    content = {"schema": CLAIM_SCHEMA, "campaigns": dict(digests), "files": files}
+    write_text(output / CLAIM_FILE, json.dumps(content, indent=2) + "\n")
 
 
 def result_files(campaign: Campaign, folder: Path) -> list[Path]:
@@ -70,10 +70,10 @@ def result_files(campaign: Campaign, folder: Path) -> list[Path]:
             folder / FIT_FILE]
 
 
-def _protect_inputs(planned: Sequence[Path], campaigns: Sequence[Campaign], replicates: Sequence[Replicate]) -> None:
-    recordings = {replicate.file for replicate in replicates}
-    inputs = [*(campaign.path for campaign in campaigns), *recordings,
-              *(path.with_suffix(".json") for path in recordings)]
+def _protect_inputs(planned: Sequence[Path], campaigns: Sequence[Campaign],
+                    recordings: Sequence[MeasuredCurve]) -> None:
+    files = {recording.file for recording in recordings}
+    inputs = [*(campaign.path for campaign in campaigns), *files, *(path.with_suffix(".json") for path in files)]
     existing = [path for path in inputs if path.exists()]
     for path in planned:
         # By identity: links, and names that a file system does not tell apart, are the same file.
@@ -82,11 +82,11 @@ def _protect_inputs(planned: Sequence[Path], campaigns: Sequence[Campaign], repl
                              file=path)
 
 
-def _read_work(output: Path) -> dict[str, Any]:
+def _read_claim(output: Path) -> dict[str, Any]:
     """The ``work.json`` of an earlier calibration; empty where there is none that can be trusted."""
     try:
-        found = json.loads((output / WORK_FILE).read_text(encoding="utf-8"))
-        if found["schema"] != WORK_SCHEMA:
+        found = json.loads((output / CLAIM_FILE).read_text(encoding="utf-8"))
+        if found["schema"] != CLAIM_SCHEMA:
             return {}
         places = [PurePosixPath(name) for name in found["files"]]
     except (OSError, ValueError, KeyError, TypeError):

@@ -1,20 +1,23 @@
-"""Files of an inverse calibration."""
+"""Files of a calibrated campaign."""
 
 from __future__ import annotations
 
+import csv
+import io
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 
-from calibration.analytical.outputs import format_table
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.fit import Fit
 from calibration.fit.parameters import ParameterSpace
 from calibration.fit.result import CalibrationResult, to_json
 from calibration.fit.results import TestCurves
 from calibration.report.output_folder import FIT_FILE
-from calibration.report.report import write_inverse_report
+from calibration.report.page import parameter_unit
+from calibration.report.report import write_report
 from calibration.report.self_weight import statement
 from tissue_sim.atomic_write import write_text
 from tissue_sim.laws import find_law
@@ -23,20 +26,26 @@ from tissue_sim.material.file import MaterialFile, write_material_file
 Curves = Mapping[str, Sequence[TestCurves]]
 
 
-def write_campaign(result: CalibrationResult, curves: Curves, measured: Mapping[str, Sequence[MeasuredCurve]], *,
-                   figures: bool = True) -> None:
-    """Write everything; ``fit.json`` last, because it says that the campaign is finished."""
+def write_campaign(result: CalibrationResult, curves: Curves, measured: Mapping[str, Sequence[MeasuredCurve]],
+                   method: str, *, figures: bool = True) -> None:
+    """Write everything; ``fit.json`` last, because it says that the campaign is finished.
+
+    Args:
+        result: fits best first. curves: law -> each test as that law sees it. measured: test -> its recordings.
+        method: what was fitted how, for the material files. figures: whether the report gets its pictures.
+    """
     for fit in result.fits:
         if fit.material_file is not None:
-            write_material_file(material_file(fit, result, measured), result.output / fit.material_file)
+            write_material_file(material_file(fit, result, measured, method), result.output / fit.material_file)
     write_text(result.output / "curves.csv", _curves(curves))
     write_text(result.output / "residuals.csv", _residuals(curves))
-    write_inverse_report(result, curves, result.output / "report.html", figures=figures)
+    write_report(result, curves, result.output / "report.html", figures=figures)
     text = json.dumps(to_json([result]), indent=2, ensure_ascii=False, allow_nan=False)
     write_text(result.output / FIT_FILE, text + "\n")
 
 
-def material_file(fit: Fit, result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCurve]]) -> MaterialFile:
+def material_file(fit: Fit, result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCurve]],
+                  method: str) -> MaterialFile:
     """The material of a fit with its uncertainty, valid range and provenance."""
     campaign = result.campaign
     law, space = find_law(fit.law), ParameterSpace.of(fit.law, campaign)
@@ -44,6 +53,7 @@ def material_file(fit: Fit, result: CalibrationResult, measured: Mapping[str, Se
     kept = [i for i, name in enumerate(fit.covariance.order) if not name.startswith("bulk.")]
     order = [fit.covariance.order[i] for i in kept]
     errors = {name: error for name, error in fit.standard_errors.items() if error is not None and name in order}
+    # The covariance of the others holds for a parameter that stays on its bound, as it does for a fixed one.
     complete = all(name in errors or name in fit.on_bound for name in order)
     covariance = np.array(fit.covariance.matrix)[np.ix_(kept, kept)] if complete else None
     residual = {key: value for key, value in (("RMSE_N", fit.RMSE_N), ("RMSE_Pa", fit.RMSE_Pa), ("R2", fit.R2))
@@ -55,14 +65,38 @@ def material_file(fit: Fit, result: CalibrationResult, measured: Mapping[str, Se
         valid_range={"stretch": list(fit.stretch_range)},
         provenance={
             "recordings": [{"file": curve.file.name, "sha256": curve.sha256} for curve in fitted],
-            "method": "inverse FEM: generalised least squares on force", "residual": residual,
+            "method": method, "residual": residual,
             "settings": {"campaign": campaign.path.name, "campaign_sha256": campaign.sha256,
+                         "offset": campaign.fit.offset, "noise_Pa": result.noise_Pa,
+                         "noise_source": result.noise_source,
                          "tests": [test.name for test in campaign.tests if not test.hold_out],
                          "intervals95": {name: list(pair) for name, pair in fit.intervals95.items()
                                          if pair is not None},
                          "not_identifiable": fit.not_identifiable, "left_out_percent": fit.left_out,
-                         "self_weight": statement(campaign, fit), "status": fit.status,
+                         "self_weight": statement(campaign, fit), "status": fit.status, "BIC": fit.BIC,
                          "covariance_from": fit.covariance_from}})
+
+
+def write_summary(results: Sequence[CalibrationResult], path: Path) -> None:
+    """One row for each law of each campaign; a cell is empty where the method has no such figure."""
+    laws = [(fit.law, name) for result in results for fit in result.fits for name in fit.parameters]
+    units = {name: parameter_unit(find_law(law), name) or "-" for law, name in laws}
+    header = ["campaign", "rank", "law", "status", "E0 [Pa]", "mu0 [Pa]", "R2", "RMSE [N]", "RMSE [Pa]", "AIC", "BIC",
+              "left_out [%]", "noise_ratio", "stable_from", "stable_to", "not_identifiable", "fem_solves", "cpu [s]"]
+    for name, unit in units.items():
+        header += [f"{name} [{unit}]", f"{name} standard error [{unit}]", f"{name} low95 [{unit}]",
+                   f"{name} high95 [{unit}]"]
+    rows = []
+    for result in results:
+        for rank, fit in enumerate(result.fits, start=1):
+            row = [result.campaign.name, rank, fit.law, fit.status, fit.E0, fit.mu0, fit.R2, fit.RMSE_N, fit.RMSE_Pa,
+                   fit.AIC, fit.BIC, fit.left_out, fit.noise_ratio, fit.stable_from, fit.stable_to,
+                   " ".join(fit.not_identifiable), fit.fem_solves, fit.cpu_s]
+            for name in units:
+                low, high = fit.intervals95.get(name) or (None, None)
+                row += [fit.parameters.get(name), fit.standard_errors.get(name), low, high]
+            rows.append(row)
+    write_text(path, format_table(header, rows))
 
 
 def _curves(curves: Curves) -> str:
@@ -71,28 +105,51 @@ def _curves(curves: Curves) -> str:
     for law, tests in curves.items():
         for test in tests:
             time = [None] * test.force.size if test.time is None else test.time.tolist()
-            rows += [[law, test.test.name, t, *_in_units(test, d, f, e, b)] for t, d, f, e, b in zip(
+            rows += [[law, test.test.name, t, *_in_units(test, d, (f,), (e, b))] for t, d, f, e, b in zip(
                 time, test.displacement.tolist(), test.force.tolist(), test.force_error.tolist(), test.band.tolist(),
                 strict=True)]
-    return format_table(["law", "test", "time [s]", "displacement [mm]", "force [N]", "standard error [N]",
-                         "band95 [N]", "strain [-]", "nominal stress [Pa]", "standard error [Pa]", "band95 [Pa]"], rows)
-
-
-def _in_units(test: TestCurves, displacement: float, *forces: float) -> list[float | None]:
-    """Displacement in mm and forces in N, or strain and stresses, whichever was recorded; the others are empty."""
-    if test.test.specimen is None:
-        return [*[None] * (1 + len(forces)), displacement, *forces]
-    return [displacement * 1e3, *forces, *[None] * (1 + len(forces))]
+    return format_table(["law", "test", "time [s]", "abscissa", "value", "displacement [mm]", "force [N]",
+                         "standard error [N]", "band95 [N]", "nominal stress [Pa]", "standard error [Pa]",
+                         "band95 [Pa]"], rows)
 
 
 def _residuals(curves: Curves) -> str:
-    """Every sample: measured, model with its own offset and zero, model minus measured."""
+    """Every sample: measured, model with the recording's offset and zero, model minus measured."""
     rows = []
     for law, tests in curves.items():
         for test in tests:
             for curve, model in zip(test.measured, test.fitted, strict=True):
                 time = [None] * model.size if curve.time is None else curve.time.tolist()
-                rows += [[law, curve.name, t, *_in_units(test, d, f, m, m - f)] for t, d, f, m in zip(
+                rows += [[law, curve.name, t, *_in_units(test, d, (f, m, m - f))] for t, d, f, m in zip(
                     time, curve.displacement.tolist(), curve.force.tolist(), model.tolist(), strict=True)]
-    return format_table(["law", "replicate", "time [s]", "displacement [mm]", "measured [N]", "model [N]",
-                         "residual [N]", "strain [-]", "measured [Pa]", "model [Pa]", "residual [Pa]"], rows)
+    return format_table(["law", "replicate", "time [s]", "abscissa", "value", "displacement [mm]", "measured [N]",
+                         "model [N]", "residual [N]", "measured [Pa]", "model [Pa]", "residual [Pa]"], rows)
+
+
+def _in_units(test: TestCurves, displacement: float, forces: Sequence[float],
+              errors: Sequence[float] = ()) -> list[float | str | None]:
+    """Abscissa of the closed form with its value; displacement, mm, forces, N, and stresses, Pa: what the test has.
+
+    A nominal stress is negative in compression, its errors are not.
+    """
+    asked, empty = test.test, [None] * (len(forces) + len(errors))
+    mechanical = [None, *empty] if asked.specimen is None else [displacement * 1e3, *forces, *errors]
+    if test.area is None:
+        return [None, None, *mechanical, *empty]
+    sign, height = asked.kind.sign, 1.0 if asked.specimen is None else asked.specimen.height
+    name, value = asked.kind.require_closed_form().label, asked.kind.abscissa(displacement / height)
+    if asked.specimen is not None and asked.specimen.specific_weight:
+        name = "1 - displacement/height [-]"
+    return [name, value, *mechanical, *(sign * force / test.area for force in forces),
+            *(error / test.area for error in errors)]
+
+
+def format_table(header: Sequence[str], rows: Iterable[Sequence]) -> str:
+    """CSV with eight digits; None and NaN are empty cells."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(header)
+    # NaN is where a law carries no more.
+    writer.writerows(["" if cell is None or cell != cell else f"{cell:.8g}" if isinstance(cell, float) else cell
+                      for cell in row] for row in rows)
+    return stream.getvalue()

@@ -1,4 +1,4 @@
-"""``report.html`` of an inverse calibration: the verdict, pictures of what it rests on, and the numbers."""
+"""``report.html``: the verdict, pictures of what it rests on, and the numbers."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calibration.fit.fit import Fit, Prediction
+from calibration.report.assumptions import assumptions
 from calibration.report.curve_figures import draw_test, probability, size_of
 from calibration.report.drawing import counted
 from calibration.report.estimate_figures import draw_correlation, draw_profiles
@@ -36,7 +37,6 @@ from calibration.report.report_tables import (
     region_table,
     suggestion_in_words,
 )
-from calibration.report.self_weight import statement
 from tissue_sim.atomic_write import write_text
 from tissue_sim.laws import find_law
 
@@ -46,36 +46,39 @@ if TYPE_CHECKING:
     from calibration.fit.results import TestCurves
 
 
-def write_inverse_report(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurves]], path: Path, *,
-                         figures: bool = True) -> None:
+def write_report(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurves]], path: Path, *,
+                 figures: bool = True) -> None:
     """Write the page of one campaign; without `figures` it holds verdict and tables only.
 
     Args:
         result: fits best first. curves: law -> each test of the campaign as that law sees it, held-out ones too.
     """
-    campaign = result.campaign
+    campaign, analytical = result.campaign, result.campaign.fit.method == "analytical"
     tests = {test.name: test for test in campaign.tests}
     recordings = {c.test.name: c.measured for c in next(iter(curves.values()))}
     parts = [f'<p class="quiet">{counted(sum(map(len, recordings.values())), "recording")} of '
-             f"{counted(len(campaign.tests), 'test')}, {counted(len(result.fits), 'law')}; inverse finite elements, "
-             "all tests at once</p>", _verdict(result, tests)]
+             f"{counted(len(campaign.tests), 'test')}, {counted(len(result.fits), 'law')}; "
+             f"{'least squares on nominal stress' if analytical else 'inverse finite elements, all tests at once'}</p>",
+             _verdict(result, tests)]
     if figures:
         parts += _pictures(result, curves, recordings)
-    parts += ["<h2>Ranking by prediction</h2>", ranking_table(result.fits), remark_list(result.fits),
-              "<h2>Parameters</h2>", parameter_table(result.fits, figures)]
+    parts += [f"<h2>Ranking by {'BIC' if analytical else 'prediction'}</h2>", ranking_table(result.fits),
+              remark_list(result.fits), "<h2>Parameters</h2>", parameter_table(result.fits, figures)]
     if result.predictions:
         parts += ["<h2>Predictions</h2>", prediction_table(result.predictions, tests)]
     if any(fit.regions for fit in result.fits):
         parts += ["<h2>Residuals by region</h2>", region_table(result.fits, tests)]
-    parts += ["<h2>What these tests can tell</h2>", identifiability_table(result.fits),
-              *([] if figures else correlation_tables(result.fits))]
+    if not analytical:
+        parts += ["<h2>What these tests can tell</h2>", identifiability_table(result.fits)]
+    if analytical or not figures:
+        parts += correlation_tables(result.fits)
     if result.best.nuisances:
         parts += [f"<h2>Contact offsets and zeros of {title_of(result.best.law)}</h2>", nuisance_table(result.best)]
     if any(fit.history for fit in result.fits):
         parts += ["<h2>Every solve</h2>", *(
             f"<details><summary>{title_of(fit.law)}: {_effort(fit)}</summary>{history_table(fit)}</details>"
             for fit in result.fits if fit.history)]
-    parts += ["<h2>What was assumed</h2>", html_list(map(escape, inverse_assumptions(result))),
+    parts += ["<h2>What was assumed</h2>", html_list(map(escape, assumptions(result))),
               "<h2>Recordings</h2>",
               recording_list(((m.file.name, m.sha256, m.force.size) for several in recordings.values()
                               for m in several), whole=True)]
@@ -144,7 +147,8 @@ def _untold(fits: Sequence[Fit]) -> Iterator[str]:
 def _pictures(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurves]],
               recordings: Mapping[str, Sequence]) -> Iterator[str]:
     campaign, fits = result.campaign, result.fits
-    if result.predictions:
+    # Where nobody knows what chance alone would make, the table says as much.
+    if any(p.expected_N is not None or p.fitted for p in result.predictions):
         yield "<h2>Tests that the laws had not seen</h2>"
         yield html_figure(draw_predictions(result.predictions, campaign.tests), "Errors of the predictions",
                           "No test is predicted by a fit to itself. Up to the black mark, chance could make the error: "
@@ -162,7 +166,7 @@ def _pictures(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurve
                           "Root mean square of what the law lacks there, before offsets, zeros and mesh error make up "
                           "for part of it, and the probability of so much by chance, adjusted for the number of "
                           "regions (Holm); orange from p = 0.05 down.")
-    for fit in fits:
+    for fit in fits if campaign.fit.method != "analytical" else ():
         inside = "".join(_estimates(fit, campaign))
         if inside:
             name = title_of(fit.law)
@@ -204,40 +208,3 @@ def _what(test: Test, count: int) -> str:
             words += f", {tool.shape} tool of radius {tool.radius * 1e3:g} mm"
         words += f", face {friction}" if isinstance(friction, str) else f", face with friction {friction:g}"
     return f"{words}; {counted(count, 'recording')}{'; held out: predicted, not fitted' if test.hold_out else ''}"
-
-
-def inverse_assumptions(result: CalibrationResult) -> list[str]:
-    """What the numbers rest on, one sentence each."""
-    best, campaign = result.best, result.campaign
-    lines = ["One material in all tests; each recording has a contact offset and a zero of its own, which are "
-             "marginalised, not trusted."]
-    if best.jitter is not None:
-        freedom = best.jitter.freedom
-        source = "stated in the campaign, or the usual prior" if freedom is None else \
-            f"estimated with {freedom} degrees of freedom" if freedom else "assumed, as no test has two recordings"
-        lines.append(f"Between recordings the contact point scatters by {best.jitter.contact_mm:.3g} mm and the zero "
-                     f"by {best.jitter.zero_N:.3g} N (standard deviations), {source}.")
-    for noise in result.noise:
-        test = next(test for test in campaign.tests if test.name == noise.test)
-        colour = "white" if noise.correlation_time_s == 0 else f"correlated over {noise.correlation_time_s:.3g} s"
-        lines.append(f"Noise of {noise.test}: {size_of(noise.deviation_N, test)} (standard deviation, {noise.source}), "
-                     f"{colour}.")
-    for mesh in best.mesh:
-        if mesh.largest_percent is None:
-            lines.append(f"Mesh of {mesh.test}: the accurate mesh does not get through; of the fast mesh's error "
-                         f"{mesh.remainder_percent:.2g} % is carried as covariance.")
-            continue
-        lines.append(f"Mesh of {mesh.test}: the accurate mesh differs from the fast one by up to "
-                     f"{mesh.largest_percent:.2g} %, which is corrected ({counted(mesh.refreshes, 'time')}); of the "
-                     f"accurate mesh's own error {mesh.remainder_percent:.2g} % is carried as covariance.")
-    rest = {"noise": "the stated or estimated noise", "residuals": "the residuals, which exceed the noise",
-            "replicates": "the scatter of the replicates"}[best.covariance_from]
-    lines.append(f"Standard errors and intervals rest on {rest}; the intervals are profile likelihoods inside the "
-                 "bounds.")
-    lines.append("A law is ranked by what it predicts of tests that it was not fitted to, not by R².")
-    if campaign.fit.fixed:
-        lines.append(f"Fixed: {', '.join(f'{name} = {value:g}' for name, value in campaign.fit.fixed.items())}.")
-    for name, (mean, deviation) in campaign.fit.prior.items():
-        lines.append(f"Prior of {name}: {mean:g} ± {deviation:g}.")
-    lines.append(statement(campaign, best))
-    return lines

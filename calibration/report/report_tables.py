@@ -11,7 +11,7 @@ from calibration.report.curve_figures import probability, size_of
 from calibration.report.estimate_figures import NOT_TOLD
 from calibration.report.figures import percent
 from calibration.report.page import html_table, number, parameter_unit, plus_minus, stable_stretches, title_of
-from calibration.report.pressure import format_pressure
+from calibration.report.pressure import pressure_unit
 from tissue_sim.laws import find_law
 
 if TYPE_CHECKING:
@@ -19,15 +19,22 @@ if TYPE_CHECKING:
 
 
 def ranking_table(fits: Sequence[Fit]) -> str:
-    """The laws in their order, by what they predict of tests that they were not fitted to."""
+    """The laws in their order; the error of tests that they were not fitted to, where it ranks them."""
+    best, predicted = fits[0], any(fit.left_out is not None for fit in fits)
+    (e_unit, e_size), (mu_unit, mu_size) = pressure_unit(best.E0), pressure_unit(best.mu0)
+    r_unit, r_size = pressure_unit(best.RMSE_Pa or 0.0)
     rows = []
     for fit in fits:
-        rows.append([
-            title_of(fit.law), "-" if fit.left_out is None else percent(fit.left_out), number(fit.RMSE_N, 3),
-            f"{fit.noise_ratio:.3g}", f"{fit.R2:.5f}", f"{fit.BIC - fits[0].BIC:.4g}", format_pressure(fit.E0, 4),
-            format_pressure(fit.mu0, 4), stable_stretches(fit)])
-    return html_table(["Law", "Left-out error", "RMSE [N]", "Residual / noise", "R²", "ΔBIC", "E<sub>0</sub>",
-                       "μ<sub>0</sub>", "Stable stretches"], rows, best=True)
+        # A difference to a law that cannot be used would invite to use it.
+        difference = f"{fit.BIC - best.BIC:.4g}" if fit.unusable is None else "-"
+        left_out = "-" if fit.left_out is None else percent(fit.left_out)
+        rows.append([title_of(fit.law), *([left_out] if predicted else []),
+                     f"{fit.E0 / e_size:.4g}", f"{fit.mu0 / mu_size:.4g}", f"{fit.R2:.5f}", number(fit.RMSE_N, 4),
+                     number(None if fit.RMSE_Pa is None else fit.RMSE_Pa / r_size, 4), f"{fit.noise_ratio:.3g}",
+                     difference, stable_stretches(fit)])
+    return html_table(["Law", *(["Left-out error"] if predicted else []), f"E<sub>0</sub> [{e_unit}]",
+                       f"μ<sub>0</sub> [{mu_unit}]", "R²", "RMSE [N]", f"RMSE [{r_unit}]", "Residual / noise", "ΔBIC",
+                       "Stable stretches"], rows, best=True)
 
 
 def prediction_table(predictions: Iterable[Prediction], tests: Mapping[str, Test]) -> str:
@@ -35,8 +42,9 @@ def prediction_table(predictions: Iterable[Prediction], tests: Mapping[str, Test
     rows = []
     for p in predictions:
         how = "held out of all fits" if tests[p.test].hold_out else f"left out; fitted to {', '.join(p.fitted)}"
+        how += f"; none: {p.note}" if p.percent is None and p.note else ""
         rows.append([escape(p.test), escape(how), title_of(p.law), number(p.RMSE_N, 3), number(p.RMSE_Pa, 3),
-                     f"none: {escape(p.note)}" if p.percent is None else percent(p.percent), number(p.expected_N, 3)])
+                     "-" if p.percent is None else percent(p.percent), number(p.expected_N, 3)])
     return html_table(["Test", "How", "Law", "RMSE [N]", "RMSE [Pa]", "of the largest", "RMSE by chance [N]"], rows,
                       text=(1, 2))
 
@@ -47,7 +55,7 @@ def region_table(fits: Sequence[Fit], tests: Mapping[str, Test]) -> str:
              f"{size_of(r.largest_N, tests[r.test])} at {length_of(r.at, tests[r.test])}",
              f"{r.statistic:.3g} ({r.freedom})", probability(r.p).replace("<", "&lt;"),
              "as noise" if r.adequate else '<span class="bad">misfit</span>'] for fit in fits for r in fit.regions]
-    return html_table(["Law", "Test", "Region", "Misfit (rms)", "Largest data − model", "χ² (freedom)",
+    return html_table(["Law", "Test", "Region", "Misfit (rms)", "Largest model − data", "χ² (freedom)",
                        "p, adjusted", "Residuals"], rows, text=(1, 2))
 
 

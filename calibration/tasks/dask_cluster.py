@@ -6,10 +6,10 @@ import json
 import math
 from collections.abc import Callable
 from concurrent.futures import Future
-from functools import partial
 from pathlib import Path
 from typing import Any
 
+from calibration.tasks.packing import pack, run_packed
 from tissue_sim.errors import InputError
 
 #: s that a scheduler has to answer.
@@ -29,7 +29,7 @@ class DaskCluster:
 
     capacity = math.inf
     # The scheduler itself has tried several workers by then (its setting `allowed-failures`).
-    deaths_in_a_row = 1
+    most_deaths = 1
 
     def __init__(self, address: str):
         try:
@@ -55,7 +55,7 @@ class DaskCluster:
     def submit(self, function: Callable[..., Any], arguments: tuple) -> Future:
         """Start a task."""
         # In one piece: dask looks into arguments that it is given, for tasks and futures of its own.
-        return self._executor.submit(partial(function, *arguments))
+        return self._executor.submit(run_packed, pack(function, arguments))
 
     def stop(self) -> None:
         """Drop the tasks; what a worker is computing it finishes for nobody."""

@@ -2,31 +2,20 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from calibration.tasks.errors import WorkerError
 from tissue_sim.errors import InputError
 
-#: s between two looks: Windows delivers Ctrl-C only to a wait that comes to an end by itself.
-_LOOK_EVERY = 0.5
+#: Longest wait, s: Windows delivers Ctrl-C only to a wait that comes to an end by itself.
+_LONGEST_WAIT = 0.5
 
 OnDone = Callable[[int, Any], None]
-
-
-class WorkerError(RuntimeError):
-    """Worker processes end before they answer: killed, out of memory, or not able to start.
-
-    Attributes:
-        tasks: indices of the tasks that have no result.
-    """
-
-    def __init__(self, message: str, *, tasks: Sequence[int] = ()):
-        super().__init__(message)
-        self.tasks = tuple(tasks)
 
 
 @dataclass(frozen=True)
@@ -63,7 +52,8 @@ class Tasks(Protocol):
     def run(self, function: Callable[..., Any], arguments: Sequence[tuple], on_done: OnDone | None = None) -> list[Any]:
         """Call the function once for each tuple of arguments.
 
-        The function is one that a new process can import, arguments and results are such that pickle takes them.
+        The function is one that a new process can import, arguments and results are such that pickle takes them. What
+        was registered in this process is known where the function runs.
 
         Args:
             function: called as ``function(*arguments[i])``.
@@ -110,12 +100,12 @@ class TaskExecutor(Protocol):
     Attributes:
         capacity: tasks that it takes at a time.
         death: what the future of a task holds when its worker died.
-        deaths_in_a_row: deaths without a result between them after which the remaining tasks are given up.
+        most_deaths: of workers during one task, after which it is given up.
     """
 
     capacity: float
     death: type[Exception]
-    deaths_in_a_row: int
+    most_deaths: int
 
     def submit(self, function: Callable[..., Any], arguments: tuple) -> Future:
         """Start a task."""
@@ -162,11 +152,11 @@ class _ParallelTasks:
         """Run until every task has its place in results or failures."""
         executor = self._executor
         waiting = deque(range(len(arguments)))
-        # Tasks whose worker died: they run alone, after all others, so that they take none of them down and have the
-        # memory of the machine to themselves.
+        # Tasks during which a worker died: they run alone, after all others, so that they take none of them down and
+        # have the memory of the machine to themselves.
         suspects: deque[int] = deque()
-        tried_alone: set[int] = set()
-        deaths = 0
+        deaths: Counter[int] = Counter()
+        lost: list[int] = []
         running: dict[Future, int] = {}
 
         def start(index: int) -> None:
@@ -176,30 +166,26 @@ class _ParallelTasks:
             while waiting and not failures and len(running) < executor.capacity:
                 start(waiting.popleft())
             if not running:
-                tried_alone.add(suspects[0])
                 start(suspects.popleft())
-            done, _ = wait(running, timeout=_LOOK_EVERY, return_when=FIRST_COMPLETED)
+            done, _ = wait(running, timeout=_LONGEST_WAIT, return_when=FIRST_COMPLETED)
             for future in done:
                 index = running.pop(future)
                 if future.cancelled():
                     raise WorkerError("the connection to the workers was lost; start them again and repeat the call, "
-                                      "finished work is kept", tasks=sorted({index, *running.values(), *waiting}))
+                                      "what is finished is kept", tasks=sorted({index, *running.values(), *waiting}))
                 error = future.exception()
                 if isinstance(error, executor.death):
-                    deaths += 1
-                    suspects.append(index)
+                    deaths[index] += 1
+                    (lost if deaths[index] >= executor.most_deaths else suspects).append(index)
                 elif error is not None:
                     failures[index] = error
                     running = {other: place for other, place in running.items() if not other.cancel()}
                 else:
                     results[index] = future.result()
-                    deaths = 0
                     if on_done is not None:
                         on_done(index, results[index])
-            if (deaths >= executor.deaths_in_a_row and not (running or waiting or failures)
-                    and tried_alone.issuperset(suspects)):
-                raise WorkerError(
-                    f"{len(suspects)} of {len(arguments)} tasks have no result, because the process that worked on "
-                    "them ended each time (killed, out of memory, or for a reason that it printed); the others are "
-                    "done, so free memory or take fewer workers, and repeat the call",
-                    tasks=sorted(suspects)) from error
+        if lost and not failures:
+            raise WorkerError(
+                f"{len(lost)} of {len(arguments)} tasks have no result, because the process that worked on them ended "
+                "each time (killed, out of memory, or for a reason that it printed); the others are done, so free "
+                "memory or take fewer workers, and repeat the call", tasks=sorted(lost))

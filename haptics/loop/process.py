@@ -130,6 +130,11 @@ class LoopProcess:
         return self._ready
 
     @property
+    def ready(self) -> bool:
+        """Whether the process is known to have come to its first tick; `poll` looks."""
+        return self._ready
+
+    @property
     def alive(self) -> bool:
         """Whether the process runs."""
         return self._process is not None and self._process.is_alive()
@@ -226,7 +231,10 @@ class LoopProcess:
 
     def stop(self) -> LoopReport | None:
         """End the process, by force where it does not end by itself. Returns its report, None where there is none."""
-        with suppress(LoopError, InputError):  # it has died: there is nothing to stop
+        connection = self._connection
+        with suppress(LoopError, InputError, OSError):  # it has died: there is nothing to stop
+            while connection is not None and not self._ready and connection.poll():
+                self._read(0.0)
             if self._ready and self.report is None:
                 self.ask("stop")
                 self.wait(PATIENCE)

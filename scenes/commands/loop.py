@@ -157,17 +157,20 @@ def follow(process, seconds: float, *, quiet: bool):
 
     console = progress_console(quiet=quiet)
     with process, console.status("starting") as status:
-        process.wait_until_ready(progress=status.update)
-        with process.ring() as ring:
-            live = LiveLine(ring, seconds)
-            console.print(f"ring: {process.ring_path}", markup=False, soft_wrap=True)
-            try:
+        try:
+            process.wait_until_ready(progress=status.update)
+            with process.ring() as ring:
+                live = LiveLine(ring, seconds)
+                console.print(f"ring: {process.ring_path}", markup=False, soft_wrap=True)
                 while (report := process.wait(_LOOK_EVERY)) is None:
                     if not console.quiet:
                         status.update(live.text())
-                return report, False
-            except KeyboardInterrupt:
-                report = process.stop()
-                if report is None:
-                    raise LoopError(f"stopped by Ctrl-C, without a report: {process.message}") from None
+            return report, False
+        except KeyboardInterrupt:
+            # The loop may tick already, and this process not know it yet.
+            report = process.stop()
+            if report is not None:
                 return report, True
+            if not process.ready:
+                raise
+            raise LoopError(f"stopped by Ctrl-C, without a report: {process.message}") from None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from concurrent.futures import Future
 
 import tissue_sim as ts
-from calibration.tasks.executors import WorkerError
+from calibration.tasks.errors import WorkerError
 from calibration.tasks.process_pool import ProcessPool
 from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError
 

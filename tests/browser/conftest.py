@@ -12,6 +12,8 @@ import pytest
 HERE = Path(__file__).parent
 #: viser's answer to a drag in the picture, to a mouse; Chromium lets it do so for fingers only.
 HARMLESS = "Unable to preventDefault inside passive event listener"
+#: How long something may take on a machine that others keep busy, s: what comes, comes much sooner.
+PATIENCE = 300.0
 #: Of the virtual measurement, N.
 NOISE = 0.02
 
@@ -79,7 +81,7 @@ def pages_of(browser, chromium):
                                       accept_downloads=True)
         traffic = Traffic()
         page = traffic.watch(context.new_page())
-        page.set_default_timeout(30_000)
+        page.set_default_timeout(PATIENCE * 1e3)
         opened.append((server, context, page, traffic))
         chromium.open_viewer(page, server.url, triangles=triangles, **options)
         return page
@@ -150,7 +152,7 @@ class Shown:
         answered = threading.Event()
         said = []
         self.session.post(command, reply=lambda problem: (said.append(problem), answered.set()), **values)
-        assert answered.wait(60.0) and said == [None], said
+        assert answered.wait(PATIENCE) and said == [None], said
 
     def begin_again(self) -> None:
         """The tool at the touch, in the tissue of `setup`."""
@@ -159,7 +161,7 @@ class Shown:
             self.ask("use_scene", name=first.kind.name, tool=first.experiment.tool, friction=first.experiment.friction)
         if setup.material != first.material or setup.source != first.source:
             self.ask("use_material", material=first.material, source=first.source)
-        deadline = time.monotonic() + 60.0
+        deadline = time.monotonic() + PATIENCE
         while self.session.simulation.phase.name not in ("RUNNING", "PAUSED"):
             assert time.monotonic() < deadline, self.frame.message
             time.sleep(0.01)
@@ -219,7 +221,7 @@ class Reader:
         """Until a read-out says this."""
         self.until(lambda: self.read(name), lambda seen: seen == text)
 
-    def until(self, look, fits, seconds: float = 30.0):
+    def until(self, look, fits, seconds: float = PATIENCE):
         """Look again and again until what is seen fits, and return that; the browser goes on meanwhile."""
         deadline = time.monotonic() + seconds
         while not fits(seen := look()):
@@ -235,7 +237,7 @@ class Reader:
 
     def phase(self, name: str) -> None:
         """Until the simulation is in this phase."""
-        self.page.locator(f"[data-testid=phase][data-phase={name}]").wait_for(timeout=60e3)
+        self.page.locator(f"[data-testid=phase][data-phase={name}]").wait_for(timeout=PATIENCE * 1e3)
 
     def tab(self, name: str) -> None:
         self.page.get_by_role("tab", name=name, exact=True).click()
@@ -335,7 +337,7 @@ def stranger(browser):
     def open_one():
         with browser.new_context() as context:
             page = context.new_page()
-            page.set_default_timeout(30_000)
+            page.set_default_timeout(PATIENCE * 1e3)
             yield page
 
     return open_one

@@ -91,25 +91,37 @@ def test_slider_moves_the_tool_and_says_where_it_is(shown, reader):
     reader.until(lambda: reader.field("depth [mm]").input_value(), lambda value: value == "1")
 
 
+def at_rest(reader):
+    """The loop stands still, and the page says where."""
+    def at_rest(now):
+        return now.status == "paused" and reader.read("depth") == f"{now.depth * 1e3:.2f}"
+    return at_rest
+
+
 def test_protocol_is_played_paused_stepped_and_reset(shown, reader):
-    reader.fill("protocol", "ramp 4mm @2mm/s; hold 60s; unload")
+    # So slow that it is still on its way when a busy machine has pressed the button.
+    reader.fill("protocol", "ramp 4mm @0.05mm/s")
     reader.press("Play")
     reader.page.get_by_test_id("phase").filter(has_text="running · protocol").wait_for()
-    reader.until(lambda: reader.number("depth"), lambda depth: depth > 0.3)
+    reader.until(lambda: reader.number("depth"), lambda depth: depth > 0.05)
     reader.press("Pause")
     reader.phase("paused")
     # The read-outs have come to rest where the tool stands.
-    standing = reader.until(lambda: shown.frame.readouts.depth,
-                            lambda depth: reader.read("depth") == f"{depth * 1e3:.2f}")
-    assert 0.3e-3 < standing < 4e-3
+    standing = reader.until(lambda: shown.frame.readouts, at_rest(reader)).depth
+    assert 0.05e-3 < standing < 4e-3
     assert shown.frame.readouts.depth == standing
     reader.press("Step")
-    stepped = reader.until(lambda: shown.frame.readouts.depth, lambda depth: depth > standing + 0.05e-3
-                           and reader.read("depth") == f"{depth * 1e3:.2f}")
-    assert stepped < standing + 0.1e-3, "a frame of 2 mm/s is 0.07 mm"
+    stepped = reader.until(lambda: shown.frame.readouts,
+                           lambda now: now.depth > standing + 1.25e-6 and at_rest(reader)(now)).depth
+    assert stepped < standing + 2.5e-6, "a frame of 0.05 mm/s is 0.0017 mm"
     reader.phase("paused")
     reader.press("Play")
     reader.phase("running")
+    reader.until(lambda: shown.frame.readouts.depth, lambda depth: depth > stepped + 0.01e-3)
+    reader.press("Reset")
+    reader.page.get_by_test_id("phase").filter(has_text="running · by hand").wait_for()
+    reader.fill("protocol", "ramp 4mm @2mm/s; hold 600s; unload")
+    reader.press("Play")
     reader.wait_for("depth", "4.00")
     assert reader.read("phase") == "running · protocol"
     live = reader.until(lambda: reader.curves()[0]["live load"], lambda live: len(live) > 155)
@@ -132,7 +144,7 @@ def test_fault_in_a_protocol_is_answered_in_a_sentence_and_nothing_moves(shown, 
     reader.press("Play")
     reader.answer("the mesh is made for 5 mm; start the viewer with a larger --depth-mm")
     assert reader.read("phase") == "running · by hand"
-    assert reader.read("depth") == "0.00" and len(shown.frame.curves.trace) < 100
+    assert reader.read("depth") == "0.00"
     assert max(shown.frame.curves.trace.depth, default=0.0) < 1e-6
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import calibration
 import tissue_sim as ts
-from calibration.analytical import analytical
+from calibration.fit import ordinary
 
 VALUES = {"C10": 1404.9, "C20": 699.4}
 TEXT = """
@@ -113,7 +113,7 @@ def test_overwrite_and_resume(campaign, tmp_path, monkeypatch):
         raise AssertionError("a finished campaign was fitted again")
 
     with monkeypatch.context() as patch:
-        patch.setattr(analytical, "fit_law", fail)
+        patch.setattr(ordinary, "fit_law", fail)
         again, = calibration.calibrate([campaign], out, figures=False)
     assert again.resumed
     assert again.fits == first.fits

@@ -196,7 +196,7 @@ def test_a_stated_delimiter_reaches_the_reader(folder):
     columns = 'columns = { displacement = { name = "way", unit = "mm" }, force = { name = "load", unit = "N" } }'
     path = folder / "study.toml"
     path.write_text(GOOD.replace('["run_*.csv"]', f'["blanks.txt"]\n{columns}\ndelimiter = " "'), encoding="utf-8")
-    replicate, = calibration.read_replicates(calibration.load_campaign(path))
+    (replicate,), = calibration.read_measured(calibration.load_campaign(path)).values()
     assert replicate.force == pytest.approx([0.1 * i * (1 + i) for i in range(8)])
 
 
@@ -208,7 +208,7 @@ def test_a_recording_of_another_specimen_is_refused(folder, size, field):
     path = folder / "study.toml"
     path.write_text(GOOD, encoding="utf-8")
     with pytest.raises(ts.InputError, match=r"run_1\.csv says of itself") as error:
-        calibration.read_replicates(calibration.load_campaign(path))
+        calibration.read_measured(calibration.load_campaign(path))
     assert error.value.field == field and error.value.file == path
 
 
@@ -216,7 +216,7 @@ def test_no_more_strain_points_than_samples(folder):
     path = folder / "study.toml"
     path.write_text(GOOD.replace("bulk_ratio = 1000", "strain_points = 22"), encoding="utf-8")
     with pytest.raises(ts.InputError, match="give at most 21") as error:
-        calibration.read_replicates(calibration.load_campaign(path))
+        calibration.read_measured(calibration.load_campaign(path))
     assert error.value.field == "fit.strain_points"
 
 

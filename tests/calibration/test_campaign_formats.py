@@ -9,7 +9,6 @@ import pytest
 
 import calibration
 import tissue_sim as ts
-from calibration.analytical.replicates import read_replicates
 
 CAMPAIGN = """
 [[specimen]]
@@ -38,16 +37,21 @@ def folder(tmp_path):
     return tmp_path
 
 
+def read(path):
+    """All recordings of a campaign, in order."""
+    return [curve for curves in calibration.read_measured(calibration.load_campaign(path)).values() for curve in curves]
+
+
 def replicates(folder, reading):
     path = folder / "study.toml"
     path.write_text(CAMPAIGN.format(reading=reading), encoding="utf-8")
-    return read_replicates(calibration.load_campaign(path))
+    return read(path)
 
 
 def test_columns_by_place(folder):
     found = replicates(folder, COLUMNS)
     assert [replicate.name for replicate in found] == [f"lubricated_compression/run_{i}" for i in (1, 2)]
-    assert found[1].force[-1] == pytest.approx(10.0) and found[1].strain[-1] == pytest.approx(1 / 7)
+    assert found[1].force[-1] == pytest.approx(10.0) and found[1].displacement[-1] / 0.07 == pytest.approx(1 / 7)
 
 
 def test_a_bad_place_is_named_by_its_field(folder):
@@ -83,5 +87,5 @@ def test_every_curve_of_an_afm_file_is_a_replicate(folder):
     for reading, names in (("", ["cells_1", "cells_2", "cells_3"]), ("curve = 2", ["cells"])):
         path.write_text(CAMPAIGN.format(reading=f'format = "afm"\n{reading}').replace("run_*.xlsx", "cells.zip"),
                         encoding="utf-8")
-        found = read_replicates(calibration.load_campaign(path))
+        found = read(path)
         assert [replicate.name for replicate in found] == [f"lubricated_compression/{name}" for name in names]

@@ -14,7 +14,8 @@ import distributed
 import pytest
 
 from calibration.tasks import dask_cluster
-from calibration.tasks.executors import WorkerError, Workers, open_tasks
+from calibration.tasks.errors import WorkerError
+from calibration.tasks.executors import Workers, open_tasks
 from tissue_sim.errors import ConvergenceError, InputError
 
 SUMS = [(1, 2), (3.5, 4), (5, -6), (0.1, 0.2)]
@@ -123,7 +124,7 @@ def test_a_worker_that_dies_once_loses_nothing(task, tmp_path):
     assert results == [0, 1, 2, 3, 4] and told == dict(enumerate(results))
 
 
-def test_tasks_that_kill_their_worker_take_no_other_with_them(task, tmp_path):
+def test_tasks_that_kill_their_worker_leave_the_others_their_results(task, tmp_path):
     log, told = tmp_path / "log", {}
     fatal = (0, 3)
     with open_tasks(Workers(2)) as tasks:
@@ -133,9 +134,10 @@ def test_tasks_that_kill_their_worker_take_no_other_with_them(task, tmp_path):
     assert caught.value.tasks == fatal
     assert told == {1: 1, 2: 2, 4: 4, 5: 5}
     runs = [int(name) for name in log.read_text().split()]
-    assert all(runs.count(index) == 1 for index in told)
+    # Who ran beside one of the two runs once more.
+    assert all(runs.count(index) <= 3 for index in told)
     # Each of the two had its second chance when the others were done.
-    assert set(runs[max(runs.index(index) for index in told) + 1:]) == set(fatal)
+    assert set(fatal) <= set(runs[max(runs.index(index) for index in told) + 1:])
     assert all(2 <= runs.count(index) <= 3 for index in fatal)
 
 

@@ -8,7 +8,10 @@ import pytest
 
 import calibration
 import tissue_sim as ts
-from calibration.analytical.forward import Homogeneous, Weighing, forward_model
+from calibration.fit.parameters import ParameterSpace
+from calibration.forward.build import analytical_test
+from calibration.forward.column import ColumnTest
+from calibration.forward.solves import Solves
 from tissue_sim.closed_form.column import Column
 
 LAW = ts.find_law("reduced_polynomial_2")
@@ -145,16 +148,22 @@ def test_intervals_hold_the_truth_with_jitter(tmp_path):
 @pytest.mark.parametrize("weighs", [False, True])
 def test_slopes_of_the_forward_model(tmp_path, weighs):
     path = write_campaign(tmp_path, [compression()], f"radius_mm = 40.0\nheight_mm = 70.0\n{GRAVITY if weighs else ''}")
-    test, = calibration.load_campaign(path).tests
-    model = forward_model(test)
-    assert isinstance(model, Weighing if weighs else Homogeneous) and model == forward_model(test)
-    abscissa = np.array([1.05, 0.98, 0.93, 0.86])
-    # The deepest point stays, so that the curve is sampled alike.
-    moved = np.array([1e-6, 1e-6, 1e-6, 0.0])
-    numeric = (model.stress(LAW, abscissa + moved, PHANTOM) - model.stress(LAW, abscissa - moved, PHANTOM)) / 2e-6
-    np.testing.assert_allclose(model.slope(LAW, abscissa, PHANTOM)[:3], numeric[:3], rtol=1e-6)
-    assert model.stress(LAW, abscissa, PHANTOM)[0] == 0 == model.slope(LAW, abscissa, PHANTOM)[0]
-    assert not model.derivatives(LAW, abscissa, PHANTOM)[0].any()
+    campaign = calibration.load_campaign(path)
+    (test,), (curves,) = campaign.tests, calibration.read_measured(campaign).values()
+    # Before the touch, on the way, and the deepest point, which stays: the curve is sampled alike.
+    places = STUDY.height * np.array([-0.05, 0.02, 0.07, 0.14])
+    form = analytical_test(test, [replace(curves[0], displacement=places, force=np.zeros(4))], campaign.fit)
+    assert isinstance(form, ColumnTest) == weighs
+    space, width = ParameterSpace.of("reduced_polynomial_2", campaign), 1e-6 * STUDY.height
+    answer = form.solve(space, np.array(list(PHANTOM.values())), Solves())
+    force, rates, contact = form.evaluate(answer, 0, 0.0)
+    assert force[0] == contact[0] == 0 and not rates[0].any()
+    numeric = (form.evaluate(answer, 0, width)[0] - form.evaluate(answer, 0, -width)[0]) / (2 * width)
+    np.testing.assert_allclose(contact[:3], numeric[:3], rtol=1e-6)
+    for i, step in enumerate(1e-6 * np.eye(2) * list(PHANTOM.values())):
+        ends = [form.evaluate(form.solve(space, np.array(list(PHANTOM.values())) + sign * step, Solves()), 0, 0.0)[0]
+                for sign in (1, -1)]
+        np.testing.assert_allclose(rates[:, i], (ends[0] - ends[1]) / (2 * step[i]), rtol=1e-5)
 
 
 def test_reports_say_what_gravity_was_assumed(tmp_path):

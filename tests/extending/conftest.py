@@ -2,6 +2,7 @@
 
 import importlib
 import os
+import time
 from pathlib import Path
 
 import pytest
@@ -31,3 +32,18 @@ def registers():
     yield register
     for registry, name in added:
         registry.unregister(name)
+
+
+@pytest.fixture
+def ticks_of():
+    """``ticks_of(loop)``: the first ticks of a loop that runs until it is stopped, dtype `haptics.loop.ring.TICK`."""
+    def ticks_of(loop, count=600, seconds=300.0):
+        loop.wait_until_ready(seconds)
+        with loop.ring() as ring:
+            deadline = time.monotonic() + seconds
+            while ring.written < count:
+                assert loop.wait(0.02) is None and time.monotonic() < deadline, loop.message
+            loop.stop()
+            return ring.since().records
+
+    return ticks_of

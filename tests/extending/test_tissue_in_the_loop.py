@@ -51,17 +51,13 @@ def test_the_tissue_uses_all_directions_and_slides(toy, path):
     assert np.hypot(*wrenches.T[:2]).max() == pytest.approx(toy.GRIP)
 
 
-def test_through_a_loop_in_its_own_process(toy, motion):
-    with LoopProcess(toy.ToyTissue, motion, ForceRendering(generous()),
-                     LoopSettings(seconds=0.6, real_time=False)) as loop:
-        loop.wait_until_ready(120)
-        with loop.ring() as ring:
-            loop.wait(120)
-            ticks = ring.since().records
+def test_through_a_loop_in_its_own_process(toy, motion, ticks_of):
+    with LoopProcess(toy.ToyTissue, motion, ForceRendering(generous()), LoopSettings(real_time=False)) as loop:
+        ticks = ticks_of(loop)
     tissue = toy.ToyTissue()
     poses = [Pose(tuple(each[:3]), tuple(each[3:])) for each in ticks["tool_pose"].tolist()]
     expected = [tissue.step(pose, DT).wrench for pose in poses]
-    assert tissue.slips > 50
+    assert tissue.slips > 5
     same(ticks["tissue_wrench"], expected)
     same(ticks["wrench"], expected)
     same(ticks["stiffness_matrix"][-1], toy.stiffness())

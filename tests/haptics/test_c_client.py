@@ -52,7 +52,7 @@ def serving(tissue):
             yield server.address[1]
         finally:
             server.stop()
-            thread.join(20.0)
+            thread.join(300.0)
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +75,7 @@ def path_file(tmp_path):
 
 def drive(program, *words):
     return subprocess.run([str(program), *map(str, words)], capture_output=True, text=True, encoding="utf-8",
-                          timeout=120)
+                          timeout=600)
 
 
 def forces(done):
@@ -129,7 +129,7 @@ def test_what_goes_wrong_is_one_sentence(drive_needle, path_file, tmp_path):
         assert drive(drive_needle).returncode == 2
         done = drive(drive_needle, port, tmp_path / "missing.txt")
         assert done.returncode == 2 and "cannot read" in done.stderr
-        owner.settimeout(20.0)
+        owner.settimeout(60.0)
         owner.sendto(encode_request(Request(0, 0.0)), ("127.0.0.1", port))
         owner.recv(500)
         done = drive(drive_needle, port, path_file)
@@ -144,7 +144,7 @@ def test_only_the_reply_of_this_version_to_this_request_counts(drive_needle, ver
     """A server that first sends noise and the reply to an older request."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as server:
         server.bind(("127.0.0.1", 0))
-        server.settimeout(20.0)
+        server.settimeout(60.0)
 
         def answer():
             for sequence in range(3 if version == 1 else 2):  # the last is the goodbye

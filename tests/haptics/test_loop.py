@@ -317,7 +317,7 @@ def environment():
     return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, [str(HERE.parents[1]), str(HERE)]))}
 
 
-def wait_until(condition, seconds=20.0):
+def wait_until(condition, seconds=300.0):
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline, f"not within {seconds} s"
@@ -335,19 +335,22 @@ def is_running(pid):
 def test_a_process_ticks_to_its_end(tissues):
     said = []
     with tissues.loop_process(seconds=0.5, real_time=True) as loop:
-        loop.wait_until_ready(60, said.append)
+        loop.wait_until_ready(300, said.append)
         assert said[-1] == "running"
-        report = loop.wait(60)
+        with loop.ring() as ring:
+            report = loop.wait(300)
+            ticks = ring.since().records
         assert report.ended_by == "time" and report.ticks + report.missed >= 500
         assert len(report.real_time) == 4 and any(feature.obtained for feature in report.real_time)
-        assert report.statuses["converged"] == report.ticks and report.largest_force == pytest.approx(0.8, rel=0.01)
+        assert ring_is_right(ticks) and report.statuses["converged"] == report.ticks == len(ticks)
+        assert report.largest_force == ticks["force"].max()
         assert not loop.alive and loop.exit_code == 0 and loop.message == "ended"
     assert not loop.ring_path.exists() and not loop.snapshot_path.exists()
 
 
 def test_an_unrelated_process_reads_the_ring(tissues):
     with tissues.loop_process() as loop:
-        loop.wait_until_ready(60)
+        loop.wait_until_ready(300)
         assert loop.alive and loop.exit_code is None and loop.report is None
         with loop.ring() as ring:
             command = [sys.executable, HERE / "loop_tissues.py", "read", loop.ring_path, "100"]
@@ -373,7 +376,7 @@ def test_commands_work_and_a_refusal_does_not_end_the_loop(tissues):
     with tissues.loop_process() as loop:
         with pytest.raises(LoopError, match="not ready"):
             loop.pause()
-        loop.wait_until_ready(60)
+        loop.wait_until_ready(300)
         with loop.ring() as ring:
             loop.set_parameters(stiffness=300.0)
             with pytest.raises(InputError, match="stiffness: -1 N/m is no stiffness"):
@@ -399,7 +402,7 @@ def test_commands_work_and_a_refusal_does_not_end_the_loop(tissues):
 
 def test_snapshots_are_published_and_follow_the_material(tissues):
     with tissues.loop_process(tissues.Gel, snapshot_rate=200.0) as loop:
-        loop.wait_until_ready(60)
+        loop.wait_until_ready(300)
         with loop.snapshots() as snapshots, loop.ring() as ring:
             wait_until(lambda: snapshots.written > 3)
             seen = snapshots.latest()
@@ -419,33 +422,33 @@ def test_snapshots_are_published_and_follow_the_material(tissues):
 
 def test_who_publishes_no_snapshots_has_none(tissues):
     with tissues.loop_process(seconds=0.05) as loop:
-        loop.wait_until_ready(60)
+        loop.wait_until_ready(300)
         assert loop.snapshots() is None and loop.pattern is None
 
 
 def test_an_error_of_the_tissue_arrives_as_one_sentence(tissues, capfd):
     with tissues.loop_process(tissues.Fuse) as loop, pytest.raises(LoopError, match=r"^ZeroDivisionError: the tenth"):
-        loop.wait(60)
+        loop.wait(300)
     assert loop.exit_code == 1 and not loop.alive and loop.message == "ZeroDivisionError: the tenth step"
     assert "Traceback" in capfd.readouterr().err, "a fault of the program can be found"
     with tissues.loop_process(tissues.refuse) as loop, pytest.raises(InputError, match="12 layers are too many"):
-        loop.wait_until_ready(60)
+        loop.wait_until_ready(300)
     assert capfd.readouterr().err == "" and loop.stop() is None
 
 
 def test_a_child_that_is_killed_is_seen(tissues):
     with tissues.loop_process() as loop:
-        loop.wait_until_ready(60)
+        loop.wait_until_ready(300)
         os.kill(loop.pid, getattr(signal, "SIGKILL", signal.SIGTERM))
         with pytest.raises(LoopError, match="before that: running"):
-            loop.wait(60)
+            loop.wait(300)
         assert not loop.alive and loop.exit_code not in (None, 0) and loop.report is None
         assert not loop.ring_path.exists(), "nothing is left behind"
         for command in (loop.pause, loop.reset, loop.wait):
             with pytest.raises(LoopError, match="the process of the loop"):
                 command()
     with tissues.loop_process(tissues.die) as loop, pytest.raises(LoopError, match="building the tissue"):
-        loop.wait_until_ready(60)
+        loop.wait_until_ready(300)
 
 
 def test_a_build_that_takes_long_can_be_stopped(tissues):

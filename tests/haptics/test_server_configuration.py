@@ -64,7 +64,7 @@ class Line:
     """One connection of the configuration."""
 
     def __init__(self, server):
-        self.socket = socket.create_connection(server.configuration_address, timeout=20.0)
+        self.socket = socket.create_connection(server.configuration_address, timeout=60.0)
         self.file = self.socket.makefile("rb")
 
     def ask(self, command, **more):
@@ -90,7 +90,7 @@ def server():
         thread.start()
         yield server
         server.stop()
-        thread.join(20.0)
+        thread.join(300.0)
         assert not thread.is_alive()
 
 
@@ -103,7 +103,7 @@ def line(server):
 
 @pytest.fixture
 def client(server):
-    with TissueClient(server.address[1], timeout=20.0) as client:
+    with TissueClient(server.address[1], timeout=60.0) as client:
         yield client
 
 
@@ -213,7 +213,7 @@ def test_tissue_that_cannot_is_one_sentence():
         assert "none to set" in line.ask("set_parameters", parameters={"C10": 1.0})["error"]
         line.close()
         server.stop()
-        thread.join(20.0)
+        thread.join(300.0)
 
 
 def test_lines_may_come_in_pieces_and_in_heaps(line):
@@ -270,7 +270,7 @@ class Port:
         self.port = ConfigurationPort(listener, lambda line: iter([line.upper() + b"\n"]), self.selector)
 
     def connect(self):
-        peer = socket.create_connection(self.address, timeout=20.0)
+        peer = socket.create_connection(self.address, timeout=60.0)
         self.turn()
         return peer
 

@@ -8,8 +8,8 @@ import sys
 import numpy as np
 import pytest
 
-import calibration.analytical.analytical
 import tissue_sim as ts
+from calibration.fit import ordinary
 from scenes.cli import main
 
 TRUE = {"C10": 1404.9, "C20": 699.4}
@@ -147,7 +147,7 @@ def test_ctrl_c_says_what_was_finished(fits, expected, campaign, tmp_path, capsy
     second = tmp_path / "second.toml"
     second.write_text(CAMPAIGN, encoding="utf-8")
     words = ["calibrate", str(campaign), str(second), "-o", str(tmp_path / "out")]
-    original, calls = calibration.analytical.analytical.fit_law, []
+    original, calls = ordinary.fit_law, []
 
     def interrupted(*arguments):
         calls.append(arguments)
@@ -155,7 +155,7 @@ def test_ctrl_c_says_what_was_finished(fits, expected, campaign, tmp_path, capsy
             raise KeyboardInterrupt
         return original(*arguments)
 
-    monkeypatch.setattr("calibration.analytical.analytical.fit_law", interrupted)
+    monkeypatch.setattr(ordinary, "fit_law", interrupted)
     assert main(words) == 130
     assert f"stopped by Ctrl-C; {expected}: run the same command" in capsys.readouterr().err
 

@@ -15,9 +15,10 @@ import pytest
 from rich.console import Console
 from scipy.interpolate import PchipInterpolator
 
-import calibration.fit.work as work
+import calibration.fit.generalised as generalised
 import tissue_sim as ts
-from calibration.tasks.executors import WorkerError, open_tasks
+from calibration.tasks.errors import WorkerError
+from calibration.tasks.executors import open_tasks
 from scenes.cli import main
 from tissue_sim.errors import ConvergenceError
 
@@ -232,7 +233,7 @@ def test_ctrl_c_keeps_the_simulations(overwrite, joint, tmp_path, capsys, monkey
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(work, "run_settle", interrupted)
+        patch.setattr(generalised, "run_settle", interrupted)
         assert run(*words) == 130
     count = len(simulations(out))
     assert count > 2, "more than looking at the start takes"
@@ -256,7 +257,7 @@ def test_ctrl_c_before_the_folder_is_claimed(joint, tmp_path, capsys, monkeypatc
         raise KeyboardInterrupt
 
     joint.write_text(joint.read_text(encoding="utf-8").replace("1400.0", "1500.0"), encoding="utf-8")
-    monkeypatch.setattr(work, "check_start", interrupted)
+    monkeypatch.setattr(generalised, "check_start", interrupted)
     assert run(joint, "-o", out, "--overwrite") == 130
     assert "no campaign was finished" in capsys.readouterr().err
     assert (out / "fit.json").is_file()
@@ -329,7 +330,7 @@ def test_a_fit_that_comes_to_its_end_is_exit_code_1(kind, joint, tmp_path, capsy
     def ends(*arguments, **keywords):
         raise kind("this is as far as it went")
 
-    monkeypatch.setattr(work, "run_start", ends)
+    monkeypatch.setattr(generalised, "run_start", ends)
     assert run(joint, "-o", tmp_path / "out", "--json") == 1
     stdout, stderr = capsys.readouterr()
     assert stdout == "" and stderr == "tissue-sim: this is as far as it went\n"

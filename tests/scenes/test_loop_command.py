@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,7 @@ KEYS = {"scene", "motion", "resolution", "ended_by", "seconds", "period_us", "ti
         "peak_memory_MB"}
 
 
-def writer_of(ring, ticks=50, seconds=60.0, alive=lambda: True):
+def writer_of(ring, ticks=50, seconds=600.0, alive=lambda: True):
     """The process that makes a ring, as soon as it has so many ticks."""
     deadline = time.monotonic() + seconds
 
@@ -66,16 +67,25 @@ def asked(monkeypatch):
 
 
 @pytest.fixture
-def of_springs(monkeypatch):
-    """Loops whose tissue is a spring of 200 N/m: their processes begin without kernels, four seconds earlier."""
+def of_tissue(monkeypatch):
+    """Loops of another tissue: their processes begin without kernels, four seconds earlier."""
     monkeypatch.syspath_prepend(ROOT / "tests" / "haptics")  # the process of the loop inherits it
-    spring = importlib.import_module("loop_tissues").Spring
+    tissues = importlib.import_module("loop_tissues")
 
-    class OfSpring(LoopProcess):
-        def __init__(self, build, *others, **options):
-            super().__init__(spring, *others, **options)
+    def of_tissue(make):
+        class OfTissue(LoopProcess):
+            def __init__(self, _, *others, **options):
+                super().__init__(make(tissues), *others, **options)
 
-    monkeypatch.setattr("haptics.loop.process.LoopProcess", OfSpring)
+        monkeypatch.setattr("haptics.loop.process.LoopProcess", OfTissue)
+
+    return of_tissue
+
+
+@pytest.fixture
+def of_springs(of_tissue):
+    """Loops whose tissue is a spring of 200 N/m."""
+    of_tissue(lambda tissues: tissues.Spring)
 
 
 def test_a_short_loop_answers_in_json(capsys):
@@ -194,10 +204,35 @@ def test_ctrl_c_ends_it_with_its_report(tmp_path):
                           stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
         writer_of(ring, alive=lambda: process.poll() is None)
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does
-        out, err = process.communicate(timeout=60)
+        out, err = process.communicate(timeout=600)
     assert process.returncode == 130 and err == ""
     answer = json.loads(out)
     assert answer["ended_by"] == "stop" and answer["ticks"] >= 50 and set(answer) == KEYS
     assert sum(answer["statuses"].values()) == answer["ticks"] and answer["statuses"]["refused"] == 0
     assert (answer["scene"], answer["motion"]) == ("needle_indentation", "random")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_ctrl_c_before_the_command_knows_that_the_loop_runs_has_its_report(of_springs, monkeypatch, capsys, tmp_path):
+    """As on a busy machine: the loop ticks, and this process has not yet read that it does."""
+    ring = tmp_path / "ring"
+
+    def interrupted(process, **_):
+        writer_of(ring)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("haptics.loop.process.LoopProcess.wait_until_ready", interrupted)
+    assert main(["loop", "--json", "--ring", str(ring)]) == 130
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["ended_by"] == "stop" and answer["ticks"] >= 50
+
+
+def test_ctrl_c_before_the_first_tick_is_said(of_tissue, monkeypatch, capsys):
+    def interrupted(process, **_):
+        raise KeyboardInterrupt
+
+    of_tissue(lambda tissues: partial(tissues.build_slowly, 600.0))
+    monkeypatch.setattr("haptics.loop.process.LoopProcess.wait_until_ready", interrupted)
+    assert main(["loop", "--json"]) == 130
+    out, err = capsys.readouterr()
+    assert out == "" and err.startswith("tissue-sim: stopped by Ctrl-C")

@@ -47,7 +47,7 @@ def served(root, material):
         assert set(answer) == {"host", "port", "configuration_port", "real_time"}
         yield answer
         process.send_signal(signal.SIGTERM)
-        out, err = process.communicate(timeout=60)
+        out, err = process.communicate(timeout=600)
         assert process.returncode == 0 and out == ""
         assert re.search(r"answered \d+ poses of \d+ clients", err)
 
@@ -55,7 +55,7 @@ def served(root, material):
 @pytest.fixture
 def ask(served):
     """Ask the configuration."""
-    with socket.create_connection((served["host"], served["configuration_port"]), timeout=60) as peer:
+    with socket.create_connection((served["host"], served["configuration_port"]), timeout=600) as peer:
         lines = peer.makefile("rb")
 
         def ask(command, **more):
@@ -68,7 +68,7 @@ def ask(served):
 
 @pytest.fixture
 def client(served):
-    with TissueClient(served["port"], timeout=60) as client:
+    with TissueClient(served["port"], timeout=600) as client:
         yield client
 
 
@@ -139,10 +139,10 @@ def test_ctrl_c_ends_with_counters(root, material):
     with serving(root, material, "--configuration-port", "0") as (process, line):
         assert line.startswith("serving needle_indentation on 127.0.0.1:") and line.endswith("Ctrl-C stops\n")
         port = int(line.split(" (UDP)")[0].rpartition(":")[2])
-        with TissueClient(port, timeout=60) as client:
+        with TissueClient(port, timeout=600) as client:
             client.step(0.0)
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=60)
+        out, err = process.communicate(timeout=600)
     assert process.returncode == 0 and err == ""
     assert "answered 1 poses of 1 clients" in out and "0 malformed" in out
 

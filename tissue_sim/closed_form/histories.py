@@ -16,6 +16,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.laws import Law
+from tissue_sim.material.effect import PointEffect
 from tissue_sim.material.material import Material
 from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import Prony, internal_stress
@@ -151,7 +152,8 @@ def nominal_stress_history(material: Material, time, stretch, contact_radius: fl
         contact_radius: m, for the time of drainage; the specimen's radius.
 
     Raises:
-        InputError: as `HomogeneousHistory`; a material with layers, or one that drains and no contact radius.
+        InputError: as `HomogeneousHistory`; a material with layers or an effect at the points, or one that drains and
+            no contact radius.
 
     Source: Holzapfel, Nonlinear Solid Mechanics, 2000, sections 6.5 and 6.10.
     """
@@ -171,6 +173,9 @@ def stress_history(mode: str, material: Material, time, strain, contact_radius: 
     history = HomogeneousHistory(mode, time, strain)
     if material.layers:
         raise InputError("a layered specimen does not deform homogeneously; use the finite elements", field="layers")
+    if added := [name for name, effect in material.effects.items() if isinstance(effect, PointEffect)]:
+        raise InputError("closed forms know nothing of effects that were added at the points; use the finite elements",
+                         field=f"effects.{added[0]}")
     prony = material.relaxation(contact_radius)
     return history.nominal_stress(material.energy_law, material.values, prony, material.softening,
                                   material.instantaneous_factor)

@@ -33,6 +33,11 @@ class RigFault:
         """Whether the tool goes elsewhere than the stage reports."""
         return type(self).tool_motion is not RigFault.tool_motion
 
+    @property
+    def reads(self) -> bool:
+        """Whether the sensor reads something else than the true force."""
+        return type(self).reading is not RigFault.reading
+
     def tool_motion(self, displacement: np.ndarray) -> np.ndarray:
         """Where the tool goes when the stage reports these displacements, m, in the order of time, shape (n,)."""
         return displacement

@@ -120,7 +120,7 @@ class Rig:
     @property
     def reading_only(self) -> Rig:
         """The rig as far as it reads forces: the tool is where the stage says, and there is no noise."""
-        return self._acting_on(_READING, faults=self.faults)
+        return self._acting_on(_READING, faults=[fault for fault in self.faults.values() if fault.reads])
 
     @property
     def without_noise(self) -> Rig:

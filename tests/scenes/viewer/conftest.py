@@ -22,7 +22,7 @@ def needle() -> Scene:
 @pytest.fixture(scope="session")
 def until():
     """Look again and again until what is seen fits, and return that."""
-    def until(look, fits, seconds=120.0):
+    def until(look, fits, seconds=600.0):
         deadline = time.monotonic() + seconds
         while not fits(seen := look()):
             assert time.monotonic() < deadline, f"this is still so: {seen}"

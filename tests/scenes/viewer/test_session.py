@@ -324,10 +324,10 @@ def test_a_viewer_is_shown_frames_until_it_is_enough(session):
                 stop.set()
 
     viewer = Leaving()
-    session.run(viewer, stop, seconds=120.0)
+    session.run(viewer, stop, seconds=600.0)
     assert stop.is_set() and viewer.frames > 1 and viewer.latest.target == 0.5e-3
     viewer = NullViewer()
-    session.run(viewer, threading.Event(), seconds=0.05)
+    session.run(viewer, threading.Event(), seconds=0.5)
     assert viewer.frames >= 1 and viewer.latest.phase is Phase.RUNNING
 
 

@@ -32,7 +32,7 @@ def server():
 
 def ask(port, *headers, path="/", address="127.0.0.1"):
     """Status, body and headers of one request with exactly these headers."""
-    connection = http.client.HTTPConnection(address, port, timeout=10)
+    connection = http.client.HTTPConnection(address, port, timeout=120)
     connection.putrequest("GET", path, skip_host=True, skip_accept_encoding=True)
     for name, value in headers:
         connection.putheader(name, value)
@@ -45,7 +45,7 @@ def ask(port, *headers, path="/", address="127.0.0.1"):
 
 def websocket(port, name="127.0.0.1", **options):
     """A client that names the server `name`, wherever that is."""
-    stream = socket.create_connection(("127.0.0.1", port), timeout=10)
+    stream = socket.create_connection(("127.0.0.1", port), timeout=120)
     try:
         return connect(f"ws://{name}:{port}/", sock=stream, subprotocols=[PROTOCOL], compression=None, **options)
     except BaseException:
@@ -57,14 +57,14 @@ def is_answered(port, **options):
     """Whether viser speaks to a client, or the status that refuses it."""
     try:
         with websocket(port, **options) as client:
-            return isinstance(client.recv(timeout=10), bytes)
+            return isinstance(client.recv(timeout=120), bytes)
     except InvalidStatus as refused:
         return refused.response.status_code
 
 
 def is_open(port):
     with socket.socket() as probe:
-        probe.settimeout(10)
+        probe.settimeout(120)
         return probe.connect_ex(("127.0.0.1", port)) == 0
 
 
@@ -150,7 +150,7 @@ def requests_of_sharing(server):
         for message in ({"type": "ShareUrlRequest"}, {"type": "ShareUrlDisconnect"},
                         {"type": "GuiUpdateMessage", "uuid": "nothing", "updates": {}}):
             client.send(msgspec.msgpack.encode(message))
-        assert last.wait(20)
+        assert last.wait(120)
     server._thread_executor.shutdown()  # what the first two have asked for has run
     return arrived
 

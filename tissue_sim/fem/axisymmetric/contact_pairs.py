@@ -48,10 +48,8 @@ def build_contact(experiment: Experiment, mesh: Mesh, *, tool: bool = True,
     else:
         tolerance = NEEDLE_TOLERANCE * experiment.tool.require_radius()
     level = tool and experiment.tool.is_plate
-    if experiment.adhesion is None or not tool:
-        return Contact(tuple(pairs), tolerance, level=level)
-    area = np.pi * experiment.contact_radius**2
-    return Contact(tuple(pairs), tolerance, experiment.adhesion.force / area, experiment.adhesion.length, level)
+    return Contact(tuple(pairs), tolerance, experiment.acting_laws if tool else (),
+                   np.pi * experiment.contact_radius**2, level)
 
 
 def _sides(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""The force of each test as a function of the parameters of the material: simulated, or in closed form."""
+"""A test that the finite elements simulate at a few points of its motion."""
 
 from __future__ import annotations
 
@@ -12,25 +12,22 @@ import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.parameters import ParameterSpace
+from calibration.forward.contract import InfeasibleError, Reached
 from calibration.forward.motion import Course, Loading, Timed
 from calibration.forward.solves import SimulatedCurve, Solves, content_key
 from tissue_sim.closed_form.homogeneous import UNIAXIAL, ClosedForm
 from tissue_sim.differentiation import sensitivities
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.experiment import Experiment
-from tissue_sim.experiment.kinds.kind import TestKind
+from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.model import Model
 from tissue_sim.recording.recording import Recording
 from tissue_sim.rig.rig import Rig
 from tissue_sim.simulation import simulate
 from tissue_sim.specimen import Specimen
 
-#: Half width of a difference with a parameter, in its size.
-_RATE_WIDTH = 1e-6
-
-
-class InfeasibleError(RuntimeError):
-    """No force at these parameters: no such material, or the simulation does not get through."""
+#: Shares of the volume that are stretched less, or more, than what counts as the range of the data.
+_TAIL = 0.01
 
 
 @dataclass(eq=False)
@@ -58,6 +55,11 @@ class SimulatedTest:
     #: What it is where it is homogeneous.
     closed_form: ClassVar[ClosedForm] = UNIAXIAL
     sign: ClassVar[float] = -1.0
+    area: ClassVar[float | None] = None
+
+    @property
+    def timed(self) -> bool:
+        return isinstance(self.motions[0], Timed)
 
     @property
     def specimen(self) -> Specimen:
@@ -132,7 +134,7 @@ class SimulatedTest:
         if self.proportional:
             values, factor = space.normalised(values)
         names: Sequence[str] = () if resolution == "accurate" else space.free
-        experiment = replace(self.experiment, protocol=motion.protocol)
+        experiment = self._experiment(motion)
         key = content_key(experiment, self.rig.motion_only, space.law, values, space.bulk, list(names), resolution)
         curve = solves.find(key)
         if curve is None:
@@ -182,6 +184,24 @@ class SimulatedTest:
         rig = self.rig.reading_only
         return None if rig.ideal else rig
 
+    def reached(self, space: ParameterSpace, theta: np.ndarray) -> Reached:
+        """Of the volume, without a hundredth at either end."""
+        deepest = max(float(curve.displacement.max()) for curve in self.measured)
+        if self.homogeneous:
+            low = 1 - deepest / self.height
+            return Reached(self.closed_form.mode, low, 1.0, self.closed_form.extremes(low, 1.0))
+        points = max(3, self.motions[0].protocol.time.size // 2)
+        experiment = replace(self.experiment, protocol=Protocol.ramp(deepest, points))
+        try:
+            fields = simulate(Model(experiment, space.material(space.values(theta))), fields=True).fields
+        except (ConvergenceError, InputError):
+            return _of_volume(1 - deepest / self.height, 1.0)
+        F = fields.deformation_gradient()
+        plane = np.linalg.svd(F[..., :4].reshape(*F.shape[:-1], 2, 2), compute_uv=False)
+        principal = np.concatenate([plane, F[..., 4:]], axis=-1)
+        return _of_volume(_quantile(principal.min(axis=-1), fields.weights, _TAIL),
+                          _quantile(principal.max(axis=-1), fields.weights, 1 - _TAIL))
+
     def _experiment(self, motion: Loading | Timed) -> Experiment:
         return replace(self.experiment, protocol=motion.protocol)
 
@@ -201,82 +221,11 @@ def _simulate(space: ParameterSpace, values: dict[str, float], experiment: Exper
     return SimulatedCurve(force.tolist(), rates.tolist(), "", clock.process_time() - began)
 
 
-@dataclass(eq=False)
-class ClosedTest:
-    """A test by the closed form of the incompressible material.
+def _of_volume(low: float, high: float) -> Reached:
+    return Reached(None, low, high, (low, high))
 
-    Attributes:
-        name: of the test. kind: what it is.
-        height, area: m and m2. measured: the recordings.
-    """
 
-    name: str
-    kind: TestKind
-    height: float
-    area: float
-    measured: tuple[MeasuredCurve, ...]
-
-    @property
-    def closed_form(self) -> ClosedForm:
-        return self.kind.require_closed_form()
-
-    @property
-    def sign(self) -> float:
-        """Of strain and nominal stress under load."""
-        return self.kind.sign
-
-    @property
-    def radius(self) -> float:
-        """Of a round specimen of this cross-section, m."""
-        return float(np.sqrt(self.area / np.pi))
-
-    proportional = True
-    homogeneous = True
-
-    def solve(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> tuple:
-        """What `evaluate` needs."""
-        try:
-            space.material(space.values(theta))
-        except InputError as error:
-            raise InfeasibleError(f"{self.name}: {error}") from None
-        return space, np.array(theta)
-
-    def refine(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> float:
-        """The closed form needs no correction."""
-        return 0.0
-
-    def evaluate(self, answer: tuple, recording: int, offset: float):
-        """As `SimulatedTest.evaluate`."""
-        space, theta = answer
-        measured = self.measured[recording]
-        closed_form, area = self.closed_form, self.sign * self.area
-
-        def force_at(values: dict[str, float], moved: float) -> np.ndarray:
-            abscissa = self.kind.abscissa((measured.displacement - moved) / self.height)
-            material = space.material(values)
-            if material.relaxation(self.radius) is None and material.softening is None:
-                stress = closed_form.stress(material.energy_law, abscissa, material.values)
-                return area * material.instantaneous_factor * stress
-            return area * closed_form.history(material, measured.time, abscissa, self.radius)
-
-        values = space.values(theta)
-        try:
-            force = force_at(values, offset)
-        except InputError as error:
-            raise InfeasibleError(f"{self.name}: {error}") from None
-        rates = np.empty((force.size, len(space.free)))
-        for k, (name, size) in enumerate(zip(space.free, space.sizes(values).tolist(), strict=True)):
-            ends = []
-            for step in (_RATE_WIDTH * size, -_RATE_WIDTH * size):
-                try:
-                    ends.append((force_at(values | {name: values[name] + step}, offset), step))
-                except InputError:
-                    # At the end of what a material may have: to one side.
-                    ends.append((force, 0.0))
-            (more, high), (less, low) = ends
-            rates[:, k] = (more - less) / (high - low) if high > low else np.nan
-        width = 1e-6 * self.height
-        rate = (force_at(values, offset + width) - force_at(values, offset - width)) / (2 * width)
-        if not (np.isfinite(force).all() and np.isfinite(rates).all()):
-            raise InfeasibleError(f"{self.name}: the law gives no finite stress")
-        return force, rates, rate
+def _quantile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
+    order = np.argsort(values, axis=None)
+    total = np.cumsum(weights.ravel()[order])
+    return float(values.ravel()[order][np.searchsorted(total, share * total[-1])])

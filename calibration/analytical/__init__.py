@@ -1,1 +1,0 @@
-"""The analytical calibration: closed forms of homogeneous tests."""

@@ -1,0 +1,227 @@
+"""Generalised least squares along the pipeline: starts on the fast mesh, the accurate mesh's difference, marginals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from calibration.campaign.campaign import Campaign, Test
+from calibration.campaign.measured import MeasuredCurve
+from calibration.fit.checks import check_start
+from calibration.fit.estimate import Estimate, Stated, settle
+from calibration.fit.estimator import Findings, Runner
+from calibration.fit.fit import Fit, JitterStatement, MeshCorrection, Minimum, Nuisance, Prediction
+from calibration.fit.identifiability import condition, suggest_tests, weak_directions
+from calibration.fit.levenberg_marquardt import ENOUGH_OF_A_START, Descent, Listener, descend
+from calibration.fit.problem import Evaluation, Problem
+from calibration.fit.ranking import prediction_message
+from calibration.fit.regions import judge_regions, name_misfits
+from calibration.fit.starts import starts
+from calibration.fit.uncertainty import assess_uncertainty
+from calibration.forward.build import FAST_REMAINDERS, REMAINDERS, build_problem, build_test, remainder
+from calibration.forward.contract import ForwardTest, InfeasibleError, Reached
+from calibration.forward.solves import Solves
+from calibration.statistics.jitter import Jitter
+from calibration.statistics.statistics import MODEL_ERROR_RATIO, r_squared
+from calibration.statistics.uncertainty import Uncertainty
+
+#: Minima whose parameters differ by less than this share of their size are one.
+_SAME = 1e-2
+#: A nuisance so many standard deviations away is not chance.
+SUSPECT = 4.0
+#: Degrees of freedom below which an estimated scatter of 0 is doubted.
+FEW = 6
+
+
+class Generalised:
+    """Any test, force, weights from noise, jitter and mesh error; see `calibration.fit.estimator.Estimator`."""
+
+    explores = True
+    by_prediction = True
+    words = "inverse FEM: generalised least squares on force"
+    pooled_noise = None
+
+    def __init__(self, campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCurve]], solves: Solves):
+        self.campaign, self.measured, self.solves = campaign, measured, solves
+
+    def problem(self, law: str) -> Problem:
+        """The least-squares problem of one law over all tests that are not held out."""
+        return build_problem(law, self.campaign, self.measured, self.solves)
+
+    def check(self, law: str, number: int) -> None:
+        """Refuse a start that the law or the tests do not bear, or a parameter that no test can see."""
+        check_start(self.problem(law), self.campaign, number)
+
+    def estimate(self, laws: Sequence[str], run: Runner) -> dict[str, tuple[Sequence[Descent], Estimate | str]]:
+        """As `Estimator.estimate`: all starts of all laws at once, then all mesh differences."""
+        problems = {law: self.problem(law) for law in laws}
+        keys = [(law, number, theta) for law in laws
+                for number, theta in enumerate(starts(problems[law].space, self.campaign.fit.starts), 1)]
+        ends = run.descents(run_start, [law for law, *_ in keys],
+                            [(problems[law], number, theta) for law, number, theta in keys],
+                            f"{len(keys)} start{'s' if len(keys) > 1 else ''}")
+        descents: dict[str, list[Descent]] = {law: [] for law in laws}
+        for (law, *_), end in zip(keys, ends, strict=True):
+            descents[law].append(end)
+        best = {law: min(descents[law], key=lambda end: end.error) for law in laws}
+        usable = [law for law in laws if np.isfinite(best[law].error)]
+        settled = run.descents(run_settle, usable, [(problems[law], best[law], self._stated(problems[law]))
+                                                    for law in usable], "the difference of the accurate mesh")
+        found: dict[str, tuple[Sequence[Descent], Estimate | str]] = {
+            law: (descents[law], best[law].problem) for law in laws}
+        for law, estimate in zip(usable, settled, strict=True):
+            estimate.problem.solves = self.solves
+            found[law] = descents[law], estimate if np.isfinite(estimate.error) else estimate.failure
+        return found
+
+    def _stated(self, problem: Problem) -> Stated:
+        """The jitter that is not to be estimated: fitted offsets have their priors."""
+        if self.campaign.fit.offset == "fit":
+            return Stated(problem.jitter.contact, problem.jitter.zero)
+        return Stated(self.campaign.noise.contact_jitter, self.campaign.noise.zero_jitter)
+
+    def uncertainty(self, estimate: Estimate, evaluation: Evaluation) -> Uncertainty:
+        """That of the parameters, with the nuisances marginalised."""
+        return assess_uncertainty(estimate.problem, evaluation)
+
+    def stretch_range(self, reached: Sequence[Reached]) -> tuple[float, float]:
+        """Of all principal stretches."""
+        return min(one.principal[0] for one in reached), max(one.principal[1] for one in reached)
+
+    def describe(self, found: Findings) -> dict[str, Any]:
+        """As `Estimator.describe`."""
+        estimate, spread, evaluation = found.estimate, found.spread, found.evaluation
+        problem, space = estimate.problem, estimate.problem.space
+        on_bound = [name for name, hit in zip(space.free, spread.on_bound, strict=True) if hit]
+        regions = judge_regions(problem, evaluation)
+        directions = weak_directions(space, spread)
+        warnings = [*estimate.warnings, *(f"{name} ended on its bound {found.values[name]:.6g}" for name in on_bound),
+                    *found.lost, *_doubts(problem, evaluation, spread)]
+        stressed = [curve for curve in problem.measured if curve.test.specimen is None]
+        residual = evaluation.force - problem.data
+        root = float(np.sqrt(np.mean(residual**2)))
+        history = [entry for descent in found.descents for entry in descent.history] + list(estimate.history)
+        best = min(descent.error for descent in found.descents)
+        # A descent ends within its tolerance of the minimum.
+        same = sum(descent.error <= best * (1 + 1e-4) for descent in found.descents)
+        count = len(found.descents)
+        parts = [f"converged; {same} of {count} start{'s' if count != 1 else ''} ended there"
+                 if found.unusable is None else found.unusable]
+        if bad := name_misfits(regions):
+            parts.append(f"a smooth misfit is left in {bad}")
+        elif regions:
+            parts.append("no smooth misfit is left in any test")
+        if found.loose:
+            parts.append(f"the tests do not determine {', '.join(found.loose)}")
+        return {
+            "R2": r_squared(problem.data, residual), "RMSE_N": None if stressed else root,
+            "RMSE_Pa": root if len(stressed) == len(problem.measured) else None, "on_bound": on_bound,
+            "nuisances": _nuisances(problem, evaluation), "minima": _minima(found.descents, problem),
+            "warnings": warnings, "message": "; ".join([*parts, *warnings]), "history": history, "regions": regions,
+            "condition": condition(spread), "directions": directions,
+            "suggestions": suggest_tests(problem, estimate.theta, spread)
+            if (found.loose or directions) and not on_bound else [],
+            "jitter": JitterStatement(contact_mm=problem.jitter.contact * 1e3, zero_N=problem.jitter.zero,
+                                      freedom=problem.jitter.freedom),
+            "mesh": [MeshCorrection(test=test.name, remainder_percent=100.0 * error, refreshes=estimate.refreshes,
+                                    largest_percent=100.0 * difference if np.isfinite(difference) else None)
+                     for test, difference, error in zip(problem.tests, estimate.differences, problem.mesh_error,
+                                                        strict=True)]}
+
+    def held_out(self, test: Test, estimate: Estimate) -> tuple[ForwardTest, float]:
+        """With a mesh difference of its own."""
+        problem = estimate.problem
+        found = build_test(test, self.measured[test.name], self.campaign.fit.material, problem.jitter.contact)
+        try:
+            found.refine(problem.space, estimate.theta, self.solves)
+            error = REMAINDERS
+        except InfeasibleError:
+            found.correction, error = [], FAST_REMAINDERS
+        return found, remainder(found, error)
+
+    def scatter(self, estimate: Estimate) -> Jitter | None:
+        """The jitter that was marginalised."""
+        return estimate.problem.jitter
+
+    def rank_message(self, fits: Sequence[Fit], predictions: Sequence[Prediction]) -> str:
+        """As `Estimator.rank_message`."""
+        return prediction_message(fits, predictions)
+
+
+def run_start(problem: Problem, number: int, theta: np.ndarray, listen: Listener | None = None) -> Descent:
+    """From one start to its minimum on the fast mesh."""
+    return descend(problem, theta, start=number, enough=ENOUGH_OF_A_START, listen=listen)
+
+
+def run_settle(problem: Problem, best: Descent, stated: Stated, listen: Listener | None = None) -> Estimate:
+    """From the best minimum to the estimate."""
+    return settle(problem, best.theta, stated, start=best.start, past=len(best.history), listen=listen)
+
+
+def _doubts(problem: Problem, evaluation: Evaluation, spread: Uncertainty) -> list[str]:
+    """What speaks against trusting the numbers."""
+    warnings, jitter = [], problem.jitter
+    if later := sum(curve.later for curve in problem.measured):
+        names = dict.fromkeys(curve.test.name for curve in problem.measured if curve.later)
+        warnings.append(f"what comes after the loading in {', '.join(names)} is not fitted ({later} samples): an "
+                        'elastic material has no holds and returns of its own; name "viscoelastic.terms[0].g" and '
+                        '".tau_s", or "softening.loss", in fit.start to use them')
+    few = jitter.freedom is not None and 0 < jitter.freedom < FEW
+    if few and not (jitter.contact and jitter.zero):
+        what = "contact" if not jitter.contact else "zero"
+        warnings.append(f"the scatter of the {what} comes out as 0 from few recordings, which does not prove it: state "
+                        f"{'contact_jitter_mm' if what == 'contact' else 'zero_jitter_N'}")
+    if jitter.freedom == 0:
+        warnings.append("no test has two recordings, so the scatter between recordings is not known and was assumed: "
+                        f"contact {jitter.contact * 1e3:.2g} mm, zero {jitter.zero:.2g} N; state "
+                        "contact_jitter_mm and zero_jitter_N (of tests without a specimen: 1000 times strain, and Pa)")
+    if spread.ratio > MODEL_ERROR_RATIO:
+        warnings.append(f"residuals are {spread.ratio:.3g} times the noise: the model misses something, and the "
+                        "standard errors are no more than a guess")
+    away = np.abs(evaluation.nuisances)
+    if stuck := [curve.name for columns, curve in zip(problem.offset_columns, problem.measured, strict=True)
+                 if away[columns].max(initial=0.0) > SUSPECT]:
+        warnings.append(f"contact or zero of {', '.join(stuck)} is more than {SUSPECT:g} times the stated or estimated "
+                        "scatter away: check where these recordings touch, or what the model lacks")
+    if away[len(problem.offset_columns) * len(problem.kinds):].max(initial=0.0) > SUSPECT:
+        warnings.append(f"the mesh error would be more than {SUSPECT:g} times what is known of it: something that the "
+                        "model lacks hides there")
+    return warnings
+
+
+def _nuisances(problem: Problem, evaluation: Evaluation) -> list[Nuisance]:
+    if not problem.kinds:
+        return []
+    matrix = np.linalg.inv(np.eye(evaluation.nuisances.size) + evaluation.columns.T @ evaluation.columns)
+    deviations = np.sqrt(np.diag(matrix))
+    size = {kind: getattr(problem.jitter, kind) for kind in problem.kinds}
+    found = []
+    for columns, curve in zip(problem.offset_columns, problem.measured, strict=True):
+        values = dict(zip(problem.kinds, evaluation.nuisances[columns], strict=True))
+        errors = dict(zip(problem.kinds, deviations[columns], strict=True))
+        pairs = {kind: (values[kind] * size[kind], errors[kind] * size[kind]) if kind in values else (0.0, 0.0)
+                 for kind in ("contact", "zero")}
+        found.append(Nuisance(
+            replicate=curve.name, contact_offset_mm=float(pairs["contact"][0] * 1e3),
+            contact_offset_error_mm=float(pairs["contact"][1] * 1e3), zero_offset_N=float(pairs["zero"][0]),
+            zero_offset_error_N=float(pairs["zero"][1])))
+    return found
+
+
+def _minima(descents: Sequence[Descent], problem: Problem) -> list[Minimum]:
+    """Distinct ends of the starts, before the mesh difference was in."""
+    total = float(np.sum((problem.data - problem.data.mean())**2))
+    kept: list[list] = []
+    for descent in sorted((d for d in descents if d.history and np.isfinite(d.error)), key=lambda d: d.error):
+        size = problem.sizes(descent.theta)
+        for other in kept:
+            if (np.abs(descent.theta - other[0].theta) <= _SAME * size).all():
+                other[1] += 1
+                break
+        else:
+            kept.append([descent, 1])
+    return [Minimum(parameters=problem.space.values(descent.theta),
+                    R2=1.0 - descent.history[-1].RMSE_N**2 * problem.data.size / total, starts=count)
+            for descent, count in kept]

@@ -1,0 +1,242 @@
+"""Ordinary least squares along the pipeline: several starts on few samples, the best minima on all, a sandwich."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from calibration.campaign.campaign import Campaign, Test
+from calibration.campaign.measured import MeasuredCurve
+from calibration.fit.closed_starts import closed_starts
+from calibration.fit.estimate import Estimate
+from calibration.fit.estimator import Findings, Runner
+from calibration.fit.fit import Fit, Minimum, Nuisance, Prediction
+from calibration.fit.levenberg_marquardt import Descent, descend
+from calibration.fit.ordinary_problem import OrdinaryProblem
+from calibration.fit.parameters import ParameterSpace
+from calibration.fit.problem import Evaluation
+from calibration.fit.ranking import bic_message
+from calibration.forward.build import analytical_test
+from calibration.forward.contract import ForwardTest, Reached
+from calibration.forward.solves import Solves
+from calibration.statistics.jitter import Jitter
+from calibration.statistics.statistics import CURVATURE_RATIO, MODEL_ERROR_RATIO, r_squared
+from calibration.statistics.uncertainty import Uncertainty, sandwich
+from tissue_sim.errors import InputError
+
+#: Starts are refined on a thinned curve, its best distinct minima on all samples.
+THINNED_POINTS, MAX_MINIMA = 200, 2
+THINNED_SOLVES, SOLVES, TOLERANCE = 300, 80, 1e-10
+#: The same of a law that relaxes, whose starts are refined once.
+RELAXING_SOLVES, RELAXING_TOLERANCE = 100, 1e-9
+#: Minima whose parameters differ by less than this share are one.
+_SAME = 1e-2
+#: Residuals whose neighbours correlate more than this are a model error, not noise.
+CORRELATED = 0.5
+#: Status -> what to do about a fit that is not usable.
+_REMEDIES = {
+    "not_physical": "no material has that, so no material file is written: set bounds or use another law",
+    "not_converged": "the optimiser ran out of evaluations in a flat valley where other parameters fit as well: fix "
+                     "one, or use a law with fewer",
+}
+
+
+class Ordinary:
+    """Closed forms, nominal stress, all samples alike; see `calibration.fit.estimator.Estimator`."""
+
+    explores = False
+    by_prediction = False
+    words = "analytical: least squares on nominal stress"
+
+    def __init__(self, campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCurve]], solves: Solves):
+        self.campaign, self.measured, self.solves = campaign, measured, solves
+        self.fitted = [curve for test in campaign.tests if not test.hold_out for curve in measured[test.name]]
+
+    def problem(self, law: str) -> OrdinaryProblem:
+        """The least-squares problem of one law over all tests that are not held out."""
+        space = ParameterSpace.of(law, self.campaign)
+        tests = [self._test(test) for test in self.campaign.tests if not test.hold_out]
+        return OrdinaryProblem.of(space, tests, self.campaign.fit, self.solves)
+
+    @property
+    def pooled_noise(self) -> float | None:
+        """Of the nominal stress, over all samples, Pa."""
+        return self.problem(self.campaign.fit.laws[0]).noise
+
+    def _test(self, test: Test) -> ForwardTest:
+        return analytical_test(test, self.measured[test.name], self.campaign.fit)
+
+    def check(self, law: str, number: int) -> None:
+        """Refuse laws with more parameters than the tests have samples."""
+        samples = sum(curve.force.size for curve in self.fitted)
+        unknowns = len(ParameterSpace.of(law, self.campaign).names)
+        if samples <= unknowns:
+            raise InputError(f"{law} has {unknowns} parameters and the tests only {samples} points; widen max_strain "
+                             "or take a simpler law", file=self.campaign.path, field=f"fit.laws[{number}]")
+
+    def estimate(self, laws: Sequence[str], run: Runner) -> dict[str, tuple[Sequence[Descent], Estimate | str]]:
+        """As `Estimator.estimate`; one law after the other in this process."""
+        found = {}
+        for law in laws:
+            run.say(f"fitting {law} to {len(self.fitted)} recording{'s' if len(self.fitted) != 1 else ''}")
+            found[law] = fit_law(self.problem(law))
+        return found
+
+    def uncertainty(self, estimate: Estimate, evaluation: Evaluation) -> Uncertainty:
+        """The sandwich of the unknowns: parameters first, then offsets and zeros."""
+        problem, theta = estimate.problem, estimate.theta
+        on_bound = problem.on_bound(theta)
+        noise = np.array([curve.noise.deviation / problem.tests[t].area
+                          for (t, _), curve in zip(problem.places, problem.measured, strict=True)])
+        correlation = neighbour_correlation(problem, evaluation)
+        # A smooth model error repeats itself: fewer samples than there are tell anything new (Bayley, Hammersley 1946).
+        repeats = (1.0 + max(correlation, 0.0)) / (1.0 - min(correlation, 0.999)) if problem.remembers else 1.0
+        spread = sandwich(evaluation.rates * problem.noise, evaluation.residual * problem.noise, problem.index, noise,
+                          1.0 / problem.prior_deviation**2, problem.jitter_columns(theta, self.campaign.noise),
+                          [curve.interpolation for curve in problem.measured], on_bound, repeats)
+        squares, samples = spread.criteria
+        priors = float(evaluation.prior_residual @ evaluation.prior_residual)
+        return replace(spread, sizes=np.abs(theta), criteria=(squares + priors, samples))
+
+    def stretch_range(self, reached: Sequence[Reached]) -> tuple[float, float]:
+        """Along the load."""
+        return min(one.low for one in reached), max(one.high for one in reached)
+
+    def describe(self, found: Findings) -> dict[str, Any]:
+        """As `Estimator.describe`."""
+        problem, spread = found.estimate.problem, found.spread
+        on_bound = [name for name, hit in zip(problem.space.free, spread.on_bound, strict=False) if hit]
+        nuisances = _nuisances(problem, found.estimate.theta, spread)
+        held = [(name, found.values[name]) for name in on_bound]
+        held += [(f"{n.replicate}: {name}", getattr(n, name)) for n in nuisances for name in n.on_bound]
+        warnings = [f"{name} ended on its bound {value:.6g}" for name, value in held]
+        if found.status != "not_physical":
+            warnings += found.lost
+        stress = (found.evaluation.force - problem.data) / problem.area
+        recorded = [curve.test.specimen is not None for curve in problem.measured]
+        measured = problem.data / problem.area
+        return {
+            "R2": r_squared(measured, stress),
+            "RMSE_N": float(np.sqrt(np.mean((stress * problem.area)**2))) if all(recorded) else None,
+            "RMSE_Pa": float(np.sqrt(np.mean(stress**2))), "on_bound": [name for name, _ in held],
+            "nuisances": nuisances, "warnings": warnings,
+            "message": "; ".join([*self._remarks(found), *_relaxation(problem, found), *warnings])}
+
+    def _remarks(self, found: Findings) -> list[str]:
+        spread, count = found.spread, len(found.descents)
+        parts = [f"converged from {count} start{'s' if count != 1 else ''}" if found.unusable is None
+                 else found.unusable]
+        if found.status in _REMEDIES:
+            parts.append(_REMEDIES[found.status])
+        if spread.ratio > MODEL_ERROR_RATIO:
+            parts.append(f"residuals are {spread.ratio:.3g} times the noise: model error dominates")
+        elif spread.ratio < CURVATURE_RATIO and any(curve.noise.source == "estimated" for curve in self.fitted):
+            parts.append(f"residuals are {spread.ratio:.2g} times the estimated noise, so that is too large")
+        if spread.basis == "replicates":
+            parts.append(f"standard errors follow the scatter of the {len(self.fitted)} replicates")
+        elif spread.basis == "residuals" and not found.estimate.problem.remembers:
+            parts.append("standard errors follow the residuals, as if these were independent")
+        if found.loose:
+            parts.append(f"the data do not determine {', '.join(found.loose)}")
+        return parts
+
+    def held_out(self, test: Test, estimate: Estimate) -> tuple[ForwardTest, float]:
+        """A closed form is exact."""
+        return self._test(test), 0.0
+
+    def scatter(self, estimate: Estimate) -> Jitter | None:
+        """Nobody estimates it here."""
+        return None
+
+    def rank_message(self, fits: Sequence[Fit], predictions: Sequence[Prediction]) -> str:
+        """As `Estimator.rank_message`."""
+        return bic_message(fits, self.fitted)
+
+
+def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
+    """The descents of all starts of one law and its estimate, or why there is none."""
+    began, law = time.process_time(), problem.space.law
+    # The force of a history needs all of its motion.
+    stride = 1 if problem.remembers else -(-problem.samples // THINNED_POINTS)
+    thin = problem if stride == 1 else problem.thinned(stride)
+
+    tolerance = RELAXING_TOLERANCE if problem.relaxing else TOLERANCE
+
+    def end_of(target: OrdinaryProblem, start: np.ndarray, number: int, most: int) -> Descent:
+        return descend(target, start, start=number, enough=0.0, tolerance=tolerance, gradient=tolerance,
+                       most_solves=most)
+
+    most = RELAXING_SOLVES if problem.relaxing else THINNED_SOLVES
+    descents = [end_of(thin, start, number, most) for number, start in enumerate(closed_starts(thin), 1)]
+    ends = _distinct([(d, 1) for d in descents if np.isfinite(d.error)], problem)
+    refined = ends if problem.relaxing else [(end_of(problem, end.theta, end.start, SOLVES), count)
+                                             for end, count in ends[:MAX_MINIMA]]
+    refined = sorted((item for item in refined if np.isfinite(item[0].error)), key=lambda item: item[0].error)
+    if not refined:
+        hint = "" if all(test.specimen is None for test in problem.tests) else \
+            "; the specimen may be too heavy for it, so check density_kg_m3"
+        return descents, f"no start of {law} gives a finite stress over the data; state one in fit.start{hint}"
+    best = refined[0][0]
+    stress = problem.data / problem.area
+    total = float(np.sum((stress - stress.mean())**2))
+    minima = []
+    for descent, count in _distinct(refined, problem):
+        residual = problem.evaluate(descent.theta).residual * problem.noise
+        minima.append(Minimum(parameters=problem.space.values(descent.theta[: len(problem.space.free)]),
+                              R2=1.0 - float(residual @ residual) / total, starts=count))
+    minima.sort(key=lambda minimum: -minimum.R2)
+    return descents, Estimate(problem, best.theta, best.error, best.converged, "", (), 0, (),
+                              tuple(step for descent, _ in refined for step in descent.history), {},
+                              time.process_time() - began, tuple(minima))
+
+
+def _distinct(ends: Sequence[tuple[Descent, int]], problem: OrdinaryProblem) -> list[tuple[Descent, int]]:
+    """Minima that differ in the parameters, best first, with how many starts fell into each."""
+    size = len(problem.space.free)
+    kept: list[list] = []
+    for descent, count in sorted(ends, key=lambda item: item[0].error):
+        for other in kept:
+            there = other[0].theta[:size]
+            if (np.abs(descent.theta[:size] - there) <= _SAME * np.abs(there) + 1e-9).all():
+                other[1] += count
+                break
+        else:
+            kept.append([descent, count])
+    return [tuple(item) for item in kept]
+
+
+def neighbour_correlation(problem: OrdinaryProblem, evaluation: Evaluation) -> float:
+    """Correlation of each residual with the next of its recording."""
+    residual, same = evaluation.residual, np.diff(problem.index) == 0
+    squares = float(residual @ residual)
+    return float(residual[:-1][same] @ residual[1:][same]) / squares if squares else 0.0
+
+
+def _relaxation(problem: OrdinaryProblem, found: Findings) -> list[str]:
+    """What a material that remembers asks of its record."""
+    if not problem.remembers:
+        return []
+    shortest, longest = problem.time_range
+    times = [] if problem.relaxing is None else found.estimate.theta[problem.relaxing.tau]
+    notes = [f"tau {tau:.3g} s is {'shorter than the steps' if tau < shortest else 'longer than the record'} "
+             f"({shortest:.3g} to {longest:.3g} s)" for tau in times if not shortest <= tau <= longest]
+    correlation = neighbour_correlation(problem, found.evaluation)
+    if correlation > CORRELATED:
+        notes.append(f"the residuals are smooth (neighbours correlate by {correlation:.2f}): they are a model error, "
+                     "not noise, and the criteria favour too many terms")
+    return notes
+
+
+def _nuisances(problem: OrdinaryProblem, theta: np.ndarray, spread: Uncertainty) -> list[Nuisance]:
+    free, names = len(problem.space.free), np.array(["contact_offset_mm", "zero_offset_N"])
+    values = problem.offsets(theta)[problem.shifted]
+    errors, hits = spread.standard_errors[free:].reshape(-1, 2), spread.on_bound[free:].reshape(-1, 2)
+    known = [[error if np.isfinite(error) else None for error in pair] for pair in (errors * [1e3, 1.0]).tolist()]
+    return [Nuisance(replicate=problem.measured[i].name, contact_offset_mm=float(pair[0] * 1e3),
+                     contact_offset_error_mm=error[0], zero_offset_N=float(pair[1]), zero_offset_error_N=error[1],
+                     on_bound=names[hit].tolist())
+            for i, pair, error, hit in zip(problem.shifted, values, known, hits, strict=True)]

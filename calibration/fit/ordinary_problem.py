@@ -1,0 +1,208 @@
+"""Ordinary least squares on nominal stress: all samples count alike, offsets and zeros are unknowns inside bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calibration.campaign.campaign import FitSettings, Noise
+from calibration.campaign.measured import MeasuredCurve
+from calibration.fit.parameters import ParameterSpace
+from calibration.fit.problem import Evaluation
+from calibration.fit.variables import LongTerm, Scaled, Variables
+from calibration.forward.closed import ClosedTest
+from calibration.forward.contract import InfeasibleError
+from calibration.forward.solves import Solves
+from calibration.statistics.statistics import pooled_noise
+from tissue_sim.laws import find_law
+from tissue_sim.material.viscoelasticity import MOST_TERMS
+
+#: Prior standard deviation of a zero that the campaign does not state, in force noises, and bounds in such deviations.
+_ZERO_PRIOR, _ZERO_BOUND = 5.0, 10.0
+#: An unknown this near to its bound, as a share of their distance, is on it.
+ON_BOUND = 1e-6
+
+
+@dataclass(eq=False)
+class OrdinaryProblem:
+    """All fitted tests of a campaign with one law, as `calibration.fit.problem.LeastSquares`.
+
+    Residuals are those of the nominal stress in units of one noise. The unknowns are the free parameters, then contact
+    offset, m, and zero, N, of each recording that has them.
+
+    Attributes:
+        space: parameters. tests: those that count. settings: offsets, their bounds and priors.
+        noise: of the nominal stress, pooled over all samples, Pa. force_noise: the largest of the recordings', N.
+        shifted: test and number of the recordings that have an offset and a zero. bounds: of the unknowns.
+        prior_mean, prior_deviation: shapes (k,); deviation inf where there is no prior.
+    """
+
+    space: ParameterSpace
+    tests: tuple[ClosedTest, ...]
+    settings: FitSettings
+    noise: float
+    force_noise: float
+    solves: Solves
+
+    def __post_init__(self):
+        self.mesh_error = (0.0,) * len(self.tests)
+        self.places = [(t, r) for t, test in enumerate(self.tests) for r in range(len(test.measured))]
+        ends = np.cumsum([0, *(curve.force.size for curve in self.measured)])
+        self.rows = [slice(*pair) for pair in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)]
+        self.samples = int(ends[-1])
+        self.data = np.concatenate([curve.force for curve in self.measured])
+        self.area = np.concatenate([np.full(curve.force.size, self.tests[t].area)
+                                    for (t, _), curve in zip(self.places, self.measured, strict=True)])
+        self.shifted = [i for i, curve in enumerate(self.measured) if self.settings.offset == "fit"
+                        and not curve.stressed]
+        zero_prior = self.settings.zero_prior or _ZERO_PRIOR * self.force_noise
+        zero_bound = self.settings.zero_bound or _ZERO_BOUND * zero_prior
+        count = len(self.shifted)
+        high = np.tile([self.settings.offset_bound, zero_bound], count)
+        self.bounds = np.append(self.space.low, -high), np.append(self.space.high, high)
+        self.prior_mean = np.append(self.space.prior_mean, np.zeros(2 * count))
+        self.prior_deviation = np.append(self.space.prior_deviation,
+                                         np.tile([self.settings.offset_prior, zero_prior], count))
+
+    @classmethod
+    def of(cls, space: ParameterSpace, tests: Sequence[ClosedTest], settings: FitSettings,
+           solves: Solves) -> OrdinaryProblem:
+        """The problem with the noise of its recordings."""
+        pairs = [(curve, test.area) for test in tests for curve in test.measured]
+        index = np.repeat(np.arange(len(pairs)), [curve.force.size for curve, _ in pairs])
+        noise = pooled_noise([curve.noise.deviation / area for curve, area in pairs], index)
+        force_noise = max((curve.noise.deviation for curve, _ in pairs if curve.test.specimen is not None), default=0.0)
+        return cls(space, tuple(tests), settings, noise, force_noise, solves)
+
+    @property
+    def measured(self) -> list[MeasuredCurve]:
+        """The recordings, in the order of the rows."""
+        return [self.tests[t].measured[r] for t, r in self.places]
+
+    @property
+    def index(self) -> np.ndarray:
+        """Number of the recording of each sample, shape (N,)."""
+        return np.repeat(np.arange(len(self.rows)), [rows.stop - rows.start for rows in self.rows])
+
+    @property
+    def time_range(self) -> tuple[float, float]:
+        """The usual step and the length of the longest recording, s."""
+        steps = np.concatenate([np.diff(curve.time) for curve in self.measured])
+        return float(np.median(steps[steps > 0])), max(float(np.ptp(curve.time)) for curve in self.measured)
+
+    @property
+    def remembers(self) -> bool:
+        """Whether the force depends on what was before."""
+        return any(curve.segment is not None for curve in self.measured)
+
+    @property
+    def relaxing(self) -> LongTerm | None:
+        """The variables of a law whose relaxing terms are all unknown, where nothing else acts; None elsewhere."""
+        law, free = find_law(self.space.law), self.space.free
+        terms = [pair for i in range(MOST_TERMS) if set(pair := (
+            f"viscoelastic.terms[{i}].g", f"viscoelastic.terms[{i}].tau")) <= set(free)]
+        names = [*law.parameters, *(name for pair in terms for name in pair)]
+        if not terms or set(names) != set(self.space.names) or set(names) != set(free) or self.shifted \
+                or self.settings.bounds or self.settings.prior:
+            return None
+        places = {name: place for place, name in enumerate(free)}
+        moduli = [law.units[name] != "1" for name in law.parameters]
+        own = np.array([places[name] for name in law.parameters])
+        return LongTerm(own[moduli], own[np.logical_not(moduli)], np.array([places[g] for g, _ in terms]),
+                        np.array([places[tau] for _, tau in terms]), self.time_range)
+
+    def thinned(self, stride: int) -> OrdinaryProblem:
+        """The same problem with every so-manieth sample."""
+        def thin(curve: MeasuredCurve) -> MeasuredCurve:
+            time = None if curve.time is None else curve.time[::stride]
+            return replace(curve, displacement=curve.displacement[::stride], force=curve.force[::stride], time=time)
+
+        return replace(self, tests=tuple(replace(test, measured=tuple(map(thin, test.measured)))
+                                         for test in self.tests))
+
+    @property
+    def weightless(self) -> OrdinaryProblem:
+        """The same problem without self-weight."""
+        return replace(self, tests=tuple(test.weightless for test in self.tests))
+
+    def variables(self, theta: np.ndarray) -> Variables:
+        """The unknowns in units of their sizes at `theta`, or those of a material that relaxes."""
+        free = len(self.space.free)
+        sizes = np.append(self.space.sizes(self.space.values(theta[:free])), self.prior_deviation[free:])
+        return self.relaxing or Scaled(sizes, self.bounds)
+
+    def on_bound(self, theta: np.ndarray) -> np.ndarray:
+        """Which unknowns a bound holds, bool, shape (k,)."""
+        variables = self.relaxing
+        low, high = self.bounds if variables is None else (variables.low, variables.high)
+        u = theta if variables is None else variables.of(theta)
+        reach = np.where(np.isfinite(high - low), high - low, np.maximum(np.abs(u), 1.0))
+        return (u - low <= ON_BOUND * reach) | (high - u <= ON_BOUND * reach)
+
+    def offsets(self, theta: np.ndarray) -> np.ndarray:
+        """Contact offset, m, and zero, N, of each recording, shape (recordings, 2)."""
+        values = np.zeros((len(self.places), 2))
+        values[self.shifted] = theta[len(self.space.free):].reshape(-1, 2)
+        return values
+
+    def evaluate(self, theta: np.ndarray) -> Evaluation:
+        """Everything at these unknowns, shape (k,).
+
+        Raises:
+            InfeasibleError: no such material, or no finite stress.
+        """
+        theta, free = np.array(theta, dtype=float), len(self.space.free)
+        last = self.__dict__.get("_last")
+        if last is not None and np.array_equal(last.theta, theta):
+            return last
+        force, rates = np.empty(self.samples), np.zeros((self.samples, theta.size))
+        offsets, first = self.offsets(theta), 0
+        for test in self.tests:
+            numbers = range(first, first + len(test.measured))
+            rows = slice(self.rows[first].start, self.rows[numbers[-1]].stop)
+            shifted = [i for i in numbers if i in self.shifted]
+            answer = test.solve(self.space, theta[:free], self.solves)
+            force[rows], rates[rows, :free], contact = test.evaluate_all(answer, offsets[list(numbers), 0],
+                                                                         bool(shifted))
+            for i in shifted:
+                column, mine = free + 2 * self.shifted.index(i), self.rows[i]
+                force[mine] += offsets[i, 1]
+                rates[mine, column] = contact[mine.start - rows.start:mine.stop - rows.start]
+                rates[mine, column + 1] = 1.0
+            first = numbers.stop
+        unit = self.area * self.noise
+        prior = np.flatnonzero(np.isfinite(self.prior_deviation))
+        prior_rates = np.zeros((prior.size, theta.size))
+        prior_rates[np.arange(prior.size), prior] = 1.0 / self.prior_deviation[prior]
+        self._last = Evaluation(theta, (force - self.data) / unit, rates / unit[:, None], np.zeros((self.samples, 0)),
+                                np.zeros(0), (theta[prior] - self.prior_mean[prior]) / self.prior_deviation[prior],
+                                prior_rates, force)
+        return self._last
+
+    def jitter_columns(self, theta: np.ndarray, noise: Noise) -> np.ndarray | None:
+        """Nominal stress that one standard deviation of contact and zero jitter makes, Pa, shape (N, 2).
+
+        None where none is stated; no columns where fitted offsets carry it as their prior.
+        """
+        if not (noise.contact_jitter or noise.zero_jitter):
+            return None
+        if self.settings.offset == "fit":
+            return np.empty((self.samples, 0))
+        columns = np.zeros((self.samples, 2))
+        answers = [test.solve(self.space, theta[: len(self.space.free)], self.solves) for test in self.tests]
+        for rows, (t, r) in zip(self.rows, self.places, strict=True):
+            if not self.tests[t].measured[r].stressed:
+                contact = self.tests[t].evaluate(answers[t], r, 0.0)[2]
+                columns[rows, 0], columns[rows, 1] = contact * noise.contact_jitter, noise.zero_jitter
+        return columns / self.area[:, None]
+
+
+def feasible(problem: OrdinaryProblem, theta: np.ndarray) -> Evaluation | None:
+    """The evaluation at these unknowns, None where there is none."""
+    try:
+        evaluation = problem.evaluate(theta)
+    except InfeasibleError:
+        return None
+    return evaluation if np.isfinite(evaluation.residual).all() and np.isfinite(evaluation.rates).all() else None

@@ -1,0 +1,82 @@
+"""What the numbers of a report rest on, a sentence each."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from calibration.report.curve_figures import size_of
+from calibration.report.drawing import counted
+from calibration.report.pressure import format_pressure
+from calibration.report.self_weight import statement
+
+if TYPE_CHECKING:
+    from calibration.fit.result import CalibrationResult
+
+
+def assumptions(result: CalibrationResult) -> list[str]:
+    """What the numbers rest on, one sentence each."""
+    campaign = result.campaign
+    lines = _of_closed_forms(result) if campaign.fit.method == "analytical" else _of_simulations(result)
+    if campaign.fit.fixed:
+        lines.append(f"Fixed: {', '.join(f'{name} = {value:g}' for name, value in campaign.fit.fixed.items())}.")
+    lines += [f"Prior of {name}: {mean:g} ± {deviation:g}." for name, (mean, deviation) in campaign.fit.prior.items()]
+    return [*lines, statement(campaign, result.best)]
+
+
+def _of_closed_forms(result: CalibrationResult) -> list[str]:
+    fit, noise = result.campaign.fit, result.campaign.noise
+    lines = ["The material is incompressible; what it remembers is fitted to ramps, holds and returns."]
+    if not fit.others:
+        lines = ["The material is incompressible and elastic: only the loading is fitted, and the rate does not "
+                 "matter."]
+    if any(test.kind.settles for test in result.campaign.tests):
+        lines.append("Lubricated means frictionless: the faces slide freely and every slice deforms homogeneously.")
+    if fit.offset == "none":
+        lines.append("Contact offsets and zeros are taken as they were recorded (offset = \"none\").")
+        if noise.contact_jitter or noise.zero_jitter:
+            lines.append(f"Standard errors include a jitter between recordings of {noise.contact_jitter * 1e3:g} mm "
+                         f"and {noise.zero_jitter:g} N.")
+    else:
+        lines.append(f"Each recording has a contact offset (prior 0 ± {fit.offset_prior * 1e3:g} mm, bounds "
+                     f"± {fit.offset_bound * 1e3:g} mm) and a zero, fitted beside the parameters.")
+    source = {"stated": "stated in the campaign", "estimated": "estimated from second differences of the samples",
+              "resolution": "the resolution of the sensor, step/√12, because neighbouring samples are mostly equal",
+              "mixed": "of different sources for different recordings"}[result.noise_source]
+    lines.append(f"The noise of the nominal stress is {format_pressure(result.noise_Pa, 3)} (standard deviation), "
+                 f"{source}; AIC and BIC take it as known.")
+    if fit.prior or fit.offset == "fit":
+        lines.append("AIC and BIC are those of the penalised likelihood: the distance from the priors counts.")
+    if fit.strain_points is not None:
+        lines.append(f"Each recording was interpolated to {fit.strain_points} evenly spaced strains.")
+    return lines
+
+
+def _of_simulations(result: CalibrationResult) -> list[str]:
+    best, campaign = result.best, result.campaign
+    lines = ["One material in all tests; each recording has a contact offset and a zero of its own, which are "
+             "marginalised, not trusted."]
+    if best.jitter is not None:
+        freedom = best.jitter.freedom
+        source = "stated in the campaign, or the usual prior" if freedom is None else \
+            f"estimated with {freedom} degrees of freedom" if freedom else "assumed, as no test has two recordings"
+        lines.append(f"Between recordings the contact point scatters by {best.jitter.contact_mm:.3g} mm and the zero "
+                     f"by {best.jitter.zero_N:.3g} N (standard deviations), {source}.")
+    for noise in result.noise:
+        test = next(test for test in campaign.tests if test.name == noise.test)
+        colour = "white" if noise.correlation_time_s == 0 else f"correlated over {noise.correlation_time_s:.3g} s"
+        lines.append(f"Noise of {noise.test}: {size_of(noise.deviation_N, test)} (standard deviation, {noise.source}), "
+                     f"{colour}.")
+    for mesh in best.mesh:
+        if mesh.largest_percent is None:
+            lines.append(f"Mesh of {mesh.test}: the accurate mesh does not get through; of the fast mesh's error "
+                         f"{mesh.remainder_percent:.2g} % is carried as covariance.")
+            continue
+        lines.append(f"Mesh of {mesh.test}: the accurate mesh differs from the fast one by up to "
+                     f"{mesh.largest_percent:.2g} %, which is corrected ({counted(mesh.refreshes, 'time')}); of the "
+                     f"accurate mesh's own error {mesh.remainder_percent:.2g} % is carried as covariance.")
+    rest = {"noise": "the stated or estimated noise", "residuals": "the residuals, which exceed the noise",
+            "replicates": "the scatter of the replicates"}[best.covariance_from]
+    lines.append(f"Standard errors and intervals rest on {rest}; the intervals are profile likelihoods inside the "
+                 "bounds.")
+    lines.append("A law is ranked by what it predicts of tests that it was not fitted to, not by R².")
+    return lines
