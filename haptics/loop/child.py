@@ -83,7 +83,7 @@ def _loop(connection: Connection, parts: LoopParts, files: LoopFiles) -> LoopRep
     settings = parts.settings
     with ExitStack() as stack:
         ring = stack.enter_context(RingWriter(files.ring, settings.capacity))
-        _say(connection, "doing", "building the tissue")
+        _say(connection, "doing", "making the tissue")
         tissue = parts.make_tissue()
         if hasattr(tissue, "warm_up"):
             _say(connection, "doing", "loading the solver (a machine's first run compiles it, about 20 s)")

@@ -106,7 +106,7 @@ class LoopProcess:
             progress: told what the process does.
 
         Raises:
-            InputError: what the building of the tissue refuses.
+            InputError: what the tissue refuses when it is made.
             LoopError: the process has ended, or the time is over.
         """
         until = None if timeout is None else time.monotonic() + timeout

@@ -99,7 +99,7 @@ class StepService:
     """Steps a tissue for one client at a time.
 
     The first to speak owns the tissue until it says goodbye, or falls silent and another speaks. Packets are taken as
-    they come, and the newest is stepped: a client that sends faster than steps are made builds no queue.
+    they come, and the newest is stepped: a client that sends faster than steps are made gets no queue.
 
     Args:
         tissue: what is stepped.

@@ -447,7 +447,7 @@ def test_a_child_that_is_killed_is_seen(tissues):
         for command in (loop.pause, loop.reset, loop.wait):
             with pytest.raises(LoopError, match="the process of the loop"):
                 command()
-    with tissues.loop_process(tissues.die) as loop, pytest.raises(LoopError, match="building the tissue"):
+    with tissues.loop_process(tissues.die) as loop, pytest.raises(LoopError, match="making the tissue"):
         loop.wait_until_ready(300)
 
 

@@ -117,7 +117,7 @@ def test_tables_fit_on_80_columns(tmp_path, capsys, monkeypatch):
         '[[test]]\nkind = "uniaxial_tension"\nrecordings = ["pull.csv"]\n[fit]\n'
         'laws = ["neo_hooke", "reduced_polynomial_3", "ogden_3"]\n[noise]\nnominal_stress_Pa = 2000.0\n',
         encoding="utf-8")
-    monkeypatch.setattr("scenes.console.PIPE_WIDTH", 80)
+    monkeypatch.setattr("scenes.commands.shared.console.PIPE_WIDTH", 80)
     main(["calibrate", str(tmp_path / "pull.toml"), "-o", str(tmp_path / "out")])
     lines = capsys.readouterr().out.splitlines()
     end = next(i for i, line in enumerate(lines) if line.startswith("Best of"))

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from scenes.fit_table import print_analytical
-from scenes.inverse_fit_table import print_inverse
-from scenes.text_table import print_sentence
+from scenes.commands.calibrate.fit_table import print_analytical
+from scenes.commands.calibrate.inverse_fit_table import print_inverse
+from scenes.commands.shared.text_table import print_sentence
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from calibration.report.page import parameter_unit, stable_stretches
 from calibration.report.pressure import format_pressure, pressure_unit
 from calibration.report.self_weight import statement
-from scenes.text_table import print_sentence, text_table
+from scenes.commands.shared.text_table import print_sentence, text_table
 from tissue_sim.laws import find_law
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from scenes.catalogue import SCENES
-from scenes.parsing import Parser, at_least, between, interface, not_negative, positive
+from scenes.commands.shared.parsing import Parser, at_least, between, interface, not_negative, positive
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.tools.tool import (
     TOOLS,
@@ -64,7 +64,7 @@ def check_scene(name: str) -> None:
         raise InputError(f"unknown scene {name!r}{nearest(name, SCENES)}")
 
 
-def build_protocol(arguments) -> Protocol:
+def make_protocol(arguments) -> Protocol:
     """The motion: a plain ramp, or the segments of ``--protocol``.
 
     Raises:
@@ -80,7 +80,7 @@ def build_protocol(arguments) -> Protocol:
     return Protocol.parse(arguments.protocol, arguments.points, speed)
 
 
-def build_experiment(arguments, protocol: Protocol, material: Material) -> Experiment:
+def make_experiment(arguments, protocol: Protocol, material: Material) -> Experiment:
     """The scene with what the flags change in it.
 
     Raises:

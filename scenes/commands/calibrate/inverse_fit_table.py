@@ -15,7 +15,7 @@ from calibration.report.page import number, parameter_unit, stable_stretches
 from calibration.report.pressure import pressure_unit
 from calibration.report.report_tables import direction_in_words, place_of, suggestion_in_words
 from calibration.report.self_weight import statement
-from scenes.fit_table import (
+from scenes.commands.calibrate.fit_table import (
     error_unit,
     print_remarks,
     ranked_name,
@@ -23,7 +23,7 @@ from scenes.fit_table import (
     remark_on_error,
     share_of_variance,
 )
-from scenes.text_table import print_sentence, text_table
+from scenes.commands.shared.text_table import print_sentence, text_table
 from tissue_sim.laws import find_law
 
 if TYPE_CHECKING:
@@ -157,11 +157,12 @@ def _untold(fits: Sequence[Fit]) -> Iterator[str]:
         if cuts:
             yield f"{fit.law}: intervals that are cut: {'; '.join(cuts)}"
         if fit.not_identifiable:
-            told = "; ".join(suggestion_in_words(s, fit) for s in fit.suggestions) or "no further test is known to help"
-            yield f"{fit.law}: not identifiable from these tests: {', '.join(fit.not_identifiable)}; {told}"
+            advice = "; ".join(suggestion_in_words(each, fit) for each in fit.suggestions)
+            advice = advice or "no further test is known to help"
+            yield f"{fit.law}: not identifiable from these tests: {', '.join(fit.not_identifiable)}; {advice}"
         elif fit.directions:
-            told = f"; {suggestion_in_words(fit.suggestions[0], fit)}" if fit.suggestions else ""
-            yield f"{fit.law}: told poorly: {'; '.join(direction_in_words(d) for d in fit.directions)}{told}"
+            advice = f"; {suggestion_in_words(fit.suggestions[0], fit)}" if fit.suggestions else ""
+            yield f"{fit.law}: told poorly: {'; '.join(direction_in_words(d) for d in fit.directions)}{advice}"
 
 
 def _misfits(fits: Sequence[Fit], tests: Mapping[str, Test]) -> Iterator[str]:
