@@ -11,12 +11,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.laws import Law
+from tissue_sim.material.effect import PointEffect
 from tissue_sim.material.material import Material
 from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import Prony, internal_stress
@@ -41,15 +41,19 @@ class HomogeneousHistory:
         largest_step: longer steps are divided; log(stretch) or shear strain.
 
     Raises:
-        InputError: shapes that differ, values that are not finite, time that runs backwards, a stretch <= 0.
+        InputError: another mode, shapes that differ, values that are not finite, time that runs backwards, a stretch
+            that is not above 0.
     """
 
-    mode: Literal["uniaxial", "simple_shear"]
+    mode: str
     time: np.ndarray
     strain: np.ndarray
     largest_step: float = LARGEST_STEP
 
     def __post_init__(self):
+        if self.mode not in _REST:
+            raise InputError(f"a material that remembers has a closed form of {' and '.join(_REST)}, not of "
+                             f"{self.mode}; leave its history out, or give another test", field="kind")
         quantity = "stretch" if self.mode == "uniaxial" else "shear strain"
         time, strain = (np.array(values, dtype=float) for values in (self.time, self.strain))
         object.__setattr__(self, "time", time)
@@ -148,7 +152,8 @@ def nominal_stress_history(material: Material, time, stretch, contact_radius: fl
         contact_radius: m, for the time of drainage; the specimen's radius.
 
     Raises:
-        InputError: as `HomogeneousHistory`; a material with layers, or one that drains and no contact radius.
+        InputError: as `HomogeneousHistory`; a material with layers or an effect at the points, or one that drains and
+            no contact radius.
 
     Source: Holzapfel, Nonlinear Solid Mechanics, 2000, sections 6.5 and 6.10.
     """
@@ -164,16 +169,13 @@ def shear_stress_history(material: Material, time, shear, contact_radius: float 
 
 
 def stress_history(mode: str, material: Material, time, strain, contact_radius: float | None) -> np.ndarray:
-    """Nominal stress of a mode of `HomogeneousHistory`; arguments and errors as `nominal_stress_history`, and an
-    InputError for any other mode."""
-    if mode not in _REST:
-        raise InputError(f"a material that remembers has a closed form of {' and '.join(_REST)}, not of {mode}; leave "
-                         "its history out, or give another test", field="kind")
+    """Nominal stress of a mode of `HomogeneousHistory`; arguments and errors as `nominal_stress_history`."""
     history = HomogeneousHistory(mode, time, strain)
     if material.layers:
         raise InputError("a layered specimen does not deform homogeneously; use the finite elements", field="layers")
-    if material.poroelasticity is not None and material.poroelasticity.phi > 0 and contact_radius is None:
-        raise InputError("a material that drains needs the test's contact radius in m", field="contact_radius")
+    if added := [name for name, effect in material.effects.items() if isinstance(effect, PointEffect)]:
+        raise InputError("closed forms know nothing of effects that were added at the points; use the finite elements",
+                         field=f"effects.{added[0]}")
     prony = material.relaxation(contact_radius)
     return history.nominal_stress(material.energy_law, material.values, prony, material.softening,
                                   material.instantaneous_factor)

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from tissue_sim.errors import InputError, require_length
+from tissue_sim.errors import InputError
+from tissue_sim.experiment.adhesion import Adhesion
+from tissue_sim.experiment.contact_law import ContactLaw
 from tissue_sim.experiment.interfaces import LARGEST_FRICTION, checked_interface
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.experiment.tools.tool import Tool
+from tissue_sim.frozen_mapping import read_only
 from tissue_sim.parameters import parameter
 from tissue_sim.pose import Pose
 from tissue_sim.specimen import Specimen
@@ -19,24 +23,6 @@ from tissue_sim.specimen import Specimen
 def _friction(symbol: str, key: str, default: str) -> Any:
     return parameter(symbol, "1", key=key, bounds=(0.0, LARGEST_FRICTION), absent=0.0, words={"frictionless": 0.0},
                      default=default)
-
-
-@dataclass(frozen=True)
-class Adhesion:
-    """Pull between the tool and tissue that has touched it.
-
-    Attributes:
-        force: N, of the whole face at once, spread evenly over it.
-        length: m, over which the pull falls to zero as the surfaces part.
-    """
-
-    force: float = parameter("F_ad", "N", key="adhesion_N", bounds=(0.0, 1e3), absent=0.0)
-    length: float = parameter("l_ad", "m", key="adhesion_length_mm", factor=1e-3, bounds=(1e-7, 1.0))
-
-    def __post_init__(self):
-        if not (np.isfinite(self.force) and self.force >= 0):
-            raise InputError(f"{self.force:g} N is not a pull-off force; give 0 or more", field="adhesion.force")
-        require_length(self.length, "adhesion.length")
 
 
 @dataclass(frozen=True)
@@ -53,6 +39,8 @@ class Experiment:
         friction_wall: interface of a needle's shaft; tissue meets it during the test, so it cannot be bonded.
         adhesion: pull of a tool that lifts off; None: none.
         tilt: height difference across the contact, m; see `tissue_sim.tilt`.
+        contact_laws: what was added beside these, by name; see `tissue_sim.experiment.contact_law`. A sequence of laws
+            is taken, too.
 
     Raises:
         InputError: an interface that does not fit, a protocol that goes through the specimen, a needle as wide as it.
@@ -66,8 +54,11 @@ class Experiment:
     friction_wall: str | float = _friction("mu_wall", "friction_wall", "frictionless")
     adhesion: Adhesion | None = None
     tilt: float = parameter("delta", "m", key="tilt_mm", factor=1e-3, bounds=(0.0, 1.0), absent=0.0, default=0.0)
+    contact_laws: Mapping[str, ContactLaw] = field(default_factory=dict)
 
     def __post_init__(self):
+        given = self.contact_laws.values() if isinstance(self.contact_laws, Mapping) else self.contact_laws
+        object.__setattr__(self, "contact_laws", read_only({law.name: law for law in given}))
         for name in ("friction", "friction_base", "friction_wall"):
             object.__setattr__(self, name, checked_interface(getattr(self, name), name))
         if self.friction_wall == "bonded":
@@ -78,15 +69,16 @@ class Experiment:
         if self.protocol.depth >= self.specimen.height:
             raise InputError(f"{self.protocol.depth * 1e3:g} mm is deeper than the specimen is high "
                              f"({self.specimen.height * 1e3:g} mm)", field="protocol")
-        if self.adhesion is not None and self.friction == "bonded":
+        if (self.adhesion or self.contact_laws) and self.friction == "bonded":
             raise InputError("a bonded face never lifts off; use 'stick', 'frictionless' or a coefficient of friction "
-                             "with adhesion", field="friction")
+                             f"with {next(iter(self.contact_laws), 'adhesion')}", field="friction")
         if not self.tool.has_shaft and self.friction_wall != "frictionless":
             raise InputError(f"a {self.tool.shape} has no shaft; leave it out", field="friction_wall")
-        if self.tool.is_plate:
+        radius = self.tool.radius
+        if self.tool.is_plate or radius is None:
             return
-        if self.tool.radius >= self.specimen.radius:
-            raise InputError(f"the tool's radius, {self.tool.radius * 1e3:g} mm, must be smaller than the specimen's, "
+        if radius >= self.specimen.radius:
+            raise InputError(f"the tool's radius, {radius * 1e3:g} mm, must be smaller than the specimen's, "
                              f"{self.specimen.radius * 1e3:g} mm", field="tool.radius")
         if self.tool.face_radius == 0 and self.friction == "bonded":
             raise InputError(f"a {self.tool.shape} tool has no flat face to be bonded to; use 'stick', 'frictionless' "
@@ -99,6 +91,12 @@ class Experiment:
     def tool_pose(self, displacement: float) -> Pose:
         """Where the tool is when the protocol says this displacement, m: pushed in along the axis."""
         return Pose.at_depth(displacement)
+
+    @property
+    def acting_laws(self) -> tuple[ContactLaw, ...]:
+        """Adhesion and what was added to it, where they do anything."""
+        built_in = () if self.adhesion is None else (self.adhesion,)
+        return tuple(law for law in (*built_in, *self.contact_laws.values()) if law.acts)
 
     @property
     def contact_radius(self) -> float:

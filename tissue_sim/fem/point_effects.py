@@ -3,45 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import fields
-from typing import Any, NamedTuple
+from itertools import chain
 
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.fem.taichi.trace import TRIED, traced
+from tissue_sim.fem.taichi.trace import TRIED, Formula, traced
 from tissue_sim.material.effect import PointEffect, TissueEffect
-from tissue_sim.parameters import declared
 
 #: The longest step that a formula sees, s: kernels know no infinity.
 LONGEST = 1e30
-
-
-class EffectFormula(NamedTuple):
-    """What a kernel is compiled for: the class, which is another one wherever its content is, and what it is told
-    beside its parameters."""
-
-    kind: type[PointEffect]
-    constants: tuple[tuple[str, Any], ...]
-
-    @classmethod
-    def of(cls, effect: PointEffect) -> EffectFormula:
-        """The formula of an effect."""
-        known = declared(type(effect))
-        return cls(type(effect), tuple((entry.name, getattr(effect, entry.name)) for entry in fields(effect)
-                                       if entry.name not in known))
-
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """Names of the declared ones, in order."""
-        return tuple(declared(self.kind))
-
-    def bind(self, parameters: Iterable[Any]) -> PointEffect:
-        """An effect with these numbers in its fields, which are not checked: they may be those of a kernel."""
-        effect = object.__new__(self.kind)
-        for name, value in (*self.constants, *zip(self.parameters, parameters, strict=True)):
-            object.__setattr__(effect, name, value)
-        return effect
 
 
 class PointEffects:
@@ -56,7 +27,7 @@ class PointEffects:
 
     def __init__(self, points: tuple[int, int]):
         self._points = points
-        self.formulas: tuple[EffectFormula, ...] = ()
+        self.formulas: tuple[Formula[PointEffect], ...] = ()
         self._allocate(())
 
     def _allocate(self, rest: tuple[float, ...]) -> None:
@@ -72,15 +43,15 @@ class PointEffects:
         Raises:
             InputError: a formula that no kernel can take over, or one that gives something else than it should.
         """
-        effects = [effect for effect in effects if isinstance(effect, PointEffect)]
-        formulas = tuple(EffectFormula.of(effect) for effect in effects)
+        points = [effect for effect in effects if isinstance(effect, PointEffect)]
+        formulas = tuple(Formula.of(effect) for effect in points)
         if formulas != self.formulas:
             for formula in formulas:
                 _try(formula)
             self.formulas = formulas
-            self._allocate(tuple(value for effect in effects for value in effect.rest))
-        self.settings = np.array([0.0, *(float(getattr(effect, name)) for effect, formula in
-                                         zip(effects, formulas, strict=True) for name in formula.parameters)])
+            self._allocate(tuple(value for effect in points for value in effect.rest))
+        numbers = (formula.numbers(effect) for formula, effect in zip(formulas, points, strict=True))
+        self.settings = np.array([0.0, *chain.from_iterable(numbers)])
 
     def prepare(self, dt: float) -> None:
         """Before a step of `dt`, s."""
@@ -88,7 +59,8 @@ class PointEffects:
 
     def commit(self) -> None:
         """After a step that converged."""
-        self.states[:] = self.found
+        if self.formulas:
+            self.states[:] = self.found
 
     @property
     def stress(self) -> np.ndarray:
@@ -96,7 +68,7 @@ class PointEffects:
         return self.states[..., -4:]
 
 
-def _try(formula: EffectFormula) -> None:
+def _try(formula: Formula[PointEffect]) -> None:
     """Run a formula once without a kernel.
 
     Raises:

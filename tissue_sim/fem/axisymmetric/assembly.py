@@ -18,8 +18,8 @@ from tissue_sim.fem.axisymmetric.batches import LANES
 from tissue_sim.fem.axisymmetric.point_effects import effects_function
 from tissue_sim.fem.axisymmetric.scratch import AT, scratch
 from tissue_sim.fem.history import FACTOR, INSTANT, LOSS, LOSS_MODULUS, LOSS_SHARE
-from tissue_sim.fem.point_effects import EffectFormula
 from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.taichi.trace import Formula
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.elements import ELEMENTS
 
@@ -39,7 +39,7 @@ class ElementFunctions(NamedTuple):
 
 @cache
 def element_functions(element_name: str, energy: KernelEnergy,
-                      effects: tuple[EffectFormula, ...] = ()) -> ElementFunctions:
+                      effects: tuple[Formula, ...] = ()) -> ElementFunctions:
     """See the functions themselves; they are to be called in this order for each batch b."""
     ti = initialise()
     element = ELEMENTS[element_name]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
+from tissue_sim.experiment.contact_law import ContactLaw
 from tissue_sim.experiment.tools.outline import Profile
 from tissue_sim.mesh import Mesh
 
@@ -56,15 +57,15 @@ class Contact:
     Attributes:
         pairs: the first ones rest, the others move with the tool.
         tolerance: how far a point may violate a contact condition, m.
-        adhesion: traction that pulls at points which have touched the tool, Pa, until they are `adhesion_length` (m)
-            away, falling linearly.
+        laws: tractions at points that have touched the tool, beside contact and friction.
+        face: area of the tool's face at the largest depth, m2.
         level: whether the body that moves is a plate, which a settled top meets all at once.
     """
 
     pairs: tuple[Pair, ...]
     tolerance: float
-    adhesion: float = 0.0
-    adhesion_length: float = 1.0
+    laws: tuple[ContactLaw, ...] = ()
+    face: float = 1.0
     level: bool = False
 
 
@@ -143,7 +144,7 @@ class ContactPoints:
     def _merge(self, shares: np.ndarray, at_nodes: np.ndarray) -> None:
         """One point a node and body: the first edge that has it takes the `shares` of the others."""
         first: dict[tuple, tuple[int, int]] = {}
-        for m in np.flatnonzero(at_nodes):
+        for m in np.flatnonzero(at_nodes).tolist():
             for q, node in enumerate(self.edges[m]):
                 place = first.setdefault((node, self.moves[m]), (m, q))
                 if place != (m, q):

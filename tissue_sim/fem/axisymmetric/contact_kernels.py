@@ -14,8 +14,10 @@ from functools import cache
 from typing import NamedTuple
 
 from tissue_sim.fem.axisymmetric.contact import FIRST_LINE, HOLD, LAST_LINE, MOVES, SHAFT, STAYS
+from tissue_sim.fem.axisymmetric.contact_laws import law_functions
 from tissue_sim.fem.linear.band import add_any_function, add_entry_function
 from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.taichi.trace import Formula
 
 #: How a point is bound to the body: not at all, held by an interface without slip, touching with friction.
 FREE, HELD, TOUCHED = 0.0, 1.0, 2.0
@@ -38,10 +40,12 @@ class ContactFunctions(NamedTuple):
 
 
 @cache
-def functions(slips: bool) -> ContactFunctions:
-    """See the functions themselves; without `slips` nothing ever does."""
+def functions(slips: bool, laws: tuple[Formula, ...] = ()) -> ContactFunctions:
+    """See the functions themselves; without `slips` nothing ever does, without `laws` there are contact and friction
+    alone."""
     ti = initialise()
     add_entry, add_any = add_entry_function(), add_any_function()
+    has_laws, law = bool(laws), law_functions(laws)
     far = 1e30
 
     @ti.func
@@ -75,19 +79,20 @@ def functions(slips: bool) -> ContactFunctions:
         return gap, nr, nz, curved, line
 
     @ti.func
-    def add_contact(count, changeable, slack, pending, bending, move, lift, free, tolerance, negligible, adhesion,
-                    adhesion_length, multipliers, edges: ti.template(), spans: ti.template(), shapes: ti.template(),
-                    places: ti.template(), areas: ti.template(), vertices: ti.template(), rounding: ti.template(),
-                    friction: ti.template(), springs: ti.template(), held: ti.template(), ways: ti.template(),
-                    met: ti.template(), forces: ti.template(), rates: ti.template(), x: ti.template(),
-                    target: ti.template(), equation: ti.template(), residual: ti.template()):
+    def add_contact(count, changeable, slack, pending, bending, move, lift, free, tolerance, negligible, reach,
+                    law_settings: ti.template(), multipliers, edges: ti.template(), spans: ti.template(),
+                    shapes: ti.template(), places: ti.template(), areas: ti.template(), vertices: ti.template(),
+                    rounding: ti.template(), friction: ti.template(), springs: ti.template(), held: ti.template(),
+                    ways: ti.template(), met: ti.template(), forces: ti.template(), rates: ti.template(),
+                    x: ti.template(), target: ti.template(), equation: ti.template(), residual: ti.template()):
         """Add the contact forces to the residual, and note their rates with the motion of the points.
 
         Of the points at most `changeable` change between sticking and slipping: none but at the first look at a state,
         and one at a time where all at once would go round in circles. What is nearer than `slack` counts as touching.
         `lift` takes z into the frame of the tool, `move` is what the tool still has to go down in this step; friction
-        below `negligible` (N) is none. Returns the axial force on the tool, the sum of the squares of all forces, the
-        largest violation of the contact conditions and how many points slip.
+        below `negligible` (N) is none. Laws of contact act on what has touched the tool up to their `reach`. Returns
+        the axial force on the tool, the sum of the squares of all forces, the largest violation of the contact
+        conditions and how many points slip.
         """
         axial, squares, violation, slipping, changes = 0.0, 0.0, 0.0, 0, changeable
         n = shapes.shape[2]
@@ -167,19 +172,31 @@ def functions(slips: bool) -> ContactFunctions:
                     kzr = nn * nz * nr + nt * nz * tr + tn * tz * nr + tt * tz * tr
                     kzz = nn * nz * nz + (nt + tn) * nz * tz + tt * tz * tz
                 forces[m, q, 0], forces[m, q, 1] = fr, fz
+                if ti.static(has_laws):
+                    if moves > 0.0 and bound != HELD:
+                        touches = krr != 0.0 or kzz != 0.0
+                        near = bound == TOUCHED and gap < reach
+                        if met[m, q, 0] == FREE and (touches or near):
+                            met[m, q, 0], met[m, q, 1], met[m, q, 2] = TOUCHED, ur - gap * nr, uz - gap * nz
+                            if mu == 0.0 and bound == TOUCHED:
+                                met[m, q, 1], met[m, q, 2] = held[m, q, 1], held[m, q, 2]
+                        if near and areas[m, q] > 0.0:
+                            tr, tz = -nz, nr
+                            area = areas[m, q]
+                            slip = (ur - held[m, q, 1]) * tr + (uz - held[m, q, 2]) * tz
+                            pull, drag, nn, tt = law.traction(gap, ti.max(-normal, 0.0) / area, slip, law_settings)
+                            fr += area * pull * nr
+                            fz += area * pull * nz
+                            if ti.static(law.drags):
+                                fr += area * drag * tr
+                                fz += area * drag * tz
+                            if ti.static(law.stiffens):
+                                krr += area * (nn * nr * nr + tt * tr * tr)
+                                krz += area * (nn * nr * nz + tt * tr * tz)
+                                kzr += area * (nn * nr * nz + tt * tr * tz)
+                                kzz += area * (nn * nz * nz + tt * tz * tz)
                 rates[m, q, 0], rates[m, q, 1], rates[m, q, 2], rates[m, q, 3] = krr, krz, kzr, kzz
                 rates[m, q, 4], rates[m, q, 5], rates[m, q, 6] = nr, nz, mu
-                if adhesion > 0.0 and moves > 0.0 and bound != HELD:
-                    touches = krr != 0.0 or kzz != 0.0
-                    near = bound == TOUCHED and gap < adhesion_length
-                    if met[m, q, 0] == FREE and (touches or near):
-                        met[m, q, 0], met[m, q, 1], met[m, q, 2] = TOUCHED, ur - gap * nr, uz - gap * nz
-                    if near:
-                        # Its falling with the gap stays out of the tangent: beyond the pull-off the iteration then
-                        # runs away to where the surfaces have parted.
-                        pull = adhesion * areas[m, q] * (1.0 - ti.max(gap, 0.0) / adhesion_length)
-                        fr += pull * nr
-                        fz += pull * nz
                 axial += moves * fz
                 squares += fr * fr + fz * fz
                 if fr != 0.0 or fz != 0.0 or krr != 0.0 or kzz != 0.0:
@@ -275,7 +292,7 @@ def functions(slips: bool) -> ContactFunctions:
         return stiff
 
     @ti.func
-    def augment(count, multipliers, adhesion, places: ti.template(), areas: ti.template(), spans: ti.template(),
+    def augment(count, multipliers, strength, reach, places: ti.template(), areas: ti.template(), spans: ti.template(),
                 vertices: ti.template(), rounding: ti.template(), held: ti.template(), forces: ti.template(),
                 x: ti.template()):
         """Make the forces of an equilibrium the multipliers, and let go of edges that pull; returns how many do.
@@ -287,7 +304,7 @@ def functions(slips: bool) -> ContactFunctions:
         for m in range(count):
             pull = 0.0
             for q in range(forces.shape[1]):
-                pull -= adhesion * areas[m, q]
+                pull -= strength * areas[m, q]
                 at = multipliers + 2 * (m * forces.shape[1] + q)
                 x[at], x[at + 1] = forces[m, q, 0], forces[m, q, 1]
                 if held[m, q, 0] == HELD:
@@ -298,7 +315,7 @@ def functions(slips: bool) -> ContactFunctions:
                 for q in range(forces.shape[1]):
                     if held[m, q, 0] == HELD:
                         released += 1
-                        held[m, q, 0] = TOUCHED if adhesion > 0.0 else FREE
+                        held[m, q, 0] = TOUCHED if reach > 0.0 else FREE
         return released
 
     @ti.func

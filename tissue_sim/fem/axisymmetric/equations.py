@@ -11,6 +11,7 @@ from tissue_sim.fem.axisymmetric import contact as contacts
 from tissue_sim.fem.axisymmetric import contact_kernels, newton
 from tissue_sim.fem.axisymmetric.batches import ElementBatches
 from tissue_sim.fem.axisymmetric.contact import HOLD, Contact, ContactPoints
+from tissue_sim.fem.axisymmetric.contact_laws import law_settings, strength
 from tissue_sim.fem.axisymmetric.numbering import number_equations
 from tissue_sim.fem.axisymmetric.reference import integrate
 from tissue_sim.fem.axisymmetric.state import State
@@ -19,6 +20,7 @@ from tissue_sim.fem.linear import band
 from tissue_sim.fem.point_effects import PointEffects
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
+from tissue_sim.fem.taichi.trace import Formula
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.material.material import BULK_RATIOS, Material, incompressible_ratio
 from tissue_sim.material.viscoelasticity import Prony
@@ -63,14 +65,17 @@ class Equations:
             x[: settled.size] = settled
             self.surface.anchors[: bound.count], self.surface.slipped[: bound.count] = (
                 bound.anchors[: bound.count], bound.slipped[: bound.count])
-        self.state = State(x, self.surface, self.memory, self.effects)
+        self.state: State = State(x, self.surface, self.memory, self.effects)
         self.start = x[:freedoms].copy()
         self._target, self._motion, self.masses, self.rest = np.zeros((4, freedoms))
         self.weights, self._predicted = np.array([1.0, 0.0, 0.0]), 0.0
         self.report, self.settings = np.zeros(7), np.zeros(13)
         if contact is not None:
+            reach = max((law.reach for law in contact.laws), default=0.0)
             self.settings[newton.CONTACT_TOLERANCE: newton.INERTIA] = (
-                contact.tolerance, contact.adhesion, contact.adhesion_length)
+                contact.tolerance, strength(contact.laws, contact.face), reach)
+        laws, face = ((), 1.0) if contact is None else (contact.laws, contact.face)
+        self._laws, self._law_settings = tuple(map(Formula.of, laws)), law_settings(laws, face)
         self.counts = np.array([1, self.free, 0, self.surface.count, 0, 0, 0, 0, 0], dtype=np.int32)
         self.set_material(material)
         if start is not None:
@@ -111,7 +116,8 @@ class Equations:
         self.effects.set_effects(material.effects.values())
         self.counts[newton.REMEMBERS] = self.remembers
         with LOCK:
-            kernel = newton.step_kernel(self.mesh.element.name, energy, self.surface.slips, self.effects.formulas)
+            kernel = newton.step_kernel(self.mesh.element.name, energy, self.surface.slips, self.effects.formulas,
+                                        self._laws)
             self._kernel = BoundKernel(kernel, self._kernel_arrays())
         self.surface.set_stiffness(contacts.STIFFNESS * material.mu0)
         # Displacements are rounded, and so are the forces of what is stiff: per m of depth, and of the places.
@@ -231,6 +237,7 @@ class Equations:
                 "target": self._target, "edge_places": surface.places, "areas": surface.areas,
                 "vertices": surface.vertices, "edge_rounding": surface.rounding, "friction": surface.friction,
                 "met": surface.met, "forces": surface.forces, "known_rates": surface.known_rates,
+                "law_settings": self._law_settings,
                 "stresses": memory.stresses, "energies": memory.energies,
                 "effect_settings": self.effects.settings, "effect_states": self.effects.states,
                 "effect_states_found": self.effects.found, "masses": self.masses, "rest": self.rest,

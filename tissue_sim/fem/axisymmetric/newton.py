@@ -8,9 +8,9 @@ from tissue_sim.fem.axisymmetric.batches import LANES
 from tissue_sim.fem.linear import band as band_matrix
 from tissue_sim.fem.linear.cholesky import BAND_CHOLESKY
 from tissue_sim.fem.linear.lu import BAND_LU
-from tissue_sim.fem.point_effects import EffectFormula
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.taichi.trace import Formula
 from tissue_sim.laws import KernelEnergy
 
 #: Friction of a point that is no friction, as a share of the least load that residuals are measured against.
@@ -26,17 +26,18 @@ ALL, CIRCLING = 1_000_000, 8
 #: Places in the kernel's counts, settings and report. KEEPS: 0 a step begins with an extrapolation, 1 with the state as
 #: it is and nothing may change between sticking and slipping, 2 with the state as it is.
 PASSES, FREE, MAX_ITERATIONS, CONTACTS, REMEMBERS, UNSYMMETRIC, CHANGEABLE, KEEPS, STIFFNESS_ASKED = range(9)
-(DEPTH, PREDICTED, KAPPA, WEIGHT, TOLERANCE, FLOOR, ROUNDING, TOUCH, CONTACT_TOLERANCE, ADHESION,
- ADHESION_LENGTH, INERTIA, DENSITY) = range(13)
+(DEPTH, PREDICTED, KAPPA, WEIGHT, TOLERANCE, FLOOR, ROUNDING, TOUCH, CONTACT_TOLERANCE, STRENGTH,
+ REACH, INERTIA, DENSITY) = range(13)
 STATUS, ITERATIONS, RESIDUAL, FORCE, VIOLATION, SLIPPING, STIFFNESS = range(7)
 
 
 @cache
-def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: tuple[EffectFormula, ...] = ()):
+def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: tuple[Formula, ...] = (),
+                laws: tuple[Formula, ...] = ()):
     """The compiled step of one element and one family of laws; see `AxisymmetricSolver.step` for its arguments.
 
-    Nothing is compiled of `effects` at the points that are not there; only where something `slips` against friction it
-    contains the solution of unsymmetric equations.
+    Nothing is compiled of `effects` at the points and `laws` of contact that are not there; only where something
+    `slips` against friction it contains the solution of unsymmetric equations.
     """
     ti = initialise()
     work = element_functions(element_name, energy, effects)
@@ -48,7 +49,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
     vector1 = ti.types.ndarray(dtype=vec, ndim=1)
     block1, block3 = (ti.types.ndarray(dtype=block, ndim=n) for n in (1, 3))
     mirror, cholesky, lu = band_matrix.mirror_function(), BAND_CHOLESKY.functions(), BAND_LU.functions()
-    contact = contact_kernels.functions(slips)
+    contact = contact_kernels.functions(slips, laws)
     converged, inverted, indefinite, slow, diverged = (float(status) for status in StepStatus)
 
     # Throughout, `a = a + b` on arrays: `a += b` is an atomic operation in Taichi, four times slower here.
@@ -82,8 +83,8 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
              inverse_rr: vector1, inverse_rz: vector1, inverse_zz: vector1, force_r: vector1, force_z: vector1,
              edges: int2, spans: int2, edge_shapes: real3, edge_places: real3, areas: real2, vertices: real2,
              edge_rounding: real1, friction: real2, springs: real2, held: real3, ways: real2, met: real3,
-             forces: real3, contact_rates: real3, known_rates: real3, coefficients: real1, past: real1,
-             inherited: real3, largest: real2, stresses: real3, energies: real2, effect_settings: real1,
+             forces: real3, contact_rates: real3, known_rates: real3, law_settings: real1, coefficients: real1,
+             past: real1, inherited: real3, largest: real2, stresses: real3, energies: real2, effect_settings: real1,
              effect_states: real3, effect_states_found: real3, masses: real1, rest: real1, x: real1, motion: real1,
              history: real2, slots: int1, weights: real1, entries: real4, blocks: block3, flat: block1,
              scattered: real1, upper: real4, upper_blocks: block3, inverse: real1, right: block1, residual: real1,
@@ -106,7 +107,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                           slots)
             if counts[KEEPS] != 1:
                 counts[CHANGEABLE] = ALL
-            adhesion, adhesion_length = settings[ADHESION], settings[ADHESION_LENGTH]
+            strength, reach = settings[STRENGTH], settings[REACH]
             pending = 0
             if counts[CONTACTS] > 0 and ti.abs(depth - settings[PREDICTED]) > 1e-10 * ti.abs(depth):
                 pending = 1
@@ -166,12 +167,12 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                                 at = entries[i // B, width - 1, i % B, i % B]
                                 entries[i // B, width - 1, i % B, i % B] = at + inertia * masses[dof]
                 tool = settings[PREDICTED] if pending == 1 else depth
-                # At first what just touches counts as pressed: the tool is about to move, or adhesion pulls.
-                slack = 1e-9 if pending == 1 or (adhesion > 0.0 and iterations == 0) else 0.0
+                # At first what just touches counts as pressed: the tool is about to move, or a law pulls.
+                slack = 1e-9 if pending == 1 or (strength > 0.0 and iterations == 0) else 0.0
                 axial, balanced, violation, slipping = contact.add_contact(
                     counts[CONTACTS], counts[CHANGEABLE], slack, pending, bending, depth - tool,
-                    tool - settings[TOUCH], free, settings[CONTACT_TOLERANCE], FRICTION_FLOOR * floor, adhesion,
-                    adhesion_length, multipliers, edges, spans, edge_shapes, edge_places, areas, vertices,
+                    tool - settings[TOUCH], free, settings[CONTACT_TOLERANCE], FRICTION_FLOOR * floor, reach,
+                    law_settings, multipliers, edges, spans, edge_shapes, edge_places, areas, vertices,
                     edge_rounding, friction, springs, held, ways, met, forces, contact_rates, x, target, equation,
                     residual)
                 counts[CHANGEABLE] = 0
@@ -209,8 +210,8 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                       and contact.have_changed(counts[CONTACTS], springs, contact_rates, known_rates) == 1):
                     tangent = 1  # the stiffness needs it
                 elif pending == 0 and ratio <= goal:
-                    released = contact.augment(counts[CONTACTS], multipliers, adhesion, edge_places, areas, spans,
-                                               vertices, edge_rounding, held, forces, x)
+                    released = contact.augment(counts[CONTACTS], multipliers, strength, reach, edge_places, areas,
+                                               spans, vertices, edge_rounding, held, forces, x)
                     if released > 0:
                         # Another problem from here on.
                         tangent, first = 1, iterations + 1

@@ -4,16 +4,15 @@ from functools import cache
 from typing import Any
 
 from tissue_sim.fem.axisymmetric.energy import PACKED
-from tissue_sim.fem.point_effects import EffectFormula
 from tissue_sim.fem.taichi.runtime import initialise
-from tissue_sim.fem.taichi.trace import expressions, traced
+from tissue_sim.fem.taichi.trace import Formula, expressions, traced
 
 #: Places of RR, ZZ, hoop and RZ among six components, in the order of a memory: RR, RZ, ZZ, hoop.
 _PLACES = (0, 3, 1, 2)
 
 
 @cache
-def effects_function(formulas: tuple[EffectFormula, ...]):
+def effects_function(formulas: tuple[Formula, ...]):
     """Taichi function ``add_effects(F, P, A, states, settings) -> (S, P, A, states)`` of vectors: add the stress of
     effects, F S, to P and its derivative to A; see `tissue_sim.fem.point_effects.PointEffects` for the rest."""
     ti = initialise()
@@ -29,7 +28,7 @@ def effects_function(formulas: tuple[EffectFormula, ...]):
     return add_effects
 
 
-def _added(formulas: tuple[EffectFormula, ...], F: list, P: list, A: list, states: list, settings: list) -> tuple:
+def _added(formulas: tuple[Formula, ...], F: list, P: list, A: list, states: list, settings: list) -> tuple:
     """What `add_effects` does, on expressions of Taichi."""
     F, P, A = traced(F, lanes=True), traced(P, lanes=True), traced(A, lanes=True)
     states, (dt, *numbers) = traced(states, lanes=True), traced(settings, lanes=False)

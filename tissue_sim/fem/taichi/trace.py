@@ -11,13 +11,15 @@ Taichi keeps compiled kernels by the operations that they consist of, so two for
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import fields
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.parameters import declared
 
 #: Numpy's functions of one number that a formula may use, by the name of Taichi's.
 _FUNCTIONS = {np.exp: "exp", np.log: "log", np.sqrt: "sqrt", np.tanh: "tanh", np.sin: "sin", np.cos: "cos",
@@ -29,7 +31,40 @@ _OPERATORS: dict[Any, Callable] = {
 #: Whole powers up to this one are products.
 _PRODUCTS = 4
 #: Stands for an expression where a formula is only tried, without a kernel.
-TRIED = object()
+TRIED: Any = object()
+Thing = TypeVar("Thing")
+
+
+class Formula(NamedTuple, Generic[Thing]):
+    """What a kernel is compiled for: a frozen dataclass with a formula, which is another one wherever its content is,
+    and what it is told beside its declared parameters."""
+
+    kind: type[Thing]
+    constants: tuple[tuple[str, Any], ...]
+
+    @classmethod
+    def of(cls, thing: Thing) -> Formula[Thing]:
+        """The formula of an effect or a law."""
+        kind: Any = type(thing)
+        known = declared(kind)
+        return cls(kind, tuple((entry.name, getattr(thing, entry.name)) for entry in fields(kind)
+                               if entry.name not in known))
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the declared ones, in order."""
+        return tuple(declared(self.kind))
+
+    def numbers(self, thing: Thing) -> list[float]:
+        """Its parameters, in order."""
+        return [float(getattr(thing, name)) for name in self.parameters]
+
+    def bind(self, parameters: Iterable[Any]) -> Thing:
+        """A thing with these numbers in its fields, which are not checked: they may be those of a kernel."""
+        thing: Thing = object.__new__(self.kind)
+        for name, value in (*self.constants, *zip(self.parameters, parameters, strict=True)):
+            object.__setattr__(thing, name, value)
+        return thing
 
 
 class Traced:
@@ -101,7 +136,7 @@ class Traced:
         return _noted(operator.ge, self, other)
 
     def __bool__(self):
-        raise InputError("a formula in a kernel cannot branch on a number; choose with numpy.where", field="formula")
+        raise InputError("a formula in a kernel cannot branch on a number; choose with numpy.where")
 
     def __array_ufunc__(self, ufunc, method, *inputs, **options):
         """What numpy's functions do with it."""
@@ -115,7 +150,7 @@ class Traced:
         if ufunc in _FUNCTIONS:
             return _noted(getattr(initialise(), _FUNCTIONS[ufunc]), *inputs)
         raise InputError(f"a formula in a kernel cannot use numpy.{ufunc.__name__}; it has exp, log, sqrt, tanh, sin, "
-                         "cos, tan, abs, maximum, minimum and where", field="formula")
+                         "cos, tan, abs, maximum, minimum and where")
 
     def __array_function__(self, function, types, arguments, options):
         """``numpy.where``."""
@@ -136,7 +171,9 @@ def traced(values: Sequence[Any], lanes: bool) -> list[Traced]:
 
 
 def expressions(values: Sequence[Any], like: Any) -> list[Any]:
-    """What a formula gave back as expressions, vectors where `like` is one; plain numbers among them become that."""
+    """What a formula gave back as expressions, vectors where the traced number `like` is one."""
+    if not like.lanes:
+        return [value.value if isinstance(value, Traced) else float(value) for value in values]
     return [_spread(value, like).value for value in values]
 
 

@@ -1,0 +1,80 @@
+"""Laws of contact in the axisymmetric solid: the part of their tractions in the half plane."""
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+from tissue_sim.errors import InputError
+from tissue_sim.experiment.contact_law import ContactLaw, Traction
+from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.taichi.trace import TRIED, Formula, expressions, traced
+
+
+class LawFunctions(NamedTuple):
+    """What the kernel of a step takes of the laws.
+
+    Attributes:
+        traction: Taichi function ``traction(gap, pressure, slip, settings) -> (pull, drag, pull rate, drag rate)``.
+        drags, stiffens: whether drag, and rates, are ever anything but 0.
+    """
+
+    traction: object
+    drags: bool
+    stiffens: bool
+
+
+def law_settings(laws: tuple[ContactLaw, ...], face: float) -> np.ndarray:
+    """What `traction` takes: the area of the tool's face, m2, then of each law its reach, m, and its parameters."""
+    numbers = [[law.reach, *Formula.of(law).numbers(law)] for law in laws]
+    return np.array([face, *(value for law in numbers for value in law)])
+
+
+def strength(laws: tuple[ContactLaw, ...], face: float) -> float:
+    """Pull of all laws where the surfaces touch without pressure, Pa."""
+    return float(sum(law.traction(0.0, 0.0, (0.0, 0.0), face).pull for law in laws))
+
+
+@cache
+def law_functions(formulas: tuple[Formula[ContactLaw], ...]) -> LawFunctions:
+    """Of the laws of a contact.
+
+    Raises:
+        InputError: a law that no kernel can take over.
+    """
+    ti = initialise()
+    count = 1 + sum(1 + len(formula.parameters) for formula in formulas)
+    tried = _sum(formulas, [TRIED] * 3, [TRIED] * count)
+    constant = [not hasattr(value, "lanes") for value in tried]
+
+    def total(gap, pressure, slip, settings):
+        values = _sum(formulas, [gap, pressure, slip], settings)
+        return expressions(values, traced([gap], lanes=False)[0])
+
+    @ti.func
+    def traction(gap, pressure, slip, settings: ti.template()):
+        return ti.static(total(gap, pressure, slip, [settings[i] for i in range(count)]))
+
+    return LawFunctions(traction, not constant[1], not (constant[2] and constant[3]))
+
+
+def _sum(formulas: tuple[Formula[ContactLaw], ...], place: list, settings: list) -> list:
+    """Pull, drag, and their rates with gap and slip, of all laws together."""
+    (gap, pressure, slip), (face, *numbers) = traced(place, lanes=False), traced(settings, lanes=False)
+    total = [0.0] * 4
+    for formula in formulas:
+        reach, *parameters = numbers[: 1 + len(formula.parameters)]
+        numbers = numbers[1 + len(formula.parameters):]
+        try:
+            found = formula.bind(parameters).traction(gap, pressure, (slip, 0.0), face)
+        except InputError as error:
+            raise error.located(field=f"contact_laws.{formula.kind.name}") from None
+        if not isinstance(found, Traction):
+            raise InputError("its traction is no tissue_sim.Traction; return one",
+                             field=f"contact_laws.{formula.kind.name}")
+        values = [found.pull, found.drag[0], found.pull_rate, found.drag_rates[0][0]]
+        if len(formulas) > 1:
+            # Each ends at its own reach; that of the furthest one is the contact's.
+            values = [np.where(gap < reach, value, 0.0) if hasattr(value, "lanes") else value for value in values]
+        total = [before + value for before, value in zip(total, values, strict=True)]
+    return total
