@@ -11,11 +11,23 @@ import sys
 from collections.abc import Sequence
 
 from calibration.tasks.errors import WorkerError
-from scenes.commands import COMMANDS, LATER
-from scenes.parsing import Parser, later_answer
+from scenes.commands import calibrate, demo, doctor, loop, material, serve, simulate, view
+from scenes.commands.shared.parsing import Parser, later_answer
 from tissue_sim import __version__
 from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError, nearest
 
+COMMANDS = {
+    "demo": demo,
+    "doctor": doctor,
+    "material": material,
+    "simulate": simulate,
+    "calibrate": calibrate,
+    "loop": loop,
+    "serve": serve,
+    "view": view,
+}
+#: Names that are settled and answered as not available in this version.
+LATER = ("design", "diagnose", "record", "devices", "emulate", "reduce")
 DONE, GOAL_MISSED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
@@ -50,7 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _parse(words: list[str]):
     """Parsed arguments, or None where argparse has printed the help or the version."""
     _refuse_unknown_names(words)
-    parser = build_parser()
+    parser = make_parser()
     if not words:
         parser.print_help()
         return None
@@ -65,7 +77,7 @@ def _parse(words: list[str]):
     return arguments
 
 
-def build_parser() -> Parser:
+def make_parser() -> Parser:
     """The parser of all commands. Imports nothing heavy: help must answer at once."""
     parser = Parser(prog="tissue-sim",
                     description="Soft-tissue finite elements, calibrated from measured force curves.",

@@ -102,7 +102,7 @@ def declaration(entry: Field) -> Declaration | None:
 
 def declared(kind: type) -> dict[str, Declaration]:
     """Field -> what it declares, of a dataclass, in order."""
-    return {entry.name: found for entry in fields(kind) if (found := declaration(entry)) is not None}
+    return {entry.name: what for entry in fields(kind) if (what := declaration(entry)) is not None}
 
 
 def parameters(part: Any) -> dict[str, Parameter]:
@@ -175,6 +175,36 @@ def tokens(path: str) -> list[str | int]:
     return [name if name else int(index) for name, index in _TOKEN.findall(path)]
 
 
+def to_keys(part: Any) -> dict[str, float]:
+    """Key of files -> value in its unit, 15 digits, of the numbers that a part declares and has."""
+    return {what.key: float(f"{number / what.factor:.15g}") for name, what in declared(type(part)).items()
+            if (number := getattr(part, name)) is not None}
+
+
+def from_keys(kind: type[Part], content: Mapping[str, float], field: str) -> Part:
+    """A part from the keys of a file.
+
+    Args:
+        kind: its class.
+        content: key -> value in its unit.
+        field: where they stand, for messages.
+
+    Raises:
+        InputError: an unknown key (names the nearest), a missing one, or a value that the part refuses; with the field.
+    """
+    names = {what.key: (name, what.factor) for name, what in declared(kind).items()}
+    for key in content:
+        if key not in names:
+            raise InputError(f"unknown key{nearest(key, names)}", field=f"{field}.{key}")
+    needed = {declaration(entry).key for entry in fields(kind) if declaration(entry) and entry.default is MISSING}
+    if missing := [key for key in names if key in needed and key not in content]:
+        raise InputError(f"needs {', '.join(missing)}", field=field)
+    try:
+        return kind(**{names[key][0]: names[key][1] * value for key, value in content.items()})
+    except InputError as error:
+        raise error.located(field=field) from None
+
+
 def _at(part: Any, path: str) -> Any:
     """What stands at a path, the part itself at the empty one; None where nothing does."""
     for token in tokens(path):
@@ -215,15 +245,15 @@ def _parameters_of(part: Any, place: str) -> Iterator[Parameter]:
         for name, (what, number) in part.own_parameters().items():
             yield Parameter(place + name, what, number, type(part))
     for entry in fields(part):
-        what = declaration(entry)
-        if what is not None:
+        stated = declaration(entry)
+        if stated is not None:
             content = getattr(part, entry.name)
-            content = what.words.get(content, content) if isinstance(content, str) else content
+            content = stated.words.get(content, content) if isinstance(content, str) else content
             if isinstance(content, Real) and not isinstance(content, bool):
-                yield Parameter(place + entry.name, what, float(content), type(part))
+                yield Parameter(place + entry.name, stated, float(content), type(part))
 
 
-def _changed(part: Any, tree: Mapping[str | int, Any]) -> Any:
+def _changed(part: Any, tree: Mapping[Any, Any]) -> Any:
     if isinstance(part, tuple):
         return tuple(_changed(item, tree[index]) if index in tree else item for index, item in enumerate(part))
     if isinstance(part, Mapping):

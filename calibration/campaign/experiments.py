@@ -6,6 +6,7 @@ from pathlib import Path
 
 from calibration.campaign.schema import TestTable
 from tissue_sim.errors import InputError
+from tissue_sim.experiment.contact_law import CONTACT_LAWS
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.experiment.protocol import Protocol
@@ -17,14 +18,14 @@ from tissue_sim.experiment.tools.tool import (
     sizes_of_keys,
     tool_sizes,
 )
-from tissue_sim.parameters import declared
+from tissue_sim.parameters import declared, from_keys
 from tissue_sim.rig.file import load_rig
 from tissue_sim.rig.rig import Rig
 from tissue_sim.specimen import Specimen
 
 #: Field of an experiment or a tool -> key of the campaign, beside those of the sizes of tools.
 _KEYS = {"tool": "tool", "tool.profile_file": "tool", "friction": "friction", "friction_base": "friction_base",
-         "friction_wall": "friction_wall"}
+         "friction_wall": "friction_wall", "tilt": "tilt_mm"}
 
 
 def read_experiment(entry: TestTable, specimen: Specimen | None, folder: Path, place: str) -> Experiment | None:
@@ -39,7 +40,7 @@ def read_experiment(entry: TestTable, specimen: Specimen | None, folder: Path, p
     """
     kind = KINDS[entry.kind]
     if kind.gripped:
-        for key in (*entry.tool_sizes, *kind.faces, "rig"):
+        for key in (*entry.tool_sizes, *kind.faces, "contact_laws", "tilt_mm", "rig"):
             face = kind.faces.get(key)
             if getattr(entry, key) not in (None, face.usual if face is not None and face.fixed else None):
                 raise InputError(f"a test of kind {entry.kind!r} is gripped on both sides and has none; leave it out",
@@ -49,9 +50,12 @@ def read_experiment(entry: TestTable, specimen: Specimen | None, folder: Path, p
         return None
     specimen = Specimen(1.0, 1.0) if specimen is None else specimen
     interfaces = {key: _interface(entry, kind, key, place) for key in kind.faces}
+    laws = [from_keys(CONTACT_LAWS.find(name, f"{place}.contact_laws.{name}"), content, f"{place}.contact_laws.{name}")
+            for name, content in (entry.contact_laws or {}).items()]
     try:
         return kind.experiment(specimen=specimen, protocol=Protocol.ramp(1e-3 * specimen.height, 2),
-                               tool=_tool(entry, kind, folder, place), **interfaces)
+                               tool=_tool(entry, kind, folder, place), contact_laws=laws,
+                               tilt=1e-3 * (entry.tilt_mm or 0.0), **interfaces)
     except InputError as error:
         keys = _KEYS | {f"tool.{name}": key for key, (_, name, _) in tool_sizes().items()}
         if error.field not in keys:

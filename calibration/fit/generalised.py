@@ -181,11 +181,11 @@ def _doubts(problem: Problem, evaluation: Evaluation, spread: Uncertainty) -> li
         warnings.append(f"residuals are {spread.ratio:.3g} times the noise: the model misses something, and the "
                         "standard errors are no more than a guess")
     away = np.abs(evaluation.nuisances)
-    if stuck := [curve.name for columns, curve in zip(problem.own, problem.measured, strict=True)
+    if stuck := [curve.name for columns, curve in zip(problem.offset_columns, problem.measured, strict=True)
                  if away[columns].max(initial=0.0) > SUSPECT]:
         warnings.append(f"contact or zero of {', '.join(stuck)} is more than {SUSPECT:g} times the stated or estimated "
                         "scatter away: check where these recordings touch, or what the model lacks")
-    if away[len(problem.own) * len(problem.kinds):].max(initial=0.0) > SUSPECT:
+    if away[len(problem.offset_columns) * len(problem.kinds):].max(initial=0.0) > SUSPECT:
         warnings.append(f"the mesh error would be more than {SUSPECT:g} times what is known of it: something that the "
                         "model lacks hides there")
     return warnings
@@ -198,7 +198,7 @@ def _nuisances(problem: Problem, evaluation: Evaluation) -> list[Nuisance]:
     deviations = np.sqrt(np.diag(matrix))
     size = {kind: getattr(problem.jitter, kind) for kind in problem.kinds}
     found = []
-    for columns, curve in zip(problem.own, problem.measured, strict=True):
+    for columns, curve in zip(problem.offset_columns, problem.measured, strict=True):
         values = dict(zip(problem.kinds, evaluation.nuisances[columns], strict=True))
         errors = dict(zip(problem.kinds, deviations[columns], strict=True))
         pairs = {kind: (values[kind] * size[kind], errors[kind] * size[kind]) if kind in values else (0.0, 0.0)

@@ -157,15 +157,21 @@ class OrdinaryProblem:
         last = self.__dict__.get("_last")
         if last is not None and np.array_equal(last.theta, theta):
             return last
-        answers = [test.solve(self.space, theta[:free], self.solves) for test in self.tests]
         force, rates = np.empty(self.samples), np.zeros((self.samples, theta.size))
-        offsets = self.offsets(theta)
-        for i, (rows, (t, r)) in enumerate(zip(self.rows, self.places, strict=True)):
-            model, model_rates, contact = self.tests[t].evaluate(answers[t], r, float(offsets[i, 0]))
-            force[rows], rates[rows, :free] = model + offsets[i, 1], model_rates
-            if i in self.shifted:
-                column = free + 2 * self.shifted.index(i)
-                rates[rows, column], rates[rows, column + 1] = contact, 1.0
+        offsets, first = self.offsets(theta), 0
+        for test in self.tests:
+            numbers = range(first, first + len(test.measured))
+            rows = slice(self.rows[first].start, self.rows[numbers[-1]].stop)
+            shifted = [i for i in numbers if i in self.shifted]
+            answer = test.solve(self.space, theta[:free], self.solves)
+            force[rows], rates[rows, :free], contact = test.evaluate_all(answer, offsets[list(numbers), 0],
+                                                                         bool(shifted))
+            for i in shifted:
+                column, mine = free + 2 * self.shifted.index(i), self.rows[i]
+                force[mine] += offsets[i, 1]
+                rates[mine, column] = contact[mine.start - rows.start:mine.stop - rows.start]
+                rates[mine, column + 1] = 1.0
+            first = numbers.stop
         unit = self.area * self.noise
         prior = np.flatnonzero(np.isfinite(self.prior_deviation))
         prior_rates = np.zeros((prior.size, theta.size))

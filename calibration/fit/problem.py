@@ -146,7 +146,7 @@ class Problem:
                 start += measured.force.size
         kinds = [("contact", self.jitter.contact), ("zero", self.jitter.zero)]
         self.kinds = [name for name, deviation in kinds if deviation > 0]
-        self.own = [slice(column + i * len(self.kinds), column + (i + 1) * len(self.kinds))
+        self.offset_columns = [slice(column + i * len(self.kinds), column + (i + 1) * len(self.kinds))
                     for i in range(len(self.places))]
         column = len(self.places) * len(self.kinds)
         self.shared = []
@@ -249,7 +249,7 @@ class Problem:
         if "contact" not in self.kinds:
             return trial
         places = np.linspace(-_SCANNED, _SCANNED, _SCAN_POINTS)
-        for own, (t, r) in zip(self.own, self.places, strict=True):
+        for columns, (t, r) in zip(self.offset_columns, self.places, strict=True):
             test, measured = self.tests[t], self.tests[t].measured[r]
             if not hasattr(test, "scan"):
                 continue
@@ -262,7 +262,7 @@ class Problem:
             squares = np.einsum("ng,ng->g", gaps, gaps) - (1.0 + zero @ zero) * zeros**2 + places**2
             best = int(np.argmin(squares))
             found = {"contact": places[best], "zero": zeros[best]}
-            trial[own] = [found[kind] for kind in self.kinds]
+            trial[columns] = [found[kind] for kind in self.kinds]
         return trial
 
     def forget(self) -> None:
@@ -277,9 +277,9 @@ class Problem:
         columns = np.zeros((self.samples, self.nuisances))
         force = np.empty(self.samples)
         sizes = [getattr(self.jitter, name) for name in self.kinds]
-        for rows, own, (t, r) in zip(self.rows, self.own, self.places, strict=True):
+        for rows, places, (t, r) in zip(self.rows, self.offset_columns, self.places, strict=True):
             test, measured = self.tests[t], self.tests[t].measured[r]
-            values = dict(zip(self.kinds, nuisances[own] * sizes, strict=True))
+            values = dict(zip(self.kinds, nuisances[places] * sizes, strict=True))
             offset, farthest = values.get("contact", 0.0), FARTHEST * self.jitter.contact
             near = float(np.clip(offset, -farthest, farthest))
             model, model_rates, contact_rate = test.evaluate(answers[t], r, near)
@@ -291,15 +291,15 @@ class Problem:
             modes, weights = self._mesh_columns(t, measured, model), nuisances[self.shared[t]]
             # An error in proportion to the force changes its derivatives too.
             factor = 1.0 + self._mesh_columns(t, measured, np.ones_like(model)) @ weights
-            own_columns = {"contact": factor * contact_rate, "zero": np.ones_like(model)}
+            nuisance_columns = {"contact": factor * contact_rate, "zero": np.ones_like(model)}
             force[rows] = model + values.get("zero", 0.0)
             gap = force[rows] - measured.force + modes @ weights
             white = whiten(np.column_stack([gap, factor[:, None] * model_rates, *(
-                size * own_columns[name] for name, size in zip(self.kinds, sizes, strict=True)), modes]),
+                size * nuisance_columns[name] for name, size in zip(self.kinds, sizes, strict=True)), modes]),
                 measured.time, measured.noise)
             p = rates.shape[1]
             residual[rows], rates[rows] = white[:, 0], white[:, 1:p + 1]
-            columns[rows, own] = white[:, p + 1:p + 1 + len(self.kinds)]
+            columns[rows, places] = white[:, p + 1:p + 1 + len(self.kinds)]
             columns[rows, self.shared[t]] = white[:, p + 1 + len(self.kinds):]
         if not np.isfinite(residual).all():
             raise InfeasibleError("the model gives a force that is not a number")

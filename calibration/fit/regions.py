@@ -34,10 +34,10 @@ def judge_regions(problem: Problem, evaluation: Evaluation) -> list[Region]:
             if t != number or not mine.any():
                 continue
             measured = problem.tests[t].measured[r]
-            own = np.zeros((mine.size, modes))
-            own[mine] = cosine_modes(along[mine], modes)
-            shapes[rows] = own
-            columns[rows] = whiten(own, measured.time, measured.noise)
+            waves = np.zeros((mine.size, modes))
+            waves[mine] = cosine_modes(along[mine], modes)
+            shapes[rows] = waves
+            columns[rows] = whiten(waves, measured.time, measured.noise)
         answer = misfit(residual, design, columns)
         # Model minus data, of what is smooth.
         smooth = -shapes @ answer.amplitudes

@@ -26,7 +26,7 @@ class CalibrationResult:
             BIC, an inverse fit by how well a law predicts tests that it has not seen.
         predictions: of the held-out tests and, of an inverse fit, of each test by a fit to the others; for each law.
         message: for people: what the ranking is worth.
-        output: folder of this campaign's files. work: digest of everything that the result depends on.
+        output: folder of this campaign's files. digest: of everything that the result depends on.
         noise_Pa: pooled standard deviation of the nominal stress; None of an inverse fit.
         noise_source: ``"stated"``, ``"estimated"``, ``"resolution"`` (of the sensor) or ``"mixed"``.
         noise: of the sensor in each test, of an inverse fit.
@@ -38,7 +38,7 @@ class CalibrationResult:
     predictions: tuple[Prediction, ...]
     message: str
     output: Path
-    work: str
+    digest: str
     noise_Pa: float | None = None
     noise_source: str = "stated"
     noise: tuple[SensorStatement, ...] = ()
@@ -65,22 +65,22 @@ def to_json(results: Sequence[CalibrationResult]) -> dict[str, Any]:
         "predictions": list(msgspec.to_builtins(result.predictions)), "noise_Pa": result.noise_Pa,
         "noise_source": result.noise_source, "noise": list(msgspec.to_builtins(result.noise)),
         "message": result.message, "self_weight": statement(result.campaign, result.best),
-        "output": str(result.output), "work": result.work,
+        "output": str(result.output), "work": result.digest,
     }
 
 
-def read_back(campaign: Campaign, folder: Path, work: str) -> CalibrationResult | None:
+def read_back(campaign: Campaign, folder: Path, digest: str) -> CalibrationResult | None:
     """The finished result of the same work, None where there is none that can be read or a file of it is missing."""
     try:
         found = json.loads((folder / FIT_FILE).read_text(encoding="utf-8"))
-        if found["work"] != work:
+        if found["work"] != digest:
             return None
         files = [*TABLES, *(fit["material_file"] for fit in found["fits"] if fit["material_file"] is not None)]
         if not all((folder / name).is_file() for name in files):
             return None
         return CalibrationResult(
             campaign, msgspec.convert(tuple(found["fits"]), tuple[Fit, ...]),
-            msgspec.convert(tuple(found["predictions"]), tuple[Prediction, ...]), found["message"], folder, work,
+            msgspec.convert(tuple(found["predictions"]), tuple[Prediction, ...]), found["message"], folder, digest,
             found["noise_Pa"], found["noise_source"],
             msgspec.convert(tuple(found["noise"]), tuple[SensorStatement, ...]), resumed=True)
     except (OSError, ValueError, KeyError, TypeError, msgspec.ValidationError):

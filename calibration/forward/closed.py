@@ -102,36 +102,53 @@ class ClosedTest:
     def evaluate(self, answer: ClosedAnswer, recording: int, offset: float):
         """As `ForwardTest.evaluate`."""
         if answer.material is None:
-            force, rates, rate = self._elastic(answer, self.measured[recording].displacement - offset)
-        else:
-            force, rates, rate = self._remembering(answer, recording, offset)
+            return self._finite(answer, *self._elastic(answer, self.measured[recording].displacement - offset))
+        return self._finite(answer, *self._remembering(answer, recording, offset))
+
+    def evaluate_all(self, answer: ClosedAnswer, offsets: np.ndarray, contact: bool):
+        """As `evaluate`, of all recordings behind one another, shapes (n,), (n, p), (n,).
+
+        Args:
+            answer: of `solve`. offsets: of the contact of each recording, m, shape (recordings,).
+            contact: whether the derivative with the offset is asked for; None where it is not.
+        """
+        if answer.material is None:
+            moved = [curve.displacement - offset for curve, offset in zip(self.measured, offsets, strict=True)]
+            return self._finite(answer, *self._elastic(answer, np.concatenate(moved), contact))
+        parts = [self._remembering(answer, i, float(offset), contact) for i, offset in enumerate(offsets)]
+        force, rates, rate = zip(*parts, strict=True)
+        return self._finite(answer, np.concatenate(force), np.concatenate(rates),
+                            np.concatenate(rate) if contact else None)
+
+    def _finite(self, answer: ClosedAnswer, force: np.ndarray, rates: np.ndarray, rate: np.ndarray | None):
         if not (np.isfinite(force).all() and np.isfinite(rates).all()):
             raise InfeasibleError(f"{self.name}: {answer.law.name} gives no finite stress")
         return force, rates, rate
 
-    def _elastic(self, answer: ClosedAnswer, displacement: np.ndarray):
+    def _elastic(self, answer: ClosedAnswer, displacement: np.ndarray, contact: bool = True):
         """Force, its derivatives with the free parameters, and with the contact offset."""
         law, values, closed_form = answer.law, answer.values, self.closed_form
         strain = self.strain(displacement)
         # Wild trial values overflow; the optimiser turns back from what is not finite.
         with np.errstate(all="ignore"):
-            stress = closed_form.stress(law, strain, values)
-            derivatives = closed_form.derivatives(law, strain, values)
-            slope = closed_form.slope(law, strain, values)
+            stress, derivatives = closed_form.stress(law, strain, values), closed_form.derivatives(law, strain, values)
+            slope = -self.sign * closed_form.slope(law, strain, values) / self.height if contact else None
         if not self.kind.gripped:
             apart = self.kind.strain(strain) < 0.0
-            stress[apart], derivatives[apart], slope[apart] = 0.0, 0.0, 0.0
-        return self._as_force(answer, stress, derivatives, -self.sign * slope / self.height)
+            stress[apart], derivatives[apart] = 0.0, 0.0
+            if contact:
+                slope[apart] = 0.0
+        return self._as_force(answer, stress, derivatives, slope)
 
-    def _as_force(self, answer: ClosedAnswer, stress: np.ndarray, derivatives: np.ndarray, slope: np.ndarray):
+    def _as_force(self, answer: ClosedAnswer, stress: np.ndarray, derivatives: np.ndarray, slope: np.ndarray | None):
         """Force and derivatives of nominal stress, its derivatives with the law's parameters and with the offset."""
         rates = np.zeros((stress.size, len(answer.space.free)))
         ours, theirs = answer.free
         rates[:, theirs] = derivatives[:, ours]
         factor = self.sign * self.area
-        return factor * stress, factor * rates, factor * slope
+        return factor * stress, factor * rates, None if slope is None else factor * slope
 
-    def _remembering(self, answer: ClosedAnswer, recording: int, offset: float):
+    def _remembering(self, answer: ClosedAnswer, recording: int, offset: float, contact: bool = True):
         """As `_elastic`, of a history."""
         material = answer.material
         try:
@@ -144,6 +161,8 @@ class ClosedTest:
         exact = self._relaxing_rates(answer, recording, offset) if relaxing else {}
         for k, name in enumerate(answer.space.free):
             rates[:, k] = exact[name] if name in exact else self._difference(answer, recording, offset, k, force)
+        if not contact:
+            return force, rates, None
         width = _RATE_WIDTH * self.height
         later, earlier = (self._history_force(material, recording, offset + step) for step in (width, -width))
         return force, rates, (later - earlier) / (2 * width)

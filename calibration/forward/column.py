@@ -32,17 +32,17 @@ class ColumnTest(ClosedTest):
     def weightless(self) -> ClosedTest:
         return ClosedTest(self.name, self.kind, self.height, self.area, self.measured)
 
-    def _elastic(self, answer: ClosedAnswer, displacement: np.ndarray):
+    def _elastic(self, answer: ClosedAnswer, displacement: np.ndarray, contact: bool = True):
         column, law, values = Column(self.specimen), answer.law, answer.values
         deepest = max(float(curve.displacement.max()) for curve in self.measured) + self.reserve
         # The deepest point stays, so that the curve is sampled alike.
         moved = np.append(displacement, deepest)
         stress = column.nominal_stress(law, moved, values)[:-1]
-        slope = column.nominal_stress_slope(law, moved, values)[:-1]
+        slope = -column.nominal_stress_slope(law, moved, values)[:-1] if contact else None
         derivatives = column.nominal_stress_derivatives(law, moved, values)[:-1]
         if not np.isfinite(stress).all():
             raise InfeasibleError(f"{self.name}: {law.name} does not carry the specimen so far")
-        return self._as_force(answer, stress, derivatives, -slope)
+        return self._as_force(answer, stress, derivatives, slope)
 
     def reached(self, space: ParameterSpace, theta: np.ndarray) -> Reached:
         """The base at the deepest state, and the top at rest."""

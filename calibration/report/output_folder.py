@@ -1,4 +1,4 @@
-"""The folder of a calibration: which work it holds, and which of its files an earlier calibration wrote."""
+"""The folder of a calibration: which campaigns it holds, and which of its files an earlier calibration wrote."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from calibration.campaign.measured import MeasuredCurve
 from tissue_sim.atomic_write import write_text
 from tissue_sim.errors import InputError
 
-WORK_FILE, FIT_FILE, SUMMARY_FILE = "work.json", "fit.json", "summary.csv"
+CLAIM_FILE, FIT_FILE, SUMMARY_FILE = "work.json", "fit.json", "summary.csv"
 #: Folder of the simulations of an inverse fit, beside its results.
 SOLVES = "solves"
 TABLES = ("report.html", "curves.csv", "residuals.csv")
-WORK_SCHEMA = "tissue_sim/calibration/2"
+CLAIM_SCHEMA = "tissue_sim/calibration/2"
 
 
 def claim(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaign], recordings: Sequence[MeasuredCurve],
@@ -40,13 +40,13 @@ def claim(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaig
     if output.exists() and not output.is_dir():
         raise InputError("is a file; give a folder for the results", file=output)
     planned = [path for campaign in campaigns for path in result_files(campaign, folders[campaign.name])]
-    planned += [output / WORK_FILE, *([output / SUMMARY_FILE] if len(campaigns) > 1 else [])]
+    planned += [output / CLAIM_FILE, *([output / SUMMARY_FILE] if len(campaigns) > 1 else [])]
     for folder in folders.values():
         if (folder / SOLVES).exists() and not (folder / SOLVES).is_dir():
             raise InputError("is in the way: simulations are kept in a folder of that name; move it away",
                              file=folder / SOLVES)
     _protect_inputs(planned, campaigns, recordings)
-    found = _read_work(output)
+    found = _read_claim(output)
     if not overwrite and output.exists() and any(output.iterdir()):
         if found.get("campaigns") != digests:
             what = "the results of other work" if found else "other files"
@@ -60,8 +60,8 @@ def claim(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaig
     _clear_solves({path.parent for path in earlier})
     _remove(earlier, output)
     files = [path.relative_to(output).as_posix() for path in planned]
-    content = {"schema": WORK_SCHEMA, "campaigns": dict(digests), "files": files}
-    write_text(output / WORK_FILE, json.dumps(content, indent=2) + "\n")
+    content = {"schema": CLAIM_SCHEMA, "campaigns": dict(digests), "files": files}
+    write_text(output / CLAIM_FILE, json.dumps(content, indent=2) + "\n")
 
 
 def result_files(campaign: Campaign, folder: Path) -> list[Path]:
@@ -82,11 +82,11 @@ def _protect_inputs(planned: Sequence[Path], campaigns: Sequence[Campaign],
                              file=path)
 
 
-def _read_work(output: Path) -> dict[str, Any]:
+def _read_claim(output: Path) -> dict[str, Any]:
     """The ``work.json`` of an earlier calibration; empty where there is none that can be trusted."""
     try:
-        found = json.loads((output / WORK_FILE).read_text(encoding="utf-8"))
-        if found["schema"] != WORK_SCHEMA:
+        found = json.loads((output / CLAIM_FILE).read_text(encoding="utf-8"))
+        if found["schema"] != CLAIM_SCHEMA:
             return {}
         places = [PurePosixPath(name) for name in found["files"]]
     except (OSError, ValueError, KeyError, TypeError):

@@ -172,7 +172,7 @@ class _ParallelTasks:
                 index = running.pop(future)
                 if future.cancelled():
                     raise WorkerError("the connection to the workers was lost; start them again and repeat the call, "
-                                      "finished work is kept", tasks=sorted({index, *running.values(), *waiting}))
+                                      "what is finished is kept", tasks=sorted({index, *running.values(), *waiting}))
                 error = future.exception()
                 if isinstance(error, executor.death):
                     deaths[index] += 1

@@ -36,10 +36,10 @@ def pack(function: Callable[..., Any], arguments: tuple) -> bytes:
 
 def run_packed(task: bytes) -> Any:
     """The result of a task, in the worker."""
-    things, work = cloudpickle.loads(task)
+    things, call = cloudpickle.loads(task)
     if things:
         register_all(cloudpickle.loads(things))
-    function, arguments = cloudpickle.loads(work)
+    function, arguments = cloudpickle.loads(call)
     return function(*arguments)
 
 

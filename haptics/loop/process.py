@@ -19,7 +19,7 @@ from haptics.loop.commands import COMMANDS
 from haptics.loop.loop import LoopReport, LoopSettings
 from haptics.loop.ring import RingReader
 from haptics.loop.shared_slots import remove, unused_path
-from haptics.loop.snapshot_board import SnapshotReader
+from haptics.loop.snapshot_board import SnapshotReader, shared_fields
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.child_process import start_without_ctrl_c
 from tissue_sim.errors import InputError, nearest
@@ -106,7 +106,7 @@ class LoopProcess:
             progress: told what the process does.
 
         Raises:
-            InputError: what the building of the tissue refuses.
+            InputError: what the tissue refuses when it is made.
             LoopError: the process has ended, or the time is over.
         """
         until = None if timeout is None else time.monotonic() + timeout
@@ -231,10 +231,9 @@ class LoopProcess:
 
     def stop(self) -> LoopReport | None:
         """End the process, by force where it does not end by itself. Returns its report, None where there is none."""
-        if self._process is None:
-            return None
+        connection = self._connection
         with suppress(LoopError, InputError, OSError):  # it has died: there is nothing to stop
-            while not self._ready and self._connection.poll():
+            while connection is not None and not self._ready and connection.poll():
                 self._read(0.0)
             if self._ready and self.report is None:
                 self.ask("stop")
@@ -255,17 +254,18 @@ class LoopProcess:
         Raises:
             InputError, LoopError: it has ended without a report.
         """
-        if self._process is None:
+        process, connection = self._process, self._connection
+        if process is None or connection is None:
             raise LoopError("the loop was not started")
         with self._lock:
             if self.report is not None:
                 return
             if self._failure is None:
                 try:
-                    if self._connection.poll(timeout):
-                        self._take(*self._connection.recv())
+                    if connection.poll(timeout):
+                        self._take(*connection.recv())
                 except (EOFError, OSError):
-                    self._process.join(PATIENCE)
+                    process.join(PATIENCE)
                     self._failure = LoopError(self._last_words())
             if self._failure is not None:
                 self._remove_files()
@@ -278,8 +278,8 @@ class LoopProcess:
             self.message, self._ready = "running", True
         elif kind == "pattern":
             self.pattern = content
-        elif kind == "changed":
-            self.pattern = replace(self.pattern, fields=replace(self.pattern.fields, **content))
+        elif kind == "changed" and self.pattern is not None:
+            self.pattern = replace(self.pattern, fields=shared_fields(self.pattern).with_material(content))
         elif kind == "answer":
             self._answers.append(content)
         elif kind == "report":
@@ -299,13 +299,15 @@ class LoopProcess:
 
     def _end(self, patience: float) -> None:
         """Wait for the end of the process, then enforce it."""
-        process = self._process
+        process, connection = self._process, self._connection
+        if process is None or connection is None:
+            return
         process.join(patience)
         for enforce in (process.terminate, process.kill):
             if process.is_alive():
                 enforce()
                 process.join(PATIENCE)
-        self._connection.close()
+        connection.close()
         self._remove_files()
 
     def _remove_files(self) -> None:

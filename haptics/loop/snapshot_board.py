@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from haptics.loop.shared_slots import SlotReader, SlotWriter
 from tissue_sim.errors import InputError
+from tissue_sim.fem.solver import SharedFields
 from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
 
@@ -47,7 +48,8 @@ class SnapshotBoard(SlotWriter):
     """
 
     def __init__(self, path: str | Path, pattern: Snapshot):
-        super().__init__(path, _KIND, _SLOTS, _HEAD.size + 8 * sum(_sizes(pattern)))
+        size = _HEAD.size + 8 * sum(array.size for array in shared_fields(pattern).arrays())
+        super().__init__(path, _KIND, _SLOTS, size)
 
     def publish(self, time: float, snapshot: Snapshot) -> int:
         """Make a snapshot the newest one; returns its number.
@@ -55,8 +57,7 @@ class SnapshotBoard(SlotWriter):
         Raises:
             InputError: larger than the pattern.
         """
-        fields = snapshot.fields
-        arrays = [fields.states] if fields.stresses is None else [fields.states, fields.stresses]
+        arrays = shared_fields(snapshot).arrays()
         return self.write(_HEAD.pack(time, snapshot.datum, *snapshot.pose.position, *snapshot.pose.orientation)
                           + b"".join(np.ascontiguousarray(array, "<f8").tobytes() for array in arrays))
 
@@ -85,22 +86,30 @@ class SnapshotReader(SlotReader):
         Raises:
             InputError: the board is of another tissue than the pattern.
         """
-        if self.written <= after:
+        newest = self.newest() if self.written > after else None
+        if newest is None:
             return None
-        number, content = super().latest()
-        pattern = self.pattern.fields
-        state, stress = _sizes(self.pattern)
-        numbers = np.frombuffer(content, "<f8", offset=_HEAD.size)
-        if numbers.size != state + stress:
-            raise InputError(f"holds {numbers.size} numbers where the pattern has {state + stress}; give the pattern "
+        number, content = newest
+        fields = shared_fields(self.pattern)
+        arrays, numbers = fields.arrays(), np.frombuffer(content, "<f8", offset=_HEAD.size)
+        ends = np.cumsum([array.size for array in arrays])
+        if numbers.size != ends[-1]:
+            raise InputError(f"holds {numbers.size} numbers where the pattern has {ends[-1]}; give the pattern "
                              "of the loop that writes it", file=self.path)
+        parts = [part.reshape(array.shape) for part, array in zip(np.split(numbers, ends[:-1]), arrays, strict=True)]
         time, datum, *pose = _HEAD.unpack_from(content)
-        fields = replace(pattern, states=numbers[:state].reshape(pattern.states.shape),
-                         stresses=numbers[state:].reshape(pattern.stresses.shape) if stress else None)
-        return PublishedSnapshot(number, time, Snapshot(Pose(tuple(pose[:3]), tuple(pose[3:])), datum, fields))
+        (x, y, z), (a, b, c, d) = pose[:3], pose[3:]
+        snapshot = Snapshot(Pose((x, y, z), (a, b, c, d)), datum, fields.with_arrays(parts))
+        return PublishedSnapshot(number, time, snapshot)
 
 
-def _sizes(pattern: Snapshot) -> tuple[int, int]:
-    """How many numbers the state has, and the stresses."""
-    fields = pattern.fields
-    return fields.states.size, 0 if fields.stresses is None else fields.stresses.size
+def shared_fields(snapshot: Snapshot) -> SharedFields:
+    """The fields of a snapshot.
+
+    Raises:
+        InputError: it has none that can be sent to another process.
+    """
+    if not isinstance(snapshot.fields, SharedFields):
+        raise InputError("this solver has no fields that can be published; set the snapshots' rate to 0",
+                         field="snapshot_rate")
+    return snapshot.fields

@@ -1,4 +1,4 @@
-"""The TCP port of a server: lines in, lines out, in small pieces of work between two steps."""
+"""The TCP port of a server: lines in, lines out, in small pieces between two steps."""
 
 from __future__ import annotations
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from scenes.commands.shared.console import print_json, results_console
+from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, at_least
 from scenes.commands.view import add_page_flags, page_options
-from scenes.console import print_json, results_console
-from scenes.parsing import Parser, add_json, add_overwrite, at_least
 
 SUMMARY = "measure a virtual specimen, calibrate it, predict a test that the calibration never saw"
 EXAMPLE = "tissue-sim demo -o my-demo"
@@ -27,7 +27,7 @@ def add_arguments(parser: Parser) -> None:
 
 
 def run(arguments) -> int:
-    from scenes.demo import run_demo
+    from scenes.demo.virtual_test import run_demo
 
     # The default folder belongs to the demo, so that running it twice works; a folder that a user named is the user's.
     overwrite = arguments.overwrite or arguments.output == FOLDER
@@ -43,12 +43,12 @@ def run(arguments) -> int:
 def _view(arguments, material_file: Path) -> int:
     """Push the needle into the calibrated material, beside what was measured."""
     import tissue_sim as ts
-    from scenes.demo import DEPTH, SPECIMEN
+    from scenes.demo.specimen import DEPTH, SPECIMEN
     from scenes.viewer.run import run_page
     from scenes.viewer.scene import Scene, read_measurements
     from tissue_sim.experiment.kinds.indentation import NEEDLE
 
     experiment = NEEDLE.experiment(specimen=SPECIMEN, protocol=ts.Protocol.ramp(DEPTH))
     measured = read_measurements(sorted((arguments.output / "measured").glob("*.csv")), NEEDLE.name)
-    setup = Scene(NEEDLE, experiment, ts.load_material(material_file), material_file.name, measured)
-    return run_page(setup, material_file.parent, page_options(arguments), json=arguments.json)
+    scene = Scene(NEEDLE, experiment, ts.load_material(material_file), material_file.name, measured)
+    return run_page(scene, material_file.parent, page_options(arguments), json=arguments.json)

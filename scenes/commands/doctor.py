@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from scenes.console import print_json, results_console
-from scenes.parsing import Parser, add_json, positive
+from scenes.commands.shared.console import print_json, results_console
+from scenes.commands.shared.parsing import Parser, add_json, positive
 
 SUMMARY = "check Python, Taichi, the four packages, the 1 kHz clock, caches and ports"
 EXAMPLE = "tissue-sim doctor"

@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from scenes.catalogue import SCENES
-from scenes.console import progress_console
-from scenes.experiment_flags import add_experiment_flags, build_experiment, build_protocol, check_scene
-from scenes.parsing import Parser, add_json, at_least, not_negative
+from scenes.commands.shared.console import progress_console
+from scenes.commands.shared.experiment_flags import add_experiment_flags, check_scene, make_experiment, make_protocol
+from scenes.commands.shared.parsing import Parser, add_json, at_least, not_negative
+from scenes.commands.shared.tissue_flags import add_solver_flags, check_solver
 
 if TYPE_CHECKING:
     from haptics.server.server import TissueServer
@@ -33,8 +34,7 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument("--scene", metavar="SCENE", default="needle_indentation",
                         help=f"{' or '.join(SCENES)} (default: %(default)s)")
     parser.add_argument("--material", type=Path, required=True, metavar="FILE", help="NAME.material.json")
-    parser.add_argument("--resolution", choices=("realtime", "fast", "accurate"), default="realtime",
-                        help="realtime, fast (force within 1 %%) or accurate (within 0.2 %%) (default: realtime)")
+    add_solver_flags(parser)
     network = parser.add_argument_group("network")
     network.add_argument("--port", type=at_least(0, _LAST_PORT), metavar="N", default=PORT,
                          help=f"UDP port of the poses; 0 chooses a free one (default: {PORT})")
@@ -62,6 +62,7 @@ def add_arguments(parser: Parser) -> None:
 
 def run(arguments) -> int:
     check_scene(arguments.scene)
+    check_solver(arguments.solver)
 
     import tissue_sim as ts
     from haptics.loop.real_time import real_time
@@ -70,12 +71,12 @@ def run(arguments) -> int:
 
     material_file = ts.read_material_file(arguments.material)
     material = material_file.material
-    experiment = build_experiment(arguments, build_protocol(arguments), material)
+    experiment = make_experiment(arguments, make_protocol(arguments), material)
     port = arguments.port if arguments.configuration_port is None else arguments.configuration_port
     progress = progress_console(quiet=arguments.json)
-    with progress.status("building the mesh"):
+    with progress.status("making the mesh"):
         simulator = ts.Simulator(ts.Model(experiment, material), resolution=arguments.resolution,
-                                 budget=budget(arguments), inertia=arguments.inertia)
+                                 budget=budget(arguments), inertia=arguments.inertia, solver=arguments.solver)
     # The ports come before the compilation: one that is taken should be known at once.
     with TissueServer(simulator, host=arguments.host, port=arguments.port, configuration_port=port,
                       description=describe(arguments, experiment, material_file, simulator),
@@ -108,10 +109,10 @@ def spin(arguments) -> float:
 
 def describe(arguments, experiment: Experiment, material_file, simulator) -> dict[str, Any]:
     """What is served, for the command ``describe``; in SI."""
-    from scenes.material_summary import summarise
+    from scenes.commands.material.summary import summarise
     from tissue_sim.parameters import declared
 
-    specimen, tool = experiment.specimen, experiment.tool
+    specimen, tool, mesh = experiment.specimen, experiment.tool, simulator.mesh
     return {
         "scene": arguments.scene,
         "specimen": {"radius": specimen.radius, "height": specimen.height, "density": specimen.density,
@@ -124,7 +125,8 @@ def describe(arguments, experiment: Experiment, material_file, simulator) -> dic
         "resolution": arguments.resolution,
         "inertia": arguments.inertia,
         "budget": simulator.budget,
-        "mesh": {"elements": len(simulator.mesh.connectivity), "element": simulator.mesh.element.name},
+        "solver": arguments.solver,
+        "mesh": None if mesh is None else {"elements": len(mesh.connectivity), "element": mesh.element.name},
     }
 
 

@@ -6,15 +6,15 @@ import sys
 from pathlib import Path
 
 from scenes.catalogue import SCENES
-from scenes.commands.loop import read_material
-from scenes.console import print_json
-from scenes.experiment_flags import (
+from scenes.commands.shared.console import print_json
+from scenes.commands.shared.experiment_flags import (
     add_experiment_flags,
-    build_experiment,
-    build_protocol,
     check_scene,
+    make_experiment,
+    make_protocol,
 )
-from scenes.parsing import Parser, add_json, at_least, positive
+from scenes.commands.shared.parsing import Parser, add_json, at_least, positive
+from scenes.commands.shared.tissue_flags import add_solver_flags, check_solver, read_material
 from tissue_sim.errors import InputError
 
 SUMMARY = "push a needle into tissue on a page in the browser, beside the measurement"
@@ -33,9 +33,7 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument("--measured", type=Path, nargs="+", metavar="FILE", default=[],
                         help="recordings to compare with; those whose sidecar names a kind of test go with that scene, "
                              "the others with SCENE")
-    parser.add_argument("--resolution", choices=("realtime", "fast", "accurate"), default="realtime",
-                        help="of what is felt: realtime, fast (force within 1 %%) or accurate (within 0.2 %%) "
-                             "(default: realtime)")
+    add_solver_flags(parser)
     parser.add_argument("--no-real-time", action="store_true",
                         help="ask the system for nothing: no SCHED_FIFO, no locked memory")
     add_page_flags(parser)
@@ -69,18 +67,19 @@ def run(arguments) -> int:
     if arguments.tilt_mm is not None:
         raise InputError("a tilted tool is a correction of whole recordings and has no place in real time; leave it "
                          "out", field="--tilt-mm")
+    check_solver(arguments.solver)
 
     from scenes.viewer.run import run_headless, run_page
     from scenes.viewer.scene import BUILT_IN, Scene, read_measurements
 
     material = read_material(arguments.material)
-    experiment = build_experiment(arguments, build_protocol(arguments), material)
-    setup = Scene(SCENES[arguments.scene], experiment, material,
+    experiment = make_experiment(arguments, make_protocol(arguments), material)
+    scene = Scene(SCENES[arguments.scene], experiment, material,
                   BUILT_IN if arguments.material is None else arguments.material.name,
-                  read_measurements(arguments.measured, arguments.scene))
+                  read_measurements(arguments.measured, arguments.scene), arguments.solver)
     options = {"resolution": arguments.resolution, "real_time": not arguments.no_real_time}
     if arguments.headless:
-        answer = run_headless(setup, arguments.seconds, protocol=arguments.protocol,
+        answer = run_headless(scene, arguments.seconds, protocol=arguments.protocol,
                               speed=arguments.speed_mm_s * 1e-3, **options)
         if arguments.json:
             print_json(answer)
@@ -91,7 +90,7 @@ def run(arguments) -> int:
                   f"largest force {answer['largest_force_N']:.3f} N", file=sys.stdout)
         return 0 if answer["phase"] != "stopped" else 1
     folder = arguments.materials or (arguments.material.parent if arguments.material else Path())
-    return run_page(setup, folder, page_options(arguments), seconds=arguments.seconds, json=arguments.json, **options)
+    return run_page(scene, folder, page_options(arguments), seconds=arguments.seconds, json=arguments.json, **options)
 
 
 def page_options(arguments) -> dict:

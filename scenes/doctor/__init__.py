@@ -8,7 +8,7 @@ from scenes.doctor.check import Check
 
 
 def examine(*, clock_seconds: float = 2.0) -> Iterator[Check]:
-    """All checks, in the order in which one builds on another; each is done when it is asked for.
+    """All checks, in the order in which one needs another; each is done when it is asked for.
 
     Args:
         clock_seconds: how long to watch the 1 kHz clock, s.

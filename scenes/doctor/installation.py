@@ -61,8 +61,8 @@ def one_place() -> Check:
     strangers = [name for name, folder in places.items() if folder != ours]
     if not strangers:
         return Check("the four packages", "ok", f"all from {ours}", values=values)
-    found = ", ".join(f"{name} from {places[name] or 'nowhere'}" for name in strangers)
-    return Check("the four packages", "fail", f"{found}, the others from {ours}",
+    listed = ", ".join(f"{name} from {places[name] or 'nowhere'}" for name in strangers)
+    return Check("the four packages", "fail", f"{listed}, the others from {ours}",
                  "rename or uninstall the one that is not ours, or start from another folder; "
                  "then: python -m pip install --force-reinstall --no-deps tissue-sim", values)
 

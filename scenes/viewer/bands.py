@@ -154,7 +154,7 @@ def fill_bands(points: np.ndarray, triangles: np.ndarray, values: np.ndarray,
     """
     pieces = Triangulation(np.asarray(triangles)).cut(points, values, levels)
     kept, numbers, slices = by_band(pieces.triangles, pieces.band, len(pieces.points), len(levels) - 1)
-    return [(pieces.points[kept[own]], numbers[cut]) for own, cut in slices]
+    return [(pieces.points[kept[points_of]], numbers[cut]) for points_of, cut in slices]
 
 
 def split_polyline(points: np.ndarray, values: np.ndarray, levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -165,8 +165,8 @@ def _recipes(nodes: list[int], shapes: np.ndarray) -> Iterator[tuple]:
 
 def _on(nodes: np.ndarray, points: dict[tuple, int]) -> np.ndarray:
     """Points that are made of these nodes only."""
-    own = set(nodes.tolist())
-    return np.array([number for key, number in points.items() if all(node in own for node, _ in key)])
+    among = set(nodes.tolist())
+    return np.array([number for key, number in points.items() if all(node in among for node, _ in key)])
 
 
 def _surface(mesh: Mesh) -> tuple[np.ndarray, csr_array]:

@@ -11,6 +11,7 @@ import numpy as np
 
 import tissue_sim as ts
 from scenes.viewer.measurement import Measurement, Residual
+from scenes.viewer.revolution import Surface
 from scenes.viewer.scene import Scene
 from scenes.viewer.trace import Trace
 from tissue_sim.snapshot import Snapshot
@@ -80,22 +81,24 @@ class Frame:
     Attributes:
         phase: of the simulation.
         message: what it does, or why it ended and what to do.
-        setup: what is looked at.
+        scene: what is looked at.
         snapshot: the tissue; None before the first.
         readouts: None before the first tick.
         curves: for the plots.
-        motion: ``"hand"``, ``"protocol"`` or ``"recording"``.
+        motion: ``"hand"``, ``"protocol"``, ``"recording"``, or ``"device"`` for a device or any other motion.
         target: where a hand points, m.
+        surface: of the tissue where its snapshot has no fields, m, in the frame of the scene; else None.
     """
 
     phase: Phase
     message: str
-    setup: Scene
+    scene: Scene
     snapshot: Snapshot | None
     readouts: Readouts | None
     curves: Curves
     motion: str
     target: float
+    surface: Surface | None = None
 
 
 class Commands(Protocol):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -18,6 +19,8 @@ from haptics.loop.ring import PAUSED, TICK
 from haptics.safety.limits import ForceLimits
 from haptics.safety.rendering import ForceRendering
 from scenes.viewer.frame import Phase, Readouts
+from scenes.viewer.revolution import Surface
+from scenes.viewer.shown_tissue import ShownTissue, SurfaceStates
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import ForceStatus
 
@@ -35,6 +38,7 @@ class LiveSimulation:
     Args:
         model: what is simulated.
         device: gives poses and takes forces, or a motion.
+        solver: name in `tissue_sim.fem.solver.SOLVERS`.
         resolution: of the `Simulator`.
         snapshot_rate: how often the tissue is published, Hz.
         real_time: ask the system for real-time scheduling.
@@ -42,13 +46,14 @@ class LiveSimulation:
     Attributes:
         phase, message: what it does, or why it ended.
         snapshot: newest; None before the first.
+        surface: of the tissue at that snapshot, where it has no fields; else None.
         readouts: None before the first tick.
     """
 
-    def __init__(self, model: ts.Model, device: HapticDevice, *, resolution: str = "realtime",
-                 snapshot_rate: float = 30.0, real_time: bool = True):
+    def __init__(self, model: ts.Model, device: HapticDevice, *, solver: str = "axisymmetric",
+                 resolution: str = "realtime", snapshot_rate: float = 30.0, real_time: bool = True):
         self._loop = LoopProcess(
-            partial(ts.Simulator, model, resolution=resolution, budget=BUDGET), device,
+            partial(ShownTissue, model, solver=solver, resolution=resolution, budget=BUDGET), device,
             ForceRendering(ForceLimits(*_LIMITS)),
             LoopSettings(snapshot_rate=snapshot_rate, real_time=real_time))
         self._files = ExitStack()
@@ -60,6 +65,7 @@ class LiveSimulation:
         self._paused = False
         self.phase, self.message = Phase.STARTING, "starting"
         self.snapshot: Snapshot | None = None
+        self.surface: Surface | None = None
         self.readouts: Readouts | None = None
         self._loop.start()
 
@@ -95,14 +101,18 @@ class LiveSimulation:
             return None
         if self._ring is None:
             self._ring = self._files.enter_context(self._loop.ring())
-            self._snapshots = self._files.enter_context(self._loop.snapshots())
+            snapshots = self._loop.snapshots()
+            if snapshots is not None:
+                self._snapshots = self._files.enter_context(snapshots)
         self.phase = Phase.PAUSED if self._paused else Phase.RUNNING
         ticks = self._ring.since(self._number)
         self._number = ticks.number
-        self._snapshots.pattern = self._loop.pattern
-        published = self._snapshots.latest(after=self._published)
-        if published is not None:
-            self._published, self.snapshot = published.number, published.snapshot
+        if self._snapshots is not None:
+            self._snapshots.pattern = self._loop.pattern
+            published = self._snapshots.latest(after=self._published)
+            if published is not None:
+                self._published = published.number
+                self._take(published.snapshot)
         if len(ticks.records):
             self._read_out(ticks.records)
         return ticks.records
@@ -134,6 +144,13 @@ class LiveSimulation:
         if self._ring is not None:
             self._number = self._ring.written
         self._felt = self._felt[:0]
+
+    def _take(self, snapshot: Snapshot) -> None:
+        shown = snapshot.fields
+        if isinstance(shown, SurfaceStates):
+            snapshot = replace(snapshot, fields=None)
+            self.surface = Surface(shown.states.astype(np.float32), shown.triangles.astype(np.uint32))
+        self.snapshot = snapshot
 
     def _die(self, reason: str) -> None:
         self.phase, self.message = Phase.DIED, reason

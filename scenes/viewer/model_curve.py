@@ -13,14 +13,17 @@ from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError
 class ModelCurve:
     """Computes `simulate(model)` again and again as the model changes. Close it.
 
+    Args:
+        resolution, solver: as in `simulate`.
+
     Attributes:
         recording: of the last model that was computed; None before.
         problem: why the newest model has no curve; empty where it has, or will have.
         number: grows with each answer.
     """
 
-    def __init__(self, resolution: str = "fast"):
-        self._resolution = resolution
+    def __init__(self, resolution: str = "fast", solver: str = "axisymmetric"):
+        self._resolution, self._solver = resolution, solver
         self._pool = ProcessPool(1)
         self._wanted: ts.Model | None = None
         self._computed: Future | None = None
@@ -52,7 +55,7 @@ class ModelCurve:
         if self._computed is None and self._wanted is not None:
             wanted, self._wanted = self._wanted, None
             try:
-                self._computed = self._pool.submit(simulate_test, (wanted, self._resolution))
+                self._computed = self._pool.submit(simulate_test, (wanted, self._resolution, self._solver))
             except WorkerError as error:
                 self.problem, self.number = str(error), self.number + 1
 
@@ -70,6 +73,6 @@ class ModelCurve:
         self._pool.stop()
 
 
-def simulate_test(model: ts.Model, resolution: str) -> ts.Recording:
+def simulate_test(model: ts.Model, resolution: str, solver: str) -> ts.Recording:
     """The whole test, in the worker."""
-    return ts.simulate(model, resolution=resolution)
+    return ts.simulate(model, resolution=resolution, solver=solver)

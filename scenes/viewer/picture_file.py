@@ -39,14 +39,16 @@ class Curve:
     dashed: bool = False
 
 
-def compose_png(render: np.ndarray, levels: Sequence[float], colours: Sequence, label: str, caption: Sequence[str], *,
-                curves: Sequence[Curve] = (), band: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None,
+def compose_png(render: np.ndarray, levels: Sequence[float] | None, colours: Sequence, label: str,
+                caption: Sequence[str], *, curves: Sequence[Curve] = (),
+                band: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None,
                 now: tuple[float, float] | None = None) -> bytes:
     """The picture as the bytes of a PNG.
 
     Args:
         render: of the view, shape (h, w, 3) or (h, w, 4), uint8; what is transparent becomes white.
-        levels: edges of the colour bar's bands in the unit of `label`, ascending, shape (n + 1,).
+        levels: edges of the colour bar's bands in the unit of `label`, ascending, shape (n + 1,); None: no
+            colour bar.
         colours: of the bands, n of matplotlib's colours or rows of 3 or 4 numbers; uint8 or from 0 to 1.
         label: field and unit, for the colour bar.
         caption: lines above the view, such as scene, material, depth and force; the first is the title.
@@ -61,9 +63,9 @@ def compose_png(render: np.ndarray, levels: Sequence[float], colours: Sequence, 
     from matplotlib.figure import Figure
 
     view = _on_white(render)
-    levels, palette = _checked_bands(levels, colours)
+    bands = None if levels is None else _checked_bands(levels, colours)
     height, width = (max(side / DPI, _SMALLEST) for side in view.shape[:2])
-    wide = width + _BAR + (_CURVE if curves else 0.0) + 3 * _MARGIN
+    wide = width + (_BAR if bands else 0.0) + (_CURVE if curves else 0.0) + 3 * _MARGIN
     caption = [part for line in caption for part in textwrap.wrap(line, int(_LETTERS * (wide - 2 * _MARGIN)))]
     size = (wide, height + _LINE * len(caption) + 2 * _MARGIN)
     figure = Figure(figsize=size, dpi=DPI, facecolor="white")
@@ -79,9 +81,10 @@ def compose_png(render: np.ndarray, levels: Sequence[float], colours: Sequence, 
         figure.text(_MARGIN / size[0], 1.0 - (0.5 * _MARGIN + _LINE * number) / size[1], line, va="top",
                     fontsize=11 if number == 0 else 9, fontweight="bold" if number == 0 else "normal",
                     color="0.1" if number == 0 else "0.3", parse_math=False)
-    _draw_bar(axes(width + 2 * _MARGIN, _MARGIN + 0.1 * height, 0.2, 0.8 * height), levels, palette, label)
+    if bands is not None:
+        _draw_bar(axes(width + 2 * _MARGIN, _MARGIN + 0.1 * height, 0.2, 0.8 * height), *bands, label)
     if curves:
-        left = width + _BAR + 2 * _MARGIN + 0.6
+        left = width + (_BAR if bands else 0.0) + 2 * _MARGIN + 0.6
         high = min(height - 0.5, 3.2)
         curve = axes(left, _MARGIN + 0.5 * (height - high + 0.4), _CURVE - 0.6, high)
         _draw_curves(curve, curves, band, now)

@@ -1,7 +1,7 @@
 """The three live plots as arrays and options of viser's uPlot: force and residual over depth, force over time.
 
 Arrays are in mm, N and s. What is missing is NaN, so the series never change. x ascends. Ranges are always given, as an
-automatic one goes blank at a NaN. A change of options makes the browser build the plot anew, so `settled_range` lets a
+automatic one goes blank at a NaN. A change of options makes the browser draw the plot anew, so `settled_range` lets a
 range change rarely.
 """
 

@@ -113,9 +113,9 @@ def section_surfaces(points: np.ndarray, triangles: np.ndarray, band: np.ndarray
     first, last = opening.on_faces(points[kept], lift).astype(np.float32)
     numbers = numbers.astype(np.uint32)
     back = numbers[:, ::-1]
-    return [Surface(np.concatenate([first[own], last[own]]),
-                    np.concatenate([numbers[cut], back[cut] + np.uint32(own.stop - own.start)]))
-            for own, cut in slices]
+    return [Surface(np.concatenate([first[points_of], last[points_of]]),
+                    np.concatenate([numbers[cut], back[cut] + np.uint32(points_of.stop - points_of.start)]))
+            for points_of, cut in slices]
 
 
 def revolved_surfaces(points: np.ndarray, band: np.ndarray, bands: int, opening: Opening) -> list[Surface]:

@@ -24,12 +24,12 @@ from tissue_sim.experiment.protocol import STUDY_SPEED
 HALF_RESOLUTION = "?fixedDpr=0.5"
 
 
-def run_page(setup: Scene, materials: Path, page: dict[str, Any], *, seconds: float | None = None, json: bool = False,
+def run_page(scene: Scene, materials: Path, page: dict[str, Any], *, seconds: float | None = None, json: bool = False,
              **options: Any) -> int:
     """Serve the page until Ctrl-C, SIGTERM or the end of the time.
 
     Args:
-        setup: what to look at.
+        scene: what to look at.
         materials: folder of material files.
         page: ``host``, ``port``, ``exposed``, ``open``, ``low_graphics``, ``dark``.
         seconds: None: until it is stopped.
@@ -46,7 +46,7 @@ def run_page(setup: Scene, materials: Path, page: dict[str, Any], *, seconds: fl
 
     page = dict(page)
     opens = page.pop("open")
-    session = Session(setup, **options)
+    session = Session(scene, **options)
     try:
         viewer = Page(session, session.frame(), materials, **page)
         try:
@@ -71,7 +71,7 @@ def run_page(setup: Scene, materials: Path, page: dict[str, Any], *, seconds: fl
     return 0
 
 
-def run_headless(setup: Scene, seconds: float, *, protocol: str | None = None, speed: float = STUDY_SPEED,
+def run_headless(scene: Scene, seconds: float, *, protocol: str | None = None, speed: float = STUDY_SPEED,
                  **options: Any) -> dict[str, Any]:
     """Play a protocol without a screen, and say what was felt.
 
@@ -84,7 +84,7 @@ def run_headless(setup: Scene, seconds: float, *, protocol: str | None = None, s
     Raises:
         InputError: a protocol that is refused.
     """
-    session, viewer = Session(setup, **options), NullViewer()
+    session, viewer = Session(scene, **options), NullViewer()
     try:
         with _stopped_by_signals() as stop:
             while not stop.is_set() and session.frame().phase is Phase.STARTING:

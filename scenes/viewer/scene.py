@@ -26,6 +26,7 @@ class Scene:
         material: as it is now.
         source: where the material comes from, for people.
         measurements: by the name of the kind that they belong to.
+        solver: name in `tissue_sim.fem.solver.SOLVERS`.
     """
 
     kind: TestKind
@@ -33,6 +34,7 @@ class Scene:
     material: ts.Material
     source: str = BUILT_IN
     measurements: Mapping[str, Measurement] = field(default_factory=dict)
+    solver: str = "axisymmetric"
 
     @property
     def model(self) -> ts.Model:
@@ -81,12 +83,12 @@ def read_measurements(paths: Sequence[str | Path], scene: str) -> dict[str, Meas
     Raises:
         InputError: an unreadable file, or one of a kind that is no scene.
     """
-    found: dict[str, list[ts.Recording]] = {}
+    by_kind: dict[str, list[ts.Recording]] = {}
     for path in paths:
         recording = ts.read_recording(path)
         kind = str(recording.metadata.get("kind", scene))
         if kind not in SCENES:
             raise ts.InputError(f"is of kind {kind!r}, for which there is no scene; known: {', '.join(SCENES)}",
                                 file=path, field="kind")
-        found.setdefault(kind, []).append(recording)
-    return {kind: measurement(recordings) for kind, recordings in found.items()}
+        by_kind.setdefault(kind, []).append(recording)
+    return {kind: measurement(recordings) for kind, recordings in by_kind.items()}

@@ -41,18 +41,18 @@ class Session:
     Commands come from any thread through `post` and are obeyed, in their order, in the thread that asks for frames.
 
     Args:
-        setup: what to look at first.
+        scene: what to look at first.
         resolution: of the loop's simulator.
         curve_resolution: of the whole test's curve.
         real_time: ask the system for real-time scheduling of the loop.
     """
 
-    def __init__(self, setup: Scene, *, resolution: str = "realtime", curve_resolution: str = "fast",
+    def __init__(self, scene: Scene, *, resolution: str = "realtime", curve_resolution: str = "fast",
                  real_time: bool = True):
-        self.setup = setup
+        self.scene = scene
         self._resolution, self._real_time = resolution, real_time
         self._wishes: queue.SimpleQueue[tuple[str, Callable | None, dict[str, Any]]] = queue.SimpleQueue()
-        self._curve = ModelCurve(curve_resolution)
+        self._curve = ModelCurve(curve_resolution, scene.solver)
         self._curves, self._trace, self._frames = Curves(), Trace(), 0
         #: Time from the beginning of a replay, and force, of the recording.
         self._replayed: tuple | None = None
@@ -60,8 +60,8 @@ class Session:
         self._felt = 0
         self._motion, self._target = "hand", 0.0
         self._simulation: LiveSimulation | None = None
-        #: Whether the material was changed before the simulation could be told.
-        self._owed = False
+        #: Whether the material was changed while the simulation was starting, so that it still has the old one.
+        self._material_is_late = False
         self._begin()
 
     @property
@@ -86,10 +86,10 @@ class Session:
         self._obey()
         simulation = self._simulation
         records = simulation.poll()
-        if self._owed and simulation.phase is Phase.RUNNING:
-            self._owed = False
+        if self._material_is_late and simulation.phase is Phase.RUNNING:
+            self._material_is_late = False
             try:
-                simulation.ask("set_parameters", **parameter_values(self.setup.material))
+                simulation.ask("set_parameters", **parameter_values(self.scene.material))
             except InputError:
                 # Another one begins with that material, or says why it cannot.
                 self._begin()
@@ -105,8 +105,8 @@ class Session:
             message = f"The simulation has stopped: {message}. Press Restart to begin again."
         elif self._curve.problem:
             message = self._curve.problem
-        return Frame(simulation.phase, message, self.setup, simulation.snapshot, simulation.readouts, self._curves,
-                     self._motion, self._target)
+        return Frame(simulation.phase, message, self.scene, simulation.snapshot, simulation.readouts, self._curves,
+                     self._motion, self._target, simulation.surface)
 
     def run(self, viewer: Viewer, stop: threading.Event, seconds: float | None = None) -> None:
         """Show frames until `stop` is set, or for so long."""
@@ -119,7 +119,7 @@ class Session:
 
     def aim(self, depth: float) -> None:
         """Let the tool go to a depth, m, as a hand would."""
-        depth = min(max(depth, -CLEARANCE), self.setup.deepest)
+        depth = min(max(depth, -CLEARANCE), self.scene.deepest)
         if self._motion != "hand":
             self._simulation.ask("follow", device=HandMotion(self._simulation.tool_depth, HAND_SPEED))
             self._motion, self._target = "hand", self._simulation.tool_depth
@@ -135,7 +135,7 @@ class Session:
             repeat: begin again at its end.
 
         Raises:
-            InputError: a fault in the protocol, or one that goes deeper than the setup.
+            InputError: a fault in the protocol, or one that goes deeper than the scene.
         """
         protocol = ts.Protocol.parse(text, _POINTS, speed)
         self._require_depth(protocol, "protocol")
@@ -145,15 +145,19 @@ class Session:
         """Repeat the measured motion, so many times as fast.
 
         Raises:
-            InputError: nothing was measured in this scene, or deeper than the setup goes.
+            InputError: nothing was measured in this scene, or it goes deeper than the scene.
         """
-        if self.setup.measurement is None:
+        if self.scene.measurement is None:
             raise InputError("nothing was measured in this scene; start the viewer with --measured FILE")
-        measured, (recording, _) = motion(self.setup.measurement), typical(self.setup.measurement)
+        measured, (recording, _) = motion(self.scene.measurement), typical(self.scene.measurement)
         self._require_depth(measured, "recording")
         self._follow("recording", ProtocolMotion(ts.Protocol(measured.time / speed, measured.displacement)))
         if "time" in recording:
             self._replayed = ((recording.time - measured.time[0]) / speed, recording.force)
+
+    def follow(self, device: HapticDevice) -> None:
+        """Follow a haptic device, or any motion, on tissue that nobody has touched."""
+        self._follow("device", device)
 
     def pause(self) -> None:
         """Let the motion stand still."""
@@ -180,7 +184,7 @@ class Session:
         Raises:
             InputError: what the material or the simulation refuses; nothing is changed.
         """
-        self._take_material(with_values(self.setup.material, values), self.setup.source)
+        self._take_material(with_values(self.scene.material, values), self.scene.source)
 
     def use_material(self, material: ts.Material, source: str) -> None:
         """Look at another material; one that differs in its parameters only is felt at once.
@@ -191,15 +195,15 @@ class Session:
         self._take_material(material, source)
 
     def _take_material(self, material: ts.Material, source: str) -> None:
-        setup = replace(self.setup, material=material, source=source)
-        if not _differ_in_parameters_only(self.setup.material, material):
-            self._change(setup)
+        scene = replace(self.scene, material=material, source=source)
+        if not _differ_in_parameters_only(self.scene.material, material):
+            self._change(scene)
             return
         if self._simulation.phase in (Phase.RUNNING, Phase.PAUSED):
             self._simulation.ask("set_parameters", **parameter_values(material))
         # Another simulation would begin with it; one that is about to run gets it then.
-        self._owed = self._simulation.phase is Phase.STARTING
-        self.setup = setup
+        self._material_is_late = self._simulation.phase is Phase.STARTING
+        self.scene = scene
         self._curve.ask(self._test())
 
     def save_material(self, folder: Path, name: str) -> None:
@@ -208,8 +212,8 @@ class Session:
         Raises:
             InputError: a name that is taken, or none.
         """
-        path = save_edited(self.setup.material, folder, name, source=self.setup.source)
-        self.setup = replace(self.setup, source=path.name)
+        path = save_edited(self.scene.material, folder, name, source=self.scene.source)
+        self.scene = replace(self.scene, source=path.name)
 
     def use_scene(self, name: str, tool: ts.Tool | None = None, friction: str | float | None = None) -> None:
         """Look at another scene, tool or interface.
@@ -217,7 +221,7 @@ class Session:
         Raises:
             InputError: what does not fit.
         """
-        self._change(self.setup.with_scene(name, tool=tool, friction=friction))
+        self._change(self.scene.with_scene(name, tool=tool, friction=friction))
 
     def keep_curve(self, name: str = "") -> None:
         """Keep the model's curve as it is now, to compare later ones with it; without a name forget the one kept."""
@@ -253,10 +257,10 @@ class Session:
             if reply is not None:
                 reply(problem)
 
-    def _change(self, setup: Scene) -> None:
+    def _change(self, scene: Scene) -> None:
         """Look at something else; what it refuses is refused before anything is changed."""
-        other = setup.kind is not self.setup.kind
-        self.setup = setup
+        other = scene.kind is not self.scene.kind
+        self.scene = scene
         if other:
             self._curves = Curves()
             self._curve.forget()
@@ -267,9 +271,9 @@ class Session:
             self._simulation.close()
         self._motion, self._target = "hand", 0.0
         self._forget_trace()
-        self._owed = False
-        self._simulation = LiveSimulation(self.setup.model, HandMotion(0.0, HAND_SPEED), resolution=self._resolution,
-                                          real_time=self._real_time)
+        self._material_is_late = False
+        self._simulation = LiveSimulation(self.scene.model, HandMotion(0.0, HAND_SPEED), solver=self.scene.solver,
+                                          resolution=self._resolution, real_time=self._real_time)
         self._curve.ask(self._test())
 
     def _follow(self, kind: str, device: HapticDevice) -> None:
@@ -283,7 +287,7 @@ class Session:
         self._motion = kind
 
     def _require_depth(self, protocol: ts.Protocol, field: str) -> None:
-        deepest, mesh = float(protocol.displacement.max()), self.setup.deepest
+        deepest, mesh = float(protocol.displacement.max()), self.scene.deepest
         # A measured depth trembles.
         if deepest > 1.01 * mesh:
             raise InputError(f"goes to {deepest * 1e3:.4g} mm, and the mesh is made for {mesh * 1e3:.4g} mm; start the "
@@ -296,13 +300,13 @@ class Session:
 
     def _test(self) -> ts.Model:
         """The whole test whose curve is computed: with the measured motion, where there is one."""
-        model, measurement = self.setup.model, self.setup.measurement
+        model, measurement = self.scene.model, self.scene.measurement
         if measurement is None:
             return model
         return replace(model, experiment=replace(model.experiment, protocol=motion(measurement)))
 
     def _draw_curves(self) -> None:
-        curves, trace, measurement = self._curves, self._trace, self.setup.measurement
+        curves, trace, measurement = self._curves, self._trace, self.scene.measurement
         recording = self._curve.recording
         if recording is not curves.model or measurement is not curves.measurement:
             curves = replace(curves, model=recording, measurement=measurement, residual=_gap(recording, measurement))
@@ -348,6 +352,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "aim": Session.aim,
     "play": Session.play,
     "replay": Session.replay,
+    "follow": Session.follow,
     "pause": Session.pause,
     "resume": Session.resume,
     "step": Session.step,

@@ -21,6 +21,9 @@ SHORTEST, LONGEST = 5e-3, 0.1
 #: A point is kept where depth (m), or force as a share of the largest so far, has changed by this much.
 DEPTH_STEP, FORCE_SHARE = 0.02e-3, 0.01
 MOST_POINTS = 20_000
+#: Of a kept point: time, depth, force, pose (7), wrench (6); and the channels of a recording of the wrench.
+_ROWS, _POSE, _WRENCH = 16, slice(3, 10), slice(10, 16)
+_CHANNELS = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 #: A branch that ends on a point of a grid may miss it by so much, m.
 _ROUNDING = 1e-12
 
@@ -51,7 +54,7 @@ def on_grid(depth: np.ndarray, force: np.ndarray, direction: int, grid: np.ndarr
 
 
 class Trace:
-    """Depth and force of a run, fed with the ticks of a loop.
+    """Poses of the tool and wrenches on it in a run, fed with the ticks of a loop; depth and force are what is drawn.
 
     A point is kept every `SHORTEST` s at most, where depth or force has changed by `DEPTH_STEP` or `FORCE_SHARE`, and
     every `LONGEST` s at least. Dropped are the ticks between, paused ones, those whose depth or force is no number,
@@ -70,7 +73,7 @@ class Trace:
     def clear(self) -> None:
         """Forget everything, as at a reset."""
         # Twice the room: the points are moved to its beginning once in `most` points, not at every one.
-        self._points = np.empty((3, 2 * self._most))
+        self._points = np.empty((_ROWS, 2 * self._most))
         self._first = self._end = 0
         #: Points that were moved out: how far the indices of the reversals are ahead of those of `_points`.
         self._gone = 0
@@ -97,9 +100,10 @@ class Trace:
         chosen = np.diff(bins, prepend=self._bin) != 0
         self._bin = int(bins[-1])
         before = self._gone + self._end
-        for point in zip(time[chosen].tolist(), records["tool_depth"][chosen].tolist(),
-                         records["tissue_force"][chosen].tolist(), strict=True):
-            if self._differs(*point):
+        records = records[chosen]
+        for point in np.column_stack([records[name] for name in ("time", "tool_depth", "tissue_force", "tool_pose",
+                                                                 "tissue_wrench")]).tolist():
+            if self._differs(*point[:3]):
                 self._keep(point)
         return self._gone + self._end - before
 
@@ -109,7 +113,7 @@ class Trace:
         return (time - last_time >= LONGEST or abs(depth - last_depth) >= DEPTH_STEP
                 or abs(force - last_force) > FORCE_SHARE * self._largest)
 
-    def _keep(self, point: tuple[float, float, float]) -> None:
+    def _keep(self, point: list[float]) -> None:
         if self._end == self._points.shape[1]:
             self._points[:, :len(self)] = self._points[:, self._first:self._end].copy()
             self._gone += self._first
@@ -117,7 +121,7 @@ class Trace:
         self._points[:, self._end] = point
         self._reversals.add(self._gone + self._end, point[1])
         self._end += 1
-        self._last = point
+        self._last = point[:3]
         if len(self) > self._most:
             self._first += 1
             self._reversals.forget_before(self._gone + self._first)
@@ -137,14 +141,24 @@ class Trace:
         """N, shape (n,)."""
         return self._points[2, self._first:self._end]
 
+    @property
+    def pose(self) -> np.ndarray:
+        """Of the tool: x, y, z, m, then the quaternion w, x, y, z; shape (n, 7)."""
+        return self._points[_POSE, self._first:self._end].T
+
+    @property
+    def wrench(self) -> np.ndarray:
+        """Of the tissue on the tool about its deepest point, N and N m, shape (n, 6)."""
+        return self._points[_WRENCH, self._first:self._end].T
+
     def branches(self) -> tuple[Branch | None, Branch | None]:
         """The newest loading branch and the newest unloading branch; None where there was none."""
-        found: dict[int, Branch] = {}
+        newest: dict[int, Branch] = {}
         for direction, first, last in reversed(self._branches()):
-            found.setdefault(direction, self._branch(first, last))
-            if len(found) == 2:
+            newest.setdefault(direction, self._branch(first, last))
+            if len(newest) == 2:
                 break
-        return found.get(1), found.get(-1)
+        return newest.get(1), newest.get(-1)
 
     def newest_passes(self, grid: np.ndarray, most: int = 40) -> tuple[np.ndarray, np.ndarray]:
         """Force at each depth of a grid when the tool last went in past it, and when it last went out past it.
@@ -169,7 +183,8 @@ class Trace:
         return passes[1], passes[-1]
 
     def recording(self, metadata: Mapping[str, Any]) -> Recording:
-        """What was felt, as a recording that begins at time 0, with segments (ramp, hold, unload, reload) and cycles.
+        """What was felt, as a recording that begins at time 0, with segments (ramp, hold, unload, reload) and cycles;
+        where the wrench is more than a force along z, with the channels Fx to Tz.
 
         Args:
             metadata: such as ``name`` and ``kind``.
@@ -181,8 +196,10 @@ class Trace:
             raise InputError("nothing has been felt yet; push the tool into the tissue first", field="trace")
         labels = label_motion(self.time, self.depth, 0.5 * HYSTERESIS, shortest_hold=HOLD_TIME)
         segment, cycle = count_cycles(labels)
-        return Recording({"time": self.time - self.time[0], "displacement": self.depth, "force": self.force},
-                         {"segment": segment, "cycle": cycle}, dict(metadata))
+        channels = {"time": self.time - self.time[0], "displacement": self.depth, "force": self.force}
+        if self.wrench[:, [0, 1, 3, 4, 5]].any():
+            channels |= zip(_CHANNELS, self.wrench.T, strict=True)
+        return Recording(channels, {"segment": segment, "cycle": cycle}, dict(metadata))
 
     def _branches(self) -> list[tuple[int, int, int]]:
         """As `Reversals.branches`, with indices of `depth`."""

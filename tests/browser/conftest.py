@@ -111,16 +111,16 @@ class Shown:
     Attributes:
         session, page: as in `scenes.viewer`.
         frame: the newest.
-        setup: the first, to which every test returns; its measurement is the model with the noise of a sensor.
+        scene: the first, to which every test returns; its measurement is the model with the noise of a sensor.
         folder: of its materials; it holds ``softer.material.json``.
     """
 
-    def __init__(self, setup, folder: Path):
+    def __init__(self, scene, folder: Path):
         from scenes.viewer.page import Page
         from scenes.viewer.session import Session
 
-        self.setup, self.folder = setup, folder
-        self.session = Session(setup, real_time=False)
+        self.scene, self.folder = scene, folder
+        self.session = Session(scene, real_time=False)
         self.page = None
         try:
             self.frame = self.session.frame()
@@ -155,11 +155,11 @@ class Shown:
         assert answered.wait(PATIENCE) and said == [None], said
 
     def begin_again(self) -> None:
-        """The tool at the touch, in the tissue of `setup`."""
-        first, setup = self.setup, self.session.setup
-        if setup.experiment != first.experiment:
+        """The tool at the touch, in the tissue of `scene`."""
+        first, scene = self.scene, self.session.scene
+        if scene.experiment != first.experiment:
             self.ask("use_scene", name=first.kind.name, tool=first.experiment.tool, friction=first.experiment.friction)
-        if setup.material != first.material or setup.source != first.source:
+        if scene.material != first.material or scene.source != first.source:
             self.ask("use_material", material=first.material, source=first.source)
         deadline = time.monotonic() + PATIENCE
         while self.session.simulation.phase.name not in ("RUNNING", "PAUSED"):
@@ -172,7 +172,7 @@ class Shown:
 def shown(browser, tmp_path_factory):
     """One viewer for all tests of its page."""
     import tissue_sim as ts
-    from scenes.commands.loop import read_material
+    from scenes.commands.shared.tissue_flags import read_material
     from scenes.viewer.measurement import measurement
     from scenes.viewer.scene import Scene
     from tissue_sim.experiment.kinds.indentation import NEEDLE
@@ -180,13 +180,13 @@ def shown(browser, tmp_path_factory):
     from tissue_sim.parameters import with_values
 
     experiment = NEEDLE.experiment(specimen=ts.Specimen(radius=0.04, height=0.07), protocol=ts.Protocol.ramp(5e-3, 21))
-    setup = Scene(NEEDLE, experiment, read_material(None))
-    true = ts.simulate(setup.model, resolution="fast")
+    scene = Scene(NEEDLE, experiment, read_material(None))
+    true = ts.simulate(scene.model, resolution="fast")
     replicates = [ts.Rig(force_noise=NOISE, seed=seed).measure(true) for seed in range(3)]
     folder = tmp_path_factory.mktemp("materials")
-    softer = MaterialFile.of(with_values(setup.material, {"C10": 1200.0}), provenance={"method": "written by hand"})
+    softer = MaterialFile.of(with_values(scene.material, {"C10": 1200.0}), provenance={"method": "written by hand"})
     ts.write_material_file(softer, folder / "softer.material.json")
-    shown = Shown(replace(setup, measurements={NEEDLE.name: measurement(replicates)}), folder)
+    shown = Shown(replace(scene, measurements={NEEDLE.name: measurement(replicates)}), folder)
     try:
         yield shown
     finally:

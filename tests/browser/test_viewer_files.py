@@ -27,18 +27,18 @@ def test_material_is_uploaded_and_a_bad_one_is_answered_with_its_field_and_chang
     reader.answer(f"{good.name} is shown")
     reader.phase("running")
     reader.page.get_by_text(f", from {good.name}").wait_for()
-    assert shown.session.setup.material.parameters == STIFF.parameters
+    assert shown.session.scene.material.parameters == STIFF.parameters
     assert reader.field("C10 [kPa]").input_value() == "4"
     assert reader.page.get_by_text("C20 [kPa]").count() == 0
     reader.until(lambda: reader.number("rmse"), lambda rmse: rmse > 0.2)
 
-    material, simulation = shown.session.setup.material, shown.session.simulation
+    material, simulation = shown.session.scene.material, shown.session.simulation
     content = json.loads(good.read_text(encoding="utf-8"))
     content["parameters"]["C10"]["value"] = "soft"
     bad.write_text(json.dumps(content), encoding="utf-8")
     upload(reader, bad)
     reader.answer(f"{bad.name}: parameters.C10.value: expected")
-    assert shown.session.setup.material is material and shown.session.simulation is simulation
+    assert shown.session.scene.material is material and shown.session.simulation is simulation
     assert reader.field("C10 [kPa]").input_value() == "4"
 
 
@@ -60,9 +60,9 @@ def test_material_is_chosen_edited_by_a_slider_while_it_is_felt_and_saved_as_a_n
 
     # Live force and whole curve come back to the measurement.
     reader.slider("C10 [kPa]").press("ArrowRight")
-    reader.until(lambda: shown.session.setup.material.parameters["C10"], lambda now: 1200.0 < now < 1300.0)
+    reader.until(lambda: shown.session.scene.material.parameters["C10"], lambda now: 1200.0 < now < 1300.0)
     reader.enter("C10 [kPa]", "1.4")
-    reader.until(lambda: shown.session.setup.material.parameters["C10"], lambda now: now == pytest.approx(1400.0))
+    reader.until(lambda: shown.session.scene.material.parameters["C10"], lambda now: now == pytest.approx(1400.0))
     reader.until(lambda: reader.number("rmse"), lambda now: now < 0.7 * rmse)
     reader.until(end_of_model, lambda now: now > 1.05 * softer_model)
     reader.until(lambda: reader.number("force"), lambda now: now > 1.05 * softer)
@@ -74,7 +74,7 @@ def test_material_is_chosen_edited_by_a_slider_while_it_is_felt_and_saved_as_a_n
     reader.answer(f"saved as by hand{SUFFIX}")
     saved = shown.folder / f"by hand{SUFFIX}"
     assert file.suggested_filename == saved.name and file.path().read_bytes() == saved.read_bytes()
-    assert ts.load_material(saved).parameters == shown.session.setup.material.parameters
+    assert ts.load_material(saved).parameters == shown.session.scene.material.parameters
     reader.until(lambda: reader.field("file").input_value(), lambda name: name == saved.name)
     reader.press("Save material")
     reader.answer("is there already and is not replaced; give another name")

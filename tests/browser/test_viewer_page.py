@@ -6,7 +6,7 @@ import signal
 import numpy as np
 import pytest
 
-from scenes.figures import LABELS
+from scenes.commands.shared.field_labels import LABELS
 from scenes.viewer.page.solid import SIZE
 from scenes.viewer.tone import seen_colour
 
@@ -60,7 +60,7 @@ def test_colours_of_the_bar_are_those_of_the_section_and_its_label_is_the_field_
 
 def test_tool_follows_the_mouse_that_drags_it(shown, reader):
     camera = reader.client.camera.position
-    mouse, unit = reader.page.mouse, SIZE / (2.0 * shown.setup.experiment.specimen.radius)
+    mouse, unit = reader.page.mouse, SIZE / (2.0 * shown.scene.experiment.specimen.radius)
     held, down = 4e-3, 3e-3  # above the face of the tool, and how far, m
     x, y = reader.place((0.0, 0.0, held * unit))
     mouse.move(x, y)
@@ -115,9 +115,13 @@ def test_protocol_is_played_paused_stepped_and_reset(shown, reader):
                            lambda now: now.depth > standing + 1.25e-6 and at_rest(reader)(now)).depth
     assert stepped < standing + 2.5e-6, "a frame of 0.05 mm/s is 0.0017 mm"
     reader.phase("paused")
-    reader.fill("protocol", "ramp 4mm @2mm/s; hold 600s; unload")
     reader.press("Play")
     reader.phase("running")
+    reader.until(lambda: shown.frame.readouts.depth, lambda depth: depth > stepped + 0.01e-3)
+    reader.press("Reset")
+    reader.page.get_by_test_id("phase").filter(has_text="running · by hand").wait_for()
+    reader.fill("protocol", "ramp 4mm @2mm/s; hold 600s; unload")
+    reader.press("Play")
     reader.wait_for("depth", "4.00")
     assert reader.read("phase") == "running · protocol"
     live = reader.until(lambda: reader.curves()[0]["live load"], lambda live: len(live) > 155)
@@ -188,18 +192,18 @@ def test_other_scene_is_taken_when_it_fits_and_a_killed_simulation_says_so_until
     reader.choose("tool", "flat")
     reader.choose("tool's face", "frictionless")
     reader.enter("edge radius [mm]", "0")
-    simulation, setup = shown.session.simulation, shown.session.setup
+    simulation, scene = shown.session.simulation, shown.session.scene
     reader.press("Apply")
     reader.answer("edge_radius")
-    assert shown.session.simulation is simulation and shown.session.setup is setup
+    assert shown.session.simulation is simulation and shown.session.scene is scene
     reader.choose("tool", "sphere")
     reader.enter("tool radius [mm]", "6")
     reader.press("Apply")
     reader.phase("starting")
     reader.phase("running")
-    tool = shown.session.setup.experiment.tool
+    tool = shown.session.scene.experiment.tool
     assert (tool.shape, tool.radius) == ("sphere", pytest.approx(6e-3))
-    assert shown.session.setup.experiment.friction == "frictionless"
+    assert shown.session.scene.experiment.friction == "frictionless"
 
     os.kill(shown.session.simulation.process.pid, signal.SIGKILL)
     reader.phase("died")
@@ -208,7 +212,7 @@ def test_other_scene_is_taken_when_it_fits_and_a_killed_simulation_says_so_until
     reader.press("Restart")
     reader.phase("starting")
     reader.phase("running")
-    assert shown.session.setup.experiment.tool is tool
+    assert shown.session.scene.experiment.tool is tool
     reader.tab("Motion")
     reader.enter("depth [mm]", "1")
     reader.wait_for("depth", "1.00")

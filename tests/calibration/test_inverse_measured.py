@@ -3,6 +3,8 @@
 Recordings of EcoFlex 00-10 in compression, two samples, and the same product in tension.
 """
 
+import csv
+
 import numpy as np
 import pytest
 
@@ -82,11 +84,11 @@ def test_samples_differ_by_more_than_their_replicates(frictionless):
 
 def test_tension_of_the_same_silicone_is_overpredicted(frictionless):
     """Another batch, rate and laboratory: the silicone in tension is half as stiff as compression says."""
-    rows = [line.split(",") for line in
-            (frictionless.output / "residuals.csv").read_text(encoding="utf-8").splitlines()[1:]]
-    strip = np.array([[float(cell) for cell in cells[3:6]] for cells in rows
-                      if cells[0] == "neo_hooke" and cells[1].startswith("tension/")])
-    displacement, measured, model = strip.T
+    with (frictionless.output / "residuals.csv").open(encoding="utf-8", newline="") as file:
+        rows = [row for row in csv.DictReader(file)
+                if row["law"] == "neo_hooke" and row["replicate"].startswith("tension/")]
+    displacement, measured, model = (np.array([float(row[name]) for row in rows])
+                                     for name in ("displacement [mm]", "measured [N]", "model [N]"))
     at = np.searchsorted(displacement, 0.5 * 33.0)
     assert 1.5 < model[at] / measured[at] < 3.0
     error = next(p for p in frictionless.predictions if p.test == "tension" and p.law == "neo_hooke")

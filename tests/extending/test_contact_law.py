@@ -1,9 +1,12 @@
 """A law of contact from one file: traction from gap, pressure and slip, through `simulate` and `Simulator`."""
 
+import json
+
 import numpy as np
 import pytest
 
 import tissue_sim as ts
+from scenes.cli import main
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.contact_law import CONTACT_LAWS, ContactLaw, Traction
 from tissue_sim.parameters import parameters, with_values
@@ -103,3 +106,52 @@ def test_what_cannot_be_is_refused(film):
 
     with pytest.raises(InputError, match=r"contact_laws\.branching: .*numpy\.where"):
         force(model(Branching(tack=1.0)))
+
+
+def test_command_line_takes_it(film, tmp_path, capsys):
+    ts.write_material_file(ts.MaterialFile.of(MATERIAL), tmp_path / "m.material.json")
+    command = ["simulate", "needle_indentation", "--material", str(tmp_path / "m.material.json"), "--tool", "sphere",
+               "--friction", "frictionless", "--depth-mm", "2", "--points", "3", "--json"]
+    assert main([*command, "--contact-law", "tacky_film:tack_Pa=60,thickness_mm=0.3"]) == 0
+    tacky = json.loads(capsys.readouterr().out)["force_N"]
+    assert main(command) == 0
+    assert tacky[-1] < json.loads(capsys.readouterr().out)["force_N"][-1]
+    assert main([*command, "--contact-law", "tacky_film:tuck_Pa=60"]) == 2
+    assert "did you mean 'tack_Pa'" in capsys.readouterr().err
+
+
+def test_a_campaign_states_and_fits_it(film, tmp_path):
+    """Data with the film's elastic shear between plates; the campaign finds its stiffness."""
+    recording = ts.simulate(model(film(shear=1e5), tool=ts.Tool(), protocol=ts.Protocol.ramp(4e-3, 41),
+                                  friction_base="bonded"))
+    noise = np.random.default_rng(3).normal(0.0, 1e-3, len(recording))
+    ts.write_recording(ts.Recording({"time": recording.time, "displacement": recording.displacement,
+                                     "force": recording.force + noise}), tmp_path / "plates.csv")
+    campaign = tmp_path / "c.toml"
+    campaign.write_text("""
+[[specimen]]
+radius_mm = 30.0
+height_mm = 30.0
+[[test]]
+kind = "friction_compression"
+recordings = ["plates.csv"]
+friction = "frictionless"
+friction_base = "bonded"
+contact_laws = { tacky_film = { shear_Pa_per_m = 2e4 } }
+[fit]
+method = "inverse_fem"
+laws = ["neo_hooke"]
+bulk_ratio = 1000.0
+starts = 1
+fixed = { C10 = 1500.0 }
+start = { "experiment.contact_laws.tacky_film.shear" = 3e4 }
+[noise]
+force_N = 0.001
+contact_jitter_mm = 0.0
+zero_jitter_N = 0.0
+""", encoding="utf-8")
+    assert main(["calibrate", str(campaign), "-o", str(tmp_path / "out")]) == 0
+    fit, = json.loads((tmp_path / "out" / "fit.json").read_text(encoding="utf-8"))["fits"]
+    name = "experiment.contact_laws.tacky_film.shear"
+    assert fit["parameters"][name] == pytest.approx(1e5, rel=0.1)
+    assert fit["derivatives"][name] == "difference"

@@ -117,7 +117,7 @@ def test_tables_fit_on_80_columns(tmp_path, capsys, monkeypatch):
         '[[test]]\nkind = "uniaxial_tension"\nrecordings = ["pull.csv"]\n[fit]\n'
         'laws = ["neo_hooke", "reduced_polynomial_3", "ogden_3"]\n[noise]\nnominal_stress_Pa = 2000.0\n',
         encoding="utf-8")
-    monkeypatch.setattr("scenes.console.PIPE_WIDTH", 80)
+    monkeypatch.setattr("scenes.commands.shared.console.PIPE_WIDTH", 80)
     main(["calibrate", str(tmp_path / "pull.toml"), "-o", str(tmp_path / "out")])
     lines = capsys.readouterr().out.splitlines()
     end = next(i for i, line in enumerate(lines) if line.startswith("Best of"))
@@ -182,7 +182,7 @@ def test_table_of_fixed_bounded_and_unsound(campaign, tmp_path, capsys):
     campaign.write_text(text, encoding="utf-8")
     main(["calibrate", str(campaign), "-o", str(tmp_path / "out")])
     shown = capsys.readouterr().out
-    assert "700 Pa (fixed)" in shown and "2 kPa (on its bound)" in shown
+    assert "700 Pa (fixed)" in shown and "2000 Pa (on its bound)" in shown
     assert "mooney_rivlin: C01 ended on its bound 2000" in shown
 
 

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from scenes.cli import main
-from scenes.commands import COMMANDS, LATER, material
+from scenes.cli import COMMANDS, LATER, main, make_parser
+from scenes.commands import material
 from tissue_sim.errors import MissingBackendError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -44,11 +44,9 @@ def test_every_help_has_a_description_and_an_example(words, capsys):
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_example_of_a_help_is_understood(name):
-    from scenes.cli import build_parser
-
     words = shlex.split(COMMANDS[name].EXAMPLE)
     assert words[0] == "tissue-sim"
-    _, rest = build_parser().parse_known_args(words[1:])
+    _, rest = make_parser().parse_known_args(words[1:])
     assert rest == []
 
 

@@ -119,7 +119,7 @@ def test_json_alone_with_the_whole_iteration_table(joint, tmp_path, capsys):
 
 
 def test_results_fit_on_80_columns(write, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("scenes.console.PIPE_WIDTH", 80)
+    monkeypatch.setattr("scenes.commands.shared.console.PIPE_WIDTH", 80)
     path = write(laws=("neo_hooke", "reduced_polynomial_2"), more="starts = 1")
     assert run(path, "-o", tmp_path / "out") == 0
     stdout, stderr = capsys.readouterr()

@@ -20,7 +20,7 @@ from haptics.devices.virtual.hand import VirtualHand
 from haptics.loop.process import LoopProcess
 from haptics.loop.ring import RingReader, RingWriter
 from scenes.cli import main
-from scenes.loop_report import LiveLine
+from scenes.commands.loop.report import LiveLine
 from tissue_sim.pose import Pose
 from tissue_sim.tool_force import ForceStatus, ToolForce
 
@@ -136,7 +136,8 @@ def test_flags_reach_model_settings_and_limits(asked, tmp_path):
         "--budget-us", "500", "--inertia", "off")
     model, = build.args
     assert build.func is ts.Simulator
-    assert build.keywords == {"resolution": "accurate", "inertia": "off", "budget": pytest.approx(5e-4)}
+    assert build.keywords == {"resolution": "accurate", "inertia": "off", "budget": pytest.approx(5e-4),
+                              "solver": "axisymmetric"}
     assert asked("--budget-us", "0")[0].keywords["budget"] is None
     assert model.experiment.specimen.radius == pytest.approx(0.02) and model.material.parameters["C10"] == 1404.9
     assert settings.spin == pytest.approx(50e-6) and settings.seconds == 2.0 and not settings.real_time

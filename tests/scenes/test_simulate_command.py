@@ -8,7 +8,7 @@ import pytest
 
 import tissue_sim as ts
 from scenes.cli import main
-from scenes.commands.simulate import FIELDS
+from scenes.commands.shared.field_labels import LABELS
 from tissue_sim.errors import ConvergenceError
 
 KEYS = {"displacement_mm", "time_s", "force_N", "status", "message", "warnings", "newton_iterations", "wall_s", "mesh",
@@ -26,7 +26,7 @@ def material(tmp_path_factory):
 def test_field_names_are_those_of_the_fields():
     from tissue_sim.fem.axisymmetric.fields import FIELD_UNITS
 
-    assert set(FIELDS) == set(FIELD_UNITS)
+    assert set(LABELS) == set(FIELD_UNITS)
 
 
 def test_json_is_alone_and_right(material, capsys):

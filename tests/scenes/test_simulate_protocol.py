@@ -8,7 +8,7 @@ import pytest
 import tissue_sim as ts
 from scenes import draw_simulation
 from scenes.cli import main
-from scenes.simulation_report import MOST_ROWS, shown_rows
+from scenes.commands.simulate.report import MOST_ROWS, shown_rows
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.rig.file import write_rig
 from tissue_sim.rig.rig import Rig

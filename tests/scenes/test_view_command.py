@@ -49,8 +49,8 @@ class Staged:
 
     waits_for_curve = False
 
-    def __init__(self, setup, **options):
-        self.setup, self.options, self.frames, self.posted, self.closed = setup, options, 0, [], False
+    def __init__(self, scene, **options):
+        self.scene, self.options, self.frames, self.posted, self.closed = scene, options, 0, [], False
         self.refuses, self.on_frame = None, lambda number: None
         Staged.newest = self
 
@@ -88,10 +88,10 @@ def test_flags_reach_the_session(staged, capsys, tmp_path):
                  "--measured", str(path), "--radius-mm", "30"]) == 0
     session = staged.newest
     assert session.options == {"resolution": "fast", "real_time": False} and session.closed
-    setup = session.setup
-    assert (setup.kind.name, setup.source, setup.deepest) == ("needle_indentation", "silicone of the study", 3e-3)
-    assert setup.experiment.specimen.radius == pytest.approx(0.03) and setup.measurement is None
-    assert set(setup.measurements) == {"bonded_compression"}
+    scene = session.scene
+    assert (scene.kind.name, scene.source, scene.deepest) == ("needle_indentation", "silicone of the study", 3e-3)
+    assert scene.experiment.specimen.radius == pytest.approx(0.03) and scene.measurement is None
+    assert set(scene.measurements) == {"bonded_compression"}
     (command, values), = session.posted
     assert (command, values["text"]) == ("play", "ramp 3mm")
     assert values["speed"] == pytest.approx(20e-3), "the speed where the protocol names none"

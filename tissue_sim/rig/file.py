@@ -11,9 +11,9 @@ import msgspec
 
 from tissue_sim.atomic_write import write_text
 from tissue_sim.decode import decode, read_json, require_writable
-from tissue_sim.errors import InputError, nearest
-from tissue_sim.parameters import declared
-from tissue_sim.rig.fault import FAULTS, RigFault
+from tissue_sim.errors import InputError
+from tissue_sim.parameters import declared, from_keys, to_keys
+from tissue_sim.rig.fault import FAULTS
 from tissue_sim.rig.rig import Rig
 
 VERSION = 1
@@ -45,12 +45,13 @@ def write_rig(rig: Rig, path: str | Path) -> None:
     Raises:
         InputError: a number too large in the unit of the file, or a place that cannot be written.
     """
-    absent = Rig()
-    data: dict[str, Any] = {"schema": SCHEMA, **_in_file(rig, absent)}
+    absent = to_keys(Rig())
+    data: dict[str, Any] = {"schema": SCHEMA}
+    data |= {key: value for key, value in to_keys(rig).items() if value != absent.get(key)}
     if rig.seed:
         data["seed"] = int(rig.seed)
     if rig.faults:
-        data["faults"] = {name: _in_file(fault) for name, fault in rig.faults.items()}
+        data["faults"] = {name: to_keys(fault) for name, fault in rig.faults.items()}
     try:
         require_writable(data)
     except InputError as error:
@@ -73,30 +74,10 @@ def _decode(data) -> Rig:
     require_writable(data)
     stated = {name: what.factor * getattr(file, what.key) for name, what in declared(Rig).items()
               if getattr(file, what.key) is not None}
-    faults = [_fault(name, content) for name, content in (file.faults or {}).items()]
+    faults = {name: from_keys(FAULTS.find(name, f"faults.{name}"), content, f"faults.{name}")
+              for name, content in (file.faults or {}).items()}
     try:
         return Rig(**stated, seed=file.seed, faults=faults)
     except InputError as error:
-        name = error.field.removeprefix("rig.")
+        name = (error.field or "").removeprefix("rig.")
         raise InputError(error.problem, field=_KEYS.get(name, name)) from None
-
-
-def _in_file(part: Rig | RigFault, absent: Rig | None = None) -> dict[str, float]:
-    """Keys of the file and their values, without those that equal the ones of `absent`."""
-    return {what.key: float(f"{getattr(part, name) / what.factor:.15g}") for name, what in declared(type(part)).items()
-            if absent is None or getattr(part, name) != getattr(absent, name)}
-
-
-def _fault(name: str, content: dict[str, float]) -> RigFault:
-    kind = FAULTS.find(name, f"faults.{name}")
-    names = {what.key: (own, what.factor) for own, what in declared(kind).items()}
-    for key in content:
-        if key not in names:
-            raise InputError(f"unknown key{nearest(key, names)}", field=f"faults.{name}.{key}")
-    try:
-        return kind(**{names[key][0]: names[key][1] * value for key, value in content.items()})
-    except InputError as error:
-        raise error.located(field=f"faults.{name}") from None
-    except TypeError:
-        missing = ", ".join(key for key in names if key not in content)
-        raise InputError(f"needs {missing}", field=f"faults.{name}") from None

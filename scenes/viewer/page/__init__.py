@@ -8,7 +8,7 @@ from pathlib import Path
 
 import viser
 
-from scenes.figures import LABELS
+from scenes.commands.shared.field_labels import LABELS
 from scenes.viewer.colours import colour_bar_html
 from scenes.viewer.frame import Commands, Frame, Phase
 from scenes.viewer.page.curve_plots import CurvePlots
@@ -53,15 +53,15 @@ class Page:
         self._tasks: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self.server = server = open_server(host, port, exposed=exposed)
         try:
-            self._build(session, frame, materials, low_graphics, dark)
+            self._lay_out(session, frame, materials, low_graphics, dark)
         except BaseException:
             server.stop()
             raise
         self.url = server.url
 
-    def _build(self, session: Commands, frame: Frame, materials: Path, low_graphics: bool, dark: bool) -> None:
+    def _lay_out(self, session: Commands, frame: Frame, materials: Path, low_graphics: bool, dark: bool) -> None:
         server, gui = self.server, self.server.gui
-        self._solid = Solid(server, frame.setup, low_graphics=low_graphics)
+        self._solid = Solid(server, frame.scene, low_graphics=low_graphics)
         self._solid.on_drag(lambda depth: session.post("aim", depth=depth))
         self._status = gui.add_html(status_html(frame))
         self._restart = gui.add_button("Restart", icon=viser.Icon.REFRESH, color="red", visible=False)

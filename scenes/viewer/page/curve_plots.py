@@ -36,7 +36,7 @@ class CurvePlots:
         self._written: dict[Any, tuple] = {}
         self._known: dict[str, tuple] = {}
         empty = np.zeros(2)
-        x = (0.0, frame.setup.deepest * 1e3)
+        x = (0.0, frame.scene.deepest * 1e3)
         unit = (0.0, 1.0)
         self._legend = gui.add_html("")
 
@@ -63,12 +63,12 @@ class CurvePlots:
         """Draw the curves, where they are other ones than the last time."""
         curves, readouts = frame.curves, frame.readouts
         moment = None if readouts is None else (readouts.depth, readouts.force)
-        drawn = (curves, moment, frame.setup.experiment)
+        drawn = (curves, moment, frame.scene.experiment)
         if self._drawn and all(a is b or a == b for a, b in zip(drawn, self._drawn, strict=True)):
             return
         self._drawn, self._kept = drawn, curves.before is not None
-        grid = depth_grid(frame.setup.deepest)
-        x = (0.0, frame.setup.deepest * 1e3)
+        grid = depth_grid(frame.scene.deepest)
+        x = (0.0, frame.scene.deepest * 1e3)
         measured, trace = curves.measurement, curves.trace
         model = self._branches("model", curves.model, grid)
         before = self._branches("before", None if curves.before is None else curves.before[1], grid)

@@ -6,15 +6,11 @@ from collections.abc import Callable
 
 import viser
 
-from scenes.figures import LABELS
+from scenes.commands.shared.field_labels import LABELS
 from scenes.viewer.camera import FIELD_OF_VIEW, PRESETS, camera_pose
 from scenes.viewer.frame import Frame
 from scenes.viewer.page.solid import Look
 from scenes.viewer.tool_picture import picture_height
-
-#: Fields that say most, first.
-FIELDS = ("von_mises", "energy", "pressure", "displacement", "stretch", "cauchy_zz", "cauchy_rr", "cauchy_hoop",
-          "cauchy_rz", "J")
 
 
 class LookControls:
@@ -27,7 +23,7 @@ class LookControls:
     def __init__(self, server: viser.ViserServer, frame: Frame, scale: float):
         gui = server.gui
         self.look, self._frame, self._scale = Look(), frame, scale
-        fields = {LABELS[name][0]: name for name in FIELDS}
+        fields = {label: name for name, (label, _) in LABELS.items()}
         field = gui.add_dropdown("colour", tuple(fields), initial_value=LABELS[self.look.field][0])
         hold = gui.add_checkbox("hold the colours' range", False)
         cut = gui.add_slider("cut-away [°]", min=0, max=180, step=5, initial_value=round(self.look.cut))
@@ -76,7 +72,7 @@ class LookControls:
             client.camera.position, client.camera.look_at = position, look_at
 
     def _pose(self, preset: str, aspect: float):
-        experiment, snapshot = self._frame.setup.experiment, self._frame.snapshot
+        experiment, snapshot = self._frame.scene.experiment, self._frame.snapshot
         depth = 0.0 if snapshot is None else snapshot.depth
         above = picture_height(experiment.tool, experiment.specimen)
         pose = camera_pose(preset, experiment.specimen, experiment.tool, depth, above, aspect)

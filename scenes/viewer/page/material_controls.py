@@ -11,7 +11,7 @@ import viser
 import tissue_sim as ts
 from scenes.viewer.frame import Commands, Frame
 from scenes.viewer.material_files import SUFFIX, list_materials, parameter_ranges, read_upload
-from scenes.viewer.page.notices import answer_to, send_file, tell
+from scenes.viewer.page.notices import answer_to, notify, send_file
 from tissue_sim.parameters import parameter_values
 
 _NONE = "(no file)"
@@ -78,7 +78,7 @@ class MaterialControls:
         try:
             material = ts.load_material(path)
         except ts.InputError as error:
-            tell(event.client, "That did not work", f"{error} The material stays as it was.", "red")
+            notify(event.client, "That did not work", f"{error} The material stays as it was.", "red")
             return
         self._session.post("use_material", reply=answer_to(event), material=material, source=path.name)
 
@@ -93,7 +93,7 @@ class MaterialControls:
         if self._shows % _LIST_EVERY == 0:
             with suppress(ts.InputError):  # somebody has removed the folder: what is on the list stays
                 self._list()
-        material, source = frame.setup.material, frame.setup.source
+        material, source = frame.scene.material, frame.scene.source
         # What was entered a moment ago is newer than the frame.
         if self._shown == (material, source) or self._entered != self._obeyed:
             return

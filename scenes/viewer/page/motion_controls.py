@@ -8,7 +8,7 @@ from scenes.viewer.frame import Commands, Frame, Phase
 from scenes.viewer.page.notices import answer_to
 from scenes.viewer.session import CLEARANCE
 
-#: Ready-made protocols by what they are called; {depth} is the setup's largest, in mm.
+#: Ready-made protocols by what they are called; {depth} is the scene's largest, in mm.
 PROTOCOLS = {
     "press and release": "approach 2mm; ramp {depth}mm; hold 1s; unload; retract 2mm",
     "three cycles": "repeat 3 (ramp {depth}mm; unload)",
@@ -21,7 +21,7 @@ class MotionControls:
     """The tab with depth, play, pause, reset, step, and the protocol."""
 
     def __init__(self, server: viser.ViserServer, session: Commands, frame: Frame):
-        gui, deepest = server.gui, frame.setup.deepest
+        gui, deepest = server.gui, frame.scene.deepest
         self._session, self._paused = session, False
         #: Depths that people have entered, and those of them that the session has obeyed.
         self._entered = self._obeyed = 0
@@ -66,7 +66,7 @@ class MotionControls:
 
     @staticmethod
     def _sources(frame: Frame) -> tuple[str, ...]:
-        return ("protocol",) if frame.setup.measurement is None else ("protocol", "measured motion")
+        return ("protocol",) if frame.scene.measurement is None else ("protocol", "measured motion")
 
     def _press(self, button: str, event: viser.GuiEvent) -> None:
         reply = answer_to(event)

@@ -15,14 +15,14 @@ def answer_to(event: viser.GuiEvent, done: str = "") -> Callable[[str | None], N
         if client is None:
             return
         if problem is not None:
-            tell(client, "That did not work", problem, "red")
+            notify(client, "That did not work", problem, "red")
         elif done:
-            tell(client, "Done", done, "teal")
+            notify(client, "Done", done, "teal")
 
     return reply
 
 
-def tell(client: viser.ClientHandle, title: str, sentence: str, colour: str) -> None:
+def notify(client: viser.ClientHandle, title: str, sentence: str, colour: str) -> None:
     """Show a sentence in a corner of one browser for a while."""
     client.add_notification(title, sentence, color=colour, auto_close_seconds=12.0)
 

@@ -8,7 +8,7 @@ from scenes.viewer.frame import Frame, Phase
 
 #: Phase -> colour of its dot.
 _DOTS = {Phase.STARTING: "#E69F00", Phase.RUNNING: "#009E73", Phase.PAUSED: "#0072B2", Phase.DIED: "#D55E00"}
-_WORDS = {"hand": "by hand", "protocol": "protocol", "recording": "measured motion"}
+_WORDS = {"hand": "by hand", "protocol": "protocol", "recording": "measured motion", "device": "device"}
 
 
 def status_html(frame: Frame) -> str:

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import viser
 
-from scenes.figures import LABELS
+from scenes.commands.shared.field_labels import LABELS
 from scenes.viewer.frame import Frame
 from scenes.viewer.measurement import branches_on_grid
 from scenes.viewer.page.look_controls import LookControls
-from scenes.viewer.page.notices import answer_to, send_file, tell
+from scenes.viewer.page.notices import answer_to, notify, send_file
 from scenes.viewer.page.solid import Solid
 from scenes.viewer.picture_file import Curve, compose_png
 from scenes.viewer.plots import LIGHT, depth_grid
@@ -80,26 +80,26 @@ class Saving:
         if trace is None or len(trace) < 5:
             answer_to(event)("nothing was felt yet; move the tool first")
             return
-        setup = self._frame.setup
-        recording = trace.recording({"name": setup.kind.name, "kind": setup.kind.name, "material": setup.source,
+        scene = self._frame.scene
+        recording = trace.recording({"name": scene.kind.name, "kind": scene.kind.name, "material": scene.source,
                                      "simulated": True})
-        send_file(event.client, f"{setup.kind.name}.csv", recording_csv(recording))
+        send_file(event.client, f"{scene.kind.name}.csv", recording_csv(recording))
 
     def _save_picture(self, event: viser.GuiEvent) -> None:
         frame, camera = self._frame, event.client.camera
         width, height = (min(size, _LARGEST) for size in (camera.image_width, camera.image_height))
         render = _rendered(event.client, height, width)
         if render is None:
-            tell(event.client, "That did not work", "the browser drew no picture; try again", "red")
+            notify(event.client, "That did not work", "the browser drew no picture; try again", "red")
             return
-        setup, now = frame.setup, frame.readouts
-        caption = [f"{setup.kind.title}, {setup.material.energy_law.title} ({setup.source})"]
+        scene, now = frame.scene, frame.readouts
+        caption = [f"{scene.kind.title}, {scene.material.energy_law.title} ({scene.source})"]
         if now is not None:
             caption.append(f"{now.force:.3f} N at {now.depth * 1e3:.2f} mm")
         label, _ = LABELS[self._look.look.field]
         content = compose_png(render, self._solid.levels, np.array(self._solid.colours, dtype=np.uint8), label, caption,
                               now=None if now is None else (now.depth, now.force), **_drawn_curves(frame))
-        send_file(event.client, f"{setup.kind.name}.png", content)
+        send_file(event.client, f"{scene.kind.name}.png", content)
 
     def _toggle_replay(self, event: viser.GuiEvent) -> None:
         if self._recorder is None and self._finished is None:
@@ -126,7 +126,7 @@ def _rendered(client: viser.ClientHandle, height: int, width: int) -> np.ndarray
 def _drawn_curves(frame: Frame) -> dict[str, Any]:
     """Model, measurement and what was felt, for `compose_png`."""
     curves, measured, band = frame.curves, frame.curves.measurement, None
-    grid = depth_grid(frame.setup.deepest)
+    grid = depth_grid(frame.scene.deepest)
     pairs = []
     if measured is not None:
         band = (measured.depth, measured.load.low, measured.load.high)

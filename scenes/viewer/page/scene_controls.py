@@ -26,7 +26,7 @@ class SceneControls:
     def __init__(self, server: viser.ViserServer, session: Commands, frame: Frame):
         gui = server.gui
         self._titles = {scene.title: name for name, scene in SCENES.items()}
-        self._scene = gui.add_dropdown("scene", tuple(self._titles), initial_value=frame.setup.kind.title)
+        self._scene = gui.add_dropdown("scene", tuple(self._titles), initial_value=frame.scene.kind.title)
         self._needles = tuple(shape for shape in shapes_without_file() if not TOOLS[shape].is_plate)
         self._shape = gui.add_dropdown("tool", self._needles, initial_value=self._needles[0])
         self._known = tool_sizes()
@@ -76,12 +76,12 @@ class SceneControls:
 
     def show(self, frame: Frame) -> None:
         """Follow a scene that somebody else has chosen."""
-        setup = frame.setup
-        if self._shown is not None and self._shown.experiment is setup.experiment:
+        scene = frame.scene
+        if self._shown is not None and self._shown.experiment is scene.experiment:
             return
-        self._shown = setup
-        tool, friction = setup.experiment.tool, setup.experiment.friction
-        self._scene.value = setup.kind.title
+        self._shown = scene
+        tool, friction = scene.experiment.tool, scene.experiment.friction
+        self._scene.value = scene.kind.title
         if tool.shape in self._needles:
             self._shape.value = tool.shape
             for key, (what, name, shapes) in self._known.items():

@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 import viser
 
-from scenes.figures import LABELS
+from scenes.commands.shared.field_labels import LABELS
 from scenes.viewer.colours import PALETTE, field_range, steady_levels
 from scenes.viewer.cut_away import CutAway
 from scenes.viewer.frame import Frame
@@ -21,12 +21,15 @@ from scenes.viewer.tool_picture import base_plate, contact_picture, force_arrow,
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
 from tissue_sim.fem.axisymmetric.fields import extrapolate
 from tissue_sim.mesh import Mesh
+from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
 
 #: Longest side of the specimen in the unit of the browser, whose camera has near and far planes.
 SIZE = 2.0
 #: RGB.
 METAL, BASE, ARROW, CONTACT = (176, 184, 194), (120, 126, 134), (213, 94, 0), (230, 20, 110)
+#: Of tissue without fields.
+TISSUE = (204, 150, 135)
 MESH_LINES, OUTLINE = (255, 255, 255), (128, 128, 128)
 #: Light from all sides in which a surface has its own colour, and a light that shows its shape, from where the cut
 #: opens: it falls on both section faces alike.
@@ -44,7 +47,7 @@ class Look:
     """How the specimen is shown.
 
     Attributes:
-        field: a name in `scenes.figures.LABELS`.
+        field: a name in `scenes.commands.shared.field_labels.LABELS`.
         cut: angle of the wedge that is left out, degrees.
         mesh_lines, outline: whether to show the element edges, and the undeformed specimen.
         hold: keep the colours' levels as they are.
@@ -65,29 +68,33 @@ class Solid:
         scale: units of the browser in a metre.
     """
 
-    def __init__(self, server: viser.ViserServer, setup: Scene, *, low_graphics: bool):
-        self._scene = server.scene
+    def __init__(self, server: viser.ViserServer, scene: Scene, *, low_graphics: bool):
+        self._nodes = server.scene
         self._light()
         self.levels: np.ndarray | None = None
-        specimen = setup.experiment.specimen
+        specimen = scene.experiment.specimen
         self.scale = SIZE / max(2.0 * specimen.radius, specimen.height)
         self._segments_of_turn = COARSE if low_graphics else FINE
         surface_colours = [surface_colour(colour) for colour in PALETTE]
         #: As they are seen, for the colour bar.
         self.colours = [seen_colour(colour) for colour in surface_colours]
         self._bands = [self._mesh(f"/tissue/band_{k}", colour) for k, colour in enumerate(surface_colours)]
+        self._surface = self._mesh("/tissue/surface", TISSUE)
         #: Of the tool, and of what the specimen stood on before it sagged.
-        self._tool_frame, self._ground = (self._scene.add_frame(name, show_axes=False) for name in ("/tool", "/ground"))
+        self._tool_frame, self._force_frame, self._ground = (self._nodes.add_frame(name, show_axes=False)
+                                                             for name in ("/tool", "/force", "/ground"))
         self._tool = self._mesh("/tool/body", METAL)
-        self._arrow = self._mesh("/tool/force", ARROW)
+        # Along z wherever the tool is turned to.
+        self._arrow = self._mesh("/force/arrow", ARROW)
         self._base = self._mesh("/ground/base", BASE)
-        self._force = self._scene.add_label("/tool/force_label", "", anchor="bottom-left", visible=False)
+        self._force = self._nodes.add_label("/force/label", "", anchor="bottom-left", visible=False)
         self._mesh_lines = self._segments("/tissue/mesh", MESH_LINES, 1.0)
         self._outline = self._segments("/ground/undeformed", OUTLINE, 1.5)
         self._contact = self._segments("/contact", CONTACT, 4.0)
-        #: Depth, material and look of the picture; its states; what stands; length of the arrow in `_ARROW_STEPS`.
+        #: Pose, material and look of the picture; its states, or vertices; what stands; length of the arrow in
+        #: `_ARROW_STEPS`.
         self._drawn: tuple | None = None
-        self._state = np.empty(0)
+        self._state: np.ndarray | None = None
         self._pushed: tuple | None = None
         self._standing: tuple | None = None
         self._cut_away: CutAway | None = None
@@ -111,25 +118,33 @@ class Solid:
         """Write what has changed since the last time; whether anything has."""
         snapshot = frame.snapshot
         opening = _opening(look.cut, self._segments_of_turn)
-        stands = (frame.setup.experiment, look.cut, look.outline)
+        stands = (frame.scene.experiment, look.cut, look.outline)
         changed = stands != self._standing
         if snapshot is None:
             if changed:
-                self._wait(frame.setup, opening, look)
+                self._wait(frame.scene, opening, look)
                 self._standing = stands
             return changed
+        fields, surface = snapshot.fields, frame.surface
         if changed:
-            self._take_mesh(snapshot.fields.mesh)
-            self._stand(frame.setup, opening, look)
+            self._take_mesh(_undeformed(frame.scene) if fields is None else fields.mesh)
+            self._stand(frame.scene, opening, look)
             self._standing = stands
-        seen = (snapshot.depth, snapshot.fields.material, look)
-        if changed or seen != self._drawn or not np.array_equal(snapshot.fields.states, self._state):
-            self._draw(snapshot, frame.setup, opening, look)
-            self._drawn, self._state, changed = seen, snapshot.fields.states, True
+        if fields is None:
+            seen, state = (snapshot.pose, None, look), None if surface is None else surface.vertices
+        else:
+            seen, state = (snapshot.pose, fields.material, look), fields.states
+        if changed or seen != self._drawn or not np.array_equal(state, self._state):
+            if fields is None:
+                self._draw_surface(surface)
+            else:
+                self._draw(snapshot, frame.scene, opening, look)
+            self._place(snapshot)
+            self._drawn, self._state, changed = seen, state, True
         force = frame.readouts.force if frame.readouts else 0.0
-        return self._push(force, frame.setup) or changed
+        return self._push(force, frame.scene) or changed
 
-    def _draw(self, snapshot: Snapshot, setup: Scene, opening: Opening, look: Look) -> None:
+    def _draw(self, snapshot: Snapshot, scene: Scene, opening: Opening, look: Look) -> None:
         fields = snapshot.fields
         self._take_mesh(fields.mesh)
         _, factor = LABELS[look.field]
@@ -143,34 +158,46 @@ class Solid:
         for handle, surface in zip(self._bands, self._cut_away.bands(place, values, self.levels, opening),
                                    strict=True):
             self._fill(handle, surface)
-        self._tool_frame.position = (0.0, 0.0, -snapshot.depth * self.scale)
+        contact = contact_picture(self._cut_away.surface_line(place), scene.experiment.tool, snapshot.depth, opening)
+        self._lines(self._contact, None if contact is None else contact.lines)
+        self._lines(self._mesh_lines, self._cut_away.mesh_lines(place, opening) if look.mesh_lines else None)
+
+    def _draw_surface(self, surface: Surface | None) -> None:
+        """Tissue of a solver that has no section to draw, in one colour; where it has no triangles, no tissue."""
+        for handle in (*self._bands, self._contact, self._mesh_lines):
+            _show(handle, False)
+        self._fill(self._surface, surface)
+
+    def _place(self, snapshot: Snapshot) -> None:
+        """The tool at its pose, and the ground where the specimen stands."""
+        pose = snapshot.pose
+        self._tool_frame.position = self._force_frame.position = tuple(self.scale * part for part in pose.position)
+        if not np.array_equal(self._tool_frame.wxyz, pose.orientation):
+            self._tool_frame.wxyz = pose.orientation
         # Where a specimen has sagged under its own weight, the tool touches it lower.
         if self._ground.position[2] != -snapshot.datum * self.scale:
             self._ground.position = (0.0, 0.0, -snapshot.datum * self.scale)
-        contact = contact_picture(self._cut_away.surface_line(place), setup.experiment.tool, snapshot.depth, opening)
-        self._lines(self._contact, None if contact is None else contact.lines)
-        self._lines(self._mesh_lines, self._cut_away.mesh_lines(place, opening) if look.mesh_lines else None)
 
     def _take_mesh(self, mesh: Mesh) -> None:
         if self._cut_away is None or self._cut_away.mesh is not mesh:
             self._cut_away, self._drawn = CutAway.of(mesh), None
 
-    def _wait(self, setup: Scene, opening: Opening, look: Look) -> None:
+    def _wait(self, scene: Scene, opening: Opening, look: Look) -> None:
         """The specimen that nobody has touched, while the simulation of it begins."""
-        self._take_mesh(build_mesh(setup.experiment, "realtime", layers=setup.material.layers))
+        self._take_mesh(_undeformed(scene))
         place = self._cut_away.mesh.nodes
         surfaces = self._cut_away.bands(place, np.zeros(len(place)), np.arange(len(self._bands) + 1.0), opening)
         for handle, surface in zip(self._bands, surfaces, strict=True):
             self._fill(handle, surface)
-        for handle in (self._contact, self._mesh_lines, self._arrow, self._force):
+        for handle in (self._surface, self._contact, self._mesh_lines, self._arrow, self._force):
             _show(handle, False)
         self._pushed = None
-        self._tool_frame.position = self._ground.position = (0.0, 0.0, 0.0)
-        self._stand(setup, opening, look)
+        self._place(Snapshot(Pose.at_depth(0.0), 0.0, None))
+        self._stand(scene, opening, look)
 
-    def _stand(self, setup: Scene, opening: Opening, look: Look) -> None:
+    def _stand(self, scene: Scene, opening: Opening, look: Look) -> None:
         """What does not move with the tissue."""
-        specimen, tool = setup.experiment.specimen, setup.experiment.tool
+        specimen, tool = scene.experiment.specimen, scene.experiment.tool
         if opening.faces:
             # The section faces get the light in which a surface has just its own colour, that of the bar.
             faces_it = max(0.0, float(_KEY_DIRECTION[:2] @ opening.faces[0][1]))
@@ -179,20 +206,20 @@ class Solid:
         self._fill(self._base, base_plate(specimen, _opening(0.0, STILL)))
         self._lines(self._outline, self._cut_away.undeformed_outline(opening) if look.outline else None)
 
-    def _push(self, force: float, setup: Scene) -> bool:
+    def _push(self, force: float, scene: Scene) -> bool:
         """The arrow of the force; whether it has changed."""
         while abs(force) > self._full_force:
             self._full_force = _next_round(self._full_force)
         text = f"{round(force, 2) + 0.0:.2f} N"
         # Steps that nobody sees keep the arrow from being made anew in every frame.
         full = self._full_force
-        pushed = (round(force / full * _ARROW_STEPS), full, setup.experiment)
+        pushed = (round(force / full * _ARROW_STEPS), full, scene.experiment)
         if text == self._force.text and pushed == self._pushed:
             return False
         self._force.text = text
         if pushed != self._pushed:
             self._pushed = pushed
-            arrow = force_arrow(pushed[0] / _ARROW_STEPS * full, full, setup.experiment.tool, setup.experiment.specimen)
+            arrow = force_arrow(pushed[0] / _ARROW_STEPS * full, full, scene.experiment.tool, scene.experiment.specimen)
             _show(self._force, arrow is not None)
             self._fill(self._arrow, arrow and arrow.surface)
             if arrow is not None:
@@ -201,11 +228,11 @@ class Solid:
 
     def _mesh(self, name: str, colour: tuple[int, int, int]) -> viser.MeshHandle:
         empty = np.zeros((3, 3), np.float32)
-        return self._scene.add_mesh_simple(name, empty, np.array([[0, 1, 2]], np.uint32), color=colour, side="double",
+        return self._nodes.add_mesh_simple(name, empty, np.array([[0, 1, 2]], np.uint32), color=colour, side="double",
                                            cast_shadow=False, receive_shadow=False, visible=False, scale=self.scale)
 
     def _segments(self, name: str, colour: tuple[int, int, int], pixels: float) -> viser.LineSegmentsHandle:
-        return self._scene.add_line_segments(name, np.zeros((1, 2, 3), np.float32), colour, thickness=pixels,
+        return self._nodes.add_line_segments(name, np.zeros((1, 2, 3), np.float32), colour, thickness=pixels,
                                              thickness_units="screen", visible=False, scale=self.scale)
 
     def _fill(self, handle: viser.MeshHandle, surface: Surface | None) -> None:
@@ -221,17 +248,22 @@ class Solid:
         _show(handle, full)
 
     def _light(self) -> None:
-        scene = self._scene
-        scene.configure_environment_map(hdri=None)
-        scene.configure_default_lights(enabled=False)
-        self._ambient = scene.add_light_ambient("/light/ambient", intensity=_FULL)
-        scene.add_light_directional("/light/key", intensity=_KEY, position=tuple(_KEY_DIRECTION))
+        nodes = self._nodes
+        nodes.configure_environment_map(hdri=None)
+        nodes.configure_default_lights(enabled=False)
+        self._ambient = nodes.add_light_ambient("/light/ambient", intensity=_FULL)
+        nodes.add_light_directional("/light/key", intensity=_KEY, position=tuple(_KEY_DIRECTION))
 
 
 @lru_cache(maxsize=8)
 def _opening(degrees: float, segments: int) -> Opening:
     """One object for one cut, since it keeps its angles."""
     return Opening(np.radians(degrees), segments=segments)
+
+
+def _undeformed(scene: Scene) -> Mesh:
+    """A section of the specimen that nobody has touched."""
+    return build_mesh(scene.experiment, "realtime", layers=scene.material.layers)
 
 
 def _show(handle: viser.SceneNodeHandle, visible: bool) -> None:

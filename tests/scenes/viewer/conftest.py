@@ -7,7 +7,7 @@ from concurrent.futures.process import BrokenProcessPool
 import pytest
 
 import tissue_sim as ts
-from scenes.commands.loop import read_material
+from scenes.commands.shared.tissue_flags import read_material
 from scenes.viewer.scene import Scene
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 

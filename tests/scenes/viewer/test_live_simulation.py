@@ -67,7 +67,7 @@ def simulator_at(model, depth):
 
 def test_it_says_what_it_does_until_it_runs(needle_loop):
     words = [message for _, message in needle_loop.said]
-    assert "building the tissue" in words or any("loading the solver" in word for word in words)
+    assert "making the tissue" in words or any("loading the solver" in word for word in words)
     assert needle_loop.said[-1] == (Phase.RUNNING, "running")
     assert {phase for phase, _ in needle_loop.said} == {Phase.STARTING, Phase.RUNNING}
 

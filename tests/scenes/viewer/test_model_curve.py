@@ -1,7 +1,6 @@
 """The curve of the whole test: the newest wish wins, a model without a curve says why, a worker may die."""
 
 import multiprocessing
-import operator
 import os
 import signal
 from concurrent.futures.process import BrokenProcessPool
@@ -28,7 +27,7 @@ def test_the_newest_wish_wins(pool):
     for wish in ("second", "third", "fourth"):
         curve.ask(wish)
         curve.poll()
-    assert [arguments for arguments, _ in pool.tasks] == [("first", "accurate")]
+    assert [arguments for arguments, _ in pool.tasks] == [("first", "accurate", "axisymmetric")]
     pool.tasks[0][1].set_result(CURVE)
     curve.poll()
     assert curve.recording is CURVE and curve.number == 1
@@ -94,7 +93,7 @@ def test_what_is_forgotten_does_not_come_back(pool):
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 def test_a_worker_may_be_killed(monkeypatch, until):
     """A real process, with words in place of a simulation; test_session.py waits for whole tests."""
-    monkeypatch.setattr("scenes.viewer.model_curve.simulate_test", operator.concat)
+    monkeypatch.setattr("scenes.viewer.model_curve.simulate_test", "{}{}, {}".format)
     before = set(multiprocessing.active_children())
     curve = ModelCurve("fast")
     try:
@@ -106,7 +105,7 @@ def test_a_worker_may_be_killed(monkeypatch, until):
         assert "has died" in curve.problem and curve.recording is None
         curve.ask("needle, ")
         until(curve.poll, lambda _: not curve.busy)
-        assert (curve.recording, curve.problem, curve.number) == ("needle, fast", "", 2)
+        assert (curve.recording, curve.problem, curve.number) == ("needle, fast, axisymmetric", "", 2)
     finally:
         curve.close()
     assert set(multiprocessing.active_children()) <= before
@@ -116,6 +115,6 @@ def test_the_worker_simulates_the_test(needle):
     specimen = replace(needle.experiment.specimen, density=1040.0, gravity=1e4)
     collapses = replace(needle.model, experiment=replace(needle.experiment, specimen=specimen))
     expected = ts.simulate(needle.model, resolution="realtime")
-    np.testing.assert_array_equal(simulate_test(needle.model, "realtime").force, expected.force)
+    np.testing.assert_array_equal(simulate_test(needle.model, "realtime", "axisymmetric").force, expected.force)
     with pytest.raises(ConvergenceError, match="does not stand under its own weight"):
-        simulate_test(collapses, "realtime")
+        simulate_test(collapses, "realtime", "axisymmetric")

@@ -70,9 +70,9 @@ def test_what_does_not_fit_is_refused(needle, name, changes, expected):
 
 def test_a_measurement_belongs_to_its_scene(needle):
     measured = measurement([tried()])
-    setup = replace(needle, measurements={"bonded_compression": measured})
-    assert setup.measurement is None
-    there = setup.with_scene("bonded_compression")
+    scene = replace(needle, measurements={"bonded_compression": measured})
+    assert scene.measurement is None
+    there = scene.with_scene("bonded_compression")
     assert isinstance(there, Scene) and there.measurement is measured
     assert there.with_scene("needle_indentation").measurement is None
 

@@ -208,7 +208,7 @@ def test_a_parameter_moves_force_curve_and_residual(session, measured, until):
     np.testing.assert_allclose(frame.curves.model.force, expected.force, rtol=1e-9, atol=1e-12)
     assert frame.curves.residual.rmse == pytest.approx(residual(expected, measured.measurement).rmse, rel=1e-6)
     assert frame.curves.residual.rmse < 0.1 * before.curves.residual.rmse, "the measurement is of this material"
-    assert frame.setup.material.parameters["C10"] == 1700.0 and frame.snapshot.fields.material == frame.setup.material
+    assert frame.scene.material.parameters["C10"] == 1700.0 and frame.snapshot.fields.material == frame.scene.material
     felt = np.interp(2e-3, *(each[: np.argmax(expected.displacement) + 1]
                              for each in (expected.displacement, expected.force)))
     assert frame.readouts.force == pytest.approx(felt, rel=0.01)
@@ -223,7 +223,7 @@ def test_a_refused_parameter_changes_nothing(session, until):
         assert expected in done(session, "set_parameters", values=values)
     time = before.readouts.time
     frame = until(session.frame, lambda frame: frame.readouts.time > time + 0.1)
-    assert frame.setup is before.setup and frame.curves.model is before.curves.model
+    assert frame.scene is before.scene and frame.curves.model is before.curves.model
     assert frame.curves.residual is before.curves.residual and not session._curve.busy
     assert frame.readouts.force == pytest.approx(before.readouts.force, rel=1e-4)
 
@@ -235,7 +235,7 @@ def test_a_material_with_other_parameters_is_felt_at_once(session, measured, unt
     assert done(session, "use_material", material=stiffer, source="stiffer.material.json") is None
     frame = until(session.frame, lambda frame: frame.readouts.force > 1.1 * before.readouts.force)
     assert session.simulation is simulation and frame.phase is Phase.RUNNING
-    assert (frame.setup.material, frame.setup.source) == (stiffer, "stiffer.material.json")
+    assert (frame.scene.material, frame.scene.source) == (stiffer, "stiffer.material.json")
 
 
 def test_a_material_is_saved_as_it_is(session, tmp_path):
@@ -243,7 +243,7 @@ def test_a_material_is_saved_as_it_is(session, tmp_path):
     assert done(session, "save_material", folder=tmp_path, name="softer") is None
     path = tmp_path / "softer.material.json"
     assert ts.load_material(path).parameters["C10"] == 1500.0
-    assert session.frame().setup.source == path.name
+    assert session.frame().scene.source == path.name
     assert "is there already" in done(session, "save_material", folder=tmp_path, name="softer")
     assert "is no name of a file" in done(session, "save_material", folder=tmp_path, name="../softer")
     assert [each.name for each in tmp_path.iterdir()] == [path.name]
@@ -340,7 +340,7 @@ def springs(of_gel, pool, needle):
 
 
 def newest_model(pool):
-    (model, _), _ = pool.tasks[-1]
+    (model, *_), _ = pool.tasks[-1]
     return model
 
 
@@ -354,7 +354,7 @@ def test_what_comes_too_early_is_refused(springs, pool):
     assert (frame.target, frame.motion) == (0.0, "hand"), "what is refused changes nothing"
     assert "nothing was measured" in done(springs, "replay")
     assert done(springs, "set_parameters", values={"C10": 1500.0}) is None, "it gets the new material when it runs"
-    assert springs.frame().setup.material.parameters["C10"] == 1500.0
+    assert springs.frame().scene.material.parameters["C10"] == 1500.0
     assert springs.simulation is first and first.process.alive
     pool.tasks[0][1].set_exception(ConvergenceError("stopped at 3 mm"))
     springs.frame()
@@ -366,7 +366,7 @@ def test_a_material_of_another_make_begins_anew(springs, pool, needle):
     material = replace(with_values(needle.material, {"C10": 1500.0}), density=900.0)
     assert done(springs, "use_material", material=material, source="mine.material.json") is None
     frame = springs.frame()
-    assert (frame.setup.material, frame.setup.source, frame.phase) == (material, "mine.material.json", Phase.STARTING)
+    assert (frame.scene.material, frame.scene.source, frame.phase) == (material, "mine.material.json", Phase.STARTING)
     assert springs.simulation is not first and not first.process.alive
     pool.tasks[0][1].set_result(None)
     springs.frame()
@@ -383,11 +383,11 @@ def test_another_scene_begins_anew_and_forgets_the_curves(springs, pool, needle)
     assert done(springs, "keep_curve", name="needle") is None
     for name, values in (("needle", {}), ("bonded_compression", {"tool": needle.experiment.tool})):
         assert "scene" in done(springs, "use_scene", name=name, **values) or values
-        assert springs.simulation is first and springs.frame().setup is frame.setup
+        assert springs.simulation is first and springs.frame().scene is frame.scene
     assert done(springs, "use_scene", name="bonded_compression") is None
     assert springs.simulation is not first and not first.process.alive
     frames = [springs.frame() for _ in range(PLOT_EVERY)]
-    assert frames[-1].setup.kind.name == "bonded_compression"
+    assert frames[-1].scene.kind.name == "bonded_compression"
     assert (frames[-1].curves.model, frames[-1].curves.before) == (None, None)
     assert newest_model(pool).experiment.tool.shape == "plate"
 
@@ -407,7 +407,7 @@ def test_a_simulation_that_died_can_be_begun_again(springs, until):
                              "running. Press Restart to begin again.")
     for command, values in (("aim", {"depth": 1e-3}), ("play", {"text": "ramp 1mm"}), ("resume", {}), ("reset", {})):
         assert "is not running" in done(springs, command, **values)
-    assert springs.frame().setup is frame.setup
+    assert springs.frame().scene is frame.scene
     assert done(springs, "restart") is None
     until(springs.frame, lambda frame: frame.phase is Phase.RUNNING and frame.readouts is not None)
     assert done(springs, "aim", depth=1e-3) is None

@@ -1,4 +1,4 @@
-"""What `tissue-sim loop` tells: a line while it runs, a table at its end."""
+"""What `tissue-sim loop` prints: a line while it runs, a table at its end."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from haptics.loop.ticker import LATE
-from scenes.text_table import print_sentence, text_table
+from scenes.commands.shared.text_table import print_sentence, text_table
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -53,9 +53,9 @@ def print_report(report: LoopReport, console: Console) -> None:
     print_sentence(console, f"{report.ticks} ticks in {report.seconds:.4g} s: {report.late} late (more than "
                             f"{LATE * 1e3:g} ms), {report.missed} missed ({answer['missed_percent']:.3g} %)")
     for what, counts in (("answers", report.statuses), ("ticks that were", report.flagged)):
-        told = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items() if count)
-        if told:
-            print_sentence(console, f"{what}: {told}")
+        counted = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items() if count)
+        if counted:
+            print_sentence(console, f"{what}: {counted}")
     print_sentence(console, f"largest force: {report.largest_force:.4g} N")
     if report.peak_memory is not None:
         print_sentence(console, f"peak memory: {answer['peak_memory_MB']:.0f} MB")

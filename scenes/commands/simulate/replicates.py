@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from scenes.parsing import Parser, at_least, not_negative
+from scenes.commands.shared.parsing import Parser, at_least, not_negative
 from tissue_sim.errors import InputError
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ def add_rig_flags(parser: Parser) -> None:
                      help="of the noise; the same seed gives the same files (default: that of the rig file, or 0)")
 
 
-def build_rig(arguments) -> Rig:
+def make_rig(arguments) -> Rig:
     """The rig of ``--rig`` with the noise and the seed of the flags.
 
     Raises:

@@ -1,4 +1,4 @@
-"""What `tissue-sim simulate` tells of its recordings: the JSON object, the printed curve, the remarks."""
+"""What `tissue-sim simulate` prints of its recordings: the JSON object, the printed curve, the remarks."""
 
 from __future__ import annotations
 

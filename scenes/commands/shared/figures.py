@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from scenes.commands.shared.field_labels import LABELS
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.tools.tool import Tool
@@ -16,14 +17,6 @@ from tissue_sim.mesh import Mesh
 from tissue_sim.model import Model
 from tissue_sim.recording.recording import Recording
 
-#: Field -> (label with the unit people use, factor from SI).
-LABELS = {
-    "displacement": ("displacement [mm]", 1e3), "von_mises": ("von Mises stress [kPa]", 1e-3),
-    "cauchy_rr": ("radial stress [kPa]", 1e-3), "cauchy_zz": ("axial stress [kPa]", 1e-3),
-    "cauchy_rz": ("shear stress [kPa]", 1e-3), "cauchy_hoop": ("hoop stress [kPa]", 1e-3),
-    "pressure": ("pressure [kPa]", 1e-3), "energy": ("energy density [J/m³]", 1.0), "J": ("volume ratio J", 1.0),
-    "stretch": ("largest stretch", 1.0),
-}
 RIGID = "0.72"
 
 

@@ -8,15 +8,16 @@ from pathlib import Path
 
 from haptics.devices.back_ends import HAPTIC_DEVICES, MOTIONS
 from scenes.catalogue import SCENES
-from scenes.console import print_json, progress_console, results_console
-from scenes.experiment_flags import (
+from scenes.commands.shared.console import print_json, progress_console, results_console
+from scenes.commands.shared.experiment_flags import (
     DEPTH_MM,
     add_experiment_flags,
-    build_experiment,
-    build_protocol,
     check_scene,
+    make_experiment,
+    make_protocol,
 )
-from scenes.parsing import Parser, add_json, at_least, not_negative, positive
+from scenes.commands.shared.parsing import Parser, add_json, at_least, not_negative, positive
+from scenes.commands.shared.tissue_flags import add_solver_flags, check_solver, read_material
 from tissue_sim.errors import InputError
 
 SUMMARY = "run the 1 kHz loop without a device and report how well it keeps its time"
@@ -36,8 +37,7 @@ def add_arguments(parser: Parser) -> None:
                         help="NAME.material.json (default: the study's silicone, reduced_polynomial_2)")
     parser.add_argument("--seconds", type=positive, metavar="N", default=60.0,
                         help="how long; Ctrl-C ends it earlier (default: 60)")
-    parser.add_argument("--resolution", choices=("realtime", "fast", "accurate"), default="realtime",
-                        help="realtime, fast (force within 1 %%) or accurate (within 0.2 %%) (default: realtime)")
+    add_solver_flags(parser)
     source = parser.add_argument_group("source of the motion")
     source.add_argument("--motion", metavar="NAME[:SETTINGS]",
                         help=f"one of {', '.join(MOTIONS)}. random: as of a hand, with lift-offs; sine: up and down; "
@@ -79,6 +79,7 @@ def run(arguments) -> int:
         raise InputError("a device moves as it likes; give --motion or --device", field="--motion")
     if name != "protocol" and arguments.protocol:
         raise InputError(f"a {name} motion has none; leave it out, or give --motion protocol", field="--protocol")
+    check_solver(arguments.solver)
 
     from haptics.loop.loop import LoopSettings
     from haptics.loop.process import LoopError, LoopProcess
@@ -87,13 +88,13 @@ def run(arguments) -> int:
     from tissue_sim import Model, Simulator
 
     material = read_material(arguments.material)
-    protocol = build_protocol(arguments)
-    model = Model(build_experiment(arguments, protocol, material), material)
+    protocol = make_protocol(arguments)
+    model = Model(make_experiment(arguments, protocol, material), material)
     settings = LoopSettings(seconds=arguments.seconds, spin=arguments.spin_us * 1e-6,
                             real_time=not arguments.no_real_time)
-    build = partial(Simulator, model, resolution=arguments.resolution, inertia=arguments.inertia,
-                    budget=arguments.budget_us * 1e-6 or None)
-    process = LoopProcess(build, open_named(arguments, name, protocol),
+    make_tissue = partial(Simulator, model, resolution=arguments.resolution, inertia=arguments.inertia,
+                          budget=arguments.budget_us * 1e-6 or None, solver=arguments.solver)
+    process = LoopProcess(make_tissue, open_named(arguments, name, protocol),
                           ForceRendering(ForceLimits(arguments.force_limit_N, arguments.force_rate_N)), settings,
                           ring_path=arguments.ring)
     try:
@@ -105,22 +106,10 @@ def run(arguments) -> int:
         print_json({"scene": arguments.scene, "motion": name, "resolution": arguments.resolution,
                     **report.as_json()})
     else:
-        from scenes.loop_report import print_report
+        from scenes.commands.loop.report import print_report
 
         print_report(report, results_console())
     return INTERRUPTED if interrupted else 0
-
-
-def read_material(path: Path | None):
-    """The material of a file, or the study's silicone."""
-    import tissue_sim as ts
-
-    if path is not None:
-        return ts.load_material(path)
-    from scenes.demo import BULK_RATIO, PHANTOM
-
-    return ts.Material("reduced_polynomial_2", PHANTOM, ts.Bulk("bulk_ratio", BULK_RATIO), name="silicone of the study",
-                       density=1040.0)
 
 
 def open_named(arguments, name: str, protocol):
@@ -153,7 +142,7 @@ def follow(process, seconds: float, *, quiet: bool):
         KeyboardInterrupt: before its first tick.
     """
     from haptics.loop.process import LoopError
-    from scenes.loop_report import LiveLine
+    from scenes.commands.loop.report import LiveLine
 
     console = progress_console(quiet=quiet)
     with process, console.status("starting") as status:

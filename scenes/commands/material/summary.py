@@ -63,18 +63,18 @@ def loss_of_stability(material_file: MaterialFile) -> str | None:
 
 def doubts(material_file: MaterialFile, stretch: float) -> list[str]:
     """Sentences that warn of a material at this mean stretch: outside its valid range, or beyond its stability."""
-    found = []
+    sentences = []
     if material_file.valid_range is not None and material_file.valid_range.stretch is not None:
         low, high = material_file.valid_range.stretch
         if not low - 1e-9 <= stretch <= high + 1e-9:
-            found.append(f"the mean stretch reaches {stretch:.3g}, and the material was fitted for stretches "
+            sentences.append(f"the mean stretch reaches {stretch:.3g}, and the material was fitted for stretches "
                          f"{low:.3g} to {high:.3g} only")
     material = material_file.material
     stability = check_stability(material.energy_law, material.values, (min(stretch, 1.0), max(stretch, 1.0)))
     if not stability.stable:
-        found.append(f"the law is not stable over the mean stretches of this test, {min(stretch, 1.0):.3g} to "
+        sentences.append(f"the law is not stable over the mean stretches of this test, {min(stretch, 1.0):.3g} to "
                      f"{max(stretch, 1.0):.3g}: {stability.describe()}")
-    return found
+    return sentences
 
 
 def valid_stretches(material_file: MaterialFile) -> tuple[float, float]:

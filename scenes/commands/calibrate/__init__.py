@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from scenes.console import print_json, progress_console, results_console
-from scenes.parsing import Parser, add_json, add_overwrite, at_least
+from scenes.commands.shared.console import print_json, progress_console, results_console
+from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, at_least
 
 SUMMARY = "fit strain-energy laws to the recordings of one or more campaigns"
 EXAMPLE = "tissue-sim calibrate campaign.toml -o results --workers 4"
@@ -14,7 +14,8 @@ EXAMPLE = "tissue-sim calibrate campaign.toml -o results --workers 4"
 def add_arguments(parser: Parser) -> None:
     parser.add_argument("campaigns", type=Path, nargs="+", metavar="CAMPAIGN.toml", help="campaign files")
     parser.add_argument("-o", dest="output", type=Path, required=True, metavar="OUT",
-                        help="folder of material files, tables and the report; resumed when it holds the same work")
+                        help="folder of material files, tables and the report; one that holds the same calibration is "
+                             "resumed")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--workers", type=at_least(1), default=1, metavar="N",
                        help="processes that share starts, profiles, laws and left-out tests of inverse fits (default: "
@@ -28,7 +29,7 @@ def add_arguments(parser: Parser) -> None:
 
 def run(arguments) -> int:
     from calibration import Workers, calibrate, to_json
-    from scenes.calibration_progress import CalibrationProgress
+    from scenes.commands.calibrate.progress import CalibrationProgress
 
     before = _claim_on(arguments.output)
     try:
@@ -37,14 +38,14 @@ def run(arguments) -> int:
                                 progress=progress.say, listen=progress.listen,
                                 workers=Workers(arguments.workers, arguments.dask))
     except KeyboardInterrupt:
-        # With --overwrite, results of other work may still be there, untouched.
+        # With --overwrite, results of another calibration may still be there, untouched.
         if not arguments.overwrite or _claim_on(arguments.output) != before:
             arguments.resume_hint = _resume_hint(arguments)
         raise
     if arguments.json:
         print_json(to_json(results))
     else:
-        from scenes.calibration_results import print_results
+        from scenes.commands.calibrate.results import print_results
 
         print_results(results, arguments.output, results_console())
     # The goal is a material that a simulator can use: a usable fit at the top of each ranking.
@@ -52,12 +53,12 @@ def run(arguments) -> int:
 
 
 def _claim_on(output: Path) -> tuple[int, int] | None:
-    """Which file says what work a folder holds."""
+    """Which file says what calibration a folder holds."""
     try:
-        found = (output / "work.json").stat()
+        file = (output / "work.json").stat()
     except OSError:
         return None
-    return found.st_mtime_ns, found.st_ino
+    return file.st_mtime_ns, file.st_ino
 
 
 def _resume_hint(arguments) -> str:

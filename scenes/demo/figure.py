@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scenes.figures import draw_fold, draw_section, save
+from scenes.commands.shared.figures import draw_fold, draw_section, save
+from scenes.demo.comparison import Comparison
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.material.material import Material
 from tissue_sim.recording.recording import Recording
 from tissue_sim.specimen import Specimen
-
-if TYPE_CHECKING:
-    from scenes.demo import Comparison
 
 MEASURED, MODEL, SECOND = "#7F7F7F", "#0072B2", "#D55E00"
 

@@ -102,7 +102,7 @@ def at_least(lowest: int, highest: int | None = None):
 
 
 def new_file(path: Path | None, option: str, *, overwrite: bool, suffixes: tuple[str, ...] = ()) -> None:
-    """Refuse, before any work is done, an output file that cannot or must not be written.
+    """Refuse, before anything is computed, an output file that cannot or must not be written.
 
     Raises:
         InputError: a directory, a suffix that is not in `suffixes`, or an existing file without ``--overwrite``.

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from scenes.console import print_json, results_console
-from scenes.parsing import Parser, add_json, add_overwrite, new_file, positive
+from scenes.commands.shared.console import print_json, results_console
+from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, new_file, positive
 from tissue_sim.errors import InputError
 
 SUMMARY = "make, read, check and export material files"
@@ -148,7 +148,7 @@ def read_prony(terms: list[str], moduli: str):
 
 
 def run_show(arguments) -> int:
-    from scenes.material_summary import print_summary, summarise
+    from scenes.commands.material.summary import print_summary, summarise
     from tissue_sim import read_material_file
 
     summary = summarise(read_material_file(arguments.file))
@@ -160,7 +160,7 @@ def run_show(arguments) -> int:
 
 
 def run_check(arguments) -> int:
-    from scenes.material_summary import effects, loss_of_stability, moduli, summarise
+    from scenes.commands.material.summary import effects, loss_of_stability, moduli, summarise
     from tissue_sim import read_material_file
 
     material_file = read_material_file(arguments.file)

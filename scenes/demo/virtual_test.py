@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 import tissue_sim as ts
+from scenes.demo.comparison import Comparison
+from scenes.demo.figure import draw_demo
+from scenes.demo.specimen import BULK_RATIO, DEPTH, PHANTOM, SPECIMEN
 from tissue_sim.atomic_write import write_text
 from tissue_sim.experiment.kinds.compression import BONDED, LUBRICATED
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.experiment.kinds.kind import TestKind
 
-#: The virtual specimen: the silicone brain phantom of the study, its size, its depth and its sensor.
-SPECIMEN, DEPTH = ts.Specimen(0.040, 0.070, name="virtual phantom"), 0.010
-PHANTOM = {"C10": 1404.9, "C20": 699.4}
-BULK_RATIO = 1e4
+#: Of the force sensor, N.
 FORCE_NOISE = 0.02
 REPLICATES, SAMPLES = 3, 101
 LAWS = ("neo_hooke", "mooney_rivlin", "reduced_polynomial_2", "ogden_1")
@@ -43,35 +42,6 @@ bulk_ratio = {bulk_ratio}
 [noise]
 force_N = {force_N}
 """
-
-
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """A predicted test beside its measurement; forces in N.
-
-    Attributes:
-        kind: the test.
-        measured: the replicates, all on the same displacements.
-        predicted: what the calibrated material gives.
-    """
-
-    kind: TestKind
-    measured: list[ts.Recording]
-    predicted: ts.Recording
-
-    @property
-    def mean(self) -> np.ndarray:
-        return np.mean([recording.force for recording in self.measured], axis=0)
-
-    @property
-    def error(self) -> np.ndarray:
-        """Predicted minus mean measured force, N."""
-        return self.predicted.force - self.mean
-
-    @property
-    def rmse(self) -> float:
-        """Of the whole curve, N."""
-        return float(np.sqrt(np.mean(self.error**2)))
 
 
 def run_demo(output: Path, *, overwrite: bool = False, console=None, seed: int = 0) -> dict:
@@ -114,8 +84,6 @@ def run_demo(output: Path, *, overwrite: bool = False, console=None, seed: int =
     say("3 predicting the needle and the bonded test, which the calibration never saw ...")
     material = ts.load_material(material_file)
     needle, bonded = (_predict(kind, measured[kind], material, output) for kind in (NEEDLE, BONDED))
-
-    from scenes.demo_figure import draw_demo
 
     figure = output / "prediction.png"
     draw_demo(measured[LUBRICATED], material, needle, bonded, figure, noise=FORCE_NOISE, specimen=SPECIMEN)

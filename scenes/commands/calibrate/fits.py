@@ -1,4 +1,4 @@
-"""The results of an inverse calibration on the screen; the tables fit on 80 columns."""
+"""The fits of a campaign on the screen: tables that fit on 80 columns, and what to know about them."""
 
 from __future__ import annotations
 
@@ -15,15 +15,7 @@ from calibration.report.page import number, parameter_unit, stable_stretches
 from calibration.report.pressure import pressure_unit
 from calibration.report.report_tables import direction_in_words, place_of, suggestion_in_words
 from calibration.report.self_weight import statement
-from scenes.fit_table import (
-    error_unit,
-    print_remarks,
-    ranked_name,
-    ranked_style,
-    remark_on_error,
-    share_of_variance,
-)
-from scenes.text_table import print_sentence, text_table
+from scenes.commands.shared.text_table import print_sentence, text_table
 from tissue_sim.laws import find_law
 
 if TYPE_CHECKING:
@@ -42,8 +34,8 @@ _NOTE_WIDTH, _MOST_REGIONS = 60, 3
 _LARGE = 1e8
 
 
-def print_inverse(result: CalibrationResult, console: Console) -> None:
-    """Print what an inverse calibration found: ranking, parameters, predictions, then what to know about them."""
+def print_fits(result: CalibrationResult, console: Console) -> None:
+    """Print ranking, parameters, predictions, then what to know about them."""
     fits, tests = result.fits, {test.name: test for test in result.campaign.tests}
     heading, meaning = _ranked_by(result)
     console.print(_ranking_table(fits, heading))
@@ -57,12 +49,15 @@ def print_inverse(result: CalibrationResult, console: Console) -> None:
                                 "the parameters would make")
         console.print()
     print_sentence(console, result.message)
-    for sentence in (*_unpredicted(result.predictions), *_untold(fits), *_misfits(fits, tests), *_basis(result, tests)):
+    for sentence in (*_unpredicted(result.predictions), *_undetermined(fits), *_misfits(fits, tests),
+                     *_basis(result, tests)):
         print_sentence(console, sentence)
     for fit in fits:
-        print_remarks(fit, console)
+        if remarks := [fit.message] if fit.unusable else fit.warnings:
+            print_sentence(console, f"{fit.law}: {'; '.join(remarks)}")
     for fit in fits:
-        print_sentence(console, f"{fit.law}: {_effort(fit)}")
+        if fit.fem_solves:
+            print_sentence(console, f"{fit.law}: {_effort(fit)}")
 
 
 def _ranked_by(result: CalibrationResult) -> tuple[str, str]:
@@ -78,16 +73,36 @@ def _ranking_table(fits: Sequence[Fit], heading: str) -> Table:
     """One row a law, with the figure that ranks them beside R2."""
     best = fits[0]
     E0, mu0 = pressure_unit(best.E0), pressure_unit(best.mu0)
-    unit, size = error_unit(best)
+    unit, size = _error_unit(best)
     table = text_table("law", heading, "R2", f"RMSE {unit}", f"E0 {E0[0]}", f"mu0 {mu0[0]}", "stable")
     for fit in fits:
         error = fit.RMSE_N if unit == "N" else fit.RMSE_Pa
         above = None if fit.unusable else fit.BIC - best.BIC
-        table.add_row(ranked_name(fit, best), number(above if heading == "dBIC" else fit.left_out, 3),
-                      share_of_variance(fit), "-" if error is None else f"{error / size:.4g}",
+        table.add_row(_ranked_name(fit, best), number(above if heading == "dBIC" else fit.left_out, 3),
+                      _share_of_variance(fit), "-" if error is None else f"{error / size:.4g}",
                       f"{fit.E0 / E0[1]:.4g}", f"{fit.mu0 / mu0[1]:.4g}", stable_stretches(fit),
-                      style=ranked_style(fit, best))
+                      style=_ranked_style(fit, best))
     return table
+
+
+def _error_unit(best: Fit) -> tuple[str, float]:
+    """Unit of the root mean square errors of a ranking, and its size in SI; a force where all tests have one."""
+    return ("N", 1.0) if best.RMSE_N is not None or best.RMSE_Pa is None else pressure_unit(best.RMSE_Pa)
+
+
+def _ranked_name(fit: Fit, best: Fit) -> str:
+    """The law, with a star where it is the best usable one: without a usable law there is a first one, and no best."""
+    return f"{fit.law} *" if fit is best and fit.unusable is None else fit.law
+
+
+def _ranked_style(fit: Fit, best: Fit) -> str | None:
+    """Style of a row of the ranking."""
+    return "bold" if fit is best and fit.unusable is None else None
+
+
+def _share_of_variance(fit: Fit) -> str:
+    """R2."""
+    return f"{fit.R2:.5f}" if fit.R2 > -1 else f"{fit.R2:.3g}"
 
 
 def _parameter_table(fits: Sequence[Fit]) -> Table:
@@ -106,9 +121,17 @@ def _parameter_table(fits: Sequence[Fit]) -> Table:
             pair = fit.intervals95.get(name) if error else None
             interval = "" if pair is None else " to ".join(_fixed(end, digits) for end in pair)
             table.add_row(f"{'  ' if len(fits) > 1 else ''}{name}",
-                          f"{_fixed(value, digits)}{spread}{f' {unit}' if unit else ''}{remark_on_error(fit, name)}",
+                          f"{_fixed(value, digits)}{spread}{f' {unit}' if unit else ''}{_remark_on_error(fit, name)}",
                           f"{interval}{' (cut)' if name in fit.interval_notes else ''}")
     return table
+
+
+def _remark_on_error(fit: Fit, name: str) -> str:
+    """Why a parameter has no standard error, in brackets; empty where it has one."""
+    error = fit.standard_errors.get(name)
+    if error is None:
+        return f" ({'on its bound' if name in fit.on_bound else 'not determined'})"
+    return "" if error else " (fixed)"
 
 
 def _decimals(value: float, error: float | None) -> int | None:
@@ -141,7 +164,7 @@ def _unpredicted(predictions: Sequence[Prediction]) -> Iterator[str]:
     """Why there is no prediction."""
     for p in predictions:
         if p.percent is None:
-            yield f"{p.law} does not predict {p.test}: {p.note}"
+            yield f"{p.law} does not predict {p.test}: {p.note or 'the law does not carry the specimen so far'}"
 
 
 def _size(error: float, test: Test) -> str:
@@ -149,19 +172,22 @@ def _size(error: float, test: Test) -> str:
     return f"{error / size:.3g} {unit}"
 
 
-def _untold(fits: Sequence[Fit]) -> Iterator[str]:
-    """What cut an interval, and what these tests do not tell."""
+def _undetermined(fits: Sequence[Fit]) -> Iterator[str]:
+    """What cut an interval, and what these tests do not determine."""
     for fit in fits:
         cuts = [f"{name} {shorten(note, _NOTE_WIDTH, placeholder=' ...')}"
                 for name, profile in fit.profiles.items() for note in profile.notes]
         if cuts:
             yield f"{fit.law}: intervals that are cut: {'; '.join(cuts)}"
         if fit.not_identifiable:
-            told = "; ".join(suggestion_in_words(s, fit) for s in fit.suggestions) or "no further test is known to help"
-            yield f"{fit.law}: not identifiable from these tests: {', '.join(fit.not_identifiable)}; {told}"
+            advice = "; ".join(suggestion_in_words(each, fit) for each in fit.suggestions)
+            if fit.fem_solves and not advice:
+                advice = "no further test is known to help"
+            yield (f"{fit.law}: not identifiable from these tests: {', '.join(fit.not_identifiable)}"
+                   f"{f'; {advice}' if advice else ''}")
         elif fit.directions:
-            told = f"; {suggestion_in_words(fit.suggestions[0], fit)}" if fit.suggestions else ""
-            yield f"{fit.law}: told poorly: {'; '.join(direction_in_words(d) for d in fit.directions)}{told}"
+            advice = f"; {suggestion_in_words(fit.suggestions[0], fit)}" if fit.suggestions else ""
+            yield f"{fit.law}: poorly determined: {'; '.join(direction_in_words(d) for d in fit.directions)}{advice}"
 
 
 def _misfits(fits: Sequence[Fit], tests: Mapping[str, Test]) -> Iterator[str]:
@@ -195,7 +221,8 @@ def _basis(result: CalibrationResult, tests: Mapping[str, Test]) -> Iterator[str
         freedom = "stated" if jitter.freedom is None else f"from {counted(jitter.freedom, 'degree')} of freedom"
         scatter = (f"; between recordings {jitter.contact_mm:.2g} mm of contact, {jitter.zero_N:.2g} N of zero, "
                    f"{freedom}")
-    yield f"noise: {', '.join(parts)}{scatter}"
+    if parts:
+        yield f"noise: {', '.join(parts)}{scatter}"
     meshes = [f"{mesh.test} {mesh.largest_percent:.2g} %" for mesh in result.best.mesh if mesh.largest_percent]
     if meshes:
         yield f"accurate mesh minus fast mesh, corrected: {', '.join(meshes)}"

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from calibration.report.page import parameter_unit
-from scenes.text_table import text_table
+from scenes.commands.shared.text_table import text_table
 from tissue_sim.laws import find_law
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from scenes.catalogue import SCENES
-from scenes.parsing import Parser, at_least, between, interface, not_negative, positive
+from scenes.commands.shared.parsing import Parser, at_least, between, interface, not_negative, positive
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.tools.tool import (
     TOOLS,
@@ -19,6 +19,7 @@ from tissue_sim.experiment.tools.tool import (
 
 if TYPE_CHECKING:
     from tissue_sim import Experiment, Material, Protocol
+    from tissue_sim.experiment.contact_law import ContactLaw
     from tissue_sim.parameters import Declaration
 
 MOST_POINTS = 100_000
@@ -55,6 +56,8 @@ def add_experiment_flags(parser: Parser) -> None:
                           help=f"{face}: bonded, stick (no slip, can lift off), frictionless or a friction coefficient")
     tool.add_argument("--adhesion-N", type=positive, metavar="N", help="pull-off force of the tool's face")
     tool.add_argument("--adhesion-length-mm", type=positive, metavar="N", help="gap over which the adhesion acts")
+    tool.add_argument("--contact-law", action="append", default=[], metavar="NAME:KEY=N,...",
+                      help="a law of the contact beside these, from an installed package; once for each")
     tool.add_argument("--tilt-mm", type=positive, metavar="N", help="height difference across the tool's face")
 
 
@@ -64,7 +67,7 @@ def check_scene(name: str) -> None:
         raise InputError(f"unknown scene {name!r}{nearest(name, SCENES)}")
 
 
-def build_protocol(arguments) -> Protocol:
+def make_protocol(arguments) -> Protocol:
     """The motion: a plain ramp, or the segments of ``--protocol``.
 
     Raises:
@@ -80,7 +83,7 @@ def build_protocol(arguments) -> Protocol:
     return Protocol.parse(arguments.protocol, arguments.points, speed)
 
 
-def build_experiment(arguments, protocol: Protocol, material: Material) -> Experiment:
+def make_experiment(arguments, protocol: Protocol, material: Material) -> Experiment:
     """The scene with what the flags change in it.
 
     Raises:
@@ -116,11 +119,28 @@ def build_experiment(arguments, protocol: Protocol, material: Material) -> Exper
         from tissue_sim.experiment.adhesion import Adhesion
 
         changes["adhesion"] = Adhesion(arguments.adhesion_N, arguments.adhesion_length_mm * 1e-3)
+    if arguments.contact_law:
+        changes["contact_laws"] = [_contact_law(text) for text in arguments.contact_law]
     if arguments.tilt_mm is not None:
         changes["tilt"] = arguments.tilt_mm * 1e-3
     return scene.experiment(
         specimen=ts.Specimen(arguments.radius_mm * 1e-3, arguments.height_mm * 1e-3, **weight), protocol=protocol,
         tool=_tool(arguments, shape, profile, scene.tool), **changes)
+
+
+def _contact_law(text: str) -> ContactLaw:
+    """``tacky_film:tack_Pa=30,thickness_mm=0.3`` as a law of the contact."""
+    from tissue_sim.experiment.contact_law import CONTACT_LAWS
+    from tissue_sim.parameters import from_keys
+
+    name, _, rest = text.partition(":")
+    try:
+        content = {key.strip(): float(number) for key, _, number in
+                   (pair.partition("=") for pair in rest.split(",") if pair.strip())}
+    except ValueError:
+        raise InputError(f"{text!r} is not NAME:KEY=N,...; write it like adhesion:adhesion_N=0.02,"
+                         "adhesion_length_mm=0.1", field="--contact-law") from None
+    return from_keys(CONTACT_LAWS.find(name, "--contact-law"), content, f"--contact-law {name}")
 
 
 def _size(what: Declaration):

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from scenes.fit_table import print_analytical
-from scenes.inverse_fit_table import print_inverse
-from scenes.text_table import print_sentence
+from scenes.commands.calibrate.fits import print_fits
+from scenes.commands.shared.text_table import print_sentence
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -26,7 +25,7 @@ def print_results(results: Sequence[CalibrationResult], output: Path, console: C
     """
     for result in results:
         print_sentence(console, result.campaign.name)
-        (print_inverse if result.campaign.fit.method == "inverse_fem" else print_analytical)(result, console)
+        print_fits(result, console)
     for result in results:
         if result.resumed:
             _print_place(console, f"read back from {result.output}, nothing was fitted")

@@ -6,19 +6,18 @@ import sys
 from pathlib import Path
 
 from scenes.catalogue import SCENES
-from scenes.console import print_json, progress_console, results_console
-from scenes.experiment_flags import add_experiment_flags, build_experiment, build_protocol, check_scene
-from scenes.parsing import Parser, add_json, add_overwrite, new_file
-from scenes.replicates import add_rig_flags, build_rig, output_files, read_replicates
-from scenes.simulation_report import as_json, print_curve, print_solver
+from scenes.commands.shared.console import print_json, progress_console, results_console
+from scenes.commands.shared.experiment_flags import add_experiment_flags, check_scene, make_experiment, make_protocol
+from scenes.commands.shared.field_labels import LABELS
+from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, new_file
+from scenes.commands.shared.tissue_flags import add_solver_flags, check_solver
+from scenes.commands.simulate.replicates import add_rig_flags, make_rig, output_files, read_replicates
+from scenes.commands.simulate.report import as_json, print_curve, print_solver
 from tissue_sim.errors import ConvergenceError, InputError
 
 SUMMARY = "simulate a test and print force against displacement"
 EXAMPLE = ("tissue-sim simulate needle_indentation --material m.material.json --friction 0.7 --edge-radius-mm 0.25 "
            "--protocol 'ramp 10mm @0.248mm/s; hold 60s; unload' -o needle.csv")
-#: Names only, as help must answer at once. A test holds these against the fields.
-FIELDS = ("displacement", "von_mises", "cauchy_rr", "cauchy_zz", "cauchy_rz", "cauchy_hoop", "pressure", "energy", "J",
-          "stretch")
 FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
 
 
@@ -27,11 +26,10 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument("--material", type=Path, required=True, metavar="FILE", help="NAME.material.json")
     add_experiment_flags(parser)
     add_rig_flags(parser)
-    parser.add_argument("--resolution", choices=("fast", "accurate"), default="fast",
-                        help="fast: force within 1 %%; accurate: within 0.2 %% (default: fast)")
+    add_solver_flags(parser, ("fast", "accurate"))
     parser.add_argument("-o", dest="output", type=Path, metavar="CURVE.csv", help="write the curve as a recording")
     parser.add_argument("--figure", type=Path, metavar="F.png", help="draw the deformed mesh, coloured by --field")
-    parser.add_argument("--field", choices=FIELDS, help="colour of --figure (default: von_mises)")
+    parser.add_argument("--field", choices=tuple(LABELS), help="colour of --figure (default: von_mises)")
     add_overwrite(parser)
     add_json(parser)
     parser.set_defaults(run=run)
@@ -46,6 +44,7 @@ def run(arguments) -> int:
     new_file(arguments.figure, "--figure", overwrite=arguments.overwrite, suffixes=FIGURE_SUFFIXES)
     if arguments.field is not None and arguments.figure is None:
         raise InputError("a field colours a figure; add --figure F.png", field="--field")
+    check_solver(arguments.solver)
 
     import tissue_sim as ts
     from tissue_sim.recording.file import require_sidecar_place
@@ -53,32 +52,36 @@ def run(arguments) -> int:
 
     for path in outputs:
         require_sidecar_place(path)
-    protocol, rig = build_protocol(arguments), build_rig(arguments)
+    protocol, rig = make_protocol(arguments), make_rig(arguments)
     points = rig.readings(protocol.time)
     if outputs and points < MIN_POINTS:
         raise InputError(f"{points} points are too few for a recording; give at least {MIN_POINTS}, or leave out -o",
                          field="--points" if rig.sampling_rate is None else "--rig")
     material_file = ts.read_material_file(arguments.material)
 
-    from scenes.material_summary import doubts
+    from scenes.commands.material.summary import doubts
 
-    experiment = build_experiment(arguments, protocol, material_file.material)
+    experiment = make_experiment(arguments, protocol, material_file.material)
     # Readings are made below, once for each replicate; what the rig does to the motion is solved here.
     model = ts.Model(experiment, material_file.material, rig.motion_only)
     failure = None
     with progress_console(quiet=arguments.json).status("simulating") as status:
         try:
             recording = ts.simulate(model, resolution=arguments.resolution, fields=arguments.figure is not None,
+                                    solver=arguments.solver,
                                     progress=lambda done, of: status.update(describe(done, of)))
         except ConvergenceError as error:
             if error.recording is None:
                 raise
             recording, failure = error.recording, error
+    if arguments.figure is not None and recording.fields is None:
+        raise InputError(f"the solver {arguments.solver!r} has no fields to draw; leave the figure out",
+                         field="--figure")
     recordings = read_replicates(rig, recording, arguments.replicates)
     for path, written in zip(outputs, recordings, strict=bool(outputs)):
         ts.write_recording(written, path)
-    if arguments.figure is not None and recording.fields is not None:
-        from scenes.figures import draw_simulation
+    if arguments.figure is not None:
+        from scenes.commands.shared.figures import draw_simulation
 
         draw_simulation(recording, model, arguments.figure, field=arguments.field or "von_mises")
     reached = 1 - float(recording.displacement.max()) / experiment.specimen.height

@@ -1,0 +1,1 @@
+"""What several commands share: arguments, flags of an experiment, consoles, tables, pictures."""

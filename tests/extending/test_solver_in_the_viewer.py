@@ -1,0 +1,216 @@
+"""A solver from one file outside the packages in the viewer: no fields, a full pose, a full wrench.
+
+The session plays an oblique, turning path through a loop in its own process. What its trace keeps must be the wrench of
+the solver alone at each pose, and what is drawn must stand where the tool stands.
+"""
+
+import json
+import math
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import tissue_sim as ts
+from haptics.devices.back_ends import MOTIONS, open_motion
+from scenes.cli import main
+from scenes.viewer.frame import NullViewer, Phase
+from scenes.viewer.page import Page
+from scenes.viewer.page.readouts import readouts_html, status_html
+from scenes.viewer.scene import Scene
+from scenes.viewer.session import Session
+from scenes.viewer.shown_tissue import ShownTissue
+from tissue_sim.experiment.kinds.indentation import NEEDLE
+from tissue_sim.fem.solver import SOLVERS
+from tissue_sim.pose import Pose, motion
+
+MATERIAL = ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e3))
+CHANNELS = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
+#: As many points of the trace as show a path.
+ENOUGH = 40
+#: How deep the spiral goes, m.
+AXIS_DEPTH = 0.8 * 4e-3
+
+
+@pytest.fixture
+def spring(plugin, registers):
+    module = plugin("spring_solver")
+    registers(SOLVERS, module.SpringSolver, "spring")
+    return module
+
+
+@pytest.fixture
+def spiral(plugin, registers):
+    module = plugin("spiral_motion")
+    registers(MOTIONS, module.open_spiral, "spiral")
+    return open_motion("spiral:reach_mm=4")
+
+
+@pytest.fixture
+def scene(spring):
+    experiment = NEEDLE.experiment(specimen=ts.Specimen(0.04, 0.07), protocol=ts.Protocol.ramp(4e-3, 9))
+    return Scene(NEEDLE, experiment, MATERIAL, solver="spring")
+
+
+def until(look, fits, seconds=120.0):
+    """Look again and again until what is seen fits, and return that."""
+    deadline = time.monotonic() + seconds
+    while not fits(seen := look()):
+        assert time.monotonic() < deadline, f"this is still so: {seen}"
+        time.sleep(0.005)
+    return seen
+
+
+@pytest.fixture
+def shown(scene, spiral, monkeypatch):
+    """The session, a frame when the tool has been in and out and the trace has so many points of that, and all ticks of
+    the loop up to then."""
+    # No step ends for want of time: the same poses give the same wrenches.
+    monkeypatch.setattr("scenes.viewer.live_simulation.BUDGET", None)
+    session, viewer, problems, caught = Session(scene, real_time=False), NullViewer(), [], []
+    try:
+        until(session.frame, lambda frame: frame.phase is not Phase.STARTING)
+        ring = session.simulation.process.ring()
+        session.post("follow", device=spiral, reply=problems.append)
+
+        def seen():
+            viewer.show(session.frame())
+            caught.append(ring.since(caught[-1].number if caught else 0))
+            return viewer.latest
+
+        def fits(frame):
+            trace = frame.curves.trace
+            return (problems and len(trace) >= ENOUGH and trace.depth.max() > 0.95 * AXIS_DEPTH
+                    and trace.branches()[1] is not None and frame.snapshot.depth > 1e-3)
+
+        frame = until(seen, fits)
+        ring.close()
+        assert not any(ticks.lost for ticks in caught)
+        yield session, frame, np.concatenate([ticks.records for ticks in caught])
+    finally:
+        session.close()
+    assert problems == [None]
+
+
+def test_pose_and_wrench_come_unchanged_into_the_trace(spring, scene, shown):
+    """Every pose of the loop, in a simulator of this process: the slider's way depends on all of them."""
+    _, frame, ticks = shown
+    twin, wrenches = ts.Simulator(scene.model, solver="spring"), {}
+    for at, pose in zip(ticks["time"].tolist(), ticks["tool_pose"].tolist(), strict=True):
+        wrenches[at] = twin.step(Pose(tuple(pose[:3]), tuple(pose[3:])), 1e-3).wrench
+    trace = frame.curves.trace
+    expected = np.array([wrenches[at] for at in trace.time.tolist()])
+    np.testing.assert_allclose(trace.wrench, expected, rtol=0, atol=1e-12 * abs(expected).max())
+    np.testing.assert_array_equal(trace.force, trace.wrench[:, 2])
+    assert abs(expected).max(axis=0).min() > 1e-6, "every component is in use"
+    assert np.hypot(*expected[:, :2].T).max() == pytest.approx(spring.LIMIT), "the slider has given way"
+
+
+def test_the_path_is_that_of_the_motion(shown, plugin):
+    """Along an oblique line, turning about it, as far as the way along it says."""
+    axis, trace = np.array(plugin("spiral_motion").AXIS), shown[1].curves.trace
+    way = trace.pose[:, :3] @ axis
+    half = 0.5 * 2 * math.pi * 40.0 * way
+    np.testing.assert_allclose(trace.pose[:, :3], way[:, None] * axis, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(trace.pose[:, 3:], np.column_stack([np.cos(half), np.sin(half)[:, None] * axis]), rtol=0,
+                               atol=1e-12)
+    np.testing.assert_array_equal(trace.depth, -trace.pose[:, 2])
+    assert np.ptp(trace.pose, axis=0).min() > 1e-3
+
+
+def test_what_was_felt_is_saved_with_its_wrench(shown):
+    trace = shown[1].curves.trace
+    recording = trace.recording({"name": "spiral"})
+    np.testing.assert_array_equal(np.stack([recording.channel(name) for name in CHANNELS], axis=1), trace.wrench)
+
+
+def test_what_is_drawn(spring, shown):
+    """The tool at its full pose, the triangles of the surface as they are, and the force along z in the read-outs."""
+    _, frame, _ = shown
+    snapshot = frame.snapshot
+    assert snapshot.fields is None and snapshot.datum == 0.0
+    vertices, triangles = spring.SpringSurface().triangles()
+    np.testing.assert_allclose(frame.surface.vertices, vertices, rtol=1e-7)
+    np.testing.assert_array_equal(frame.surface.faces, triangles)
+    x, y, _, *turn = motion(Pose.at_depth(0.0), snapshot.pose)
+    assert math.hypot(x, y) > 1e-6 and math.hypot(*turn) > 1e-6, "oblique and turned"
+    assert f'data-testid="force">{frame.readouts.force:.3f}<' in readouts_html(frame)
+    assert "device" in status_html(frame)
+
+
+def test_the_page_draws_it(shown, tmp_path):
+    """Without a browser: what the nodes of the page's picture hold."""
+    session, frame, _ = shown
+    page = Page(session, frame, tmp_path, port=0)
+    try:
+        solid = page._solid
+        assert solid.show(frame, page._look.look)
+        pose = frame.snapshot.pose
+        tool = solid._tool_frame
+        np.testing.assert_allclose(tool.position, solid.scale * np.array(pose.position), rtol=1e-12)
+        np.testing.assert_allclose(tool.wxyz, pose.orientation, rtol=1e-12)
+        np.testing.assert_allclose(solid._force_frame.wxyz, [1, 0, 0, 0])
+        assert solid._surface.visible and not any(band.visible for band in solid._bands)
+        assert solid.levels is None, "no colours where there is no field"
+        assert not solid.show(frame, page._look.look), "what has not changed is not sent again"
+        empty = frame.surface._replace(vertices=frame.surface.vertices[:0], faces=frame.surface.faces[:0])
+        for surface in (empty, None):
+            assert solid.show(replace(frame, surface=surface), page._look.look)
+            assert not solid._surface.visible and solid._tool.visible, "the tool alone"
+    finally:
+        page.close()
+
+
+def test_empty_triangles_are_published(spring, scene, monkeypatch):
+    """A solver may have no surface to show: the board holds a snapshot without numbers."""
+    from haptics.loop.shared_slots import unused_path
+    from haptics.loop.snapshot_board import SnapshotBoard, SnapshotReader
+
+    monkeypatch.setattr(spring.SpringSurface, "triangles", lambda surface, segments=48: ([], []))
+    tissue = ShownTissue(scene.model, solver="spring")
+    pose = Pose((1e-3, 2e-3, -3e-3), (math.cos(0.1), 0.0, math.sin(0.1), 0.0))
+    tissue.step(pose, 1e-3)
+    pattern, path = tissue.snapshot(), unused_path("empty")
+    with SnapshotBoard(path, pattern) as board:
+        board.publish(0.5, pattern)
+        with SnapshotReader(path, pattern) as reader:
+            published = reader.latest()
+    assert published.snapshot.pose == pose and published.snapshot.fields.states.shape == (0, 3)
+
+
+@pytest.mark.parametrize("words", [
+    ["simulate", "needle_indentation", "--material", "{material}", "--depth-mm", "2"],
+    ["loop", "--seconds", "0.2", "--no-real-time", "--motion", "spiral:reach_mm=2"],
+    ["view", "--headless", "--seconds", "0.5", "--no-real-time", "--protocol", "ramp 1mm @20mm/s; hold 1s"],
+], ids=lambda words: words[0])
+def test_the_commands_take_its_name(words, spring, spiral, capsys, tmp_path):
+    path = tmp_path / "m.material.json"
+    ts.write_material_file(ts.MaterialFile.of(MATERIAL), path)
+    words = [word.format(material=path) for word in words]
+    assert main([*words, "--solver", "spring", "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    if words[0] == "simulate":
+        stiffness = spring.STIFFNESS[2, 2]
+        np.testing.assert_allclose(answer["force_N"], stiffness * np.array(answer["displacement_mm"]) * 1e-3, rtol=1e-9)
+    elif words[0] == "loop":
+        assert answer["largest_force_N"] > 0.1
+    else:
+        depth, force = (np.array(answer[name]) for name in ("displacement_mm", "force_N"))
+        assert depth.max() == pytest.approx(1.0, abs=1e-6)
+        assert answer["phase"] == "running" and len(force) > 3
+
+
+@pytest.mark.parametrize("words", [["simulate", "needle_indentation", "--material", "m"],
+                                   ["loop"], ["view"], ["serve", "--material", "m"]], ids=lambda words: words[0])
+def test_a_solver_that_is_not_there_is_refused(words, spring, capsys):
+    assert main([*words, "--solver", "sprung"]) == 2
+    assert capsys.readouterr().err == "tissue-sim: --solver: unknown solver 'sprung'; did you mean 'spring'?\n"
+
+
+def test_a_figure_of_a_solver_without_fields_is_refused(spring, capsys, tmp_path):
+    material, figure = tmp_path / "m.material.json", tmp_path / "f.png"
+    ts.write_material_file(ts.MaterialFile.of(MATERIAL), material)
+    assert main(["simulate", "needle_indentation", "--material", str(material), "--depth-mm", "1", "--solver", "spring",
+                 "--figure", str(figure)]) == 2
+    assert "'spring' has no fields to draw" in capsys.readouterr().err and not figure.exists()
