@@ -1,6 +1,7 @@
 """A tissue that knows all six directions goes through loop, multi-rate and server with its wrench unchanged."""
 
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from haptics.server.client import TissueClient
 from haptics.server.server import TissueServer
 from haptics.server.steps import StepService
 from haptics.server.wire import Request, Status, decode_reply, encode_request
+from scenes.viewer.live_simulation import LiveSimulation
 from tissue_sim.pose import Pose
 from tissue_sim.tool_force import ForceStatus
 
@@ -61,6 +63,30 @@ def test_through_a_loop_in_its_own_process(toy, motion, ticks_of):
     same(ticks["tissue_wrench"], expected)
     same(ticks["wrench"], expected)
     same(ticks["stiffness_matrix"][-1], toy.stiffness())
+
+
+def test_through_what_the_viewer_sees(toy, motion, monkeypatch):
+    """The loop of a viewer: what is felt is the tissue's wrench; there is no mesh to show."""
+    class OfToy(LoopProcess):
+        def __init__(self, _, *others):
+            super().__init__(toy.ToyTissue, *others)
+
+    monkeypatch.setattr("scenes.viewer.live_simulation.LoopProcess", OfToy)
+    simulation, tissue, ticks = LiveSimulation(None, motion, real_time=False), toy.ToyTissue(), 0
+    try:
+        deadline = time.monotonic() + 300.0
+        while ticks < 400:
+            assert time.monotonic() < deadline, simulation.message
+            time.sleep(0.02)
+            records = simulation.poll()
+            if records is not None and len(records):
+                poses = [Pose(tuple(each[:3]), tuple(each[3:])) for each in records["tool_pose"].tolist()]
+                same(records["tissue_wrench"], [tissue.step(pose, DT).wrench for pose in poses])
+                ticks += len(records)
+        assert simulation.readouts.depth == -poses[-1].position[2] and simulation.snapshot is None
+        assert simulation.readouts.force == records["tissue_wrench"][-1, 2]
+    finally:
+        simulation.close()
 
 
 def test_through_rendering_the_energy_is_that_of_all_six_directions(toy, path):

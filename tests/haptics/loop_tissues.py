@@ -55,6 +55,13 @@ class Gel(Spring):
         return Snapshot(Pose.at_depth(depth), 0.0, gel_fields(self.stiffness, [[depth, 2 * depth]]))
 
 
+class Bare(Spring):
+    """A tissue whose solver has no fields to show."""
+
+    def snapshot(self):
+        return Snapshot(Pose.at_depth(0.0), 0.0, None)
+
+
 def gel_fields(material, states, stresses=None):
     empty = np.zeros(0)
     return Fields(None, material, 0.0, np.array(states), empty, empty, empty, empty, stresses)

@@ -216,6 +216,79 @@ def test_tissue_that_gives_way_faster_than_the_coupling_lets_the_tool_through():
     assert path[-1] == pytest.approx(6e-3)
 
 
+# ---- all three directions ----
+
+#: An oblique unit vector, and a turned device.
+OBLIQUE, TURNED = np.array([0.48, -0.6, 0.64]), (0.6, 0.0, 0.8, 0.0)
+
+
+def tissue_at(proxy, stiffness, inertial=False):
+    """A linear tissue, N/m, shape (3, 3), that is at rest at the origin; with a torque."""
+    force = -stiffness @ np.array(proxy.position)
+    matrix = np.zeros((6, 6))
+    matrix[:3, :3] = stiffness
+    return ToolForce((*force.tolist(), 0.1, 0.2, -0.3), tuple(map(tuple, matrix.tolist())), ForceStatus.CONVERGED,
+                     inertial=inertial)
+
+
+def follow(coupling, places, stiffness, **options):
+    """Positions of the proxy, m, and forces on the device, N, for positions of the device, shape (n, 3)."""
+    answer, proxies, forces = None, [], []
+    for place in places:
+        proxy = coupling.step(Pose(tuple(place), TURNED), answer, TICK)
+        answer = tissue_at(proxy, stiffness, **options)
+        proxies.append(proxy.position)
+        forces.append(coupling.force)
+    return np.array(proxies), np.array(forces)
+
+
+@pytest.mark.parametrize("inertial", [False, True])
+def test_it_is_the_same_in_every_direction(inertial):
+    """Along an oblique line, on a tissue that resists along it: as along z."""
+    ways = 3e-3 * np.sin(0.05 * np.arange(300))
+    by_axis = []
+    for axis in (np.array([0.0, 0.0, 1.0]), OBLIQUE):
+        coupling = VirtualCoupling(1500.0, 2.0, 2e-3)
+        proxies, forces = follow(coupling, ways[:, None] * axis, 900.0 * np.outer(axis, axis), inertial=inertial)
+        np.testing.assert_allclose(np.cross(proxies, axis), 0.0, atol=1e-15)
+        by_axis.append((proxies @ axis, forces @ axis, coupling.dissipated))
+    for along_z, oblique in zip(*by_axis, strict=True):
+        np.testing.assert_allclose(oblique, along_z, rtol=1e-9, atol=1e-15)
+
+
+@given(st.integers(0, 10**6), st.floats(1.0, 1e6), st.floats(100.0, 1e4), st.floats(0.0, 5.0))
+@settings(deadline=None, max_examples=30)
+def test_on_a_full_stiffness_it_comes_to_rest_in_balance(seed, largest, stiffness, damping):
+    """Any symmetric positive definite tissue, soft or as good as rigid, shear coupled with pressure."""
+    mixed = np.random.default_rng(seed).normal(size=(3, 3))
+    tissue = mixed @ mixed.T
+    tissue *= largest / np.linalg.norm(tissue, 2)
+    device = 4e-3 * OBLIQUE
+    # The slowest way to rest is that of the damper against the spring alone.
+    ticks = 200 + math.ceil(40 * damping / stiffness / TICK)
+    places = np.vstack([np.zeros(3), np.tile(device, (ticks, 1))])
+    proxies, forces = follow(VirtualCoupling(stiffness, damping), places, tissue)
+    rest = np.linalg.solve(tissue + stiffness * np.eye(3), stiffness * device)
+    np.testing.assert_allclose(proxies[-1], rest, atol=1e-9)
+    np.testing.assert_allclose(forces[-1], stiffness * (rest - device), atol=1e-5)
+    assert np.abs(proxies).max() < 5e-3
+
+
+def test_a_tissue_that_gives_way_aslant_does_not_throw_the_proxy():
+    """Resists with 800 N/m but along one oblique line, along which it gives way with 400 N/m, less than the spring."""
+    tissue = 800.0 * np.eye(3) - 1200.0 * np.outer(OBLIQUE, OBLIQUE)
+    device = 1e-3 * OBLIQUE
+    proxies, _ = follow(VirtualCoupling(1000.0, 1.0), np.vstack([np.zeros(3), np.tile(device, (400, 1))]), tissue)
+    np.testing.assert_allclose(proxies[-1], device * 1000.0 / 600.0, rtol=1e-6)
+    ways = proxies @ OBLIQUE
+    assert (np.diff(ways) > -1e-12).all()
+
+
+def test_rotation_is_rigid():
+    proxy = VirtualCoupling(1000.0).step(Pose((0.0, 0.0, 0.0), TURNED), None, TICK)
+    assert proxy.orientation == TURNED
+
+
 @pytest.mark.parametrize("values", [(0.0,), (math.nan,), (100.0, -1.0), (100.0, 1.0, math.inf)])
 def test_couplings_that_couple_nothing_are_refused(values):
     with pytest.raises(InputError, match="give"):

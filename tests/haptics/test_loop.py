@@ -420,8 +420,9 @@ def test_snapshots_are_published_and_follow_the_material(tissues):
     assert not path.exists()
 
 
-def test_who_publishes_no_snapshots_has_none(tissues):
-    with tissues.loop_process(seconds=0.05) as loop:
+@pytest.mark.parametrize(("tissue", "rate"), [("Gel", 0.0), ("Spring", 30.0), ("Bare", 30.0)])
+def test_who_publishes_no_snapshots_has_none(tissues, tissue, rate):
+    with tissues.loop_process(getattr(tissues, tissue), seconds=0.05, snapshot_rate=rate) as loop:
         loop.wait_until_ready(300)
         assert loop.snapshots() is None and loop.pattern is None
 

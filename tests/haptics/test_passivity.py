@@ -182,6 +182,37 @@ def test_controller_only_ever_takes_energy(samples, damping):
         last = depth
 
 
+def turned(angle, place=(0.0, 0.0, 0.0)):
+    """About an oblique axis, rad."""
+    return Pose(place, (math.cos(angle / 2), 0.6 * math.sin(angle / 2), 0.0, 0.8 * math.sin(angle / 2)))
+
+
+def test_torque_does_work_along_the_rotation():
+    """A spring of 0.4 N m/rad turned by 0.5 rad, and 3 N sideways over 2 mm on the way."""
+    observer = PassivityObserver()
+    for share in np.linspace(0.0, 1.0, 51):
+        torque = -0.4 * 0.5 * share
+        observer.observe((-3.0, 0.0, 0.0, 0.6 * torque, 0.0, 0.8 * torque), turned(0.5 * share, (2e-3 * share, 0, 0)))
+    assert observer.energy == pytest.approx(0.4 * 0.5**2 / 2 + 3.0 * 2e-3)
+    assert observer.energy_out == 0.0
+
+
+def test_controller_pushes_against_the_motion_in_any_direction():
+    observer = PassivityObserver(held=True)
+    controller = PassivityController(observer, damping=5.0)
+    observer.observe((0.6, 0.0, 0.8, 0.0, 0.0, 0.0), Pose((0.0, 0.0, 0.0)))
+    assert controller.force(Pose((0.6e-3, 0.0, 0.8e-3)), TICK) == pytest.approx((-0.6, 0.0, -0.8))
+    assert controller.added == pytest.approx(1.0)
+
+
+def test_a_pose_that_is_no_number_is_left_out():
+    observer = PassivityObserver()
+    for wrench, pose in (((math.nan,) * 6, turned(0.0)), ((1.0,) * 6, turned(math.nan)),
+                         ((1.0,) * 6, turned(0.0)), ((1.0,) * 6, turned(math.nan)), ((1.0,) * 6, turned(0.1))):
+        observer.observe(wrench, pose)
+    assert observer.energy == pytest.approx(-(0.6 + 0.8) * 0.1)
+
+
 def test_settings_that_mean_nothing_are_refused():
     with pytest.raises(InputError, match="tolerance"):
         PassivityObserver(tolerance=math.nan)

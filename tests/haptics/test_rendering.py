@@ -204,3 +204,15 @@ def test_reset_and_instances_of_their_own():
     assert run(one, Spring(), path) != first
     one.reset()
     assert run(one, Spring(), path) == first
+
+
+@pytest.mark.parametrize("coupled", [False, True])
+def test_torque_goes_to_the_hand_and_a_turned_device_turns_the_tool(coupled):
+    rendering = ForceRendering(generous(), VirtualCoupling(1500.0, 1.0) if coupled else None)
+    device = Pose((1e-3, 2e-3, -3e-3), (0.6, 0.0, 0.8, 0.0))
+    tool = rendering.pose_for(device, DT)
+    assert tool == device
+    answer = ToolForce((0.1, 0.2, 0.3, 0.04, 0.05, 0.06), ((0.0,) * 6,) * 6, ForceStatus.CONVERGED)
+    rendered = rendering.render(answer, DT)
+    assert rendered.wrench[3:] == answer.wrench[3:]
+    assert coupled or rendered.wrench == answer.wrench
