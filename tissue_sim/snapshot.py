@@ -69,15 +69,6 @@ class Snapshot:
         place[:, -1] -= self.datum
         return place
 
-
-@runtime_checkable
-class ShownTissue(Tissue, Protocol):
-    """A tissue that others may look at between its steps: a `Simulator`, or what stands in for one."""
-
-    def snapshot(self) -> Snapshot:
-        """The whole tissue at the last equilibrium, with its fields."""
-
-
     def arrays(self) -> tuple[np.ndarray, ...]:
         """What is another one in another snapshot of this tissue, beside pose and datum; empty where nothing is."""
         shown = self._shown
@@ -104,6 +95,14 @@ class ShownTissue(Tissue, Protocol):
     @property
     def _shown(self) -> Skin | SharedFields | None:
         return self.skin or (self.fields if isinstance(self.fields, SharedFields) else None)
+
+
+@runtime_checkable
+class ShownTissue(Tissue, Protocol):
+    """A tissue that others may look at between its steps: a `Simulator`, or what stands in for one."""
+
+    def snapshot(self) -> Snapshot:
+        """The whole tissue at the last equilibrium, with its fields."""
 
 
 def snapshot(solver: Solver) -> Snapshot:
