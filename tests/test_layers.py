@@ -119,6 +119,8 @@ def test_wheel_holds_exactly_the_four_packages(tmp_path):
                          if name.endswith("entry_points.txt"))
     assert {name.split("/")[0] for name in places} == set(PACKAGES)
     assert {name for name in places if name.endswith(".py")} == {place(path) for path in SOURCES}
+    # For the type checkers of programs that use them.
+    assert {f"{package}/py.typed" for package in PACKAGES} <= places
     assert entry_points.split() == ["[console_scripts]", "tissue-sim", "=", "scenes.cli:main"]
     assert not list((ROOT / "tests").rglob("__init__.py"))
 

@@ -32,9 +32,13 @@ def follow_parent(grace: float = 0.0, clean_up: Callable[[], None] | None = None
         grace: how long this process has then to end by itself, s.
         clean_up: called before the process is ended.
     """
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        raise RuntimeError("this process has no parent; call follow_parent in a process that multiprocessing started")
+
     def wait() -> None:
         # A parent that is killed cannot end its children; this waits without taking a turn of the interpreter.
-        multiprocessing.parent_process().join()
+        parent.join()
         time.sleep(grace)
         if clean_up is not None:
             clean_up()

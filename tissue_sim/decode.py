@@ -135,7 +135,7 @@ def _choices_at(kind: Any, place: str) -> list[str]:
     """What the text at a dotted place may be."""
     info = _type_at(kind, place)
     options = info.types if isinstance(info, UnionType) else (info,)
-    return [choice for option in options if isinstance(option, LiteralType) for choice in option.values]
+    return [str(choice) for option in options if isinstance(option, LiteralType) for choice in option.values]
 
 
 def _type_at(kind: Any, place: str) -> Any:

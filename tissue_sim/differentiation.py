@@ -90,17 +90,20 @@ class _Watch:
     def __init__(self, pairs: list):
         self._pairs = pairs
         self._derivatives: Derivatives | None = None
-        self.exact = False
         self.rates: list[np.ndarray] = []
         self.kinks: list[bool] = []
 
+    @property
+    def exact(self) -> bool:
+        return self._derivatives is not None
+
     def begin(self, solver: Solver) -> None:
         self._derivatives = solver.differentiate(self._pairs)
-        self.exact = self._derivatives is not None
 
     def sample(self, solver: Solver, factor: float) -> None:
-        self.rates.append(factor * self._derivatives.force if self.exact else np.zeros(0))
-        self.kinks.append(self.exact and self._derivatives.pop_changed())
+        derivatives = self._derivatives
+        self.rates.append(np.zeros(0) if derivatives is None else factor * derivatives.force)
+        self.kinks.append(derivatives is not None and derivatives.pop_changed())
 
 
 def _exact(model: Model, parameter: Parameter) -> bool:

@@ -102,7 +102,7 @@ def declaration(entry: Field) -> Declaration | None:
 
 def declared(kind: type) -> dict[str, Declaration]:
     """Field -> what it declares, of a dataclass, in order."""
-    return {entry.name: found for entry in fields(kind) if (found := declaration(entry)) is not None}
+    return {entry.name: what for entry in fields(kind) if (what := declaration(entry)) is not None}
 
 
 def parameters(part: Any) -> dict[str, Parameter]:
@@ -245,15 +245,15 @@ def _parameters_of(part: Any, place: str) -> Iterator[Parameter]:
         for name, (what, number) in part.own_parameters().items():
             yield Parameter(place + name, what, number, type(part))
     for entry in fields(part):
-        what = declaration(entry)
-        if what is not None:
+        stated = declaration(entry)
+        if stated is not None:
             content = getattr(part, entry.name)
-            content = what.words.get(content, content) if isinstance(content, str) else content
+            content = stated.words.get(content, content) if isinstance(content, str) else content
             if isinstance(content, Real) and not isinstance(content, bool):
-                yield Parameter(place + entry.name, what, float(content), type(part))
+                yield Parameter(place + entry.name, stated, float(content), type(part))
 
 
-def _changed(part: Any, tree: Mapping[str | int, Any]) -> Any:
+def _changed(part: Any, tree: Mapping[Any, Any]) -> Any:
     if isinstance(part, tuple):
         return tuple(_changed(item, tree[index]) if index in tree else item for index, item in enumerate(part))
     if isinstance(part, Mapping):

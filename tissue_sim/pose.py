@@ -59,6 +59,18 @@ class Pose:
         return math.isfinite(sum(self.position) + sum(self.orientation))
 
 
+def scaled(factor: float, screw: Screw) -> Screw:
+    """A screw times a number."""
+    x, y, z, u, v, w = screw
+    return (factor * x, factor * y, factor * z, factor * u, factor * v, factor * w)
+
+
+def added(one: Screw, other: Screw) -> Screw:
+    """The sum of two screws."""
+    (x, y, z, u, v, w), (a, b, c, d, e, f) = one, other
+    return (x + a, y + b, z + c, u + d, v + e, w + f)
+
+
 def motion(start: Pose, end: Pose) -> Screw:
     """From one pose to another: translation, m, and rotation vector, rad, both in the frame of the scene."""
     (x0, y0, z0), (x1, y1, z1) = start.position, end.position
@@ -97,7 +109,10 @@ def _relative(start: Quaternion, end: Quaternion) -> Quaternion:
     """The rotation that takes one orientation to another, the shorter way round."""
     w, x, y, z = start
     relative = _product(end, (w, -x, -y, -z))
-    return relative if relative[0] >= 0.0 else tuple(-part for part in relative)
+    if relative[0] >= 0.0:
+        return relative
+    w, x, y, z = relative
+    return (-w, -x, -y, -z)
 
 
 def _product(left: Quaternion, right: Quaternion) -> Quaternion:

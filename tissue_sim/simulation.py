@@ -14,7 +14,7 @@ from tissue_sim.fem.solver import SOLVERS, Solver, Step, StepStatus
 from tissue_sim.laws import check_stability
 from tissue_sim.material.effect import ReducedForce
 from tissue_sim.model import Model
-from tissue_sim.pose import Pose, Screw, between
+from tissue_sim.pose import Pose, Screw, between, scaled
 from tissue_sim.recording.recording import Recording
 from tissue_sim.tilt import tilted
 
@@ -75,7 +75,9 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
     tissue = SOLVERS.find(solver, "solver")(model, resolution=resolution, mesh=mesh, topology=topology)
     if watch:
         watch.begin(tissue)
-    wrenches, travels, samples = [], [], []
+    wrenches: list[Screw] = []
+    travels: list[float] = []
+    samples: list[Any] = []
     report = {"newton_iterations": 0, "cuts": 0, "residual": 0.0, **tissue.report(),
               "resolution": "own mesh" if mesh is not None else resolution}
     if "self_weight" in report:
@@ -185,7 +187,7 @@ class _Drive:
     def arrive(self, wrench: Screw, dt: float) -> Screw:
         """The tool has come to a sample with this wrench, dt s after the one before; returns what is left of it."""
         share = self._reduced.go(self._solver.pose.depth, dt)
-        wrench = tuple(share * part for part in wrench)
+        wrench = scaled(share, wrench)
         self._train.note(self.travel, wrench[2])
         return wrench
 

@@ -13,9 +13,9 @@ from tissue_sim.material.effect import ReducedForce, ToolHistory
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.parameters import with_values
-from tissue_sim.pose import Pose, Screw, between, motion
+from tissue_sim.pose import Pose, Screw, between, motion, scaled
 from tissue_sim.snapshot import Snapshot, snapshot
-from tissue_sim.tool_force import ForceStatus, Matrix, ToolForce, axial_stiffness, axial_wrench, pose_of
+from tissue_sim.tool_force import ForceStatus, Matrix, ToolForce, axial_stiffness, axial_wrench, carried_on, pose_of
 
 #: Unbalanced over balanced forces at which an equilibrium is one.
 TOLERANCE = 1e-6
@@ -143,7 +143,7 @@ class Simulator:
             step = self._solver.step(replace(pose, position=(x, y, z - way * self._radius)), 1e-3,
                                      tolerance=self.tolerance)
             spent.append((time.perf_counter() - started) / (1 + step.iterations))
-            self._elastic = step.stiffness_matrix
+            self._elastic = _stiffness_of(step)
         self._solve_time = min(spent)
         self.restore(replace(saved, elastic=self._elastic))
         self._start = replace(self._start, elastic=self._elastic)
@@ -198,7 +198,7 @@ class Simulator:
             share = min(1.0, part / way) if way else 1.0
             # The last part ends where the tool is, without rounding.
             target, dt = between(here, pose, share), share * self._waiting
-            if resumes:
+            if resumes and self._attempt is not None:
                 target, dt = self._attempt
             # Across a change of contact extrapolation leads astray.
             order = min(2, solver.unchanged) if extrapolates else 0
@@ -246,17 +246,16 @@ class Simulator:
 
     def _carried_on(self, wrench: Screw, way: Screw) -> Screw:
         """The wrench of the last equilibrium a little further on; tissue that cannot pull at the tool does not."""
-        wrench = tuple(force - sum(k * step for k, step in zip(row, way, strict=True))
-                       for force, row in zip(wrench, self._elastic, strict=True))
+        wrench = carried_on(wrench, self._elastic, way)
         return wrench if self._pulls or wrench[2] > 0.0 else _AT_REST.wrench
 
     def _take(self, step: Step, dt: float, inertial: bool) -> None:
         """Keep what an equilibrium answers."""
         left = self._reduced.go(self._solver.pose.depth, dt)
-        wrench, stiffness = step.wrench, step.stiffness_matrix
+        wrench, stiffness = step.wrench, _stiffness_of(step)
         if left != 1.0:
-            wrench, stiffness = tuple(left * part for part in wrench), tuple(
-                tuple(left * part for part in row) for row in stiffness)
+            a, b, c, d, e, f = (scaled(left, row) for row in stiffness)
+            wrench, stiffness = scaled(left, wrench), (a, b, c, d, e, f)
         self._equilibrium = _Equilibrium(wrench, stiffness, inertial)
         if not inertial:
             self._elastic = stiffness
@@ -309,6 +308,13 @@ class Simulator:
     def snapshot(self) -> Snapshot:
         """The whole tissue at the last equilibrium, with its fields."""
         return snapshot(self._solver)
+
+
+def _stiffness_of(step: Step) -> Matrix:
+    """Raises TypeError: the solver breaks its contract."""
+    if step.stiffness_matrix is None:
+        raise TypeError("the solver was asked for stiffness, and its step has none; see Solver.ask_for_stiffness")
+    return step.stiffness_matrix
 
 
 def _require_same_layers(before: Material, after: Material) -> None:

@@ -58,4 +58,4 @@ class Specimen:
     @property
     def specific_weight(self) -> float:
         """Density times gravity, N/m3; 0 where self-weight is left out."""
-        return self.density * self.gravity if self.gravity else 0.0
+        return self.density * self.gravity if self.density else 0.0

@@ -25,6 +25,14 @@ def axial_stiffness(stiffness: float) -> Matrix:
     return (_NONE, _NONE, (0.0, 0.0, stiffness, 0.0, 0.0, 0.0), _NONE, _NONE, _NONE)
 
 
+def carried_on(wrench: Screw, stiffness: Matrix, way: Screw) -> Screw:
+    """The wrench a little further on the way, m and rad, as the stiffness says."""
+    x, y, z, u, v, w = way
+    a, b, c, d, e, f = [part - (row[0] * x + row[1] * y + row[2] * z + row[3] * u + row[4] * v + row[5] * w)
+                        for part, row in zip(wrench, stiffness, strict=True)]
+    return (a, b, c, d, e, f)
+
+
 class ForceStatus(IntEnum):
     """How the force of a step came about; every number but that of a refused pose is the best that is known."""
 

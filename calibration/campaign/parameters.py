@@ -173,7 +173,7 @@ def check_values(table: FitTable, named: Mapping[str, Named]) -> None:
         what = named[name].declaration
         widest = tuple(end / what.factor for end in what.bounds)
         low, high = table.bounds.get(name, widest)
-        if low < widest[0] * (1 - 1e-12) or high > widest[1] * (1 + 1e-12):
+        if low < widest[0] - 1e-12 * abs(widest[0]) or high > widest[1] + 1e-12 * abs(widest[1]):
             raise InputError(f"[{low:g}, {high:g}] is wider than what a model may have; give bounds within "
                              f"[{widest[0]:g}, {widest[1]:g}]", field=f"fit.bounds.{name}")
         if not low <= value <= high:

@@ -170,7 +170,7 @@ def _rescaled(problem: Problem, theta: np.ndarray) -> np.ndarray:
     space = problem.space
     moduli = np.array([space.is_modulus(name) for name in space.free])
     fixed = any(space.is_modulus(name) for name in space.fixed)
-    if fixed or not moduli.any() or not all(test.proportional for test in problem.tests):
+    if fixed or not moduli.any() or not space.of_material_alone or not all(test.proportional for test in problem.tests):
         return theta
     # Without offsets and zeros, which far from the minimum would make up for a wrong size.
     residual, rates = problem.bare(theta)

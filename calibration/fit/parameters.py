@@ -111,6 +111,26 @@ class ParameterSpace:
         """Names of the parameters that have the unit of a pressure."""
         return tuple(each.name for each in self.unknowns if each.is_modulus)
 
+    @property
+    def of_material_alone(self) -> bool:
+        """Whether all of them are the material's, the same in all tests."""
+        return all(each.of_material and each.tests is None and each.recording is None for each in self.unknowns)
+
+    def mark(self, test: str, recording: str) -> str | None:
+        """The recording where something has a value of its own in it; None where it is like the others of its test."""
+        return recording if any(each.recording == recording and each.acts_in(test, recording)
+                                for each in self.unknowns) else None
+
+    def shapes_mesh(self, test: str) -> bool:
+        """Whether a free number of a test moves the nodes of its mesh."""
+        return any(each.declaration.shapes_mesh and each.name in self.free and each.acts_in(test, None)
+                   for each in self.unknowns)
+
+    def before_moving(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Values with the geometry that the fit begins with, whose mesh is moved."""
+        return {**values, **{each.name: self.start[each.name] for each in self.unknowns
+                             if each.declaration.shapes_mesh and each.name in self.start}}
+
     def unknown(self, name: str) -> Unknown:
         """The number of that name."""
         return next(each for each in self.unknowns if each.name == name)

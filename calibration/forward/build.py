@@ -42,7 +42,8 @@ def build_problem(law: str, campaign: Campaign, measured: Mapping[str, Sequence[
     Args:
         law: its name. campaign: what is asked. measured: test -> its recordings. solves: what has been simulated.
     """
-    space = ParameterSpace.of(law, campaign)
+    names = {test: [curve.name for curve in curves] for test, curves in measured.items()}
+    space = ParameterSpace.of(law, campaign, names)
     fitted = [test for test in campaign.tests if not test.hold_out]
     jitter = first_jitter(campaign, [curve for test in fitted for curve in measured[test.name]])
     tests = tuple(build_test(test, measured[test.name], campaign.fit.material, jitter.contact) for test in fitted)

@@ -28,15 +28,16 @@ class ClosedAnswer:
 
     Attributes:
         space: of the parameters. law, values: the strain energy and its parameters, shape (m,).
-        free: places in `values` of the free parameters of the law, and their places among the free ones.
-        named: all parameters. material: None where only the law counts.
+        free: places of the free parameters of the law in `values` and among the free ones.
+        named: all parameters. recording: whose they are; None: those of all. material: None where only the law counts.
     """
 
     space: ParameterSpace
     law: Law
     values: np.ndarray
-    free: tuple[list[int], list[int]]
+    free: list[tuple[int, int]]
     named: dict[str, float]
+    recording: str | None
     material: Material | None
 
 
@@ -85,33 +86,44 @@ class ClosedTest:
         """Of strain and nominal stress under load."""
         return self.kind.sign
 
-    def solve(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> ClosedAnswer:
+    def solve(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> list[ClosedAnswer]:
         """As `ForwardTest.solve`; nothing is computed yet."""
-        law, values = find_law(space.law), space.values(theta)
-        free = [name for name in space.free if name in law.parameters]
-        places = [law.parameters.index(name) for name in free], [space.free.index(name) for name in free]
+        values, answers = space.values(theta), {}
+        marks = [space.mark(self.name, curve.name) for curve in self.measured]
+        for mark in marks:
+            if mark not in answers:
+                answers[mark] = self._answer(space, values, mark)
+        return [answers[mark] for mark in marks]
+
+    def _answer(self, space: ParameterSpace, values: dict[str, float], recording: str | None) -> ClosedAnswer:
+        law = find_law(space.law)
+        free = [(law.parameters.index(each.path), place) for place, each in enumerate(map(space.unknown, space.free))
+                if each.of_law and each.acts_in(self.name, recording)]
         material = None
         if len(space.names) > len(law.parameters):
             try:
-                material = space.material(values)
+                material = space.material(values, test=self.name, recording=recording)
             except InputError as error:
                 raise InfeasibleError(f"{self.name}: {error}") from None
-            material = material if material.remembers else None
-        return ClosedAnswer(space, law, np.array([values[name] for name in law.parameters]), places, values, material)
+        numbers = values if material is None else material.parameters
+        return ClosedAnswer(space, law, np.array([numbers[name] for name in law.parameters]), free, values, recording,
+                            material if material is not None and material.remembers else None)
 
-    def evaluate(self, answer: ClosedAnswer, recording: int, offset: float):
+    def evaluate(self, answers: list[ClosedAnswer], recording: int, offset: float):
         """As `ForwardTest.evaluate`."""
+        answer = answers[recording]
         if answer.material is None:
             return self._finite(answer, *self._elastic(answer, self.measured[recording].displacement - offset))
         return self._finite(answer, *self._remembering(answer, recording, offset))
 
-    def evaluate_all(self, answer: ClosedAnswer, offsets: np.ndarray, contact: bool):
-        """As `evaluate`, of all recordings behind one another, shapes (n,), (n, p), (n,).
+    def evaluate_all(self, answers: list[ClosedAnswer], offsets: np.ndarray, contact: bool):
+        """As `evaluate`, of all recordings behind one another with one material, shapes (n,), (n, p), (n,).
 
         Args:
-            answer: of `solve`. offsets: of the contact of each recording, m, shape (recordings,).
+            answers: of `solve`. offsets: of the contact of each recording, m, shape (recordings,).
             contact: whether the derivative with the offset is asked for; None where it is not.
         """
+        answer = answers[0]
         if answer.material is None:
             moved = [curve.displacement - offset for curve, offset in zip(self.measured, offsets, strict=True)]
             return self._finite(answer, *self._elastic(answer, np.concatenate(moved), contact))
@@ -143,8 +155,9 @@ class ClosedTest:
     def _as_force(self, answer: ClosedAnswer, stress: np.ndarray, derivatives: np.ndarray, slope: np.ndarray | None):
         """Force and derivatives of nominal stress, its derivatives with the law's parameters and with the offset."""
         rates = np.zeros((stress.size, len(answer.space.free)))
-        ours, theirs = answer.free
-        rates[:, theirs] = derivatives[:, ours]
+        if answer.free:
+            ours, theirs = zip(*answer.free, strict=True)
+            rates[:, theirs] = derivatives[:, ours]
         factor = self.sign * self.area
         return factor * stress, factor * rates, None if slope is None else factor * slope
 
@@ -158,7 +171,7 @@ class ClosedTest:
         rates = np.full((force.size, len(answer.space.free)), np.nan)
         relaxing = self._divides and not material.effects and material.softening is None and (
             material.poroelasticity is None and material.instantaneous_factor == 1.0)
-        exact = self._relaxing_rates(answer, recording, offset) if relaxing else {}
+        exact = self._relaxing_rates(answer, recording, offset) if relaxing and answer.space.of_material_alone else {}
         for k, name in enumerate(answer.space.free):
             rates[:, k] = exact[name] if name in exact else self._difference(answer, recording, offset, k, force)
         if not contact:
@@ -179,12 +192,13 @@ class ClosedTest:
         with np.errstate(all="ignore"):
             elastic, relaxing = history.parts(law, answer.values, np.concatenate([prony.tau, prony.tau + step,
                                                                                   prony.tau - step]))
-            for name in answer.space.free:
-                if law.units.get(name, "1") != "1":
-                    alone = [float(other == name) if law.units[other] != "1" else value
+            for unknown in map(answer.space.unknown, answer.space.free):
+                name, path = unknown.name, tokens(unknown.path)
+                if unknown.of_law and law.units[unknown.path] != "1":
+                    alone = [float(other == unknown.path) if law.units[other] != "1" else value
                              for other, value in zip(law.parameters, answer.values.tolist(), strict=True)]
                     rates[name] = factor * history.nominal_stress(law, np.array(alone), prony)
-                elif name not in law.units and "terms" in (path := tokens(name)):
+                elif "terms" in path:
                     i = path[-2]
                     rates[name] = factor * (relaxing[:, i] - elastic) if path[-1] == "g" else \
                         factor * prony.g[i] * (relaxing[:, count + i] - relaxing[:, 2 * count + i]) / (2 * step[i])
@@ -197,7 +211,8 @@ class ClosedTest:
         size, ends = float(space.sizes(values)[place]), []
         for step in (_RATE_WIDTH * size, -_RATE_WIDTH * size):
             try:
-                material = space.material(values | {name: values[name] + step})
+                material = space.material(values | {name: values[name] + step}, test=self.name,
+                                          recording=answer.recording)
                 ends.append((self._history_force(material, recording, offset), step))
             except InputError:
                 # At the end of what a material may have: to one side.

@@ -5,13 +5,12 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
-from calibration.fit.parameters import ParameterSpace
+from calibration.fit.parameters import ParameterSpace, Unknown
 from calibration.forward.contract import InfeasibleError, Reached
 from calibration.forward.motion import Course, Loading, Timed
 from calibration.forward.solves import SimulatedCurve, Solves, content_key
@@ -21,6 +20,7 @@ from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.model import Model
+from tissue_sim.parameters import with_values
 from tissue_sim.recording.recording import Recording
 from tissue_sim.rig.rig import Rig
 from tissue_sim.simulation import simulate
@@ -28,6 +28,21 @@ from tissue_sim.specimen import Specimen
 
 #: Shares of the volume that are stretched less, or more, than what counts as the range of the data.
 _TAIL = 0.01
+#: Width of a difference with what a rig does to readings, relative.
+_READING_WIDTH = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedAnswer:
+    """Simulated forces.
+
+    Attributes:
+        courses: of force and derivatives, of each recording. space, values: the parameters that they belong to.
+    """
+
+    courses: list[Course]
+    space: ParameterSpace
+    values: dict[str, float]
 
 
 @dataclass(eq=False)
@@ -80,20 +95,19 @@ class SimulatedTest:
         """Of the specimen, m."""
         return self.specimen.height
 
-    def solve(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> list[Course]:
-        """The course of force and derivatives, (n, 1 + p), along each motion, with the correction.
-
-        Raises:
-            InfeasibleError: no such material, or no convergence.
-        """
-        values = space.values(theta)
-        answer = []
-        for number, motion in enumerate(self.motions):
-            force, rates = self._simulated(space, values, solves, motion, "fast")
-            if self.correction:
-                force = force + self.correction[number]
-            answer.append(motion.through(np.column_stack([force, rates])))
-        return answer
+    def solve(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> SimulatedAnswer:
+        """As `ForwardTest.solve`: the course of force and derivatives along each motion, with the correction."""
+        values, courses, chosen = space.values(theta), {}, []
+        for measured, number in zip(self.measured, self.motion_of, strict=False):
+            key = number, space.mark(self.name, measured.name)
+            if key not in courses:
+                motion = self.motions[number]
+                force, rates = self._simulated(space, values, solves, motion, "fast", key[1])
+                if self.correction:
+                    force = force + self.correction[number]
+                courses[key] = motion.through(np.column_stack([force, rates]))
+            chosen.append(courses[key])
+        return SimulatedAnswer(chosen, space, values)
 
     def refine(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> float:
         """Compute what the accurate mesh has more at these parameters, and keep it as the correction.
@@ -128,61 +142,88 @@ class SimulatedTest:
         return force if way is motion else motion.at_knots(way.through(force[:, None]))[:, 0]
 
     def _simulated(self, space: ParameterSpace, values: dict[str, float], solves: Solves, motion: Loading | Timed,
-                   resolution: str) -> tuple[np.ndarray, np.ndarray]:
+                   resolution: str, recording: str | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Force, shape (k,), and derivatives with the free parameters, shape (k, p); none of the accurate mesh."""
-        factor = 1.0
-        if self.proportional:
+        factor, proportional = 1.0, self.proportional and space.of_material_alone
+        if proportional:
             values, factor = space.normalised(values)
-        names: Sequence[str] = () if resolution == "accurate" else space.free
-        experiment = self._experiment(motion)
-        key = content_key(experiment, self.rig.motion_only, space.law, values, space.bulk, list(names), resolution)
+        try:
+            model = self._model(space, values, motion, recording)
+            topology = self._model(space, space.before_moving(values), motion, recording) \
+                if space.shapes_mesh(self.name) else None
+        except InputError as error:
+            raise InfeasibleError(f"{self.name}: {error}") from None
+        acting = {} if resolution == "accurate" else {
+            place: each.path for place, each in enumerate(map(space.unknown, space.free))
+            if each.acts_in(self.name, recording) and not self._reads(each, values)}
+        key = content_key(model, topology, list(acting.values()), resolution)
         curve = solves.find(key)
         if curve is None:
-            curve = _simulate(space, values, experiment, self.rig.motion_only, names, resolution)
+            curve = _simulate(model, topology, list(acting.values()), resolution)
             solves.count(self.name, resolution)
             solves.keep(key, curve)
         if curve.problem:
             raise InfeasibleError(f"{self.name}: {curve.problem}")
         force = factor * np.array(curve.force)
-        scale = np.array([1.0 if self.proportional and space.is_modulus(name) else factor for name in names])
-        return force, np.array(curve.rates).reshape(force.size, len(names)) * scale
+        rates = np.zeros((force.size, 0 if resolution == "accurate" else len(space.free)))
+        if acting:
+            scale = [1.0 if proportional and space.unknown(space.free[place]).is_modulus else factor
+                     for place in acting]
+            rates[:, list(acting)] = np.array(curve.rates).reshape(force.size, len(acting)) * scale
+        return force, rates
 
-    def evaluate(self, answer: list[Course], recording: int, offset: float):
-        """Force (n,), derivatives (n, p) and derivative with the contact offset (n,) at the samples of a recording."""
-        measured, number = self.measured[recording], self.motion_of[recording]
-        motion, time = self.motions[number], measured.time
-        if isinstance(motion, Timed):
-            # Motions that count as one may have begun at different times of their clocks.
-            time = time - measured.time[0] + motion.sampled_from
-        values, rate = answer[number](time, measured.displacement, offset)
-        force, gain = values[:, 0], 1.0 + self.rig.sensor_gain
-        if self.rig.latency:
+    def _model(self, space: ParameterSpace, values: dict[str, float], motion: Loading | Timed,
+               recording: str | None) -> Model:
+        """What is simulated: the rig only moves the tool."""
+        model = space.model(values, self._experiment(motion), self.rig, test=self.name, recording=recording)
+        return replace(model, rig=model.rig.motion_only)
+
+    def _reads(self, unknown: Unknown, values: dict[str, float]) -> bool:
+        """Whether it is a number of the rig that leaves the motion of the tool alone."""
+        if not unknown.path.startswith("rig."):
+            return False
+        path, value = unknown.path.removeprefix("rig."), values[unknown.name]
+        return with_values(self.rig, {path: value + _away(value)}).motion_only == with_values(
+            self.rig, {path: value}).motion_only
+
+    def evaluate(self, answer: SimulatedAnswer, recording: int, offset: float):
+        """As `ForwardTest.evaluate`."""
+        measured, rig = self.measured[recording], self._rig(answer, recording)
+        values, rate = answer.courses[recording](self._time(recording), measured.displacement, offset)
+        simulated, gain = values[:, 0], 1.0 + rig.sensor_gain
+        if rig.latency:
             columns = np.column_stack([values, rate])
-            late = np.column_stack([np.interp(measured.time - self.rig.latency, measured.time, column)
+            late = np.column_stack([np.interp(measured.time - rig.latency, measured.time, column)
                                     for column in columns.T])
             values, rate = late[:, :-1], late[:, -1]
-        if self.reading is not None:
-            channels = {"displacement": measured.displacement, "force": force}
-            if measured.time is not None:
-                channels["time"] = measured.time
-            force = self.reading.read(Recording(channels)).force
-        return force, gain * values[:, 1:], gain * rate
+        force, rates = _read(rig, measured, simulated), gain * values[:, 1:]
+        for place, name in enumerate(answer.space.free):
+            unknown = answer.space.unknown(name)
+            if unknown.acts_in(self.name, measured.name) and self._reads(unknown, answer.values):
+                path, value = unknown.path.removeprefix("rig."), answer.values[name]
+                width = _away(value)
+                # One-sided: many faults cannot be less than absent.
+                rates[:, place] = (_read(with_values(rig, {path: value + width}), measured, simulated) - force) / width
+        return force, rates, gain * rate
 
-    def scan(self, answer: list[Course], recording: int, offsets: np.ndarray) -> np.ndarray:
+    def scan(self, answer: SimulatedAnswer, recording: int, offsets: np.ndarray) -> np.ndarray:
         """Force at the samples of a recording for these contact offsets, m, shape (n, offsets)."""
-        if self.reading is not None or self.rig.latency:
+        if not self._rig(answer, recording).reading_only.ideal:
             return np.column_stack([self.evaluate(answer, recording, offset)[0] for offset in offsets])
-        measured, number = self.measured[recording], self.motion_of[recording]
-        motion, time = self.motions[number], measured.time
-        if isinstance(motion, Timed):
-            time = time - measured.time[0] + motion.sampled_from
-        return answer[number].forces(time, measured.displacement, offsets)
+        measured = self.measured[recording]
+        return answer.courses[recording].forces(self._time(recording), measured.displacement, offsets)
 
-    @cached_property
-    def reading(self) -> Rig | None:
-        """The rig as far as it reads forces; None where it reads them as they are."""
-        rig = self.rig.reading_only
-        return None if rig.ideal else rig
+    def _time(self, recording: int) -> np.ndarray | None:
+        """Of the samples, on the clock of their motion: motions that count as one may have begun at other times."""
+        motion, time = self.motions[self.motion_of[recording]], self.measured[recording].time
+        return time - time[0] + motion.sampled_from if isinstance(motion, Timed) else time
+
+    def _rig(self, answer: SimulatedAnswer, recording: int) -> Rig:
+        """The rig of a recording, with what is fitted of it."""
+        if answer.space.of_material_alone:
+            return self.rig
+        motion, name = self.motions[self.motion_of[recording]], self.measured[recording].name
+        return answer.space.model(answer.values, self._experiment(motion), self.rig, test=self.name, recording=name).rig
 
     def reached(self, space: ParameterSpace, theta: np.ndarray) -> Reached:
         """Of the volume, without a hundredth at either end."""
@@ -191,9 +232,11 @@ class SimulatedTest:
             low = 1 - deepest / self.height
             return Reached(self.closed_form.mode, low, 1.0, self.closed_form.extremes(low, 1.0))
         points = max(3, self.motions[0].protocol.time.size // 2)
+        values = space.values(theta)
         experiment = replace(self.experiment, protocol=Protocol.ramp(deepest, points))
         try:
-            fields = simulate(Model(experiment, space.material(space.values(theta))), fields=True).fields
+            model = space.model(values, experiment, Rig(), test=self.name)
+            fields = simulate(model, fields=True).fields
         except (ConvergenceError, InputError):
             return _of_volume(1 - deepest / self.height, 1.0)
         F = fields.deformation_gradient()
@@ -206,19 +249,33 @@ class SimulatedTest:
         return replace(self.experiment, protocol=motion.protocol)
 
 
-def _simulate(space: ParameterSpace, values: dict[str, float], experiment: Experiment, rig: Rig,
-              names: Sequence[str], resolution: str) -> SimulatedCurve:
+def _simulate(model: Model, topology: Model | None, names: Sequence[str], resolution: str) -> SimulatedCurve:
     began = clock.process_time()
     try:
-        model = Model(experiment, space.material(values), rig)
         if names:
-            answer = sensitivities(model, names, resolution=resolution)
+            answer = sensitivities(model, names, resolution=resolution, topology=topology)
             force, rates = answer.recording.force, answer.values
         else:
-            force, rates = simulate(model, resolution=resolution).force, np.zeros((0, 0))
+            force, rates = simulate(model, resolution=resolution, topology=topology).force, np.zeros((0, 0))
     except (ConvergenceError, InputError) as error:
         return SimulatedCurve([], [], str(error), clock.process_time() - began)
     return SimulatedCurve(force.tolist(), rates.tolist(), "", clock.process_time() - began)
+
+
+def _read(rig: Rig, measured: MeasuredCurve, force: np.ndarray) -> np.ndarray:
+    """What the rig makes of forces at the samples of a recording."""
+    reading = rig.reading_only
+    if reading.ideal:
+        return force
+    channels = {"displacement": measured.displacement, "force": force}
+    if measured.time is not None:
+        channels["time"] = measured.time
+    return reading.read(Recording(channels)).force
+
+
+def _away(value: float) -> float:
+    """Width of a difference with a number of the rig's readings, on which these depend almost linearly."""
+    return _READING_WIDTH * (abs(value) or 1.0)
 
 
 def _of_volume(low: float, high: float) -> Reached:

@@ -48,9 +48,12 @@ def material_file(fit: Fit, result: CalibrationResult, measured: Mapping[str, Se
                   method: str) -> MaterialFile:
     """The material of a fit with its uncertainty, valid range and provenance."""
     campaign = result.campaign
-    law, space = find_law(fit.law), ParameterSpace.of(fit.law, campaign)
-    # Of the bulk response the schema keeps no standard error.
-    kept = [i for i, name in enumerate(fit.covariance.order) if not name.startswith("bulk.")]
+    law = find_law(fit.law)
+    space = ParameterSpace.of(fit.law, campaign, {name: [curve.name for curve in curves]
+                                                  for name, curves in measured.items()})
+    # Of the bulk response the schema keeps no standard error; experiment and rig are no part of a material.
+    kept = [i for i, name in enumerate(fit.covariance.order) if not name.startswith("bulk.")
+            and space.unknown(name).of_material and space.unknown(name).name == space.unknown(name).path]
     order = [fit.covariance.order[i] for i in kept]
     errors = {name: error for name, error in fit.standard_errors.items() if error is not None and name in order}
     # The covariance of the others holds for a parameter that stays on its bound, as it does for a fixed one.

@@ -7,9 +7,15 @@ from html import escape
 
 from calibration.fit.fit import Fit
 from calibration.report.drawing import as_data_uri, draw_formula, natural_width
+from tissue_sim.experiment.experiment import Adhesion, Experiment
+from tissue_sim.experiment.tools.tool import TOOLS
 from tissue_sim.laws import find_law
 from tissue_sim.laws.law import Law
 from tissue_sim.material.parts import find_declaration
+from tissue_sim.parameters import declared
+from tissue_sim.rig.fault import FAULTS
+from tissue_sim.rig.rig import Rig
+from tissue_sim.specimen import Specimen
 
 _STYLE = """
 :root { color-scheme: light; }
@@ -99,8 +105,17 @@ def plus_minus(error: float | None) -> str:
 
 
 def parameter_unit(law: Law, name: str) -> str:
-    """SI unit of a parameter of a law, or of another of the material by its path; empty for a number."""
-    unit = law.units.get(name) or find_declaration(name.partition("@")[0])[1].unit
+    """SI unit of a parameter of a law, or of another of the model by its path; empty for a number."""
+    path = name.partition("@")[0]
+    if path in law.units:
+        unit = law.units[path]
+    elif path.startswith(("experiment.", "rig.")):
+        kinds = (Specimen, *TOOLS.values(), Adhesion, Experiment) if path.startswith("experiment.") else (
+            Rig, *FAULTS.values())
+        known = [declared(kind)[last] for kind in kinds if (last := path.rpartition(".")[2]) in declared(kind)]
+        unit = known[0].unit if known else "1"
+    else:
+        unit = find_declaration(path)[1].unit
     return "" if unit == "1" else unit
 
 

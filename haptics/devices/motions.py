@@ -188,7 +188,7 @@ def open_random(text: str) -> RandomWalk:
     """``random:depth_mm=10,lift=0.2,top_speed_mm_s=200,seed=0``; `lift` is a share of the depth."""
     given = read_settings(text, depth_mm=10.0, lift=_LIFT, top_speed_mm_s=200.0, seed=0)
     depth = given["depth_mm"] * 1e-3
-    return RandomWalk(given["seed"], depth, -given["lift"] * depth, given["top_speed_mm_s"] * 1e-3)
+    return RandomWalk(int(given["seed"]), depth, -given["lift"] * depth, given["top_speed_mm_s"] * 1e-3)
 
 
 def open_sine(text: str) -> SineMotion:

@@ -20,6 +20,7 @@ from haptics.safety.rendering import ForceRendering
 from tissue_sim.child_process import follow_parent
 from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError
 from tissue_sim.registry import register_all
+from tissue_sim.snapshot import ShownTissue
 from tissue_sim.tool_force import Tissue
 
 #: Errors that are a sentence for the user, and no fault of the program.
@@ -86,20 +87,21 @@ def _loop(connection: Connection, parts: LoopParts, files: LoopFiles) -> LoopRep
         if hasattr(tissue, "warm_up"):
             _say(connection, "doing", "loading the solver (a machine's first run compiles it, about 20 s)")
             tissue.warm_up()
-        snapshots = None
-        pattern = tissue.snapshot() if settings.snapshot_rate and hasattr(tissue, "snapshot") else None
-        if pattern is not None and pattern.fields is not None:
-            snapshots = stack.enter_context(SnapshotBoard(files.snapshots, pattern))
-            _say(connection, "pattern", pattern)
+        snapshots = shown = None
+        if settings.snapshot_rate and isinstance(tissue, ShownTissue):
+            pattern = tissue.snapshot()
+            if pattern.arrays():
+                shown, snapshots = tissue, stack.enter_context(SnapshotBoard(files.snapshots, pattern))
+                _say(connection, "pattern", pattern)
         loop = Loop(tissue, parts.device, parts.rendering, settings, ring, snapshots=snapshots,
-                    listen=lambda loop: _listen(loop, connection, tissue if snapshots else None))
+                    listen=lambda loop: _listen(loop, connection, shown))
         # Last, so that nobody holds a device that waits for a compiler.
         parts.device.start()
         _say(connection, "ready")
         return loop.run()
 
 
-def _listen(loop: Loop, connection: Connection, shown: Tissue | None) -> None:
+def _listen(loop: Loop, connection: Connection, shown: ShownTissue | None) -> None:
     """Do what the parent has asked for.
 
     Args:
@@ -111,9 +113,8 @@ def _listen(loop: Loop, connection: Connection, shown: Tissue | None) -> None:
             try:
                 COMMANDS[command](loop, **values)
                 if command == "set_parameters" and shown is not None:
-                    fields = shown.snapshot().fields
                     # Not the whole pattern: its arrays would take a good part of a tick.
-                    connection.send(("changed", {name: getattr(fields, name) for name in fields.OF_THE_MATERIAL}))
+                    connection.send(("changed", shown.snapshot().of_the_material()))
                 connection.send(("answer", ""))
             except (InputError, DeviceError) as error:
                 connection.send(("answer", str(error)))

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 from tissue_sim.errors import InputError
-from tissue_sim.pose import Pose, Screw, Vector, motion
-from tissue_sim.tool_force import ForceStatus, Matrix, Tissue, ToolForce, pose_of
+from tissue_sim.pose import Pose, Screw, Vector, added, motion, scaled
+from tissue_sim.tool_force import ForceStatus, Matrix, Tissue, ToolForce, carried_on, pose_of
 
 _NO_WRENCH: Screw = (0.0,) * 6
 _NO_STIFFNESS: Matrix = (_NO_WRENCH,) * 6
@@ -39,9 +39,7 @@ class LocalModel:
 
     def evaluate(self, pose: Pose) -> Screw:
         """Wrench at a pose, N and N m."""
-        x, y, z, u, v, w = motion(self.pose, pose)
-        return tuple([part - (row[0] * x + row[1] * y + row[2] * z + row[3] * u + row[4] * v + row[5] * w)
-                      for part, row in zip(self.wrench, self.stiffness_matrix, strict=True)])
+        return carried_on(self.wrench, self.stiffness_matrix, motion(self.pose, pose))
 
 
 #: Before the first model, and after one that is too old: no wrench.
@@ -85,8 +83,7 @@ class SlowSolver:
         if answer.status is ForceStatus.REFUSED or not answer.is_finite:
             return None
         made, last = time, self._last or _NONE
-        error = max(_size(_difference(model.evaluate(where), answer.wrench)[:3])
-                    for model in (last, self._before or last))
+        error = max(math.dist(model.evaluate(where)[:3], answer.wrench[:3]) for model in (last, self._before or last))
         if self._last is not None:
             # A force without equilibrium lies on the last model's own line and says nothing about its error.
             converged = answer.status is ForceStatus.CONVERGED
@@ -182,20 +179,16 @@ class LocalModelBlend:
         if any(self.offset):
             self.offset = _shrunk(self.offset[:3], self.jump) + _shrunk(self.offset[3:], self.torque_jump)
         self._pose = pose
-        self._wrench = tuple([a + b for a, b in zip(self._model.evaluate(pose), self.offset, strict=True)])
+        self._wrench = added(self._model.evaluate(pose), self.offset)
         return self._answer(ForceStatus.LATE if math.isfinite(self._model.time) else ForceStatus.STOPPED)
 
     def _change_to(self, model: LocalModel):
         self._model = model
         if self._pose is not None:
-            self.offset = _difference(self._wrench, model.evaluate(self._pose))
+            self.offset = added(self._wrench, scaled(-1.0, model.evaluate(self._pose)))
 
     def _answer(self, status: ForceStatus) -> ToolForce:
         return ToolForce(self._wrench, self._model.stiffness_matrix, status, age=self.age, pose=self._model.pose)
-
-
-def _difference(one: Screw, other: Screw) -> Screw:
-    return tuple([a - b for a, b in zip(one, other, strict=True)])
 
 
 def _size(vector: Vector) -> float:
@@ -208,4 +201,5 @@ def _shrunk(vector: Vector, step: float) -> Vector:
     if size <= step:
         return (0.0, 0.0, 0.0)
     # The direction first: along an axis it is 1.
-    return tuple([part - part / size * step for part in vector])
+    x, y, z = vector
+    return (x - x / size * step, y - y / size * step, z - z / size * step)

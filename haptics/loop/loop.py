@@ -18,12 +18,13 @@ from haptics.loop.snapshot_board import SnapshotBoard
 from haptics.loop.ticker import Quantiles, Ticker, TimeHistogram
 from haptics.safety.rendering import ForceRendering, RenderFlag
 from tissue_sim.errors import InputError
+from tissue_sim.snapshot import ShownTissue
 from tissue_sim.tool_force import ForceStatus, Tissue
 
 #: How often the loop looks for commands, s.
 LISTEN_EVERY = 0.01
 #: Bits of the flags of a tick, by name.
-_FLAGS = {flag.value: flag.name.lower() for flag in RenderFlag} | {PAUSED: "paused"}
+_FLAGS = {flag.value: name.lower() for name, flag in RenderFlag.__members__.items()} | {PAUSED: "paused"}
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,7 @@ class Loop:
         rendering: from the device's pose to the tool's, and from the tissue's wrench to the device's.
         settings: see there.
         ring: where every tick goes.
-        snapshots: where the whole tissue goes; None: nowhere.
+        snapshots: where the whole tissue goes, if it can be shown; None: nowhere.
         listen: called between ticks every `LISTEN_EVERY` s, with this loop; it may pause, reset and stop it.
         clock, sleep: as of `Ticker`.
     """
@@ -130,7 +131,8 @@ class Loop:
                  listen: Callable[[Loop], None] | None = None, clock: Callable[[], int] = time.monotonic_ns,
                  sleep: Callable[[float], None] = time.sleep):
         self._tissue, self._device, self._rendering = tissue, device, rendering
-        self._settings, self._ring, self._listen, self._snapshots = settings, ring, listen, snapshots
+        self._settings, self._ring, self._listen = settings, ring, listen
+        self._shown = (tissue, snapshots) if snapshots is not None and isinstance(tissue, ShownTissue) else None
         self._ticker = Ticker(settings.period, spin=settings.spin, clock=clock, sleep=sleep)
         self._compute_time = TimeHistogram()
         self._statuses = [0] * len(ForceStatus)
@@ -158,16 +160,16 @@ class Loop:
         settings, ticker, ring = self._settings, self._ticker, self._ring
         last = math.inf if settings.seconds is None else round(settings.seconds / settings.period)
         listen_every = max(round(LISTEN_EVERY / settings.period), 1)
-        snapshot_every = None if self._snapshots is None else settings.ticks_between_snapshots
-        next_snapshot = 0 if snapshot_every else math.inf
+        shown, every, next_snapshot = self._shown, settings.ticks_between_snapshots, 0
         with real_time(settings.real_time) as features:
             ticker.start()
             while ticker.number < last and not self._ended_by:
                 lateness = ticker.wait()
                 self._tick(lateness * 1e-9, ring)
-                if ticker.number >= next_snapshot:
-                    next_snapshot = ticker.number + snapshot_every
-                    self._snapshots.publish(self._now * 1e-9, self._tissue.snapshot())
+                if shown and every and ticker.number >= next_snapshot:
+                    next_snapshot = ticker.number + every
+                    tissue, board = shown
+                    board.publish(self._now * 1e-9, tissue.snapshot())
                 if self._listen is not None and ticker.ticks % listen_every == 0:
                     self._listen(self)
             seconds = self._now * 1e-9

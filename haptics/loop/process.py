@@ -8,7 +8,6 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -231,10 +230,9 @@ class LoopProcess:
 
     def stop(self) -> LoopReport | None:
         """End the process, by force where it does not end by itself. Returns its report, None where there is none."""
-        if self._process is None:
-            return None
+        connection = self._connection
         with suppress(LoopError, InputError, OSError):  # it has died: there is nothing to stop
-            while not self._ready and self._connection.poll():
+            while connection is not None and not self._ready and connection.poll():
                 self._read(0.0)
             if self._ready and self.report is None:
                 self.ask("stop")
@@ -255,17 +253,18 @@ class LoopProcess:
         Raises:
             InputError, LoopError: it has ended without a report.
         """
-        if self._process is None:
+        process, connection = self._process, self._connection
+        if process is None or connection is None:
             raise LoopError("the loop was not started")
         with self._lock:
             if self.report is not None:
                 return
             if self._failure is None:
                 try:
-                    if self._connection.poll(timeout):
-                        self._take(*self._connection.recv())
+                    if connection.poll(timeout):
+                        self._take(*connection.recv())
                 except (EOFError, OSError):
-                    self._process.join(PATIENCE)
+                    process.join(PATIENCE)
                     self._failure = LoopError(self._last_words())
             if self._failure is not None:
                 self._remove_files()
@@ -278,8 +277,8 @@ class LoopProcess:
             self.message, self._ready = "running", True
         elif kind == "pattern":
             self.pattern = content
-        elif kind == "changed":
-            self.pattern = replace(self.pattern, fields=replace(self.pattern.fields, **content))
+        elif kind == "changed" and self.pattern is not None:
+            self.pattern = self.pattern.with_material(content)
         elif kind == "answer":
             self._answers.append(content)
         elif kind == "report":
@@ -299,13 +298,15 @@ class LoopProcess:
 
     def _end(self, patience: float) -> None:
         """Wait for the end of the process, then enforce it."""
-        process = self._process
+        process, connection = self._process, self._connection
+        if process is None or connection is None:
+            return
         process.join(patience)
         for enforce in (process.terminate, process.kill):
             if process.is_alive():
                 enforce()
                 process.join(PATIENCE)
-        self._connection.close()
+        connection.close()
         self._remove_files()
 
     def _remove_files(self) -> None:

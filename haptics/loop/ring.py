@@ -119,10 +119,10 @@ class RingReader(SlotReader):
 
     def latest(self) -> np.void | None:
         """The newest tick, a record of dtype `TICK`; None before the first."""
-        found = super().latest()
-        return None if found is None else np.frombuffer(found[1], TICK)[0]
+        newest = self.newest()
+        return None if newest is None else np.frombuffer(newest[1], TICK)[0]
 
     def since(self, number: int = 0) -> Ticks:
         """Ticks that were written after a number; with 0 all that the ring still has."""
-        contents, newest, lost = super().since(number)
+        contents, newest, lost = self.after(number)
         return Ticks(np.frombuffer(b"".join(contents), TICK), newest, lost)

@@ -171,7 +171,7 @@ class SlotReader:
         content = copy[_SLOT.size:_SLOT.size + length]
         return content if found == number and checksum == _checksum(content, number) else None
 
-    def latest(self) -> tuple[int, bytes] | None:
+    def newest(self) -> tuple[int, bytes] | None:
         """Number and content of the newest slot; None where nothing was written yet.
 
         Raises:
@@ -186,7 +186,7 @@ class SlotReader:
                 return number, content
         raise InputError("holds no complete record", file=self.path)
 
-    def since(self, number: int) -> tuple[list[bytes], int, int]:
+    def after(self, number: int) -> tuple[list[bytes], int, int]:
         """What was written after a number.
 
         Args:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -47,7 +47,7 @@ class SnapshotBoard(SlotWriter):
     """
 
     def __init__(self, path: str | Path, pattern: Snapshot):
-        super().__init__(path, _KIND, _SLOTS, _HEAD.size + 8 * sum(_sizes(pattern)))
+        super().__init__(path, _KIND, _SLOTS, _HEAD.size + 8 * sum(array.size for array in pattern.arrays()))
 
     def publish(self, time: float, snapshot: Snapshot) -> int:
         """Make a snapshot the newest one; returns its number.
@@ -55,8 +55,7 @@ class SnapshotBoard(SlotWriter):
         Raises:
             InputError: larger than the pattern.
         """
-        fields = snapshot.fields
-        arrays = [fields.states] if fields.stresses is None else [fields.states, fields.stresses]
+        arrays = snapshot.arrays()
         return self.write(_HEAD.pack(time, snapshot.datum, *snapshot.pose.position, *snapshot.pose.orientation)
                           + b"".join(np.ascontiguousarray(array, "<f8").tobytes() for array in arrays))
 
@@ -85,22 +84,16 @@ class SnapshotReader(SlotReader):
         Raises:
             InputError: the board is of another tissue than the pattern.
         """
-        if self.written <= after:
+        newest = self.newest() if self.written > after else None
+        if newest is None:
             return None
-        number, content = super().latest()
-        pattern = self.pattern.fields
-        state, stress = _sizes(self.pattern)
-        numbers = np.frombuffer(content, "<f8", offset=_HEAD.size)
-        if numbers.size != state + stress:
-            raise InputError(f"holds {numbers.size} numbers where the pattern has {state + stress}; give the pattern "
+        number, content = newest
+        arrays, numbers = self.pattern.arrays(), np.frombuffer(content, "<f8", offset=_HEAD.size)
+        ends = np.cumsum([array.size for array in arrays])
+        if numbers.size != ends[-1]:
+            raise InputError(f"holds {numbers.size} numbers where the pattern has {ends[-1]}; give the pattern "
                              "of the loop that writes it", file=self.path)
+        parts = [part.reshape(array.shape) for part, array in zip(np.split(numbers, ends[:-1]), arrays, strict=True)]
         time, datum, *pose = _HEAD.unpack_from(content)
-        fields = replace(pattern, states=numbers[:state].reshape(pattern.states.shape),
-                         stresses=numbers[state:].reshape(pattern.stresses.shape) if stress else None)
-        return PublishedSnapshot(number, time, Snapshot(Pose(tuple(pose[:3]), tuple(pose[3:])), datum, fields))
-
-
-def _sizes(pattern: Snapshot) -> tuple[int, int]:
-    """How many numbers the state has, and the stresses."""
-    fields = pattern.fields
-    return fields.states.size, 0 if fields.stresses is None else fields.stresses.size
+        (x, y, z), (a, b, c, d) = pose[:3], pose[3:]
+        return PublishedSnapshot(number, time, self.pattern.at(Pose((x, y, z), (a, b, c, d)), datum, parts))

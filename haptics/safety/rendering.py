@@ -10,7 +10,7 @@ from haptics.safety.coupling import VirtualCoupling
 from haptics.safety.limits import ForceLimits
 from haptics.safety.passivity import PassivityController, PassivityObserver
 from haptics.safety.watchdog import Watchdog, WatchdogState
-from tissue_sim.pose import Pose, Screw
+from tissue_sim.pose import Pose, Screw, scaled
 from tissue_sim.tool_force import ForceStatus, ToolForce
 
 
@@ -115,7 +115,8 @@ class ForceRendering:
             if part is not None:
                 part.reset()
         self._device: Pose | None = None
-        self._seen = False
+        # The device's pose of this tick, where one has come.
+        self._seen: Pose | None = None
         self._proxy = Pose.at_depth(0.0)
         self._answer: ToolForce | None = None
         self._wrench = _NO_WRENCH
@@ -127,9 +128,9 @@ class ForceRendering:
             device: where the device is; None, or not finite, where no new pose has come: the last one counts.
             dt: s.
         """
-        self._seen = device is not None and device.is_finite
-        if self._seen:
-            self._device = device
+        self._seen = device if device is not None and device.is_finite else None
+        if self._seen is not None:
+            self._device = self._seen
         if self._device is not None and 0 < dt < math.inf:
             self._proxy = (self._device if self.coupling is None
                            else self.coupling.step(self._device, self._answer, dt))
@@ -146,21 +147,21 @@ class ForceRendering:
         if believed and self._device is not None:
             self._wrench = (answer.wrench if self.coupling is None
                             else self.coupling.force + answer.wrench[3:])
-        given = _NOT_KNOWN
+        given, seen = _NOT_KNOWN, self._seen
         if 0 < dt < math.inf:
             given = self._wrench
-            if self.controller is not None and self._seen:
-                x, y, z = self.controller.force(self._device, dt)
+            if self.controller is not None and seen is not None:
+                x, y, z = self.controller.force(seen, dt)
                 given = (given[0] + x, given[1] + y, given[2] + z, *given[3:])
-            gain = self.watchdog.step(self._seen and believed, dt)
+            gain = self.watchdog.step(seen is not None and believed, dt)
             if gain != 1.0:
-                given = tuple([gain * part for part in given])
+                given = scaled(gain, given)
         limits, observer, held = self.limits, self.observer, self.held_observer
         given = limits.step(given)
-        if self._seen:
-            way = held.way(self._device)
-            observer.observe(given, self._device, way)
-            held.observe(given, self._device, way)
+        if seen is not None:
+            way = held.way(seen)
+            observer.observe(given, seen, way)
+            held.observe(given, seen, way)
         flags = _ACTIVE if held.is_active else 0
         if limits.limited:
             flags |= _LIMITED

@@ -24,15 +24,15 @@ class _Command(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     command: str
 
 
-class _SetParameters(_Command):
+class _SetParameters(_Command, frozen=True):
     parameters: dict[str, float]
 
 
-class _Surface(_Command):
+class _Surface(_Command, frozen=True):
     segments: Annotated[int, msgspec.Meta(ge=3, le=MOST_SEGMENTS)] | None = None
 
 
-class _State(_Command):
+class _State(_Command, frozen=True):
     name: Name
 
 
@@ -118,7 +118,7 @@ class Commands:
             if name not in self._parameters:
                 hint = nearest(name[:64], self._parameters) if self._parameters else "; this tissue has none to set"
                 raise InputError(f"unknown parameter{hint}", field=f"parameters.{name[:64]}")
-        self._tissue.set_parameters(**asked.parameters)
+        self._able("set_parameters")(**asked.parameters)
         self._parameters |= asked.parameters
         return {"parameters": self._parameters}
 
@@ -142,7 +142,7 @@ class Commands:
             raise InputError(f"no state {asked.name!r} was saved{hint}", field="name")
         state, parameters = self._states[asked.name]
         if parameters != self._parameters:
-            self._tissue.set_parameters(**parameters)
+            self._able("set_parameters")(**parameters)
             self._parameters = dict(parameters)
         self._able("restore")(state)
         self._service.begin_anew()

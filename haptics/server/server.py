@@ -97,7 +97,7 @@ class TissueServer:
             now = time.monotonic()
             for key, _ in events:
                 # A connection that an earlier one has pushed out is no longer registered.
-                if key.data is not None and key.fileobj.fileno() >= 0:
+                if key.data is not None and not isinstance(key.fileobj, int) and key.fileobj.fileno() >= 0:
                     key.data(now)
                     self._answer_poses()
             if now > next_look:

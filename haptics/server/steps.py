@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 from haptics.server.wire import (
     Kind,
@@ -22,6 +21,8 @@ from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
 from tissue_sim.tool_force import ForceStatus, Tissue, ToolForce
 
+#: Of a client, as sockets give it: host, port and what else there is.
+Address = tuple[Any, ...]
 #: A plain number: flags of an enumeration cost a microsecond to compare.
 _RESET = int(RequestFlags.RESET)
 #: The owner of the tissue loses it after this time without a packet, s.
@@ -89,8 +90,9 @@ class _Owner:
 
     __slots__ = ("address", "heard", "sequence", "time")
 
-    def __init__(self, address: Hashable):
-        self.address, self.sequence, self.heard, self.time = address, -1, -math.inf, None
+    def __init__(self, address: Address):
+        self.address, self.sequence, self.heard = address, -1, -math.inf
+        self.time: float | None = None
 
 
 class StepService:
@@ -112,11 +114,11 @@ class StepService:
         self._last = ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
 
     @property
-    def owner(self) -> Hashable | None:
+    def owner(self) -> Address | None:
         """Address of the client that has the tissue."""
         return None if self._owner is None else self._owner.address
 
-    def take(self, packet: bytes | bytearray | memoryview, address: Hashable, now: float) -> bytes | None:
+    def take(self, packet: bytes | bytearray | memoryview, address: Address, now: float) -> bytes | None:
         """Look at one datagram.
 
         Args:
@@ -137,13 +139,13 @@ class StepService:
             counters.malformed += 1
             return None
         owner = self._owner
-        silent = owner is None or now - owner.heard > self.silence
-        if not silent and address != owner.address:
-            counters.turned_away += 1
-            return self._without_step(Status.BUSY, request.sequence, request.time)
-        if not silent and request.sequence <= owner.sequence:
-            counters.stale += 1
-            return None
+        if owner is not None and now - owner.heard <= self.silence:
+            if address != owner.address:
+                counters.turned_away += 1
+                return self._without_step(Status.BUSY, request.sequence, request.time)
+            if request.sequence <= owner.sequence:
+                counters.stale += 1
+                return None
         if request.kind == Kind.GOODBYE:
             self._release()
             return self._without_step(Status.RELEASED, request.sequence, request.time)
@@ -159,13 +161,13 @@ class StepService:
         self._newest = request
         return None
 
-    def step(self) -> tuple[bytes, Hashable] | None:
+    def step(self) -> tuple[bytes, Address] | None:
         """Step to the newest pose that was taken.
 
         Returns:
             The reply and the address of its client; None where no pose is waiting.
         """
-        if self._newest is None:
+        if self._newest is None or self._owner is None:
             return None
         request, self._newest, owner = self._newest, None, self._owner
         answer, dt = self._answer(request, owner)

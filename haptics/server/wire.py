@@ -188,7 +188,7 @@ def decode_reply(packet: bytes | bytearray | memoryview) -> Reply:
     _check(packet, REPLY_MAGIC, REPLY_SIZE)
     values = _REPLY.unpack(packet)
     stiffness = tuple(values[start:start + 6] for start in range(11, 47, 6))
-    return Reply(*values[2:5], values[5:8], values[8:11], stiffness, *values[47:])
+    return Reply._make((*values[2:5], values[5:8], values[8:11], stiffness, *values[47:]))
 
 
 _KINDS = frozenset(map(int, Kind))

@@ -59,10 +59,9 @@ class Session:
         #: Grows with every point of the trace, and where the trace starts again.
         self._felt = 0
         self._motion, self._target = "hand", 0.0
-        self._simulation: LiveSimulation | None = None
         #: Whether the material was changed while the simulation was starting, so that it still has the old one.
         self._material_is_late = False
-        self._begin()
+        self._simulation = self._begin()
 
     @property
     def simulation(self) -> LiveSimulation:
@@ -92,7 +91,7 @@ class Session:
                 simulation.ask("set_parameters", **parameter_values(self.scene.material))
             except InputError:
                 # A new simulation begins with that material, or says why it cannot.
-                self._begin()
+                self._begin_anew()
                 simulation, records = self._simulation, None
         if records is not None and len(records):
             self._felt += self._trace.append(records)
@@ -230,7 +229,7 @@ class Session:
 
     def restart(self) -> None:
         """Begin again with a new process."""
-        self._begin()
+        self._begin_anew()
 
     @property
     def waits_for_curve(self) -> bool:
@@ -264,17 +263,20 @@ class Session:
         if other:
             self._curves = Curves()
             self._curve.forget()
-        self._begin()
+        self._begin_anew()
 
-    def _begin(self) -> None:
-        if self._simulation is not None:
-            self._simulation.close()
+    def _begin_anew(self) -> None:
+        self._simulation.close()
+        self._simulation = self._begin()
+
+    def _begin(self) -> LiveSimulation:
         self._motion, self._target = "hand", 0.0
         self._forget_trace()
         self._material_is_late = False
-        self._simulation = LiveSimulation(self.scene.model, HandMotion(0.0, HAND_SPEED), solver=self.scene.solver,
-                                          resolution=self._resolution, real_time=self._real_time)
+        simulation = LiveSimulation(self.scene.model, HandMotion(0.0, HAND_SPEED), solver=self.scene.solver,
+                                    resolution=self._resolution, real_time=self._real_time)
         self._curve.ask(self._test())
+        return simulation
 
     def _follow(self, kind: str, device: HapticDevice) -> None:
         simulation = self._simulation

@@ -329,6 +329,48 @@ def test_viscoelastic_parameters_from_ramp_and_hold(tmp_path):
     assert (np.abs(descent.theta - [1500.0, 0.3, 4.0]) < 4 * errors + [1.5, 3e-3, 0.06]).all()
 
 
+#: Name in [fit] -> kind of test, its lines, experiment and rig that made the data, start, truth (units of the file).
+SURROUNDINGS = {
+    "experiment.tool.radius": ("needle", "", {"tool": ts.Tool("flat", radius=0.0084)}, {}, 8.0, 8.4),
+    "experiment.friction": ("friction_compression", "friction = 0.2\nfriction_base = 0.2\n",
+                            {"friction": 0.3, "friction_base": 0.2}, {}, 0.2, 0.3),
+    "rig.compliance": ("bonded", 'rig = "frame.rig.json"\n', {}, {"compliance": 4e-5}, 0.02, 0.04),
+    "rig.sensor_gain": ("bonded", 'rig = "frame.rig.json"\n', {}, {"sensor_gain": 0.05}, 0.01, 0.05),
+}
+
+
+@pytest.mark.parametrize("name", SURROUNDINGS)
+def test_a_number_of_geometry_friction_or_rig_is_fitted_beside_the_material(name, tmp_path):
+    """The plates tell the modulus, the other test what surrounds the tissue there."""
+    test, lines, changed, faults, start, truth = SURROUNDINGS[name]
+    kind = {"needle": "needle_indentation", "bonded": "bonded_compression"}.get(test, test)
+    depth = np.linspace(0.0, 0.008, 41)
+    write_recordings(tmp_path, "lubricated", depth, lambda d: lubricated_force(d, {"C10": 1500.0}, "neo_hooke"))
+    experiment = ts.KINDS[kind].experiment(specimen=SPECIMEN, protocol=ts.Protocol.ramp(0.008, 21), **changed)
+    material = ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e4))
+    curve = ts.simulate(ts.Model(experiment, material, ts.Rig(**faults)))
+    write_recordings(tmp_path, "other", depth, CubicSpline(curve.displacement, curve.force), noise=0.002)
+    ts.write_rig(ts.Rig(**dict.fromkeys(faults, 1e-9)), tmp_path / "frame.rig.json")
+    other = f'[[test]]\nname = "other"\nkind = "{kind}"\nrecordings = ["other_*.csv"]\n{lines}'
+    if test == "needle":
+        other += 'tool = "flat"\ntool_radius_mm = 8.0\n'
+    fit = FIT.replace("reduced_polynomial_2", "neo_hooke").replace(
+        "C10 = 1400.0, C20 = 600.0", f'C10 = 1400.0, "{name}" = {start}').replace(
+        "[noise]", f'scope = {{ "{name}" = ["other"] }}\n[noise]')
+    campaign, problem = problem_of(tmp_path, campaign_text("lubricated", fit=other + fit), "neo_hooke")
+    factor = campaign.fit.named[name].declaration.factor
+    assert problem.space.free == ("C10", name)
+    begin = np.array([1400.0, start * factor])
+    residual, jacobian = problem.evaluate(begin).projected
+    width = 1e-3 * begin[1]
+    more, less = (problem.evaluate(begin + np.array([0.0, sign * width])).error for sign in (1, -1))
+    assert 2 * jacobian[:, 1] @ residual == pytest.approx((more - less) / (2 * width), rel=0.02)
+    descent = descend(problem, begin, enough=1e-4)
+    errors = assess_uncertainty(problem, problem.evaluate(descent.theta)).standard_errors
+    assert descent.converged
+    assert (np.abs(descent.theta - [1500.0, truth * factor]) < 4 * errors + [5.0, 0.01 * truth * factor]).all()
+
+
 def test_tension_without_a_specimen_is_a_closed_form(tmp_path):
     stretch = np.linspace(1.0, 1.8, 81)
     law = ts.find_law("mooney_rivlin")

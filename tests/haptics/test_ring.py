@@ -82,7 +82,7 @@ def test_every_slot_is_read_or_counted_as_lost(batches, capacity, tmp_path_facto
             for _ in range(batch):
                 total += 1
                 writer.write(total.to_bytes(8, "little"))
-            contents, number, missing = reader.since(number)
+            contents, number, missing = reader.after(number)
             if not seen and total:  # what went by before the first reading is not lost
                 missing = max(total - capacity, 0)
             seen += [int.from_bytes(content, "little") for content in contents]
@@ -95,9 +95,9 @@ def test_a_reader_that_begins_late_has_lost_nothing(path):
     with SlotWriter(path, KIND, 4, 8) as writer, SlotReader(path, KIND) as reader:
         for n in range(10):
             writer.write(bytes([n]))
-        assert reader.since(0) == ([b"\6", b"\7", b"\10", b"\11"], 10, 0)
-        assert reader.since(3) == ([b"\6", b"\7", b"\10", b"\11"], 10, 3)
-        assert reader.since(10) == ([], 10, 0)
+        assert reader.after(0) == ([b"\6", b"\7", b"\10", b"\11"], 10, 0)
+        assert reader.after(3) == ([b"\6", b"\7", b"\10", b"\11"], 10, 3)
+        assert reader.after(10) == ([], 10, 0)
 
 
 @pytest.mark.parametrize("part", range(0, 24, 3))
@@ -117,8 +117,8 @@ def test_a_half_written_slot_is_not_believed(path, part):
             stream.write(new[:part] + whole[HEAD_SIZE + part:HEAD_SIZE + stride])
         assert reader.read(3) is None
         assert reader.read(1) == (b"11111111" if part == 0 else None)
-        assert reader.latest() == (2, b"22222222")
-        assert reader.since(1) == ([b"22222222"], 2, 0)
+        assert reader.newest() == (2, b"22222222")
+        assert reader.after(1) == ([b"22222222"], 2, 0)
 
 
 def test_a_slot_that_has_not_arrived_is_left_for_the_next_time(path):
@@ -126,9 +126,9 @@ def test_a_slot_that_has_not_arrived_is_left_for_the_next_time(path):
     with SlotWriter(path, KIND, 4, 8) as writer, SlotReader(path, KIND) as reader:
         writer.write(b"1")
         writer._numbers[0] = 2
-        assert reader.since(0) == ([b"1"], 1, 0)
+        assert reader.after(0) == ([b"1"], 1, 0)
         writer.write(b"2")
-        assert reader.since(1) == ([b"2"], 2, 0)
+        assert reader.after(1) == ([b"2"], 2, 0)
 
 
 def test_no_torn_record_is_seen_from_a_writer_at_full_speed(tmp_path, tissues):

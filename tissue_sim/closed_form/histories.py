@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 
@@ -42,15 +41,19 @@ class HomogeneousHistory:
         largest_step: longer steps are divided; log(stretch) or shear strain.
 
     Raises:
-        InputError: shapes that differ, values that are not finite, time that runs backwards, a stretch <= 0.
+        InputError: another mode, shapes that differ, values that are not finite, time that runs backwards, a stretch
+            that is not above 0.
     """
 
-    mode: Literal["uniaxial", "simple_shear"]
+    mode: str
     time: np.ndarray
     strain: np.ndarray
     largest_step: float = LARGEST_STEP
 
     def __post_init__(self):
+        if self.mode not in _REST:
+            raise InputError(f"a material that remembers has a closed form of {' and '.join(_REST)}, not of "
+                             f"{self.mode}; leave its history out, or give another test", field="kind")
         quantity = "stretch" if self.mode == "uniaxial" else "shear strain"
         time, strain = (np.array(values, dtype=float) for values in (self.time, self.strain))
         object.__setattr__(self, "time", time)
@@ -166,19 +169,13 @@ def shear_stress_history(material: Material, time, shear, contact_radius: float 
 
 
 def stress_history(mode: str, material: Material, time, strain, contact_radius: float | None) -> np.ndarray:
-    """Nominal stress of a mode of `HomogeneousHistory`; arguments and errors as `nominal_stress_history`, and an
-    InputError for any other mode."""
-    if mode not in _REST:
-        raise InputError(f"a material that remembers has a closed form of {' and '.join(_REST)}, not of {mode}; leave "
-                         "its history out, or give another test", field="kind")
+    """Nominal stress of a mode of `HomogeneousHistory`; arguments and errors as `nominal_stress_history`."""
     history = HomogeneousHistory(mode, time, strain)
     if material.layers:
         raise InputError("a layered specimen does not deform homogeneously; use the finite elements", field="layers")
     if added := [name for name, effect in material.effects.items() if isinstance(effect, PointEffect)]:
         raise InputError("closed forms know nothing of effects that were added at the points; use the finite elements",
                          field=f"effects.{added[0]}")
-    if material.poroelasticity is not None and material.poroelasticity.phi > 0 and contact_radius is None:
-        raise InputError("a material that drains needs the test's contact radius in m", field="contact_radius")
     prony = material.relaxation(contact_radius)
     return history.nominal_stress(material.energy_law, material.values, prony, material.softening,
                                   material.instantaneous_factor)

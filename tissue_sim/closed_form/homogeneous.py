@@ -22,9 +22,14 @@ class ClosedForm(Protocol):
         label: of the abscissa, for tables and axes.
     """
 
-    mode: str
-    rest: float
-    label: str
+    @property
+    def mode(self) -> str: ...
+
+    @property
+    def rest(self) -> float: ...
+
+    @property
+    def label(self) -> str: ...
 
     def stress(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
         """Nominal stress, Pa, negative in compression, shape of `abscissa`."""

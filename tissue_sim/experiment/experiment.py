@@ -74,10 +74,11 @@ class Experiment:
                              f"with {next(iter(self.contact_laws), 'adhesion')}", field="friction")
         if not self.tool.has_shaft and self.friction_wall != "frictionless":
             raise InputError(f"a {self.tool.shape} has no shaft; leave it out", field="friction_wall")
-        if self.tool.is_plate:
+        radius = self.tool.radius
+        if self.tool.is_plate or radius is None:
             return
-        if self.tool.radius >= self.specimen.radius:
-            raise InputError(f"the tool's radius, {self.tool.radius * 1e3:g} mm, must be smaller than the specimen's, "
+        if radius >= self.specimen.radius:
+            raise InputError(f"the tool's radius, {radius * 1e3:g} mm, must be smaller than the specimen's, "
                              f"{self.specimen.radius * 1e3:g} mm", field="tool.radius")
         if self.tool.face_radius == 0 and self.friction == "bonded":
             raise InputError(f"a {self.tool.shape} tool has no flat face to be bonded to; use 'stick', 'frictionless' "

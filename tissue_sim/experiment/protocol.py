@@ -91,7 +91,10 @@ class Protocol:
         _require_sampling(points, speed)
         if points > MOST_SAMPLES:
             raise InputError(f"{points} points are too many; give at most {MOST_SAMPLES}", field="protocol.points")
-        time, displacement, segment, cycle = [], [], [], []
+        time: list[float] = []
+        displacement: list[float] = []
+        segment: list[str] = []
+        cycle: list[int] = []
         now, step = 0.0, math.inf
         for leg in legs(parse_protocol(text), speed):
             if not time:
@@ -107,7 +110,7 @@ class Protocol:
             segment += [leg.segment.kind] * since.size
             cycle += [leg.cycle] * since.size
             now = time[-1]
-        return cls(time, displacement, segment, cycle)
+        return cls(np.array(time), np.array(displacement), np.array(segment), np.array(cycle))
 
     @property
     def depth(self) -> float:

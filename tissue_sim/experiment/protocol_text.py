@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from decimal import Decimal
+from typing import TypeVar
 
 from tissue_sim.errors import nearest
 from tissue_sim.experiment.segments import KINDS, Repeat, Segment, fault
 
+Step = TypeVar("Step", bound=Segment | Repeat)
 _LENGTHS = {"mm": "0.001", "um": "0.000001", "m": "1"}
 _TIMES = {"s": "1", "ms": "0.001", "min": "60", "h": "3600"}
 #: Quantity -> unit -> (multiplied by, divided by) to SI.
@@ -62,31 +64,38 @@ class _Reader:
         self.text, self.at = text, 0
 
     def read(self) -> tuple[Segment | Repeat, ...]:
-        steps = self.steps(top=True)
+        steps = self.steps(self.step)
         if self.at < len(self.text):
             raise self.fault(self.at, "this bracket closes nothing; take it out")
         return steps
 
-    def steps(self, *, top: bool) -> tuple:
-        """Segments up to the end, or to the closing bracket, which is left to the caller."""
-        found = []
+    def steps(self, step: Callable[[], Step]) -> tuple[Step, ...]:
+        """Steps up to the end, or to the closing bracket, which is left to the caller."""
+        steps: list[Step] = []
         while True:
-            if found and self.ended():
-                return tuple(found)
-            found.append(self.step(top=top))
+            if steps and self.ended():
+                return tuple(steps)
+            steps.append(step())
             if self.ended():
-                return tuple(found)
+                return tuple(steps)
             if not self.took(";"):
                 raise self.fault(self.at, "expected ';' between two segments")
 
-    def step(self, *, top: bool) -> Segment | Repeat:
+    def step(self) -> Segment | Repeat:
+        self.skip_blanks()
+        start = self.at
+        word = self.take(_WORD)
+        return self.repeat(start) if word == "repeat" else self.segment(start, word)
+
+    def repeated(self) -> Segment:
         self.skip_blanks()
         start = self.at
         word = self.take(_WORD)
         if word == "repeat":
-            if not top:
-                raise self.fault(start, "a repeat cannot stand inside a repeat; write one of them out")
-            return self.repeat(start)
+            raise self.fault(start, "a repeat cannot stand inside a repeat; write one of them out")
+        return self.segment(start, word)
+
+    def segment(self, start: int, word: str | None) -> Segment:
         if word is None:
             raise self.fault(start, f"expected a segment, one of {', '.join(KINDS)} or repeat")
         if word not in KINDS:
@@ -109,7 +118,7 @@ class _Reader:
             raise self.fault(at, "expected how many times, a whole number from 1 on, as in repeat 3 (ramp 5mm; unload)")
         if not self.took("("):
             raise self.fault(self.at, "expected the repeated segments in brackets, as in repeat 3 (ramp 5mm; unload)")
-        segments = self.steps(top=False)
+        segments = self.steps(self.repeated)
         if not self.took(")"):
             raise self.fault(start, "the brackets of this repeat are not closed; add ')'")
         return Repeat(int(count), segments)
@@ -157,7 +166,7 @@ class _Reader:
         return match[0] if match else None
 
     def skip_blanks(self) -> None:
-        self.at = _BLANKS.match(self.text, self.at).end()
+        self.take(_BLANKS)
 
     def place(self, at: int) -> str:
         column = f"column {at - self.text.rfind(chr(10), 0, at)}"

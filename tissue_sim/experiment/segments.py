@@ -83,7 +83,7 @@ def legs(steps: Sequence[Segment | Repeat], speed: float) -> Iterator[Leg]:
             cycle, withdrawn = cycle + 1, False
         withdrawn = withdrawn or end < here
         if segment.kind == "hold":
-            yield Leg(segment, here, end, 0.0, segment.amount, cycle)
+            yield Leg(segment, here, end, 0.0, segment.amount or 0.0, cycle)
         else:
             yield Leg(segment, here, end, speed, abs(end - here) / speed, cycle)
         here, deepest = end, max(deepest, end)
@@ -129,7 +129,7 @@ def _end(segment: Segment, here: float, deepest: float) -> float:
                                            "larger depth, or unload before it")
             return end
         case "unload" | "retract":
-            end = -amount if kind == "retract" else amount or 0.0
+            end = (-1.0 if kind == "retract" else 1.0) * (amount or 0.0)
             if end >= here:
                 raise fault(segment.place, f"{'an' if kind == 'unload' else 'a'} {kind} to {_mm(end)} goes outwards, "
                                            f"and the tool is at {_mm(here)} already")

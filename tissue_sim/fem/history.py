@@ -49,7 +49,8 @@ class Memory:
 
     def set_material(self, relaxation: Prony | None, softening: Softening | None, factor: float) -> None:
         """Take over what relaxes and softens; `factor` is the instantaneous stress over that of the law."""
-        self._prony, self._known = relaxation, None
+        self._prony: Prony | None = relaxation
+        self._known: float | None = None
         terms = 0 if relaxation is None else len(relaxation.terms)
         if len(self.internal) != terms:
             self.internal = np.zeros((terms, *self.stresses.shape))

@@ -27,7 +27,7 @@ class PointEffects:
 
     def __init__(self, points: tuple[int, int]):
         self._points = points
-        self.formulas: tuple[Formula, ...] = ()
+        self.formulas: tuple[Formula[PointEffect], ...] = ()
         self._allocate(())
 
     def _allocate(self, rest: tuple[float, ...]) -> None:
@@ -43,14 +43,14 @@ class PointEffects:
         Raises:
             InputError: a formula that no kernel can take over, or one that gives something else than it should.
         """
-        effects = [effect for effect in effects if isinstance(effect, PointEffect)]
-        formulas = tuple(Formula.of(effect) for effect in effects)
+        points = [effect for effect in effects if isinstance(effect, PointEffect)]
+        formulas = tuple(Formula.of(effect) for effect in points)
         if formulas != self.formulas:
             for formula in formulas:
                 _try(formula)
             self.formulas = formulas
-            self._allocate(tuple(value for effect in effects for value in effect.rest))
-        numbers = (formula.numbers(effect) for formula, effect in zip(formulas, effects, strict=True))
+            self._allocate(tuple(value for effect in points for value in effect.rest))
+        numbers = (formula.numbers(effect) for formula, effect in zip(formulas, points, strict=True))
         self.settings = np.array([0.0, *chain.from_iterable(numbers)])
 
     def prepare(self, dt: float) -> None:
@@ -68,7 +68,7 @@ class PointEffects:
         return self.states[..., -4:]
 
 
-def _try(formula: Formula) -> None:
+def _try(formula: Formula[PointEffect]) -> None:
     """Run a formula once without a kernel.
 
     Raises:

@@ -8,10 +8,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -87,8 +87,13 @@ class Step:
 class Fields(Protocol):
     """Fields of the samples of a simulation, computed when asked for."""
 
-    mesh: Any
-    material: Material
+    @property
+    def mesh(self) -> Any:
+        """Undeformed, in the solver's own terms."""
+
+    @property
+    def material(self) -> Material:
+        """What the tissue is made of."""
 
     def displacement(self, sample: int = -1) -> np.ndarray:
         """Of the nodes, m, shape (nodes, as many as a node has coordinates)."""
@@ -100,14 +105,29 @@ class Fields(Protocol):
         """A field at the nodes, shape (nodes,)."""
 
 
+@runtime_checkable
+class SharedFields(Fields, Protocol):
+    """Fields that a loop publishes for viewers in other processes."""
+
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """What differs from sample to sample; all else is sent once."""
+
+    def with_arrays(self, arrays: Sequence[np.ndarray]) -> SharedFields:
+        """The fields of another sample."""
+
+    def of_the_material(self) -> dict[str, Any]:
+        """What another material of the same make changes beside the arrays."""
+
+    def with_material(self, changed: Mapping[str, Any]) -> SharedFields:
+        """The fields with what `of_the_material` of another material gave."""
+
+
 class Surface(Protocol):
-    """The deformed surface of the tissue, in the frame of the scene.
+    """The deformed surface of the tissue, in the frame of the scene."""
 
-    Attributes:
-        outline: (r, z) of an axisymmetric specimen, m, shape (n, 2); None of another one.
-    """
-
-    outline: np.ndarray | None
+    @property
+    def outline(self) -> np.ndarray | None:
+        """(r, z) of an axisymmetric specimen, m, shape (n, 2); None of another one."""
 
     def triangles(self, segments: int = 48) -> tuple[np.ndarray, np.ndarray]:
         """Vertices, m, shape (v, 3), and triangles, shape (t, 3), their normals out of the tissue; `segments` around
@@ -137,13 +157,10 @@ class Solver(ABC):
     Attributes:
         mesh: undeformed, in the solver's own terms; None where it has none.
         datum: height of the tool's deepest point where it first touches, in the frame of the mesh, m.
-        unchanged: equilibria since what touches, sticks or slips last changed; a predictor of higher order than that
-            would lead astray.
     """
 
     mesh: Any = None
     datum: float = 0.0
-    unchanged: int = 2
     #: Highest order of extrapolation that `step` knows.
     highest_order: ClassVar[int] = 2
 
@@ -151,6 +168,12 @@ class Solver(ABC):
     @abstractmethod
     def pose(self) -> Pose:
         """Of the tool at the last committed state."""
+
+    @property
+    def unchanged(self) -> int:
+        """Equilibria since what touches, sticks or slips last changed; a predictor of higher order than that would lead
+        astray."""
+        return self.highest_order
 
     def follow(self, pose: Pose) -> Pose:
         """What this solver takes of a pose: an axisymmetric one the depth only."""

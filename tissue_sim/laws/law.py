@@ -197,8 +197,8 @@ def _along(law: Law, mode: str):
 @lru_cache
 def _principal(law: Law):
     """Compiled energy and its derivatives with respect to the logarithms of three stretches."""
-    stretches = sp.symbols("l1:4", positive=True)
-    energy = law.energy_of_stretches(*stretches, law.symbols)
+    l1, l2, l3 = stretches = sp.symbols("l1:4", positive=True)
+    energy = law.energy_of_stretches(l1, l2, l3, law.symbols)
     slopes = [s * sp.diff(energy, s) for s in stretches]
     return sp.lambdify((*stretches, *law.symbols), [energy, *slopes], modules="numpy", cse=True)
 

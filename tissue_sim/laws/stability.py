@@ -62,7 +62,8 @@ class Stability:
 def _hessian(law: Law):
     """Compiled d2W/(de_i de_j) of the three logarithmic strains, taken as independent: 11, 22, 33, 12, 13, 23."""
     e = sp.symbols("e1:4", real=True)
-    energy = law.energy_of_stretches(*(sp.exp(strain) for strain in e), law.symbols)
+    l1, l2, l3 = (sp.exp(strain) for strain in e)
+    energy = law.energy_of_stretches(l1, l2, l3, law.symbols)
     entries = [sp.diff(energy, e[i], e[k]) for i, k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
     return sp.lambdify((*e, *law.symbols), entries, modules="numpy", cse=True)
 

@@ -7,7 +7,7 @@ An effect is a frozen dataclass that derives from one of the classes here and de
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, is_dataclass
+from dataclasses import Field, dataclass, is_dataclass
 from math import inf
 from typing import Any, ClassVar
 
@@ -30,6 +30,7 @@ class TissueEffect:
     title: ClassVar[str] = ""
     ages: ClassVar[bool] = False
     remembers: ClassVar[bool] = False
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
 
 
 @dataclass(frozen=True, slots=True)

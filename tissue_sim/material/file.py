@@ -45,7 +45,7 @@ SCHEMA = f"tissue_sim/material/{VERSION}"
 EFFECTS = ("viscoelastic", "softening", "layers", "poroelasticity", "puncture", "effects")
 
 
-class MaterialFile(Entry, kw_only=True):
+class MaterialFile(Entry, frozen=True, kw_only=True):
     """A material with its uncertainty and its history.
 
     Files may state stresses in Pa, kPa or MPa; the parameters of the law in a `MaterialFile` that was read, or made by
@@ -93,25 +93,26 @@ class MaterialFile(Entry, kw_only=True):
             if name not in known:
                 field = f"standard_errors.{name}" if name in errors else "covariance.order"
                 raise InputError(f"this material has no parameter {name!r}{nearest(name, known)}", field=field)
+        stated = None
         if covariance is not None:
             matrix = np.asarray(covariance, dtype=float)
             order = (*law.parameters, *others)
             _check_matrix(matrix, len(order))
             errors = errors or dict(zip(order, np.sqrt(np.diag(matrix)).tolist(), strict=True))
             factors = np.array([known[name].declaration.factor for name in order])
-            covariance = CovarianceEntry(order=tuple(known[name].file_path for name in order),
-                                         matrix=_rows(matrix / np.outer(factors, factors)))
+            stated = CovarianceEntry(order=tuple(known[name].file_path for name in order),
+                                     matrix=_rows(matrix / np.outer(factors, factors)))
         stability = check_stability(law, material.values)
         given = as_json_types(provenance or {})
         history = {"software": "tissue-sim", "version": __version__,
                    "date": datetime.now(UTC).isoformat(timespec="seconds"), **given}
-        bulk = {material.bulk.kind: True if material.bulk.value is None else float(material.bulk.value)}
+        bulk: dict[str, Any] = {material.bulk.kind: True if material.bulk.value is None else float(material.bulk.value)}
         return checked(cls(
             schema=SCHEMA, name=material.name, law=law.name,
             parameters={name: ParameterEntry(value=value, unit=law.units[name],
                                              standard_error=float(errors[name]) if name in errors else None)
                         for name, value in material.parameters.items()},
-            covariance=covariance, bulk=BulkEntry(**bulk), **entries_of(material, errors),
+            covariance=stated, bulk=BulkEntry(**bulk), **entries_of(material, errors),
             density_kg_m3=material.density,
             valid_range=decode(as_json_types(valid_range), ValidRange | None, "valid_range"),
             stability=StabilityEntry(stable_from=stability.stable_from, stable_to=stability.stable_to,

@@ -73,15 +73,15 @@ class Bulk:
 
     def modulus(self, mu0: float) -> float:
         """Bulk modulus in Pa for a material of initial shear modulus mu0; infinite for incompressible."""
+        if self.value is None:
+            return np.inf
         match self.kind:
             case "K_Pa":
                 return self.value
             case "D1_per_Pa":
                 return 2.0 / self.value
-            case "bulk_ratio":
-                return self.value * mu0
             case _:
-                return np.inf
+                return self.value * mu0
 
 
 @dataclass(frozen=True)
@@ -202,17 +202,17 @@ class Material:
         """Bulk modulus K, Pa; infinite for an incompressible material. `bulk_ratio` is that to `mu0`."""
         return self.bulk.modulus(self.mu0)
 
-    def relaxation(self, contact_radius: float) -> Prony | None:
+    def relaxation(self, contact_radius: float | None) -> Prony | None:
         """All that relaxes in a test with this contact radius (m): viscoelastic terms, then drainage.
 
         Returns:
             A series of instantaneous moduli, or None where nothing relaxes.
 
         Raises:
-            InputError: drainage and a radius that is not positive and finite.
+            InputError: drainage and no radius, or one that is not positive and finite.
         """
         terms = () if self.viscoelastic is None else self.viscoelastic.terms
-        if self._drained > 0:
+        if self.poroelasticity is not None and self.poroelasticity.phi > 0:
             terms = (*terms, self.poroelasticity.term(contact_radius))
         return Prony(terms) if terms else None
 

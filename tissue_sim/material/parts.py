@@ -83,8 +83,9 @@ def make_material(law: str, parameters: Mapping[str, float], others: Mapping[str
             parts["viscoelastic"] = Prony(prony)
         except InputError as error:
             raise error.located(field="viscoelastic") from None
-    return Material(law, parameters, response, layers=tuple(_in_order(terms, "layers")), **parts, **options,
-                    effects=[_part(EFFECTS[name], f"effects.{name}", numbers) for name, numbers in effects.items()])
+    added = {name: _part(EFFECTS[name], f"effects.{name}", numbers) for name, numbers in effects.items()}
+    return Material(law, parameters, response, layers=tuple(_in_order(terms, "layers")), effects=added, **parts,
+                    **options)
 
 
 def _kind_at(place: str) -> type | None:

@@ -37,12 +37,14 @@ class Poroelasticity:
         if not 0 < self.diffusivity < np.inf:
             raise InputError(f"{self.diffusivity:g} m^2/s is not a positive diffusivity", field="diffusivity")
 
-    def term(self, contact_radius: float) -> PronyTerm | None:
-        """The relaxing term of a test with this contact radius (m); None where phi is 0.
+    def term(self, contact_radius: float | None) -> PronyTerm:
+        """The relaxing term of a test with this contact radius, m; phi is above 0.
 
         Raises:
-            InputError: a radius that is not positive and finite.
+            InputError: no radius, or one that is not positive and finite.
         """
+        if contact_radius is None:
+            raise InputError("a material that drains needs the test's contact radius in m", field="contact_radius")
         if not 0 < contact_radius < np.inf:
             raise InputError(f"{contact_radius:g} m is not a positive contact radius", field="contact_radius")
-        return PronyTerm(self.phi, contact_radius**2 / self.diffusivity) if self.phi > 0 else None
+        return PronyTerm(self.phi, contact_radius**2 / self.diffusivity)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, fields
 from functools import cache
-from typing import Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, cast
 
 import msgspec
 
@@ -30,7 +30,7 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
     """How every part of the file is read: unknown keys are errors, absent ones are not written."""
 
 
-class ParameterEntry(Entry, kw_only=True):
+class ParameterEntry(Entry, frozen=True, kw_only=True):
     """A parameter; value and standard error share the unit."""
 
     value: float
@@ -38,14 +38,14 @@ class ParameterEntry(Entry, kw_only=True):
     standard_error: float | None = None
 
 
-class CovarianceEntry(Entry, kw_only=True):
+class CovarianceEntry(Entry, frozen=True, kw_only=True):
     """Covariance of the parameters in `order`, in the product of their units."""
 
     order: tuple[str, ...]
     matrix: tuple[tuple[float, ...], ...]
 
 
-class BulkEntry(Entry, kw_only=True):
+class BulkEntry(Entry, frozen=True, kw_only=True):
     """Exactly one of the four; see `tissue_sim.Bulk`."""
 
     K_Pa: float | None = None
@@ -54,7 +54,7 @@ class BulkEntry(Entry, kw_only=True):
     incompressible: bool | None = None
 
 
-class ValidRange(Entry, kw_only=True):
+class ValidRange(Entry, frozen=True, kw_only=True):
     """(lowest, highest) of what the parameters were fitted to."""
 
     stretch: Range | None = None
@@ -62,7 +62,7 @@ class ValidRange(Entry, kw_only=True):
     temperature_degC: Range | None = None
 
 
-class StabilityEntry(Entry, kw_only=True):
+class StabilityEntry(Entry, frozen=True, kw_only=True):
     """Drucker stability; see `tissue_sim.check_stability`."""
 
     stable_from: float
@@ -71,14 +71,14 @@ class StabilityEntry(Entry, kw_only=True):
     text: str = ""
 
 
-class SourceRecording(Entry, kw_only=True):
+class SourceRecording(Entry, frozen=True, kw_only=True):
     """A recording that the parameters come from."""
 
     file: str
     sha256: Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
 
 
-class Provenance(Entry, kw_only=True):
+class Provenance(Entry, frozen=True, kw_only=True):
     """Where the parameters come from; `residual` such as ``{"RMSE_Pa": 12.0}``, `date` in ISO 8601."""
 
     recordings: tuple[SourceRecording, ...] = ()
@@ -90,7 +90,7 @@ class Provenance(Entry, kw_only=True):
     settings: dict[str, Any] = {}
 
 
-class PartEntry(Entry, kw_only=True):
+class PartEntry(Entry, frozen=True, kw_only=True):
     """A part of a material in the units of the file; `standard_errors` by the file's keys and in its units."""
 
     #: Class of the part.
@@ -98,10 +98,8 @@ class PartEntry(Entry, kw_only=True):
     standard_errors: dict[str, float] = {}
 
     @classmethod
-    def of(cls, part: Any, place: str, errors: Mapping[str, float]) -> PartEntry | None:
-        """The entry of a part, None of None; `errors`, SI, are looked up by the path of the attribute."""
-        if part is None:
-            return None
+    def of(cls, part: Any, place: str, errors: Mapping[str, float]) -> PartEntry:
+        """The entry of a part; `errors`, SI, are looked up by the path of the attribute."""
         known = declared(cls.noun).items()
         mine = {what.key: errors[f"{place}.{name}"] / what.factor for name, what in known
                 if f"{place}.{name}" in errors}
@@ -125,8 +123,8 @@ class PartEntry(Entry, kw_only=True):
             return self.noun(**{name: what.factor * getattr(self, what.key)
                                 for name, what in declared(self.noun).items()})
         except InputError as refused:
-            key = next((key for key, name in keys.items() if name == refused.field), refused.field)
-            raise InputError(refused.problem, field=".".join(filter(None, (field, key)))) from None
+            named = next((key for key, name in keys.items() if name == refused.field), refused.field)
+            raise InputError(refused.problem, field=".".join(filter(None, (field, named)))) from None
 
     def errors(self, place: str) -> dict[str, float]:
         """Path of the attribute -> standard error, SI."""
@@ -137,32 +135,38 @@ class PartEntry(Entry, kw_only=True):
 @cache
 def entry_of(noun: type) -> type[PartEntry]:
     """The entry of a class of parts: a key for each parameter that it declares."""
-    keys = []
+    keys: list[tuple[str, type] | tuple[str, type, Any]] = []
     for entry in fields(noun):
         what = declared(noun).get(entry.name)
         if what is not None:
             keys.append((what.key, float) if entry.default is MISSING else
                         (what.key, float, entry.default / what.factor))
-    return msgspec.defstruct(f"{noun.__name__}Entry", keys, bases=(PartEntry,), namespace={"noun": noun},
+    made = msgspec.defstruct(f"{noun.__name__}Entry", keys, bases=(PartEntry,), namespace={"noun": noun},
                              frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True)
+    return cast(type[PartEntry], made)
 
 
-SofteningEntry, LayerEntry, PoroelasticityEntry, PunctureEntry, PronyTermEntry = map(
-    entry_of, (Softening, Layer, Poroelasticity, Puncture, PronyTerm))
+if TYPE_CHECKING:  # a class that a function makes is no type to a checker; what it need know stands in PartEntry
+    LayerEntry = PartEntry
+    PoroelasticityEntry = PartEntry
+    PronyTermEntry = PartEntry
+    PunctureEntry = PartEntry
+    SofteningEntry = PartEntry
+else:
+    SofteningEntry, LayerEntry, PoroelasticityEntry, PunctureEntry, PronyTermEntry = map(
+        entry_of, (Softening, Layer, Poroelasticity, Puncture, PronyTerm))
 
 
-class ViscoelasticEntry(Entry, kw_only=True, omit_defaults=False):
+class ViscoelasticEntry(Entry, frozen=True, kw_only=True, omit_defaults=False):
     """See `tissue_sim.material.viscoelasticity.Prony`; the convention is always written."""
 
-    terms: tuple[PronyTermEntry, ...]  # type: ignore[valid-type]
+    terms: tuple[PronyTermEntry, ...]
     moduli: Literal["instantaneous", "long_term"] = "instantaneous"
     form: Literal["isochoric_second_piola"] = FORM
 
     @classmethod
-    def of(cls, prony: Prony | None, place: str, errors: Mapping[str, float]) -> ViscoelasticEntry | None:
-        """The entry of a Prony series, None of None; `errors` as in `PartEntry.of`."""
-        if prony is None:
-            return None
+    def of(cls, prony: Prony, place: str, errors: Mapping[str, float]) -> ViscoelasticEntry:
+        """The entry of a Prony series; `errors` as in `PartEntry.of`."""
         terms = (PronyTermEntry.of(term, f"{place}.terms[{i}]", errors) for i, term in enumerate(prony.terms))
         return cls(terms=tuple(terms), moduli=prony.moduli)
 
@@ -182,15 +186,17 @@ def entries_of(material: Material, errors: Mapping[str, float]) -> dict[str, Any
         material: the material.
         errors: path -> standard error, SI.
     """
-    layers = tuple(LayerEntry.of(layer, f"layers[{i}]", errors) for i, layer in enumerate(material.layers))
-    effects = {name: msgspec.to_builtins(entry_of(type(effect)).of(effect, f"effects.{name}", errors))
-               for name, effect in material.effects.items()}
-    return {"viscoelastic": ViscoelasticEntry.of(material.viscoelastic, "viscoelastic", errors),
-            "softening": SofteningEntry.of(material.softening, "softening", errors),
-            "layers": layers or None,
-            "poroelasticity": PoroelasticityEntry.of(material.poroelasticity, "poroelasticity", errors),
-            "puncture": PunctureEntry.of(material.puncture, "puncture", errors),
-            "effects": effects or None}
+    def entry(part: Any, place: str) -> PartEntry:
+        return entry_of(part.__class__).of(part, place, errors)
+
+    single = {key: None if (part := getattr(material, key)) is None else entry(part, key)
+              for key in ("softening", "poroelasticity", "puncture")}
+    prony = material.viscoelastic
+    return {**single,
+            "viscoelastic": None if prony is None else ViscoelasticEntry.of(prony, "viscoelastic", errors),
+            "layers": tuple(entry(layer, f"layers[{i}]") for i, layer in enumerate(material.layers)) or None,
+            "effects": {name: msgspec.to_builtins(entry(effect, f"effects.{name}"))
+                        for name, effect in material.effects.items()} or None}
 
 
 def parts_of(entries: Mapping[str, Any]) -> dict[str, Any]:
@@ -219,7 +225,8 @@ def _effect(name: str, content: Any) -> PartEntry:
     if name not in EFFECTS:
         raise InputError(f"no effect of the tissue is called so here; known: {', '.join(EFFECTS) or 'none'}; install "
                          "or register the package that brings it", field=f"effects.{name}")
-    return decode(content, entry_of(EFFECTS[name]), f"effects.{name}")
+    kind: type = EFFECTS[name]
+    return decode(content, entry_of(kind), f"effects.{name}")
 
 
 def _effects(entries: Mapping[str, Any]) -> list[tuple[str, Any]]:

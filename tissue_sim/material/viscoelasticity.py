@@ -8,7 +8,7 @@ files): S_visc(t) = (1 - sum g) S(t) + sum Q_i(t), where each Q_i follows g_i S 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from tissue_sim.parameters import parameter
 #: A material has at most so many relaxing terms, drainage included: the finite elements keep one stress for each.
 MOST_TERMS = 4
 #: The stress that the hereditary integral acts on, by its name in files.
-FORM = "isochoric_second_piola"
+FORM: Final = "isochoric_second_piola"
 MODULI = ("instantaneous", "long_term")
 
 

@@ -119,8 +119,7 @@ def structured_mesh(r: np.ndarray, z: np.ndarray, element: Element) -> Mesh:
     nodes = np.stack(np.meshgrid(r, z), axis=-1).reshape(-1, 2)
     number = np.arange(rows * columns).reshape(rows, columns)
     step = element.order
-    i, j = np.meshgrid(np.arange(0, columns - 1, step), np.arange(0, rows - 1, step))
-    i, j = i.ravel(), j.ravel()
+    i, j = (corners.ravel() for corners in np.meshgrid(np.arange(0, columns - 1, step), np.arange(0, rows - 1, step)))
     offsets = ((element.reference_nodes + 1) * step / 2).round().astype(int)
     connectivity = np.stack([number[j + dj, i + di] for di, dj in offsets], axis=-1)
     sets = {"axis": number[:, 0], "side": number[:, -1], "base": number[0], "top": number[-1]}

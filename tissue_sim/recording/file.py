@@ -7,7 +7,7 @@ import hashlib
 import inspect
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -146,7 +146,8 @@ def require_sidecar_place(path: Path) -> None:
 
 
 def _as_csv(recording: Recording, path: Path) -> str:
-    header, cells = [], []
+    header: list[str] = []
+    cells: list[Iterable[str]] = []
     for name in (name for name in CHANNELS if name in recording):
         unit = _FILE_UNITS[CHANNELS[name]]
         factor, offset = to_si(unit)

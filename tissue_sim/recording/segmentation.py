@@ -101,7 +101,7 @@ def label_motion(time: np.ndarray, displacement: np.ndarray, tolerance: float | 
     way = np.diff(displacement[corners])
     names = np.where(np.abs(way) <= 2 * tolerance, "hold", np.where(way > 0, "ramp", "unload"))
     for part in np.flatnonzero(names == "hold") if shortest_hold else ():
-        if _stays(time, displacement, *corners[part:part + 2], 2 * tolerance) >= shortest_hold:
+        if _stays(time, displacement, corners[part], corners[part + 1], 2 * tolerance) >= shortest_hold:
             continue
         names[part] = names[part - 1] if part else "ramp" if way[part] > 0 else "unload"
     return names[np.clip(np.searchsorted(corners, np.arange(time.size), side="left") - 1, 0, names.size - 1)]
@@ -182,8 +182,8 @@ def _turned(depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     branches = reversals.branches(depth.size - 1)
     while branches and branches[0][0] < 0:
         del branches[0]
-    ways = [np.arange(begin, end + 1) for _, begin, end in branches[:2]]
-    return tuple(ways + [np.arange(0)] * (2 - len(ways)))
+    first, second, *_ = [np.arange(begin, end + 1) for _, begin, end in branches[:2]] + 2 * [np.arange(0)]
+    return first, second
 
 
 def one_way(depth: np.ndarray, direction: int) -> np.ndarray:

@@ -74,10 +74,10 @@ def _decode(data) -> Rig:
     require_writable(data)
     stated = {name: what.factor * getattr(file, what.key) for name, what in declared(Rig).items()
               if getattr(file, what.key) is not None}
-    faults = [from_keys(FAULTS.find(name, f"faults.{name}"), content, f"faults.{name}")
-              for name, content in (file.faults or {}).items()]
+    faults = {name: from_keys(FAULTS.find(name, f"faults.{name}"), content, f"faults.{name}")
+              for name, content in (file.faults or {}).items()}
     try:
         return Rig(**stated, seed=file.seed, faults=faults)
     except InputError as error:
-        name = error.field.removeprefix("rig.")
+        name = (error.field or "").removeprefix("rig.")
         raise InputError(error.problem, field=_KEYS.get(name, name)) from None

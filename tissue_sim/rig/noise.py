@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from tissue_sim.errors import InputError
+
 
 def sensor_noise(samples: int, standard_deviation: float, seed: int, *, time: np.ndarray | None = None,
                  correlation_time: float = 0.0) -> np.ndarray:
@@ -24,6 +26,8 @@ def sensor_noise(samples: int, standard_deviation: float, seed: int, *, time: np
     """
     noise = np.random.default_rng(seed).normal(0.0, standard_deviation, samples)
     if correlation_time:
+        if time is None:
+            raise InputError("coloured noise needs the times of its samples; give time", field="time")
         kept = np.exp(-np.diff(time) / correlation_time)
         fresh = np.sqrt(1.0 - kept**2) * noise[1:]
         for sample, (share, part) in enumerate(zip(kept.tolist(), fresh.tolist(), strict=True), start=1):

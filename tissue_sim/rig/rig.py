@@ -195,7 +195,7 @@ class Rig:
             friction = friction + self.rate_damping * np.divide(step, duration, out=np.zeros_like(step),
                                                                 where=duration > 0)
         force = recording.force + friction
-        reported = recording if self.sampling_rate is None else self._resampled(recording)
+        reported = recording if self.sampling_rate is None else self._resampled(recording, self.sampling_rate)
         if self.latency or reported is not recording:
             seen = reported.time - self.latency
             # Friction belongs to the way from one sample to the next: it jumps, it is not interpolated.
@@ -234,16 +234,16 @@ class Rig:
         lost = self.step_loss * (np.maximum.accumulate(reported) > self.step_loss_depth)
         return (1.0 + self.displacement_gain) * (reported - lost - self.contact_offset)
 
-    def _resampled(self, recording: Recording) -> Recording:
-        """The recording on the grid of the sampling rate."""
+    def _resampled(self, recording: Recording, rate: float) -> Recording:
+        """The recording on the grid of a sampling rate."""
         time = recording.time
-        samples = (time[-1] - time[0]) * self.sampling_rate
+        samples = (time[-1] - time[0]) * rate
         if samples > _MOST_SAMPLES:
-            raise InputError(f"{self.sampling_rate:g} Hz over {time[-1] - time[0]:g} s are more than {_MOST_SAMPLES} "
+            raise InputError(f"{rate:g} Hz over {time[-1] - time[0]:g} s are more than {_MOST_SAMPLES} "
                              "samples; give a lower rate", field="rig.sampling_rate")
         # Rounding must not put a sample just beside one that it falls on.
-        slack = 1e-6 / self.sampling_rate
-        grid = time[0] + np.arange(self.readings(time)) / self.sampling_rate
+        slack = 1e-6 / rate
+        grid = time[0] + np.arange(self.readings(time)) / rate
         before = np.searchsorted(time, grid + slack, side="right") - 1
         grid = np.where(grid - time[before] < slack, time[before], grid)
         channels = {name: np.interp(grid, time, values) for name, values in recording.channels.items()}

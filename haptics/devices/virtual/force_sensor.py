@@ -50,13 +50,13 @@ class VirtualForceSensor(ForceSensor):
             self._began, self._taken = self._clock(), 0
 
     def read(self) -> tuple[ForceSample, ...]:
-        now = self._now()
-        due = math.floor((now - self._began) * self.rate)
+        now, began = self._times()
+        due = math.floor((now - began) * self.rate)
         first = max(self._taken, due - BUFFER)
         lost, self._taken = first > self._taken, due
         samples = []
         for number in range(first, due):
-            counts, status = self._counts(self._began + (number + 1) / self.rate)
+            counts, status = self._counts(began + (number + 1) / self.rate)
             if lost and number == first:
                 status |= SampleStatus.GAP
             values = tuple(self._resolution * (count - zero) for count, zero in zip(counts, self._zero, strict=True))
@@ -64,7 +64,8 @@ class VirtualForceSensor(ForceSensor):
         return tuple(samples)
 
     def tare(self) -> None:
-        self._zero, _ = self._counts(self._now())
+        now, _ = self._times()
+        self._zero, _ = self._counts(now)
 
     def stop(self) -> None:
         self._began = None
@@ -73,10 +74,11 @@ class VirtualForceSensor(ForceSensor):
         return {"sensor": "virtual", "channels": list(self.channels), "rate_Hz": self.rate,
                 "resolution_N": self._resolution, "range_N": self._most * self._resolution}
 
-    def _now(self) -> float:
+    def _times(self) -> tuple[float, float]:
+        """Now, and when it was started, s on the clock."""
         if self._began is None:
             raise DeviceError("the virtual force sensor is not started; start it first")
-        return self._clock()
+        return self._clock(), self._began
 
     def _counts(self, at: float) -> tuple[tuple[int, ...], SampleStatus]:
         wanted = [round(value / self._resolution) for value in self._load(at)]

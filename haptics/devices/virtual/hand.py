@@ -62,11 +62,12 @@ class VirtualHand(HapticDevice):
             # It begins, or begins again, at rest where the hand is.
             self._place, self._velocity = wanted.position, (0.0, 0.0, 0.0)
         elif time > self._time:
-            self._move(wanted.position, time - self._time)
+            self._place, self._velocity = self._moved(self._place, wanted.position, time - self._time)
         self._time = time
         return Pose(self._place, wanted.orientation)
 
-    def _move(self, wanted: Vector, dt: float) -> None:
+    def _moved(self, place: Vector, wanted: Vector, dt: float) -> tuple[Vector, Vector]:
+        """Place and velocity of the hand that is held towards a place for a time, s."""
         one, other = self._roots
         fade_one, fade_other = cmath.exp(one * dt), cmath.exp(other * dt)
         # Of x = a exp(one t) + b exp(other t), by the place (from its rest) and the velocity at the beginning.
@@ -75,12 +76,14 @@ class VirtualHand(HapticDevice):
         gains = ((fade_one - fade_other) / apart).real
         falls = (one * other * (fade_other - fade_one) / apart).real
         keeps = ((one * fade_one - other * fade_other) / apart).real
-        places, velocities = [], []
-        for place, velocity, target, force in zip(self._place, self._velocity, wanted, self._force, strict=True):
-            rest = target + force / self._grip
-            places.append(rest + stays * (place - rest) + gains * velocity)
-            velocities.append(falls * (place - rest) + keeps * velocity)
-        self._place, self._velocity = tuple(places), tuple(velocities)
+
+        def along(axis: int) -> tuple[float, float]:
+            rest, velocity = wanted[axis] + self._force[axis] / self._grip, self._velocity[axis]
+            return (rest + stays * (place[axis] - rest) + gains * velocity,
+                    falls * (place[axis] - rest) + keeps * velocity)
+
+        (x, u), (y, v), (z, w) = along(0), along(1), along(2)
+        return (x, y, z), (u, v, w)
 
     def render(self, wrench: Screw) -> None:
         self._force = wrench[:3]

@@ -107,7 +107,7 @@ class Page:
             self._look.show(frame)
             levels = self._solid.levels
             self._solid.show(frame, self._look.look)
-            if self._solid.levels is not levels:
+            if self._solid.levels is not None and self._solid.levels is not levels:
                 label, _ = LABELS[self._look.look.field]
                 self._bar.content = colour_bar_html(self._solid.levels, self._solid.colours, label)
             self._saving.show(frame)

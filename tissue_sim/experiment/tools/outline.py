@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import InitVar, dataclass, field
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -20,21 +20,25 @@ class Profile:
     The frame is the tool's: r from the axis, z out of the tissue, origin at the deepest point. The chain runs from the
     axis outwards and upwards with the body on its left.
 
+    Args:
+        points: the vertices, (r, z), m.
+
     Attributes:
         vertices: (r, z), m, shape (n, 2).
         rounding: m; the surface lies this far outside the chain.
         shaft: index of the first line that belongs to the shaft; those before are the face.
     """
 
-    vertices: np.ndarray | Sequence[tuple[float, float]]
+    points: InitVar[np.ndarray | Sequence[tuple[float, float]]]
     rounding: float
     shaft: int
+    vertices: np.ndarray = field(init=False)
 
-    def __post_init__(self):
+    def __post_init__(self, points: np.ndarray | Sequence[tuple[float, float]]):
         # Help of the command line knows the shapes, and must not wait for numpy.
         import numpy as np
 
-        object.__setattr__(self, "vertices", np.asarray(self.vertices, dtype=float))
+        object.__setattr__(self, "vertices", np.asarray(points, dtype=float))
 
     def gap(self, points: np.ndarray) -> np.ndarray:
         """Signed distance of points (n, 2) from the surface, m, positive outside, shape (n,)."""
@@ -64,10 +68,8 @@ class Profile:
         angle = np.arctan2(-way[:, 0], way[:, 1])  # of the outward normal
         # The surface begins on the axis, under the first vertex.
         angle = np.concatenate([[-np.pi / 2], angle, [np.pi / 2 if self.vertices[-1, 1] < height else angle[-1]]])
-        points = []
-        for k, vertex in enumerate(self.vertices):
-            turn = np.linspace(angle[k], angle[k + 1], 25)
-            points.append(vertex + self.rounding * np.stack([np.cos(turn), np.sin(turn)], axis=-1))
-        points = np.concatenate(points)
+        turns = np.linspace(angle[:-1], angle[1:], 25, axis=1)
+        normals = np.stack([np.cos(turns), np.sin(turns)], axis=-1)
+        points = (self.vertices[:, None] + self.rounding * normals).reshape(-1, 2)
         points[:, 1] = np.minimum(points[:, 1], height)
         return points

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,33 +41,35 @@ class ProfileTool(Tool):
     profile_file: str | Path | None = None
 
     def __post_init__(self):
-        from tissue_sim.experiment.tools.profile_file import read_profile
-
-        if self.profile_file is None:
-            raise InputError("a profile tool needs the file of its profile", field="tool.profile_file")
-        outline = read_profile(self.profile_file)
-        widest = float(outline[:, 0].max())
+        widest = self._widest
         if self.radius is not None and abs(self.radius - widest) > 1e-9 * widest:
             raise InputError(f"the profile's radius is {widest:g} m; leave the radius out", field="tool.radius")
         object.__setattr__(self, "radius", widest)
-        object.__setattr__(self, "_outline", outline)
         if not self.edge_radius:
             self._round_as_there_is_room()
         self.require_sizes("edge_radius")
 
     def _round_as_there_is_room(self) -> None:
         for halvings in range(MOST_HALVINGS):
-            object.__setattr__(self, "edge_radius", PROFILE_ROUNDING * self.radius / 2**halvings)
+            object.__setattr__(self, "edge_radius", PROFILE_ROUNDING * self._widest / 2**halvings)
             try:
                 _ = self.profile
                 return
             except InputError:
                 continue
 
-    @property
+    @cached_property
     def outline(self) -> np.ndarray:
         """The profile of the file, (r, z), m, shape (n, 2)."""
-        return self._outline
+        from tissue_sim.experiment.tools.profile_file import read_profile
+
+        if self.profile_file is None:
+            raise InputError("a profile tool needs the file of its profile", field="tool.profile_file")
+        return read_profile(self.profile_file)
+
+    @property
+    def _widest(self) -> float:
+        return float(self.outline[:, 0].max())
 
     @property
     def profile(self) -> Profile:
@@ -74,7 +77,7 @@ class ProfileTool(Tool):
         import numpy as np
 
         outline = self.outline
-        top = [[outline[-1, 0], outline[-1, 1] + SHAFT_LENGTH * self.radius]]
+        top = [[outline[-1, 0], outline[-1, 1] + SHAFT_LENGTH * self._widest]]
         if outline[-1, 0] == outline[-2, 0]:
             outline = outline[:-1]
         outline = np.concatenate([outline, top])
@@ -102,4 +105,4 @@ class ProfileTool(Tool):
         import numpy as np
 
         wide = float(np.interp(depth, self.outline[:, 1], self.outline[:, 0]))
-        return max(self.face_radius, 1e-3 * self.radius, wide if self.face_radius else 2.0 / np.pi * wide)
+        return max(self.face_radius, 1e-3 * self._widest, wide if self.face_radius else 2.0 / np.pi * wide)

@@ -29,7 +29,9 @@ def read_profile(path: str | Path) -> np.ndarray:
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot be read as the profile of a tool ({getattr(error, 'strerror', None) or error})",
                          file=path) from None
-    points, places, headers = [], [], 0
+    points: list[list[float]] = []
+    places: list[int] = []
+    headers = 0
     for number, line in enumerate(lines, 1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue

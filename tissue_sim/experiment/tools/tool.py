@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from abc import ABCMeta, abstractmethod
 from collections.abc import Mapping
-from dataclasses import MISSING, fields, is_dataclass
+from dataclasses import MISSING, Field, fields, is_dataclass
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
@@ -26,20 +26,8 @@ class _ByShape(ABCMeta):
     def __call__(cls, *values: Any, **sizes: Any) -> Any:
         if cls is not Tool:
             return super().__call__(*values, **sizes)
-        shape, *values = (sizes.pop("shape", "plate"),) if "shape" in sizes or not values else values
-        kind = TOOLS.find(shape, field="tool")
-        names = [entry.name for entry in fields(kind)]
-        if len(values) > len(names):
-            raise _does_not_have(kind, "radius" if not names else "more sizes")
-        sizes = {name: value for name, value in (*zip(names, values, strict=False), *sizes.items())
-                 if value is not None and (value or name in names)}
-        for name in sizes:
-            if name not in names:
-                raise _does_not_have(kind, name)
-        for entry in fields(kind):
-            if entry.default is entry.default_factory is MISSING and entry.name not in sizes:
-                raise InputError(f"a {shape} tool needs a {_words(entry.name)}", field=f"tool.{entry.name}")
-        return kind(**sizes)
+        shape, *unnamed = (sizes.pop("shape", "plate"),) if "shape" in sizes or not values else values
+        return make_tool(shape, *unnamed, **sizes)
 
 
 class Tool(metaclass=_ByShape):
@@ -67,6 +55,7 @@ class Tool(metaclass=_ByShape):
     from_file: ClassVar[bool] = False
     radius: float | None = None
     edge_radius: float = 0.0
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
 
     @property
     def shape(self) -> str:
@@ -93,18 +82,45 @@ class Tool(metaclass=_ByShape):
         """About how wide the contact is at a depth, m: of a pointed tool as on an elastic half-space (Hertz; Sneddon,
         Int. J. Eng. Sci. 3 (1965) 47), of a plate the specimen's radius."""
 
+    def require_radius(self) -> float:
+        """Its radius, m.
+
+        Raises:
+            InputError: it has none, or none that is a length.
+        """
+        radius = self.radius or 0.0
+        require_length(radius, "tool.radius")
+        return radius
+
     def require_sizes(self, *roundings: str) -> None:
         """Refuse a radius that is no length, and `roundings`, names of fields, that do not fit it.
 
         Raises:
             InputError: with the field.
         """
-        require_length(self.radius, "tool.radius")
+        radius = self.require_radius()
         for name in roundings:
             value = getattr(self, name)
-            if not 0 <= value < self.radius:
-                raise InputError(f"an {_words(name)} of {value:g} m does not fit a tool of radius {self.radius:g} m; "
+            if not 0 <= value < radius:
+                raise InputError(f"an {_words(name)} of {value:g} m does not fit a tool of radius {radius:g} m; "
                                  "give 0 or more and less than the radius", field=f"tool.{name}")
+
+
+def make_tool(shape: str, *unnamed: Any, **sizes: Any) -> Tool:
+    """What ``Tool(shape, ...)`` gives; arguments and errors as there."""
+    kind = TOOLS.find(shape, field="tool")
+    entries = {entry.name: entry for entry in fields(kind)}
+    if len(unnamed) > len(entries):
+        raise _does_not_have(kind, "radius" if not entries else "more sizes")
+    sizes = {name: value for name, value in (*zip(entries, unnamed, strict=False), *sizes.items())
+             if value is not None and (value or name in entries)}
+    for name in sizes:
+        if name not in entries:
+            raise _does_not_have(kind, name)
+    for entry in entries.values():
+        if entry.default is entry.default_factory is MISSING and entry.name not in sizes:
+            raise InputError(f"a {shape} tool needs a {_words(entry.name)}", field=f"tool.{entry.name}")
+    return kind(**sizes)
 
 
 def _words(name: str) -> str:

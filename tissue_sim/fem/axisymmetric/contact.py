@@ -144,7 +144,7 @@ class ContactPoints:
     def _merge(self, shares: np.ndarray, at_nodes: np.ndarray) -> None:
         """One point a node and body: the first edge that has it takes the `shares` of the others."""
         first: dict[tuple, tuple[int, int]] = {}
-        for m in np.flatnonzero(at_nodes):
+        for m in np.flatnonzero(at_nodes).tolist():
             for q, node in enumerate(self.edges[m]):
                 place = first.setdefault((node, self.moves[m]), (m, q))
                 if place != (m, q):

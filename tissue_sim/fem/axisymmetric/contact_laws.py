@@ -36,7 +36,7 @@ def strength(laws: tuple[ContactLaw, ...], face: float) -> float:
 
 
 @cache
-def law_functions(formulas: tuple[Formula, ...]) -> LawFunctions:
+def law_functions(formulas: tuple[Formula[ContactLaw], ...]) -> LawFunctions:
     """Of the laws of a contact.
 
     Raises:
@@ -58,7 +58,7 @@ def law_functions(formulas: tuple[Formula, ...]) -> LawFunctions:
     return LawFunctions(traction, not constant[1], not (constant[2] and constant[3]))
 
 
-def _sum(formulas: tuple[Formula, ...], place: list, settings: list) -> list:
+def _sum(formulas: tuple[Formula[ContactLaw], ...], place: list, settings: list) -> list:
     """Pull, drag, and their rates with gap and slip, of all laws together."""
     (gap, pressure, slip), (face, *numbers) = traced(place, lanes=False), traced(settings, lanes=False)
     total = [0.0] * 4

@@ -17,7 +17,9 @@ NEEDLE_TOLERANCE, PLATE_TOLERANCE, HOMOGENEOUS_TOLERANCE = 1e-4, 1e-7, 1e-11
 
 def coefficient(interface: str | float) -> float:
     """Coefficient of friction of an interface for tissue that meets it during the test."""
-    return {"bonded": STICK, "stick": STICK, "frictionless": 0.0}.get(interface, interface)
+    if not isinstance(interface, str):
+        return interface
+    return {"bonded": STICK, "stick": STICK, "frictionless": 0.0}[interface]
 
 
 def build_contact(experiment: Experiment, mesh: Mesh, *, tool: bool = True,
@@ -44,7 +46,7 @@ def build_contact(experiment: Experiment, mesh: Mesh, *, tool: bool = True,
         share = HOMOGENEOUS_TOLERANCE if homogeneous else PLATE_TOLERANCE
         tolerance = share * experiment.specimen.radius
     else:
-        tolerance = NEEDLE_TOLERANCE * experiment.tool.radius
+        tolerance = NEEDLE_TOLERANCE * experiment.tool.require_radius()
     level = tool and experiment.tool.is_plate
     return Contact(tuple(pairs), tolerance, experiment.acting_laws if tool else (),
                    np.pi * experiment.contact_radius**2, level)

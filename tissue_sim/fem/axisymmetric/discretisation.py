@@ -59,8 +59,8 @@ def build_mesh(experiment: Experiment, resolution: str = "fast", element: Elemen
     r, z = np.unique(corners[:, 0]), np.unique(corners[:, 1])
     layered = structured_mesh(r, with_lines(z, interfaces.tolist(), LAYER_ELEMENTS[resolution]), element)
     top, old = layered.sets["top"], mesh.sets["top"]
-    own = {name: top[np.isin(old, mesh.sets[name])] for name in ("face", "free") if name in mesh.sets}
-    return replace(layered, sets={**layered.sets, **own})
+    top_sets = {name: top[np.isin(old, nodes)] for name, nodes in mesh.sets.items() if name in ("face", "free")}
+    return replace(layered, sets={**layered.sets, **top_sets})
 
 
 def _mesh_of_one_material(experiment: Experiment, resolution: str, element: Element, *, small: bool) -> Mesh:
@@ -76,16 +76,16 @@ def _mesh_of_one_material(experiment: Experiment, resolution: str, element: Elem
                         smallest=smallest * contact, largest=max(largest * contact, least))
     if tool.face_radius:
         smallest, largest, growth = NEEDLE_RESOLUTIONS[resolution]
+        radius = tool.require_radius()
         return needle_mesh(
             specimen.radius, specimen.height, tool.face_radius, element, growth=growth,
-            smallest=max(smallest * tool.radius, _ROUNDING_SHARE * tool.edge_radius),
-            largest=max(largest * tool.radius, least))
+            smallest=max(smallest * radius, _ROUNDING_SHARE * tool.edge_radius), largest=max(largest * radius, least))
     (along_r, along_z), grading = RESOLUTIONS[resolution]
     # As many elements in other shapes, with no fewer than half and no more than four times as many along a side.
     stretch = np.sqrt(specimen.height / specimen.radius / _STUDY_SLENDERNESS)
-    counts = [round(float(np.clip(count * share, count / 2, 4 * count)))
-              for count, share in ((along_r, 1 / stretch), (along_z, stretch))]
-    return cylinder_mesh(specimen.radius, specimen.height, counts, element, grading=grading)
+    columns, rows = (round(float(np.clip(count * share, count / 2, 4 * count)))
+                     for count, share in ((along_r, 1 / stretch), (along_z, stretch)))
+    return cylinder_mesh(specimen.radius, specimen.height, (columns, rows), element, grading=grading)
 
 
 def moved_mesh(mesh: Mesh, before: Model, after: Model) -> Mesh:

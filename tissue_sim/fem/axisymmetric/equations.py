@@ -65,7 +65,7 @@ class Equations:
             x[: settled.size] = settled
             self.surface.anchors[: bound.count], self.surface.slipped[: bound.count] = (
                 bound.anchors[: bound.count], bound.slipped[: bound.count])
-        self.state = State(x, self.surface, self.memory, self.effects)
+        self.state: State = State(x, self.surface, self.memory, self.effects)
         self.start = x[:freedoms].copy()
         self._target, self._motion, self.masses, self.rest = np.zeros((4, freedoms))
         self.weights, self._predicted = np.array([1.0, 0.0, 0.0]), 0.0

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -33,9 +34,6 @@ class Fields:
             hoop), where it depends on the past; else None.
     """
 
-    #: What another material of the same make changes beside the states.
-    OF_THE_MATERIAL: ClassVar = ("material", "bulk_modulus", "moduli")
-
     mesh: Mesh
     material: Material
     bulk_modulus: float
@@ -45,6 +43,18 @@ class Fields:
     weights: np.ndarray
     moduli: np.ndarray
     stresses: np.ndarray | None = None
+
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        return (self.states,) if self.stresses is None else (self.states, self.stresses)
+
+    def with_arrays(self, arrays: Sequence[np.ndarray]) -> Fields:
+        return replace(self, states=arrays[0], stresses=arrays[1] if len(arrays) > 1 else None)
+
+    def of_the_material(self) -> dict[str, Any]:
+        return {"material": self.material, "bulk_modulus": self.bulk_modulus, "moduli": self.moduli}
+
+    def with_material(self, changed: Mapping[str, Any]) -> Fields:
+        return replace(self, **changed)
 
     def displacement(self, sample: int = -1) -> np.ndarray:
         """Nodal displacement (r, z), m, shape (nodes, 2)."""

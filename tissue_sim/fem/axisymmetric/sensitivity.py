@@ -31,7 +31,8 @@ class Sensitivity:
         here = equations.inputs(equations.material)
         rates = [np.zeros((m, *np.shape(array))) for array in here]
         for k, (up, down, width) in enumerate(neighbours):
-            for rate, more, less in zip(rates, equations.inputs(up), equations.inputs(down), strict=True):
+            above, below = (map(np.asarray, equations.inputs(material)) for material in (up, down))
+            for rate, more, less in zip(rates, above, below, strict=True):
                 rate[k] = (more - less) / width
         coefficient_rates, kappa_rates, factor_rates, moduli_rates = rates
         self._directions = np.concatenate([np.tile(here[0], (m, 1)), coefficient_rates], axis=1)
@@ -93,12 +94,12 @@ class Sensitivity:
         memory = self._equations.memory
         decay, gain = memory.step
         for k, (up, down, width) in enumerate(self._relaxations):
-            if up == down:
-                rates = 0.0, np.zeros_like(decay), np.zeros_like(gain)
+            if up == down or up is None or down is None:
+                changes = [np.zeros(()), np.zeros_like(decay), np.zeros_like(gain)]
             else:
-                rates = tuple((more - less) / width for more, less in zip(
-                    up.increment(memory.dt), down.increment(memory.dt), strict=True))
-            self._past_rates[k, INSTANT], self._decay_rates[k], self._gain_rates[k] = rates
+                above, below = (map(np.asarray, series.increment(memory.dt)) for series in (up, down))
+                changes = [(more - less) / width for more, less in zip(above, below, strict=True)]
+            self._past_rates[k, INSTANT], self._decay_rates[k], self._gain_rates[k] = changes
         if memory.works:
             # The sums over terms of decay times internal stress and gain times stress, differentiated.
             self._inherited_rates[:] = (

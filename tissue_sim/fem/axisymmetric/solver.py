@@ -61,8 +61,9 @@ class AxisymmetricSolver(Solver):
                  contact: Contact | None = None, specific_weight: float = 0.0, element_layers: np.ndarray | None = None,
                  contact_radius: float = 1.0, start: AxisymmetricSolver | None = None):
         self.mesh = mesh
-        self.equations = equations = Equations(mesh, material, supports, tool, contact, specific_weight, element_layers,
-                                               contact_radius, None if start is None else start.equations)
+        self.equations: Equations = Equations(mesh, material, supports, tool, contact, specific_weight, element_layers,
+                                              contact_radius, None if start is None else start.equations)
+        equations = self.equations
         self.committed = equations.state
         #: Rates with the parameters of the material, where somebody asked for them.
         self._sensitivity: Sensitivity | None = None

@@ -13,7 +13,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -31,35 +31,37 @@ _OPERATORS: dict[Any, Callable] = {
 #: Whole powers up to this one are products.
 _PRODUCTS = 4
 #: Stands for an expression where a formula is only tried, without a kernel.
-TRIED = object()
+TRIED: Any = object()
+Thing = TypeVar("Thing")
 
 
-class Formula(NamedTuple):
+class Formula(NamedTuple, Generic[Thing]):
     """What a kernel is compiled for: a frozen dataclass with a formula, which is another one wherever its content is,
     and what it is told beside its declared parameters."""
 
-    kind: type
+    kind: type[Thing]
     constants: tuple[tuple[str, Any], ...]
 
     @classmethod
-    def of(cls, thing: Any) -> Formula:
+    def of(cls, thing: Thing) -> Formula[Thing]:
         """The formula of an effect or a law."""
-        known = declared(type(thing))
-        return cls(type(thing), tuple((entry.name, getattr(thing, entry.name)) for entry in fields(thing)
-                                      if entry.name not in known))
+        kind: Any = type(thing)
+        known = declared(kind)
+        return cls(kind, tuple((entry.name, getattr(thing, entry.name)) for entry in fields(kind)
+                               if entry.name not in known))
 
     @property
     def parameters(self) -> tuple[str, ...]:
         """Names of the declared ones, in order."""
         return tuple(declared(self.kind))
 
-    def numbers(self, thing: Any) -> list[float]:
+    def numbers(self, thing: Thing) -> list[float]:
         """Its parameters, in order."""
         return [float(getattr(thing, name)) for name in self.parameters]
 
-    def bind(self, parameters: Iterable[Any]) -> Any:
+    def bind(self, parameters: Iterable[Any]) -> Thing:
         """A thing with these numbers in its fields, which are not checked: they may be those of a kernel."""
-        thing = object.__new__(self.kind)
+        thing: Thing = object.__new__(self.kind)
         for name, value in (*self.constants, *zip(self.parameters, parameters, strict=True)):
             object.__setattr__(thing, name, value)
         return thing

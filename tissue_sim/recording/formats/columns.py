@@ -62,8 +62,7 @@ def read_columns(path: str | Path, columns: Mapping[str, Any], *, skip_lines: in
             raise InputError("a spreadsheet has no delimiter; leave it out", file=path, field="delimiter")
         found = read_sheet(path, sheet)
         with found.located():
-            tables = [found.table(skip_lines)]
-            _, header, rows = _begin(tables, names, places, path)
+            _, header, rows = _begin([found.table(skip_lines)], names, places, path)
             chosen = _choose(wanted, header, bool(names), path)
             narrow, chosen = _narrow(rows, chosen)
             header = Row(header.line, tuple(column.header for column in chosen))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 from tissue_sim.files import read_text
 from tissue_sim.recording.formats.columns import read_columns
@@ -37,7 +38,7 @@ def read_instron(path: str | Path) -> Recording:
 
 def _metadata(lines: list[str]) -> dict:
     pairs = {match["key"].strip().casefold(): match["value"].strip() for match in map(_PAIR.match, lines) if match}
-    metadata = {"format": "instron"}
+    metadata: dict[str, Any] = {"format": "instron"}
     if lines and not _PAIR.match(lines[0]):
         metadata["title"] = lines[0].strip(" ;,")
     specimen = {}

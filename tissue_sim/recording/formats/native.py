@@ -69,7 +69,7 @@ def _columns(header: Row, path: Path) -> list[Column]:
     if not any(_channel(cell) for cell in header.cells) and len(header.cells) < 2:
         raise refuse(f"no header of a recording, expected a line such as {EXAMPLE!r}; for a foreign file give its "
                      "format or columns = {...}")
-    columns = []
+    columns: list[Column] = []
     for index, cell in enumerate(header.cells):
         name, unit = split_header(cell)
         channel = _channel(cell)

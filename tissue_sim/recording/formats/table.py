@@ -50,7 +50,7 @@ def split_rows(text: str, delimiter: str, *, file: Path) -> list[Row]:
             line += 1
             yield " ".join(content.split()) + "\n" if delimiter == " " else content
 
-    rows = []
+    rows: list[Row] = []
     reader = csv.reader(lines(), delimiter=delimiter, skipinitialspace=delimiter != " ")
     while True:
         start = line + 1
@@ -117,7 +117,7 @@ def _count(number: int, noun: str) -> str:
 
 
 def _decimal_comma(rows, columns, file) -> bool:
-    first = {}
+    first: dict[str, tuple[int, str]] = {}
     for row in rows:
         for cell in (row.cells[column.index] for column in columns):
             marks = [mark for mark in ",." if mark in cell]
