@@ -2,15 +2,37 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.fem.solver import Fields, Solver
+from tissue_sim.fem.solver import Fields, SharedFields, Solver
 from tissue_sim.pose import Pose
 from tissue_sim.tool_force import Tissue
+
+
+@dataclass(frozen=True, eq=False)
+class Skin:
+    """The triangles of a surface.
+
+    Attributes:
+        vertices: in the frame of the scene, m, shape (vertices, 3).
+        triangles: vertex numbers, shape (triangles, 3); they stay as they are.
+    """
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """What differs from snapshot to snapshot."""
+        return (self.vertices,)
+
+    def with_arrays(self, arrays: Sequence[np.ndarray]) -> Skin:
+        """The surface of another snapshot."""
+        return replace(self, vertices=arrays[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,11 +43,13 @@ class Snapshot:
         pose: of the tool.
         datum: height at which the tool first touches, m: 0 but for a specimen that sags under its own weight.
         fields: of this one sample; None of a tissue that has none.
+        skin: the surface, of a tissue without a section that its fields could be drawn in.
     """
 
     pose: Pose
     datum: float
     fields: Fields | None
+    skin: Skin | None = None
 
     @property
     def depth(self) -> float:
@@ -45,6 +69,33 @@ class Snapshot:
         place[:, -1] -= self.datum
         return place
 
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """What is another one in another snapshot of this tissue, beside pose and datum; empty where nothing is."""
+        shown = self._shown
+        return () if shown is None else shown.arrays()
+
+    def at(self, pose: Pose, datum: float, arrays: Sequence[np.ndarray]) -> Snapshot:
+        """Another snapshot of this tissue, with its `arrays`."""
+        fields, skin = self.fields, self.skin
+        if skin is not None:
+            skin = skin.with_arrays(arrays)
+        elif isinstance(fields, SharedFields):
+            fields = fields.with_arrays(arrays)
+        return Snapshot(pose, datum, fields, skin)
+
+    def of_the_material(self) -> dict[str, Any]:
+        """What another material of the same make changes beside the arrays."""
+        return self.fields.of_the_material() if isinstance(self.fields, SharedFields) else {}
+
+    def with_material(self, changed: Mapping[str, Any]) -> Snapshot:
+        """This snapshot with what `of_the_material` of another material gave."""
+        fields = self.fields
+        return replace(self, fields=fields.with_material(changed)) if isinstance(fields, SharedFields) else self
+
+    @property
+    def _shown(self) -> Skin | SharedFields | None:
+        return self.skin or (self.fields if isinstance(self.fields, SharedFields) else None)
+
 
 @runtime_checkable
 class ShownTissue(Tissue, Protocol):
@@ -56,4 +107,8 @@ class ShownTissue(Tissue, Protocol):
 
 def snapshot(solver: Solver) -> Snapshot:
     """The last committed state of a solver."""
-    return Snapshot(solver.pose, solver.datum, solver.fields([solver.sample()]))
+    surface, skin = solver.surface(), None
+    if surface.outline is None:
+        vertices, triangles = surface.triangles()
+        skin = Skin(np.asarray(vertices, dtype=float).reshape(-1, 3), np.asarray(triangles).reshape(-1, 3))
+    return Snapshot(solver.pose, solver.datum, solver.fields([solver.sample()]), skin)

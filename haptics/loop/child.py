@@ -15,11 +15,10 @@ from haptics.loop.commands import COMMANDS
 from haptics.loop.loop import Loop, LoopReport, LoopSettings
 from haptics.loop.ring import RingWriter
 from haptics.loop.shared_slots import remove
-from haptics.loop.snapshot_board import SnapshotBoard, shared_fields
+from haptics.loop.snapshot_board import SnapshotBoard
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.child_process import follow_parent
 from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError
-from tissue_sim.fem.solver import SharedFields
 from tissue_sim.registry import register_all
 from tissue_sim.snapshot import ShownTissue
 from tissue_sim.tool_force import Tissue
@@ -91,7 +90,7 @@ def _loop(connection: Connection, parts: LoopParts, files: LoopFiles) -> LoopRep
         snapshots = shown = None
         if settings.snapshot_rate and isinstance(tissue, ShownTissue):
             pattern = tissue.snapshot()
-            if isinstance(pattern.fields, SharedFields):
+            if pattern.arrays():
                 shown, snapshots = tissue, stack.enter_context(SnapshotBoard(files.snapshots, pattern))
                 _say(connection, "pattern", pattern)
         loop = Loop(tissue, parts.device, parts.rendering, settings, ring, snapshots=snapshots,
@@ -115,7 +114,7 @@ def _listen(loop: Loop, connection: Connection, shown: ShownTissue | None) -> No
                 COMMANDS[command](loop, **values)
                 if command == "set_parameters" and shown is not None:
                     # Not the whole pattern: its arrays would take a good part of a tick.
-                    connection.send(("changed", shared_fields(shown.snapshot()).of_the_material()))
+                    connection.send(("changed", shown.snapshot().of_the_material()))
                 connection.send(("answer", ""))
             except (InputError, DeviceError) as error:
                 connection.send(("answer", str(error)))

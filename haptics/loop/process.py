@@ -8,7 +8,6 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from haptics.loop.commands import COMMANDS
 from haptics.loop.loop import LoopReport, LoopSettings
 from haptics.loop.ring import RingReader
 from haptics.loop.shared_slots import remove, unused_path
-from haptics.loop.snapshot_board import SnapshotReader, shared_fields
+from haptics.loop.snapshot_board import SnapshotReader
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.child_process import start_without_ctrl_c
 from tissue_sim.errors import InputError, nearest
@@ -279,7 +278,7 @@ class LoopProcess:
         elif kind == "pattern":
             self.pattern = content
         elif kind == "changed" and self.pattern is not None:
-            self.pattern = replace(self.pattern, fields=shared_fields(self.pattern).with_material(content))
+            self.pattern = self.pattern.with_material(content)
         elif kind == "answer":
             self._answers.append(content)
         elif kind == "report":

@@ -10,7 +10,6 @@ import numpy as np
 
 from haptics.loop.shared_slots import SlotReader, SlotWriter
 from tissue_sim.errors import InputError
-from tissue_sim.fem.solver import SharedFields
 from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
 
@@ -48,8 +47,7 @@ class SnapshotBoard(SlotWriter):
     """
 
     def __init__(self, path: str | Path, pattern: Snapshot):
-        size = _HEAD.size + 8 * sum(array.size for array in shared_fields(pattern).arrays())
-        super().__init__(path, _KIND, _SLOTS, size)
+        super().__init__(path, _KIND, _SLOTS, _HEAD.size + 8 * sum(array.size for array in pattern.arrays()))
 
     def publish(self, time: float, snapshot: Snapshot) -> int:
         """Make a snapshot the newest one; returns its number.
@@ -57,7 +55,7 @@ class SnapshotBoard(SlotWriter):
         Raises:
             InputError: larger than the pattern.
         """
-        arrays = shared_fields(snapshot).arrays()
+        arrays = snapshot.arrays()
         return self.write(_HEAD.pack(time, snapshot.datum, *snapshot.pose.position, *snapshot.pose.orientation)
                           + b"".join(np.ascontiguousarray(array, "<f8").tobytes() for array in arrays))
 
@@ -90,8 +88,7 @@ class SnapshotReader(SlotReader):
         if newest is None:
             return None
         number, content = newest
-        fields = shared_fields(self.pattern)
-        arrays, numbers = fields.arrays(), np.frombuffer(content, "<f8", offset=_HEAD.size)
+        arrays, numbers = self.pattern.arrays(), np.frombuffer(content, "<f8", offset=_HEAD.size)
         ends = np.cumsum([array.size for array in arrays])
         if numbers.size != ends[-1]:
             raise InputError(f"holds {numbers.size} numbers where the pattern has {ends[-1]}; give the pattern "
@@ -99,17 +96,4 @@ class SnapshotReader(SlotReader):
         parts = [part.reshape(array.shape) for part, array in zip(np.split(numbers, ends[:-1]), arrays, strict=True)]
         time, datum, *pose = _HEAD.unpack_from(content)
         (x, y, z), (a, b, c, d) = pose[:3], pose[3:]
-        snapshot = Snapshot(Pose((x, y, z), (a, b, c, d)), datum, fields.with_arrays(parts))
-        return PublishedSnapshot(number, time, snapshot)
-
-
-def shared_fields(snapshot: Snapshot) -> SharedFields:
-    """The fields of a snapshot.
-
-    Raises:
-        InputError: it has none that can be sent to another process.
-    """
-    if not isinstance(snapshot.fields, SharedFields):
-        raise InputError("this solver has no fields that can be published; set the snapshots' rate to 0",
-                         field="snapshot_rate")
-    return snapshot.fields
+        return PublishedSnapshot(number, time, self.pattern.at(Pose((x, y, z), (a, b, c, d)), datum, parts))

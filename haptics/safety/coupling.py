@@ -111,7 +111,10 @@ class VirtualCoupling:
     def _balance(self, away: Vector, velocity: Vector, answer: ToolForce, dt: float) -> Vector:
         """Motion of the proxy in this tick, m, from how far the device is away from it, m, and its velocity, m/s."""
         # A negative stiffness would push the implicit step the wrong way; the next tick mends what is left out.
-        (a, b, c, *_), (d, e, f, *_), (g, h, i, *_), *_ = answer.stiffness_matrix
+        matrix = answer.stiffness_matrix
+        a, b, c = matrix[0][:3]
+        d, e, f = matrix[1][:3]
+        g, h, i = matrix[2][:3]
         a, e, i = max(a, 0.0), max(e, 0.0), max(i, 0.0)
         before_x, before_y, before_z = self._motion
         load_x, load_y, load_z = answer.wrench[:3]

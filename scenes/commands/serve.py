@@ -5,10 +5,7 @@ from __future__ import annotations
 import gc
 import json
 import os
-import signal
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +14,7 @@ from scenes.commands.shared.console import progress_console
 from scenes.commands.shared.experiment_flags import add_experiment_flags, check_scene, make_experiment, make_protocol
 from scenes.commands.shared.parsing import Parser, add_json, at_least, not_negative
 from scenes.commands.shared.tissue_flags import add_solver_flags, check_solver
+from scenes.stop_signals import stopped_by_signals
 
 if TYPE_CHECKING:
     from haptics.server.server import TissueServer
@@ -85,7 +83,7 @@ def run(arguments) -> int:
             simulator.warm_up()
         gc.collect()
         gc.freeze()  # what is there stays, and need not be looked through between two steps
-        with real_time(arguments.real_time) as features, _stopped_by_signals(server):
+        with real_time(arguments.real_time) as features, stopped_by_signals(server.stop):
             announce(arguments, server, features)
             server.run()
     report(server, sys.stderr if arguments.json else sys.stdout)
@@ -132,7 +130,8 @@ def describe(arguments, experiment: Experiment, material_file, simulator) -> dic
 
 def announce(arguments, server: TissueServer, features) -> None:
     """Say that the server is ready, on one line that a program can wait for."""
-    (host, port), (_, configuration_port) = server.address, server.configuration_address
+    host, port = server.address
+    configuration_port = None if server.configuration_address is None else server.configuration_address[1]
     if arguments.json:
         print(json.dumps({"host": host, "port": port, "configuration_port": configuration_port,
                           "real_time": {feature.name: feature.obtained for feature in features}}), flush=True)
@@ -155,21 +154,3 @@ def report(server: TissueServer, stream) -> None:
     print(f"not answered: {counters.skipped} skipped for newer ones, {counters.stale} stale, {counters.malformed} "
           f"malformed; turned away: {counters.turned_away} of other clients, {counters.other_version} of another "
           "version", file=stream)
-
-
-@contextmanager
-def _stopped_by_signals(server: TissueServer) -> Iterator[None]:
-    """Ctrl-C and SIGTERM end `run` after the step that it is at; a second one does what it always does."""
-    before = {}
-
-    def stop(number, _) -> None:
-        server.stop()
-        signal.signal(number, before[number])
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        before[number] = signal.signal(number, stop)
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

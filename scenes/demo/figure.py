@@ -63,8 +63,9 @@ def draw_demo(calibrated_on: list[Recording], material: Material, needle: Compar
         axes.grid(alpha=0.3)
         axes.spines[["top", "right"]].set_visible(False)
         axes.legend(frameon=False, loc="upper left", fontsize=9)
-    draw_section(section, needle.predicted.fields, "von_mises", tool=NEEDLE.tool)
-    draw_fold(fold, needle.predicted.fields, "von_mises", NEEDLE.tool)
+    tool = NEEDLE.require_tool()
+    draw_section(section, needle.predicted.fields, "von_mises", tool=tool)
+    draw_fold(fold, needle.predicted.fields, "von_mises", tool)
     save(figure, path)
 
 

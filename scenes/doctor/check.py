@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
+
+Status = Literal["ok", "warn", "fail"]
 
 
 @dataclass(frozen=True)
@@ -16,14 +19,14 @@ class Check:
         status: ``ok``; ``warn``, where something works less well or is missing that not everybody needs; ``fail``.
         finding: what was found, with numbers.
         remedy: what to do; empty when ok.
-        values: the numbers of the finding, for programs.
+        values: the numbers of the finding, for programs: JSON's types.
     """
 
     name: str
-    status: Literal["ok", "warn", "fail"]
+    status: Status
     finding: str
     remedy: str = ""
-    values: dict[str, float | int | str | bool | None] | None = None
+    values: Mapping[str, object] | None = None
 
     def as_json(self) -> dict:
         return asdict(self)

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from scenes.doctor.check import Check
+from scenes.doctor.check import Check, Status
 
 OURS = ("tissue_sim", "calibration", "haptics", "scenes")
 NEEDED = ("taichi", "numpy", "scipy", "sympy", "viser", "msgspec", "rich", "matplotlib")
@@ -42,7 +42,7 @@ def packages() -> Iterator[Check]:
         try:
             version = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
-            status = "warn" if name == "taichi" and not has_taichi_wheel() else "fail"
+            status: Status = "warn" if name == "taichi" and not has_taichi_wheel() else "fail"
             yield Check(name, status, "not installed", f"python -m pip install {name}" if status == "fail" else
                         "the finite elements need a platform that Taichi has a wheel for")
         else:

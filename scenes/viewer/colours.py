@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -97,7 +98,7 @@ def steady_levels(previous: np.ndarray | None, low: float, high: float, bands: i
     return previous if np.ptp(previous) <= TOO_WIDE * np.ptp(levels) else levels
 
 
-def colour_bar_html(levels: np.ndarray, colours: tuple[tuple[int, int, int], ...], label: str) -> str:
+def colour_bar_html(levels: np.ndarray, colours: Sequence[tuple[int, int, int]], label: str) -> str:
     """A bar with a block for every band, pointed at both ends, as what lies beyond has the colours of the ends.
 
     Every block has its colour in ``data-colour``, and its range as a tooltip. Numbers stand at every second level.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections import deque
 from contextlib import ExitStack
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -15,12 +14,13 @@ import tissue_sim as ts
 from haptics.devices.contracts import HapticDevice
 from haptics.loop.loop import LoopSettings
 from haptics.loop.process import LoopError, LoopProcess
-from haptics.loop.ring import PAUSED, TICK
+from haptics.loop.ring import PAUSED, TICK, RingReader
+from haptics.loop.snapshot_board import SnapshotReader
 from haptics.safety.limits import ForceLimits
 from haptics.safety.rendering import ForceRendering
 from scenes.viewer.frame import Phase, Readouts
 from scenes.viewer.revolution import Surface
-from scenes.viewer.shown_tissue import ShownTissue, SurfaceStates
+from tissue_sim.simulator import Simulator
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import ForceStatus
 
@@ -28,7 +28,7 @@ from tissue_sim.tool_force import ForceStatus
 BUDGET = 0.8e-3
 #: Over which time read-outs are taken, and rates are counted, s.
 _LOOK_BACK, _COUNT_OVER = 0.5, 2.0
-#: N, and N per tick: nobody feels these forces, the tissue's own are shown.
+#: N, and N per tick: limits of the rendered force, which no device takes; what is shown is the force of the tissue.
 _LIMITS = 1e3, 1e3
 
 
@@ -53,11 +53,12 @@ class LiveSimulation:
     def __init__(self, model: ts.Model, device: HapticDevice, *, solver: str = "axisymmetric",
                  resolution: str = "realtime", snapshot_rate: float = 30.0, real_time: bool = True):
         self._loop = LoopProcess(
-            partial(ShownTissue, model, solver=solver, resolution=resolution, budget=BUDGET), device,
+            partial(Simulator, model, solver=solver, resolution=resolution, budget=BUDGET), device,
             ForceRendering(ForceLimits(*_LIMITS)),
             LoopSettings(snapshot_rate=snapshot_rate, real_time=real_time))
         self._files = ExitStack()
-        self._ring = self._snapshots = None
+        self._ring: RingReader | None = None
+        self._snapshots: SnapshotReader | None = None
         self._number, self._published = 0, 0
         self._recent: deque[tuple[float, int]] = deque()
         #: Ticks of the last `_LOOK_BACK` s.
@@ -107,7 +108,7 @@ class LiveSimulation:
         self.phase = Phase.PAUSED if self._paused else Phase.RUNNING
         ticks = self._ring.since(self._number)
         self._number = ticks.number
-        if self._snapshots is not None:
+        if self._snapshots is not None and self._loop.pattern is not None:
             self._snapshots.pattern = self._loop.pattern
             published = self._snapshots.latest(after=self._published)
             if published is not None:
@@ -140,16 +141,15 @@ class LiveSimulation:
         self._loop.stop()
 
     def forget(self) -> None:
-        """Leave out the ticks that nobody has polled yet."""
+        """Leave out the ticks that have not been polled yet."""
         if self._ring is not None:
             self._number = self._ring.written
         self._felt = self._felt[:0]
 
     def _take(self, snapshot: Snapshot) -> None:
-        shown = snapshot.fields
-        if isinstance(shown, SurfaceStates):
-            snapshot = replace(snapshot, fields=None)
-            self.surface = Surface(shown.states.astype(np.float32), shown.triangles.astype(np.uint32))
+        skin = snapshot.skin
+        if skin is not None:
+            self.surface = Surface(skin.vertices.astype(np.float32), skin.triangles.astype(np.uint32))
         self.snapshot = snapshot
 
     def _die(self, reason: str) -> None:

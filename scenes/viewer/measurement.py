@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -109,7 +110,7 @@ def measurement(recordings: Sequence[Recording]) -> Measurement:
     recordings = tuple(recordings)
     if not recordings:
         raise InputError("needs at least one recording", field="measurement")
-    kinds = {}
+    kinds: dict[Any, Any] = {}
     for recording in recordings:
         file = recording.metadata.get("source")
         for channel in ("displacement", "force"):
@@ -150,8 +151,8 @@ def branches_on_grid(recording: Recording, grid: np.ndarray) -> tuple[np.ndarray
     Monotone cubics between the samples (Fritsch and Butland, SIAM J. Sci. Stat. Comput. 5 (1984) 300): a simulation
     for a comparison has few.
     """
-    return tuple(_smooth(recording, way, direction, grid)
-                 for way, direction in zip(load_and_unload(recording), (1, -1), strict=True))
+    load, unload = load_and_unload(recording)
+    return _smooth(recording, load, 1, grid), _smooth(recording, unload, -1, grid)
 
 
 def _smooth(recording: Recording, way: np.ndarray, direction: int, depth: np.ndarray) -> np.ndarray:
@@ -179,12 +180,12 @@ def residual(model: Recording, measured: Measurement) -> Residual:
     """
     load, unload = branches_on_grid(model, measured.depth)
     ways = dict(zip((1, -1), load_and_unload(model), strict=True))
-    missed = []
+    gaps = []
     for recording, both in zip(measured.recordings, measured.ways, strict=True):
         for direction, way in zip((1, -1), both, strict=True):
             at = _smooth(model, ways[direction], direction, recording.displacement[way])
-            missed.append(at - recording.force[way])
-    missed = np.concatenate(missed)
+            gaps.append(at - recording.force[way])
+    missed = np.concatenate(gaps)
     missed = missed[np.isfinite(missed)]
     if not missed.size:
         raise InputError("reaches none of the measured depths; simulate the measured motion", field="model")
@@ -214,8 +215,8 @@ def motion(measured: Measurement, *, samples: int = MOTION_SAMPLES, speed: float
     later = np.concatenate([[True], np.diff(np.maximum.accumulate(time)) > 0])
     kept = np.flatnonzero(later)
     time, depth = time[kept], depth[kept]
-    corners = [0, load[0], load[-1], *([unload[0], unload[-1]] if unload.size else [])]
-    corners = np.unique(np.minimum(np.searchsorted(kept, corners), kept.size - 1))
+    turns = [0, load[0], load[-1], *([unload[0], unload[-1]] if unload.size else [])]
+    corners = np.unique(np.minimum(np.searchsorted(kept, turns), kept.size - 1))
     chosen = np.union1d(corners, _spread(time, depth, corners, max(samples - corners.size, 2)))
     labels = {name: values[:end][kept][chosen] for name, values in recording.labels.items()
               if values.dtype.kind in {"segment": "U", "cycle": "iu"}[name]}
@@ -235,8 +236,7 @@ def typical(measured: Measurement) -> tuple[Recording, tuple[np.ndarray, np.ndar
 def _time(depth: np.ndarray, recording: Recording, speed: float | None) -> np.ndarray:
     if speed is None:
         stated = recording.metadata.get("speed_mm_s")
-        number = isinstance(stated, int | float) and not isinstance(stated, bool)
-        speed = stated * 1e-3 if number else STUDY_SPEED
+        speed = stated * 1e-3 if isinstance(stated, int | float) and not isinstance(stated, bool) else STUDY_SPEED
     if not 0 < speed < np.inf:
         raise InputError(f"{speed:g} m/s is not a speed; give a number above zero",
                          file=recording.metadata.get("source"), field="speed")

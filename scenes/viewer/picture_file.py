@@ -39,7 +39,8 @@ class Curve:
     dashed: bool = False
 
 
-def compose_png(render: np.ndarray, levels: Sequence[float] | None, colours: Sequence, label: str,
+def compose_png(render: np.ndarray, levels: Sequence[float] | np.ndarray | None, colours: Sequence | np.ndarray,
+                label: str,
                 caption: Sequence[str], *, curves: Sequence[Curve] = (),
                 band: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None,
                 now: tuple[float, float] | None = None) -> bytes:
@@ -105,7 +106,8 @@ def _on_white(render: np.ndarray) -> np.ndarray:
     return np.round(render[:, :, :3] * share + 255.0 * (1.0 - share)).astype(np.uint8)
 
 
-def _checked_bands(levels: Sequence[float], colours: Sequence) -> tuple[np.ndarray, np.ndarray]:
+def _checked_bands(levels: Sequence[float] | np.ndarray,
+                   colours: Sequence | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Edges, and colours of shape (n, 4) from 0 to 1."""
     from matplotlib.colors import to_rgba_array
 

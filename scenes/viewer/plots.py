@@ -73,7 +73,7 @@ def force_depth_options(x_range: tuple[float, float], y_range: tuple[float, floa
                         dark: bool = False) -> dict[str, Any]:
     """Keyword arguments of `add_uplot` beside the data of `force_depth`; ranges in mm and N."""
     colours = DARK if dark else LIGHT
-    series = [{"label": "depth [mm]"}]
+    series: list[dict[str, Any]] = [{"label": "depth [mm]"}]
     for way, dash in (("load", ()), ("unload", _DASH)):
         series += [_hidden(f"measured {way}, lowest"), _hidden(f"measured {way}, highest"),
                    _line(f"measured {way}", colours["measured"], 1.5, dash)]
@@ -194,7 +194,7 @@ def legend_html(*, measured: int = 0, model: bool = True, before: str | None = N
         entries.append(("measured" if measured == 1 else f"measured, {measured} replicates",
                         (_swatch(_BAND) if measured > 1 else "") + _stroke(colours["measured"])))
     entries += [(name, _stroke(colours[role])) for role, name, drawn in (
-        ("model", "model", model), ("before", before, before is not None), ("live", "live", live)) if drawn]
+        ("model", "model", model), ("before", before or "", before is not None), ("live", "live", live)) if drawn]
     entries.append(("load", _stroke("currentColor")))
     entries.append(("unload", _stroke("currentColor", "5 3")))
     spans = "".join('<span style="display:inline-flex;align-items:center;gap:0.35em;white-space:nowrap">'

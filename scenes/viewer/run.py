@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import gc
 import json as json_format
-import signal
 import sys
 import threading
 import webbrowser
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from scenes.stop_signals import stopped_by_signals
 from scenes.viewer.frame import NullViewer, Phase
 from scenes.viewer.scene import Scene
 from scenes.viewer.session import Session
+from scenes.viewer.trace import Trace
 from scenes.viewer.web_server import exposure
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import STUDY_SPEED
@@ -61,7 +60,8 @@ def run_page(scene: Scene, materials: Path, page: dict[str, Any], *, seconds: fl
                 webbrowser.open_new_tab(address)
             gc.collect()
             gc.freeze()  # what is there stays, and need not be looked through between two frames
-            with _stopped_by_signals() as stop:
+            stop = threading.Event()
+            with stopped_by_signals(stop.set):
                 session.run(viewer, stop, seconds)
         finally:
             gc.unfreeze()
@@ -86,10 +86,11 @@ def run_headless(scene: Scene, seconds: float, *, protocol: str | None = None, s
     """
     session, viewer = Session(scene, **options), NullViewer()
     try:
-        with _stopped_by_signals() as stop:
+        stop = threading.Event()
+        with stopped_by_signals(stop.set):
             while not stop.is_set() and session.frame().phase is Phase.STARTING:
                 stop.wait(0.05)
-            refused = []
+            refused: list[str | None] = []
             if protocol is not None:
                 session.post("play", text=protocol, speed=speed, reply=refused.append)
             session.run(viewer, stop, seconds)
@@ -97,9 +98,9 @@ def run_headless(scene: Scene, seconds: float, *, protocol: str | None = None, s
                 viewer.show(session.frame())
                 stop.wait(0.05)
         frame = viewer.latest or session.frame()  # stopped before its time
-        if any(refused) and frame.phase is not Phase.DIED:
+        if refused and refused[0] is not None and frame.phase is not Phase.DIED:
             raise InputError(refused[0])
-        trace = frame.curves.trace
+        trace = frame.curves.trace or Trace()
         now = frame.readouts
         return {
             "frames": viewer.frames, "seconds": seconds, "phase": frame.phase.value, "message": frame.message,
@@ -110,21 +111,3 @@ def run_headless(scene: Scene, seconds: float, *, protocol: str | None = None, s
         }
     finally:
         session.close()
-
-
-@contextmanager
-def _stopped_by_signals() -> Iterator[threading.Event]:
-    """An event that Ctrl-C and SIGTERM set; a second one does what it always does."""
-    stop, before = threading.Event(), {}
-
-    def set_it(number, _) -> None:
-        stop.set()
-        signal.signal(number, before[number])
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        before[number] = signal.signal(number, set_it)
-    try:
-        yield stop
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

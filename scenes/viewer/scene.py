@@ -66,7 +66,7 @@ class Scene:
             raise ts.InputError(f"no scene {name!r}; known: {', '.join(SCENES)}", field="scene")
         kind, before = SCENES[name], self.experiment
         if tool is None:
-            tool = before.tool if kind.fits(before.tool) else kind.tool
+            tool = before.tool if kind.fits(before.tool) else kind.require_tool()
         if not kind.fits(tool):
             raise ts.InputError(f"{kind.title.lower()} is not done with the tool {tool.shape!r}", field="tool")
         changes = kind.interfaces

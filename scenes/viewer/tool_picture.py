@@ -64,7 +64,7 @@ def tool_outline(tool: Tool, specimen: Specimen) -> np.ndarray:
         outline = np.array([[0.0, 0.0], [radius, 0.0], [radius, top]])
         inset = INSET * specimen.radius
     else:
-        profile, radius = tool.profile, tool.radius
+        profile, radius = tool.profile, tool.require_radius()
         # A ball ends by itself; the others have a shaft.
         top = max(SHAFT * specimen.height, profile.vertices[-2, 1] + SHAFT_ABOVE_SHOULDER * radius) if tool.has_shaft \
             else profile.vertices[-2, 1] + profile.rounding

@@ -121,7 +121,8 @@ class Trace:
         self._points[:, self._end] = point
         self._reversals.add(self._gone + self._end, point[1])
         self._end += 1
-        self._last = point[:3]
+        time, depth, force, *_ = point
+        self._last = time, depth, force
         if len(self) > self._most:
             self._first += 1
             self._reversals.forget_before(self._gone + self._first)

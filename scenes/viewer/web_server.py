@@ -140,7 +140,7 @@ class _Door:
     @contextmanager
     def instead_of_serve(self) -> Iterator[None]:
         """viser's view of websockets, and no other module's, has this door for the time."""
-        infra = viser.infra._infra
+        infra: Any = viser.infra._infra
         view = SimpleNamespace(**vars(websockets))
         view.asyncio = SimpleNamespace(server=SimpleNamespace(serve=self.serve,
                                                               ServerConnection=websockets.asyncio.server.ServerConnection))

@@ -20,7 +20,6 @@ from scenes.viewer.page import Page
 from scenes.viewer.page.readouts import readouts_html, status_html
 from scenes.viewer.scene import Scene
 from scenes.viewer.session import Session
-from scenes.viewer.shown_tissue import ShownTissue
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.fem.solver import SOLVERS
 from tissue_sim.pose import Pose, motion
@@ -139,6 +138,13 @@ def test_what_is_drawn(spring, shown):
     assert "device" in status_html(frame)
 
 
+def test_the_curve_of_the_whole_test_is_of_that_solver(spring, shown):
+    """Computed in another process, which must know the name."""
+    session, *_ = shown
+    model = until(session.frame, lambda frame: frame.curves.model is not None).curves.model
+    np.testing.assert_allclose(model.force, spring.STIFFNESS[2, 2] * model.displacement, rtol=1e-9)
+
+
 def test_the_page_draws_it(shown, tmp_path):
     """Without a browser: what the nodes of the page's picture hold."""
     session, frame, _ = shown
@@ -168,7 +174,7 @@ def test_empty_triangles_are_published(spring, scene, monkeypatch):
     from haptics.loop.snapshot_board import SnapshotBoard, SnapshotReader
 
     monkeypatch.setattr(spring.SpringSurface, "triangles", lambda surface, segments=48: ([], []))
-    tissue = ShownTissue(scene.model, solver="spring")
+    tissue = ts.Simulator(scene.model, solver="spring")
     pose = Pose((1e-3, 2e-3, -3e-3), (math.cos(0.1), 0.0, math.sin(0.1), 0.0))
     tissue.step(pose, 1e-3)
     pattern, path = tissue.snapshot(), unused_path("empty")
@@ -176,7 +182,7 @@ def test_empty_triangles_are_published(spring, scene, monkeypatch):
         board.publish(0.5, pattern)
         with SnapshotReader(path, pattern) as reader:
             published = reader.latest()
-    assert published.snapshot.pose == pose and published.snapshot.fields.states.shape == (0, 3)
+    assert published.snapshot.pose == pose and published.snapshot.skin.vertices.shape == (0, 3)
 
 
 @pytest.mark.parametrize("words", [

@@ -17,7 +17,7 @@ from scenes.commands.shared.text_table import text_table
 from tissue_sim.laws import find_law
 
 if TYPE_CHECKING:
-    from rich.console import Console
+    from rich.console import Console, RenderableType
 
     from calibration.fit.fit import Iteration
 
@@ -30,7 +30,7 @@ _COMPILING = "loading the solver (a machine's first run compiles it, about half 
 
 
 class CalibrationProgress:
-    """What `calibration.calibrate` tells, live on a terminal; gone when the block ends.
+    """What `calibration.calibrate` reports, live on a terminal; gone when the block ends.
 
     Args:
         console: of the progress; when it is quiet nothing is shown.
@@ -40,7 +40,8 @@ class CalibrationProgress:
     def __init__(self, console: Console, campaigns: int = 1):
         self._console, self._campaigns = console, campaigns
         self._sentence, self._began, self._said = "reading", time.monotonic(), time.monotonic()
-        self._place, self._rows, self._solves = ("", ""), [], 0
+        self._place, self._solves = ("", ""), 0
+        self._rows: list[Iteration] = []
         self._done, self._of = 0, 0
         self._seen: list[str] = []
         self._spinner = Spinner("dots")
@@ -82,7 +83,7 @@ class CalibrationProgress:
                      Text(f"{seconds // 60}:{seconds % 60:02d}"),
                      Text(f"{self._solves} solves" if self._solves else ""),
                      Text(f"campaign {max(len(self._seen), 1)} of {self._campaigns}" if self._campaigns > 1 else ""))
-        parts = [self._table()] if self._rows else []
+        parts: list[RenderableType] = [self._table()] if self._rows else []
         parts += [Text(self._sentence), line]
         if not self._solves and now - self._said > _PATIENCE:
             parts.append(Text(_COMPILING, style="dim"))

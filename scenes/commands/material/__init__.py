@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
 from scenes.commands.shared.console import print_json, results_console
 from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, new_file, positive
 from tissue_sim.errors import InputError
+
+if TYPE_CHECKING:
+    from tissue_sim.material.viscoelasticity import Prony
 
 SUMMARY = "make, read, check and export material files"
 EXAMPLE = "tissue-sim material show phantom.material.json"
@@ -122,7 +126,7 @@ def read_settings(settings: list[str]) -> dict[str, float]:
     return parameters
 
 
-def read_prony(terms: list[str], moduli: str):
+def read_prony(terms: list[str], moduli: Literal["instantaneous", "long_term"]) -> Prony | None:
     """``["0.3,2"]`` -> a `Prony` series with g 0.3 and tau 2 s; None of no terms.
 
     Raises:
@@ -132,7 +136,7 @@ def read_prony(terms: list[str], moduli: str):
 
     if not terms:
         if moduli != "instantaneous":
-            raise InputError("needs a Prony series to relax by; give --prony G,TAU_S as well", field="--moduli")
+            raise InputError("needs a Prony series; give --prony G,TAU_S as well", field="--moduli")
         return None
     try:
         pairs = [tuple(map(float, term.split(","))) for term in terms]

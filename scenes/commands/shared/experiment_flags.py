@@ -11,6 +11,7 @@ from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.tools.tool import (
     TOOLS,
     Tool,
+    make_tool,
     read_shape,
     shapes_without_file,
     sizes_of_keys,
@@ -93,7 +94,8 @@ def make_experiment(arguments, protocol: Protocol, material: Material) -> Experi
     from tissue_sim.specimen import STANDARD_GRAVITY
 
     scene = SCENES[arguments.scene]
-    shape, profile = read_shape(arguments.tool or scene.tool.shape)
+    usual = scene.require_tool()
+    shape, profile = read_shape(arguments.tool or usual.shape)
     kind = TOOLS.find(shape, field="--tool")
     if not scene.fits(kind):
         fitting = [name for name, other in SCENES.items() if other.fits(kind)]
@@ -108,7 +110,7 @@ def make_experiment(arguments, protocol: Protocol, material: Material) -> Experi
         weight = {"density": density, "gravity": STANDARD_GRAVITY, "height_is": arguments.height_is or "moulded"}
     for name in ("density_kg_m3", "height_is"):
         if getattr(arguments, name) is not None and not arguments.gravity:
-            raise InputError("matters to a specimen that weighs only; add --gravity or leave it out",
+            raise InputError("counts only where the specimen has weight; add --gravity or leave it out",
                              field=f"--{name.replace('_', '-')}")
     changes = {name: value for name in scene.faces
                if (value := getattr(arguments, name)) is not None}
@@ -125,7 +127,7 @@ def make_experiment(arguments, protocol: Protocol, material: Material) -> Experi
         changes["tilt"] = arguments.tilt_mm * 1e-3
     return scene.experiment(
         specimen=ts.Specimen(arguments.radius_mm * 1e-3, arguments.height_mm * 1e-3, **weight), protocol=protocol,
-        tool=_tool(arguments, shape, profile, scene.tool), **changes)
+        tool=_tool(arguments, shape, profile, usual), **changes)
 
 
 def _contact_law(text: str) -> ContactLaw:
@@ -156,5 +158,5 @@ def _tool(arguments, shape: str, profile: Path | None, usual: Tool) -> Tool:
     kept = {name: getattr(usual, name) for _, name, shapes in known.values() if {usual.shape, shape} <= {*shapes}}
     changes = sizes_of_keys(stated)
     if profile is not None:
-        return Tool(shape, profile_file=profile, **changes)
-    return Tool(shape, **(kept | changes))
+        return make_tool(shape, profile_file=profile, **changes)
+    return make_tool(shape, **(kept | changes))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import textwrap
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -48,7 +49,7 @@ def draw_simulation(recording: Recording, model: Model, path: Path, field: str =
     panels = {"section": 1.25} | ({"fold": 0.75} if not tool.is_plate else {}) | {"curve": 1.0}
     if specimen.radius > 1.5 * specimen.height:
         figure = Figure(figsize=(10, 6.4), layout="constrained")
-        layout = [["section"] * (len(panels) - 1), list(panels)[1:]]
+        layout: list[Any] = [["section"] * (len(panels) - 1), list(panels)[1:]]
         axes = figure.subplot_mosaic(layout, height_ratios=[1, 1.6])
     else:
         figure = Figure(figsize=(10 if tool.is_plate else 13, 4.6), layout="constrained")
@@ -116,7 +117,7 @@ def draw_fold(axes, fields: Fields, name: str, tool: Tool, sample: int = -1) -> 
     mesh = fields.mesh
     place = (mesh.nodes + fields.displacement(sample)) * 1e3
     _paint(axes, fields, name, sample, (1,))
-    radius, tip = tool.radius * 1e3, _contact_height(mesh, place, tool)
+    radius, tip = tool.require_radius() * 1e3, _contact_height(mesh, place, tool)
     top = max(place[mesh.sets["top"], 1].max(), tip) + 0.3 * radius
     _draw_needle(axes, mesh, place, tool, top + radius)
     top_nodes = mesh.sets["top"][np.argsort(mesh.nodes[mesh.sets["top"], 0])]
@@ -149,8 +150,9 @@ def _paint(axes, fields: Fields, name: str, sample: int, sides: tuple[int, ...])
         low, high = sorted((0.0, 2.0 * value)) if value else (-1.0, 1.0)
     for mirror in sides:
         side = np.array([mirror, 1])
-        picture = axes.tripcolor(Triangulation(*(place * side).T, triangles), values, shading="gouraud", cmap="viridis",
-                                 vmin=low, vmax=high)
+        x, y = (place * side).T
+        picture = axes.tripcolor(Triangulation(x, y, triangles), values, shading="gouraud", cmap="viridis", vmin=low,
+                                 vmax=high)
         thickness = min(0.35, 6.0 / np.sqrt(len(edges)))
         axes.add_collection(LineCollection(edges * side, colors="white", linewidths=thickness, alpha=0.5))
     return picture, label, uniform

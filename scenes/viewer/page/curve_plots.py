@@ -12,6 +12,7 @@ from scenes.viewer.measurement import branches_on_grid
 from scenes.viewer.page.notices import answer_to
 from scenes.viewer.page.readouts import agreement_html
 from scenes.viewer.plots import (
+    Pair,
     depth_grid,
     force_depth,
     force_depth_options,
@@ -81,8 +82,7 @@ class CurvePlots:
         self._write(self._residual, columns,
                     ("residual", x, settled_range(extent, self._ranges.get("residual"), about_zero=True)),
                     lambda y: residual_depth_options(x, y, dark=self._dark))
-        felt = trace is not None and len(trace) > 0
-        time, force = (trace.time, trace.force) if felt else (np.empty(0), np.empty(0))
+        time, force = (np.empty(0), np.empty(0)) if trace is None else (trace.time, trace.force)
         now = readouts.time if readouts else 0.0
         columns, extent = force_time(time, force, now, measured=curves.replayed)
         self._write(self._time, columns, ("time", x, settled_range(extent, self._ranges.get("time"))),
@@ -92,7 +92,7 @@ class CurvePlots:
             before=None if curves.before is None else curves.before[0], live=live is not None, dark=self._dark))
         _set(self._agreement, "content", agreement_html(frame))
 
-    def _branches(self, name: str, recording: Recording | None, grid: np.ndarray) -> tuple[np.ndarray, ...] | None:
+    def _branches(self, name: str, recording: Recording | None, grid: np.ndarray) -> Pair | None:
         """`branches_on_grid` of a curve, worked out when it or the grid is another one."""
         if recording is None:
             return None

@@ -9,6 +9,7 @@ import viser
 from scenes.commands.shared.field_labels import LABELS
 from scenes.viewer.camera import FIELD_OF_VIEW, PRESETS, camera_pose
 from scenes.viewer.frame import Frame
+from scenes.viewer.page.notices import set_value
 from scenes.viewer.page.solid import Look
 from scenes.viewer.tool_picture import picture_height
 
@@ -40,7 +41,8 @@ class LookControls:
 
         @camera.on_click
         def _(event: viser.GuiEvent) -> None:
-            self.place_camera(event.client, camera.value.lower())
+            if event.client is not None:
+                self.place_camera(event.client, camera.value.lower())
 
         self.on_dark: Callable[[bool], None] = lambda _: None
 
@@ -56,7 +58,7 @@ class LookControls:
 
     def set_dark(self, dark: bool) -> None:
         """Make the page dark or light."""
-        self._dark.value = dark
+        set_value(self._dark, dark)
         self.on_dark(dark)
 
     def show(self, frame: Frame) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable, Coroutine
 from contextlib import suppress
 from pathlib import Path
 
@@ -11,7 +11,7 @@ import viser
 import tissue_sim as ts
 from scenes.viewer.frame import Commands, Frame
 from scenes.viewer.material_files import SUFFIX, list_materials, parameter_ranges, read_upload
-from scenes.viewer.page.notices import answer_to, notify, send_file
+from scenes.viewer.page.notices import answer_to, notify, send_file, set_value
 from tissue_sim.parameters import parameter_values
 
 _NONE = "(no file)"
@@ -98,7 +98,7 @@ class MaterialControls:
         if self._shown == (material, source) or self._entered != self._obeyed:
             return
         self._shown = material, source
-        self._file.value = source if source in self._file.options else _NONE
+        set_value(self._file, source if source in self._file.options else _NONE)
         self._law.content = f"**{material.energy_law.title}**, from {source}"
         values = parameter_values(material)
         structure = (material.law, tuple(values), source)
@@ -108,7 +108,7 @@ class MaterialControls:
         for name, slider in self._sliders.items():
             value = _on_slider(values[name] * self._factors[name], slider.min, slider.max, slider.step)
             if abs(slider.value - value) > 0.01 * slider.step:
-                slider.value = value
+                set_value(slider, value)
 
     def _make_sliders(self, material: ts.Material) -> None:
         for slider in self._sliders.values():
@@ -127,7 +127,7 @@ class MaterialControls:
                 slider.on_update(self._edit(name, slider, reach.factor))
 
     def _edit(self, name: str, slider: viser.GuiSliderHandle,
-              factor: float) -> Callable[[viser.GuiEvent], Awaitable[None]]:
+              factor: float) -> Callable[[viser.GuiEvent], Coroutine]:
         async def edit(event: viser.GuiEvent) -> None:  # a coroutine: it runs before another value is written
             if event.client is None:
                 return

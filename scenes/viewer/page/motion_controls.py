@@ -5,7 +5,7 @@ from __future__ import annotations
 import viser
 
 from scenes.viewer.frame import Commands, Frame, Phase
-from scenes.viewer.page.notices import answer_to
+from scenes.viewer.page.notices import answer_to, set_value
 from scenes.viewer.session import CLEARANCE
 
 #: Ready-made protocols by what they are called; {depth} is the scene's largest, in mm.
@@ -55,7 +55,7 @@ class MotionControls:
         @self._named.on_update
         def _(event: viser.GuiEvent) -> None:
             if event.client is not None:
-                self._text.value = PROTOCOLS[self._named.value].format(depth=depth)
+                set_value(self._text, PROTOCOLS[self._named.value].format(depth=depth))
 
         @self._source.on_update
         def _(_: viser.GuiEvent) -> None:
@@ -90,4 +90,4 @@ class MotionControls:
         depth = round(depth * 1e3, 2)
         # What was entered a moment ago is newer than the frame.
         if self._entered == self._obeyed and abs(depth - self._depth.value) >= 0.01:
-            self._depth.value = depth
+            set_value(self._depth, depth)

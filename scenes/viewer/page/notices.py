@@ -3,8 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Literal, TypeVar
 
 import viser
+
+Value = TypeVar("Value")
+
+
+def set_value(control: viser.GuiInputHandle[Value], value: Value) -> None:
+    """Show another value in a control."""
+    # The setter does not stand next to its getter in viser, so that checkers see none.
+    control.value = value  # type: ignore[misc]
 
 
 def answer_to(event: viser.GuiEvent, done: str = "") -> Callable[[str | None], None]:
@@ -12,8 +21,6 @@ def answer_to(event: viser.GuiEvent, done: str = "") -> Callable[[str | None], N
     client = event.client
 
     def reply(problem: str | None) -> None:
-        if client is None:
-            return
         if problem is not None:
             notify(client, "That did not work", problem, "red")
         elif done:
@@ -22,11 +29,13 @@ def answer_to(event: viser.GuiEvent, done: str = "") -> Callable[[str | None], N
     return reply
 
 
-def notify(client: viser.ClientHandle, title: str, sentence: str, colour: str) -> None:
-    """Show a sentence in a corner of one browser for a while."""
-    client.add_notification(title, sentence, color=colour, auto_close_seconds=12.0)
+def notify(client: viser.ClientHandle | None, title: str, sentence: str, colour: Literal["red", "teal"]) -> None:
+    """Show a sentence in a corner of one browser for a while; without one nobody is told."""
+    if client is not None:
+        client.add_notification(title, sentence, color=colour, auto_close_seconds=12.0)
 
 
-def send_file(client: viser.ClientHandle, name: str, content: bytes) -> None:
+def send_file(client: viser.ClientHandle | None, name: str, content: bytes) -> None:
     """Let one browser save a file at once."""
-    client.send_file_download(name, content, save_immediately=True)
+    if client is not None:
+        client.send_file_download(name, content, save_immediately=True)

@@ -41,7 +41,8 @@ class Saving:
         gui = server.gui
         self._server, self._solid, self._look = server, solid, look
         self._frame: Frame | None = None
-        self._recorder, self._recorded, self._last = None, 0.0, 0.0
+        self._recorder: viser.infra.StateSerializer | None = None
+        self._recorded, self._last = 0.0, 0.0
         #: A replay that waits to be fetched.
         self._finished: bytes | None = None
         curve = gui.add_button("Save curve (CSV)", icon=viser.Icon.DOWNLOAD)
@@ -70,27 +71,31 @@ class Saving:
         self._recorder.insert_sleep(now - self._last)
         self._recorded, self._last = self._recorded + now - self._last, now
         if self._recorded >= LONGEST_REPLAY:
-            self._finish_replay()
+            self._finish_replay(self._recorder)
         label = f"Save replay ({self._recorded:.0f} s)"
         if self._replay.label != label:
             self._replay.label = label
 
     def _save_curve(self, event: viser.GuiEvent) -> None:
-        trace = self._frame.curves.trace
-        if trace is None or len(trace) < 5:
+        frame = self._frame
+        trace = None if frame is None else frame.curves.trace
+        if frame is None or trace is None or len(trace) < 5:
             answer_to(event)("nothing was felt yet; move the tool first")
             return
-        scene = self._frame.scene
+        scene = frame.scene
         recording = trace.recording({"name": scene.kind.name, "kind": scene.kind.name, "material": scene.source,
                                      "simulated": True})
         send_file(event.client, f"{scene.kind.name}.csv", recording_csv(recording))
 
     def _save_picture(self, event: viser.GuiEvent) -> None:
-        frame, camera = self._frame, event.client.camera
+        frame, client = self._frame, event.client
+        if frame is None or client is None:
+            return
+        camera = client.camera
         width, height = (min(size, _LARGEST) for size in (camera.image_width, camera.image_height))
-        render = _rendered(event.client, height, width)
+        render = _rendered(client, height, width)
         if render is None:
-            notify(event.client, "That did not work", "the browser drew no picture; try again", "red")
+            notify(client, "That did not work", "the browser drew no picture; try again", "red")
             return
         scene, now = frame.scene, frame.readouts
         caption = [f"{scene.kind.title}, {scene.material.energy_law.title} ({scene.source})"]
@@ -99,7 +104,7 @@ class Saving:
         label, _ = LABELS[self._look.look.field]
         content = compose_png(render, self._solid.levels, np.array(self._solid.colours, dtype=np.uint8), label, caption,
                               now=None if now is None else (now.depth, now.force), **_drawn_curves(frame))
-        send_file(event.client, f"{scene.kind.name}.png", content)
+        send_file(client, f"{scene.kind.name}.png", content)
 
     def _toggle_replay(self, event: viser.GuiEvent) -> None:
         if self._recorder is None and self._finished is None:
@@ -107,12 +112,13 @@ class Saving:
             self._recorded, self._last = 0.0, time.monotonic()
             return
         if self._recorder is not None:
-            self._finish_replay()
-        send_file(event.client, "replay.html", self._finished)
+            self._finish_replay(self._recorder)
+        if self._finished is not None:
+            send_file(event.client, "replay.html", self._finished)
         self._finished, self._replay.label = None, "Record replay"
 
-    def _finish_replay(self) -> None:
-        self._finished, self._recorder = self._recorder.as_html(dark_mode=False).encode(), None
+    def _finish_replay(self, recorder: viser.infra.StateSerializer) -> None:
+        self._finished, self._recorder = recorder.as_html(dark_mode=False).encode(), None
 
 
 def _rendered(client: viser.ClientHandle, height: int, width: int) -> np.ndarray | None:

@@ -9,7 +9,7 @@ import viser
 import tissue_sim as ts
 from scenes.catalogue import SCENES
 from scenes.viewer.frame import Commands, Frame
-from scenes.viewer.page.notices import answer_to
+from scenes.viewer.page.notices import answer_to, set_value
 from scenes.viewer.scene import Scene
 from tissue_sim.experiment.interfaces import INTERFACES
 from tissue_sim.experiment.tools.tool import TOOLS, shapes_without_file, tool_sizes
@@ -60,7 +60,7 @@ class SceneControls:
 
     def _tool(self, scene: str) -> ts.Tool | None:
         """The tool that is asked for; None for plates."""
-        if SCENES[scene].tool.is_plate:
+        if SCENES[scene].require_tool().is_plate:
             return None
         shape = self._shape.value
         return ts.Tool(shape, **{name: self._sizes[key].value * what.factor
@@ -68,7 +68,7 @@ class SceneControls:
 
     def _offer(self) -> None:
         """Show what matters to what is chosen."""
-        needle = not SCENES[self._titles[self._scene.value]].tool.is_plate
+        needle = not SCENES[self._titles[self._scene.value]].require_tool().is_plate
         self._shape.visible = needle
         for key, (_, _, shapes) in self._known.items():
             self._sizes[key].visible = needle and self._shape.value in shapes
@@ -81,20 +81,20 @@ class SceneControls:
             return
         self._shown = scene
         tool, friction = scene.experiment.tool, scene.experiment.friction
-        self._scene.value = scene.kind.title
+        set_value(self._scene, scene.kind.title)
         if tool.shape in self._needles:
-            self._shape.value = tool.shape
+            set_value(self._shape, tool.shape)
             for key, (what, name, shapes) in self._known.items():
                 if tool.shape in shapes:
-                    self._sizes[key].value = getattr(tool, name) / what.factor
+                    set_value(self._sizes[key], getattr(tool, name) / what.factor)
         self._hold(friction)
         self._offer()
 
     def _hold(self, friction: str | float) -> None:
         """Show how the tool's face holds the tissue."""
-        self._interface.value = friction if isinstance(friction, str) else "friction"
+        set_value(self._interface, friction if isinstance(friction, str) else "friction")
         if not isinstance(friction, str):
-            self._friction.value = friction
+            set_value(self._friction, friction)
 
 
 def _size_control(gui: viser.GuiApi, key: str, what: Declaration) -> viser.GuiInputHandle[float]:

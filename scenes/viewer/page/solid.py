@@ -19,7 +19,7 @@ from scenes.viewer.scene import Scene
 from scenes.viewer.tone import seen_colour, surface_colour
 from scenes.viewer.tool_picture import base_plate, contact_picture, force_arrow, tool_mesh
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
-from tissue_sim.fem.axisymmetric.fields import extrapolate
+from tissue_sim.fem.axisymmetric.fields import Fields, extrapolate
 from tissue_sim.mesh import Mesh
 from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
@@ -125,42 +125,40 @@ class Solid:
                 self._wait(frame.scene, opening, look)
                 self._standing = stands
             return changed
-        fields, surface = snapshot.fields, frame.surface
+        # Other solvers' fields have no section that could be drawn.
+        fields = snapshot.fields if isinstance(snapshot.fields, Fields) else None
+        surface = frame.surface
         if changed:
-            self._take_mesh(_undeformed(frame.scene) if fields is None else fields.mesh)
-            self._stand(frame.scene, opening, look)
+            cut_away = self._take_mesh(_undeformed(frame.scene) if fields is None else fields.mesh)
+            self._stand(cut_away, frame.scene, opening, look)
             self._standing = stands
-        if fields is None:
-            seen, state = (snapshot.pose, None, look), None if surface is None else surface.vertices
-        else:
-            seen, state = (snapshot.pose, fields.material, look), fields.states
-        if changed or seen != self._drawn or not np.array_equal(state, self._state):
+        seen = snapshot.pose, None if fields is None else fields.material, look
+        state = fields.states if fields is not None else np.zeros(0) if surface is None else surface.vertices
+        if changed or seen != self._drawn or self._state is None or not np.array_equal(state, self._state):
             if fields is None:
                 self._draw_surface(surface)
             else:
-                self._draw(snapshot, frame.scene, opening, look)
+                self._draw(fields, snapshot, frame.scene, opening, look)
             self._place(snapshot)
             self._drawn, self._state, changed = seen, state, True
         force = frame.readouts.force if frame.readouts else 0.0
         return self._push(force, frame.scene) or changed
 
-    def _draw(self, snapshot: Snapshot, scene: Scene, opening: Opening, look: Look) -> None:
-        fields = snapshot.fields
-        self._take_mesh(fields.mesh)
+    def _draw(self, fields: Fields, snapshot: Snapshot, scene: Scene, opening: Opening, look: Look) -> None:
+        cut_away = self._take_mesh(fields.mesh)
         _, factor = LABELS[look.field]
         at_points = fields.at_points(look.field) * factor
         values = fields.at_nodes(look.field) * factor if look.field == "displacement" else extrapolate(fields.mesh,
                                                                                                        at_points)
         before = self.levels if self._drawn is not None and look.field == self._drawn[2].field else None
-        if before is None or not look.hold:
-            self.levels = steady_levels(before, *field_range(at_points, fields, look.field, factor))
+        self.levels = levels = before if before is not None and look.hold else steady_levels(
+            before, *field_range(at_points, fields, look.field, factor))
         place = snapshot.place
-        for handle, surface in zip(self._bands, self._cut_away.bands(place, values, self.levels, opening),
-                                   strict=True):
+        for handle, surface in zip(self._bands, cut_away.bands(place, values, levels, opening), strict=True):
             self._fill(handle, surface)
-        contact = contact_picture(self._cut_away.surface_line(place), scene.experiment.tool, snapshot.depth, opening)
+        contact = contact_picture(cut_away.surface_line(place), scene.experiment.tool, snapshot.depth, opening)
         self._lines(self._contact, None if contact is None else contact.lines)
-        self._lines(self._mesh_lines, self._cut_away.mesh_lines(place, opening) if look.mesh_lines else None)
+        self._lines(self._mesh_lines, cut_away.mesh_lines(place, opening) if look.mesh_lines else None)
 
     def _draw_surface(self, surface: Surface | None) -> None:
         """Tissue of a solver that has no section to draw, in one colour; where it has no triangles, no tissue."""
@@ -178,24 +176,25 @@ class Solid:
         if self._ground.position[2] != -snapshot.datum * self.scale:
             self._ground.position = (0.0, 0.0, -snapshot.datum * self.scale)
 
-    def _take_mesh(self, mesh: Mesh) -> None:
+    def _take_mesh(self, mesh: Mesh) -> CutAway:
         if self._cut_away is None or self._cut_away.mesh is not mesh:
             self._cut_away, self._drawn = CutAway.of(mesh), None
+        return self._cut_away
 
     def _wait(self, scene: Scene, opening: Opening, look: Look) -> None:
-        """The specimen that nobody has touched, while the simulation of it begins."""
-        self._take_mesh(_undeformed(scene))
-        place = self._cut_away.mesh.nodes
-        surfaces = self._cut_away.bands(place, np.zeros(len(place)), np.arange(len(self._bands) + 1.0), opening)
+        """The undeformed specimen, while its simulation starts."""
+        cut_away = self._take_mesh(_undeformed(scene))
+        place = cut_away.mesh.nodes
+        surfaces = cut_away.bands(place, np.zeros(len(place)), np.arange(len(self._bands) + 1.0), opening)
         for handle, surface in zip(self._bands, surfaces, strict=True):
             self._fill(handle, surface)
-        for handle in (self._surface, self._contact, self._mesh_lines, self._arrow, self._force):
-            _show(handle, False)
+        for hidden in (self._surface, self._contact, self._mesh_lines, self._arrow, self._force):
+            _show(hidden, False)
         self._pushed = None
         self._place(Snapshot(Pose.at_depth(0.0), 0.0, None))
-        self._stand(scene, opening, look)
+        self._stand(cut_away, scene, opening, look)
 
-    def _stand(self, scene: Scene, opening: Opening, look: Look) -> None:
+    def _stand(self, cut_away: CutAway, scene: Scene, opening: Opening, look: Look) -> None:
         """What does not move with the tissue."""
         specimen, tool = scene.experiment.specimen, scene.experiment.tool
         if opening.faces:
@@ -204,14 +203,14 @@ class Solid:
             self._ambient.intensity = _FULL - _KEY * faces_it
         self._fill(self._tool, tool_mesh(tool, specimen, _opening(look.cut, STILL)))
         self._fill(self._base, base_plate(specimen, _opening(0.0, STILL)))
-        self._lines(self._outline, self._cut_away.undeformed_outline(opening) if look.outline else None)
+        self._lines(self._outline, cut_away.undeformed_outline(opening) if look.outline else None)
 
     def _push(self, force: float, scene: Scene) -> bool:
         """The arrow of the force; whether it has changed."""
         while abs(force) > self._full_force:
             self._full_force = _next_round(self._full_force)
         text = f"{round(force, 2) + 0.0:.2f} N"
-        # Steps that nobody sees keep the arrow from being made anew in every frame.
+        # Rounded to steps too small to see, so that not every frame needs a new arrow.
         full = self._full_force
         pushed = (round(force / full * _ARROW_STEPS), full, scene.experiment)
         if text == self._force.text and pushed == self._pushed:
@@ -221,7 +220,7 @@ class Solid:
             self._pushed = pushed
             arrow = force_arrow(pushed[0] / _ARROW_STEPS * full, full, scene.experiment.tool, scene.experiment.specimen)
             _show(self._force, arrow is not None)
-            self._fill(self._arrow, arrow and arrow.surface)
+            self._fill(self._arrow, None if arrow is None else arrow.surface)
             if arrow is not None:
                 self._force.position = tuple(max(arrow.start, arrow.tip, key=lambda end: end[2]) * self.scale)
         return True
@@ -236,10 +235,11 @@ class Solid:
                                              thickness_units="screen", visible=False, scale=self.scale)
 
     def _fill(self, handle: viser.MeshHandle, surface: Surface | None) -> None:
-        full = surface is not None and len(surface.faces) > 0
-        if full:
-            send_arrays(handle, vertices=surface.vertices, faces=surface.faces)
-        _show(handle, full)
+        if surface is None or not len(surface.faces):
+            _show(handle, False)
+            return
+        send_arrays(handle, vertices=surface.vertices, faces=surface.faces)
+        _show(handle, True)
 
     def _lines(self, handle: viser.LineSegmentsHandle, lines: np.ndarray | None) -> None:
         full = lines is not None and len(lines) > 0
@@ -262,7 +262,7 @@ def _opening(degrees: float, segments: int) -> Opening:
 
 
 def _undeformed(scene: Scene) -> Mesh:
-    """A section of the specimen that nobody has touched."""
+    """A section of the undeformed specimen."""
     return build_mesh(scene.experiment, "realtime", layers=scene.material.layers)
 
 

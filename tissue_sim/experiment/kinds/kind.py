@@ -136,6 +136,16 @@ class TestKind:
             raise InputError(f"{self.name} has no closed form; use the finite elements", field="kind")
         return self.closed_form
 
+    def require_tool(self) -> Tool:
+        """The tool where nothing is said.
+
+        Raises:
+            InputError: the specimen is gripped.
+        """
+        if self.tool is None:
+            raise InputError(f"{self.name} has no tool and is not simulated; its closed form answers", field="kind")
+        return self.tool
+
     def require_channels(self, present: Any, has: str, **place: Any) -> None:
         """Refuse a recording without any of the pairs.
 
@@ -160,9 +170,7 @@ class TestKind:
         """
         from tissue_sim.experiment.experiment import Experiment
 
-        if self.tool is None:
-            raise InputError(f"{self.name} has no tool and is not simulated; its closed form answers", field="kind")
-        return Experiment(specimen, protocol, **({"tool": self.tool, **self.interfaces} | overrides))
+        return Experiment(specimen, protocol, **({"tool": self.require_tool(), **self.interfaces} | overrides))
 
 
 def _check(name: str, thing: Any) -> None:

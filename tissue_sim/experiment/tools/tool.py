@@ -27,19 +27,7 @@ class _ByShape(ABCMeta):
         if cls is not Tool:
             return super().__call__(*values, **sizes)
         shape, *unnamed = (sizes.pop("shape", "plate"),) if "shape" in sizes or not values else values
-        kind = TOOLS.find(shape, field="tool")
-        entries = {entry.name: entry for entry in fields(kind)}
-        if len(unnamed) > len(entries):
-            raise _does_not_have(kind, "radius" if not entries else "more sizes")
-        sizes = {name: value for name, value in (*zip(entries, unnamed, strict=False), *sizes.items())
-                 if value is not None and (value or name in entries)}
-        for name in sizes:
-            if name not in entries:
-                raise _does_not_have(kind, name)
-        for entry in entries.values():
-            if entry.default is entry.default_factory is MISSING and entry.name not in sizes:
-                raise InputError(f"a {shape} tool needs a {_words(entry.name)}", field=f"tool.{entry.name}")
-        return kind(**sizes)
+        return make_tool(shape, *unnamed, **sizes)
 
 
 class Tool(metaclass=_ByShape):
@@ -116,6 +104,23 @@ class Tool(metaclass=_ByShape):
             if not 0 <= value < radius:
                 raise InputError(f"an {_words(name)} of {value:g} m does not fit a tool of radius {radius:g} m; "
                                  "give 0 or more and less than the radius", field=f"tool.{name}")
+
+
+def make_tool(shape: str, *unnamed: Any, **sizes: Any) -> Tool:
+    """What ``Tool(shape, ...)`` gives; arguments and errors as there."""
+    kind = TOOLS.find(shape, field="tool")
+    entries = {entry.name: entry for entry in fields(kind)}
+    if len(unnamed) > len(entries):
+        raise _does_not_have(kind, "radius" if not entries else "more sizes")
+    sizes = {name: value for name, value in (*zip(entries, unnamed, strict=False), *sizes.items())
+             if value is not None and (value or name in entries)}
+    for name in sizes:
+        if name not in entries:
+            raise _does_not_have(kind, name)
+    for entry in entries.values():
+        if entry.default is entry.default_factory is MISSING and entry.name not in sizes:
+            raise InputError(f"a {shape} tool needs a {_words(entry.name)}", field=f"tool.{entry.name}")
+    return kind(**sizes)
 
 
 def _words(name: str) -> str:
