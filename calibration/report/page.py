@@ -126,7 +126,7 @@ def parameter_table(fits: Sequence[Fit], figures: bool) -> str:
         png = draw_formula(fit.law) if figures else None
         formula = escape(fit.formula) if png is None else \
             f'<img class="formula" width="{natural_width(png)}" src="{as_data_uri(png)}" alt="{escape(fit.formula)}">'
-        lead = f"{escape(law.title)}<br>{formula}"
+        lead: str | None = f"{escape(law.title)}<br>{formula}"
         for name, value in fit.parameters.items():
             error, interval = fit.standard_errors[name], fit.intervals95[name]
             unit = fit.unit(name)
