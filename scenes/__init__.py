@@ -7,7 +7,7 @@ from tissue_sim.public_names import import_on_use as _import_on_use
 
 _HOMES = {
     "SCENES": "catalogue",
-    "draw_simulation": "commands.shared.figures",
+    "draw_simulation": "figures",
     "run_demo": "demo.virtual_test",
 }
 

@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 import viser
 
-from scenes.commands.shared.field_labels import LABELS
+from scenes.field_labels import LABELS
 from scenes.viewer.colours import PALETTE, field_range, steady_levels
 from scenes.viewer.cut_away import CutAway
 from scenes.viewer.frame import Frame
@@ -47,7 +47,7 @@ class Look:
     """How the specimen is shown.
 
     Attributes:
-        field: a name in `scenes.commands.shared.field_labels.LABELS`.
+        field: a name in `scenes.field_labels.LABELS`.
         cut: angle of the wedge that is left out, degrees.
         mesh_lines, outline: whether to show the element edges, and the undeformed specimen.
         hold: keep the colours' levels as they are.
