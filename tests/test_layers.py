@@ -4,6 +4,7 @@ import ast
 import importlib
 import subprocess
 import sys
+import tomllib
 import zipfile
 from collections.abc import Mapping
 from functools import cache
@@ -80,6 +81,15 @@ def test_import_contracts_hold():
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, encoding="utf-8")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "0 broken" in done.stdout
+
+
+def test_architecture_shows_the_layers():
+    """The picture of tissue_sim in the documentation is that of its contract."""
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]["contracts"]
+    layers, = (contract["layers"] for contract in contracts if contract.get("containers") == ["tissue_sim"])
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    picture = page.split("## Inside tissue_sim")[1].split("```")[1].splitlines()[1:]
+    assert [line.split("  ")[0] for line in picture] == layers
 
 
 @pytest.mark.parametrize("package", IMPORTERS)
