@@ -85,8 +85,8 @@ def test_import_contracts_hold():
 
 def test_architecture_shows_the_layers():
     """The picture of tissue_sim in the documentation is that of its contract."""
-    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]["contracts"]
-    layers, = (contract["layers"] for contract in contracts if contract.get("containers") == ["tissue_sim"])
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]
+    layers, = (contract["layers"] for contract in settings["contracts"] if contract.get("containers") == ["tissue_sim"])
     page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     picture = page.split("## Inside tissue_sim")[1].split("```")[1].splitlines()[1:]
     assert [line.split("  ")[0] for line in picture] == layers

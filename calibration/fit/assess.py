@@ -53,7 +53,7 @@ def assess(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descen
     shared = {
         "law": law.name, "formula": law.formula(), "parameters": values,
         "standard_errors": {name: errors[name] for name in order},
-        "covariance": Covariance(order=order, matrix=covariance.tolist()),
+        "derivatives": _derivatives(estimate, theta), "covariance": Covariance(order=order, matrix=covariance.tolist()),
         "correlation": correlation(covariance).tolist(), "covariance_from": spread.basis, "intervals95": intervals,
         "not_identifiable": loose, "noise_ratio": spread.ratio, "AIC": aic, "BIC": bic, "E0": law.E0(moduli),
         "mu0": mu0, "stable_from": stability.stable_from, "stable_to": stability.stable_to,
@@ -65,6 +65,14 @@ def assess(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descen
     lost = _other_losses(stability, reached, stretches)
     found = Findings(estimate, evaluation, spread, descents, values, loose, status, unusable, lost)
     return Fit(**shared | estimator.describe(found))
+
+
+def _derivatives(estimate: Estimate, theta: np.ndarray) -> dict[str, str]:
+    """Free parameter -> ``"exact"``, or ``"difference"`` where it is one in any test."""
+    problem, names = estimate.problem, set()
+    for test in problem.tests:
+        names |= test.differences(test.solve(problem.space, theta, problem.solves))
+    return {name: "difference" if name in names else "exact" for name in problem.space.free}
 
 
 def _verdict(estimate: Estimate, stability: Stability, reached: Mapping[str, Reached],

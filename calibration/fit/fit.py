@@ -202,6 +202,7 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
         parameters: name -> value, SI.
         standard_errors: name -> standard deviation of the estimate; None where not determined or on a bound; 0 if
             fixed.
+        derivatives: free parameter -> ``"exact"`` or ``"difference"``: how its derivatives were found.
         covariance: of the parameters, zero for those that are fixed or on a bound. correlation: in the same order.
         covariance_from: ``"noise"``, ``"residuals"`` or ``"replicates"``: what the standard errors rest on.
         intervals95: name -> (low, high) inside the bounds, None without a standard error.
@@ -240,6 +241,7 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
     formula: str
     parameters: dict[str, float]
     standard_errors: dict[str, float | None]
+    derivatives: dict[str, str] = {}
     covariance: Covariance
     correlation: list[list[float]]
     covariance_from: str

@@ -116,6 +116,15 @@ class ClosedTest:
             return self._finite(answer, *self._elastic(answer, self.measured[recording].displacement - offset))
         return self._finite(answer, *self._remembering(answer, recording, offset))
 
+    def differences(self, answers: list[ClosedAnswer]) -> frozenset[str]:
+        """As `ForwardTest.differences`."""
+        names: set[str] = set()
+        for i, answer in enumerate(answers):
+            if answer.material is not None:
+                exact = self._relaxing_rates(answer, i, 0.0) if self._relaxes(answer) else {}
+                names |= {name for name in answer.space.free if name not in exact or name.endswith(".tau")}
+        return frozenset(names)
+
     def evaluate_all(self, answers: list[ClosedAnswer], offsets: np.ndarray, contact: bool):
         """As `evaluate`, of all recordings behind one another with one material, shapes (n,), (n, p), (n,).
 
@@ -169,9 +178,7 @@ class ClosedTest:
         except InputError as error:
             raise InfeasibleError(f"{self.name}: {error}") from None
         rates = np.full((force.size, len(answer.space.free)), np.nan)
-        relaxing = self._divides and not material.effects and material.softening is None and (
-            material.poroelasticity is None and material.instantaneous_factor == 1.0)
-        exact = self._relaxing_rates(answer, recording, offset) if relaxing and answer.space.of_material_alone else {}
+        exact = self._relaxing_rates(answer, recording, offset) if self._relaxes(answer) else {}
         for k, name in enumerate(answer.space.free):
             rates[:, k] = exact[name] if name in exact else self._difference(answer, recording, offset, k, force)
         if not contact:
@@ -179,6 +186,12 @@ class ClosedTest:
         width = _RATE_WIDTH * self.height
         later, earlier = (self._history_force(material, recording, offset + step) for step in (width, -width))
         return force, rates, (later - earlier) / (2 * width)
+
+    def _relaxes(self, answer: ClosedAnswer) -> bool:
+        """Whether a Prony series is all that its material has beside the law."""
+        material = answer.material
+        return (self._divides and answer.space.of_material_alone and not material.effects and material.softening is None
+                and material.poroelasticity is None and material.instantaneous_factor == 1.0)
 
     def _relaxing_rates(self, answer: ClosedAnswer, recording: int, offset: float) -> dict[str, np.ndarray]:
         """Derivatives of P = (1 - sum g) elastic + sum g_i relaxing_i, which is linear in moduli and shares.

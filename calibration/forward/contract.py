@@ -72,6 +72,9 @@ class ForwardTest(Protocol):
             InfeasibleError: the force is not a finite number.
         """
 
+    def differences(self, answer: Any) -> frozenset[str]:
+        """Names of the free parameters whose derivatives are differences, and not exact."""
+
     def refine(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> float:
         """Correct the answers from here on by what the accurate mesh has more at `theta`.
 

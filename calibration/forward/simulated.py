@@ -38,11 +38,13 @@ class SimulatedAnswer:
 
     Attributes:
         courses: of force and derivatives, of each recording. space, values: the parameters that they belong to.
+        differences: names whose derivatives are differences.
     """
 
     courses: list[Course]
     space: ParameterSpace
     values: dict[str, float]
+    differences: frozenset[str]
 
 
 @dataclass(eq=False)
@@ -97,17 +99,19 @@ class SimulatedTest:
 
     def solve(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> SimulatedAnswer:
         """As `ForwardTest.solve`: the course of force and derivatives along each motion, with the correction."""
-        values, courses, chosen = space.values(theta), {}, []
+        values, courses, chosen, differences = space.values(theta), {}, [], set()
         for measured, number in zip(self.measured, self.motion_of, strict=False):
             key = number, space.mark(self.name, measured.name)
             if key not in courses:
                 motion = self.motions[number]
-                force, rates = self._simulated(space, values, solves, motion, "fast", key[1])
+                force, rates, inexact = self._simulated(space, values, solves, motion, "fast", key[1])
+                differences |= inexact
                 if self.correction:
                     force = force + self.correction[number]
                 courses[key] = motion.through(np.column_stack([force, rates]))
             chosen.append(courses[key])
-        return SimulatedAnswer(chosen, space, values)
+        differences |= {each.name for each in map(space.unknown, space.free) if self._reads(each, values)}
+        return SimulatedAnswer(chosen, space, values, frozenset(differences))
 
     def refine(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> float:
         """Compute what the accurate mesh has more at these parameters, and keep it as the correction.
@@ -120,7 +124,7 @@ class SimulatedTest:
         """
         values, found, largest = space.values(theta), [], 0.0
         for motion in () if self.homogeneous else self.motions:
-            fast, _ = self._simulated(space, values, solves, motion, "fast")
+            fast, *_ = self._simulated(space, values, solves, motion, "fast")
             accurate = self._accurate(space, values, solves, motion)
             found.append(accurate - fast)
             largest = max(largest, float(np.abs(found[-1]).max() / np.abs(accurate).max()))
@@ -136,14 +140,15 @@ class SimulatedTest:
         """
         first, second = (motion.even, motion) if isinstance(motion, Timed) else (motion, motion.even)
         try:
-            way, (force, _) = first, self._simulated(space, values, solves, first, "accurate")
+            way, (force, *_) = first, self._simulated(space, values, solves, first, "accurate")
         except InfeasibleError:
-            way, (force, _) = second, self._simulated(space, values, solves, second, "accurate")
+            way, (force, *_) = second, self._simulated(space, values, solves, second, "accurate")
         return force if way is motion else motion.at_knots(way.through(force[:, None]))[:, 0]
 
     def _simulated(self, space: ParameterSpace, values: dict[str, float], solves: Solves, motion: Loading | Timed,
-                   resolution: str, recording: str | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Force, shape (k,), and derivatives with the free parameters, shape (k, p); none of the accurate mesh."""
+                   resolution: str, recording: str | None = None) -> tuple[np.ndarray, np.ndarray, set[str]]:
+        """Force, shape (k,), derivatives with the free parameters, shape (k, p), none of the accurate mesh, and the
+        names of those that are differences."""
         factor, proportional = 1.0, self.proportional and space.of_material_alone
         if proportional:
             values, factor = space.normalised(values)
@@ -170,7 +175,7 @@ class SimulatedTest:
             scale = [1.0 if proportional and space.unknown(space.free[place]).is_modulus else factor
                      for place in acting]
             rates[:, list(acting)] = np.array(curve.rates).reshape(force.size, len(acting)) * scale
-        return force, rates
+        return force, rates, {space.free[place] for place, exact in zip(acting, curve.exact, strict=False) if not exact}
 
     def _model(self, space: ParameterSpace, values: dict[str, float], motion: Loading | Timed,
                recording: str | None) -> Model:
@@ -205,6 +210,10 @@ class SimulatedTest:
                 # One-sided: many faults cannot be less than absent.
                 rates[:, place] = (_read(with_values(rig, {path: value + width}), measured, simulated) - force) / width
         return force, rates, gain * rate
+
+    def differences(self, answer: SimulatedAnswer) -> frozenset[str]:
+        """As `ForwardTest.differences`."""
+        return answer.differences
 
     def scan(self, answer: SimulatedAnswer, recording: int, offsets: np.ndarray) -> np.ndarray:
         """Force at the samples of a recording for these contact offsets, m, shape (n, offsets)."""
@@ -254,12 +263,13 @@ def _simulate(model: Model, topology: Model | None, names: Sequence[str], resolu
     try:
         if names:
             answer = sensitivities(model, names, resolution=resolution, topology=topology)
-            force, rates = answer.recording.force, answer.values
+            force, rates, exact = answer.recording.force, answer.values, answer.exact.tolist()
         else:
             force, rates = simulate(model, resolution=resolution, topology=topology).force, np.zeros((0, 0))
+            exact = []
     except (ConvergenceError, InputError) as error:
         return SimulatedCurve([], [], str(error), clock.process_time() - began)
-    return SimulatedCurve(force.tolist(), rates.tolist(), "", clock.process_time() - began)
+    return SimulatedCurve(force.tolist(), rates.tolist(), "", clock.process_time() - began, exact)
 
 
 def _read(rig: Rig, measured: MeasuredCurve, force: np.ndarray) -> np.ndarray:

@@ -28,12 +28,14 @@ class SimulatedCurve(msgspec.Struct, frozen=True, array_like=True):
         rates: dF/dtheta, shape (k, p), as lists.
         problem: why it did not get through; empty otherwise.
         cpu_s: processor seconds that it took.
+        exact: whether each derivative is exact, and no difference of two simulations.
     """
 
     force: list[float]
     rates: list[list[float]]
     problem: str
     cpu_s: float
+    exact: list[bool] = []
 
 
 class Solves:

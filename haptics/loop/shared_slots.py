@@ -184,7 +184,7 @@ class SlotReader:
             content = self.read(number)
             if content is not None:
                 return number, content
-        raise InputError("holds nothing that is whole", file=self.path)
+        raise InputError("holds no complete record", file=self.path)
 
     def after(self, number: int) -> tuple[list[bytes], int, int]:
         """What was written after a number.

@@ -63,7 +63,7 @@ def add_page_flags(parser: Parser) -> None:
 def run(arguments) -> int:
     check_scene(arguments.scene)
     if arguments.headless and arguments.seconds is None:
-        raise InputError("runs until somebody stops it, and shows nothing; say how long", field="--seconds")
+        raise InputError("a viewer without a browser needs an end; say after how many seconds", field="--seconds")
     if arguments.tilt_mm is not None:
         raise InputError("a tilted tool is a correction of whole recordings and has no place in real time; leave it "
                          "out", field="--tilt-mm")

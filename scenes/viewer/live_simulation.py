@@ -28,7 +28,7 @@ from tissue_sim.tool_force import ForceStatus
 BUDGET = 0.8e-3
 #: Over which time read-outs are taken, and rates are counted, s.
 _LOOK_BACK, _COUNT_OVER = 0.5, 2.0
-#: N, and N per tick: nobody feels these forces, the tissue's own are shown.
+#: N, and N per tick: limits of the rendered force, which no device takes; what is shown is the force of the tissue.
 _LIMITS = 1e3, 1e3
 
 
@@ -141,7 +141,7 @@ class LiveSimulation:
         self._loop.stop()
 
     def forget(self) -> None:
-        """Leave out the ticks that nobody has polled yet."""
+        """Leave out the ticks that have not been polled yet."""
         if self._ring is not None:
             self._number = self._ring.written
         self._felt = self._felt[:0]

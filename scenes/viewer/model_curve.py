@@ -1,4 +1,4 @@
-"""Curves of whole tests, computed in a process of their own: the newest wish counts."""
+"""Curves of whole tests, computed in another process: the newest request counts."""
 
 from __future__ import annotations
 
@@ -33,20 +33,20 @@ class ModelCurve:
 
     @property
     def busy(self) -> bool:
-        """Whether the newest wish is still to be computed."""
+        """Whether the newest request is still to be computed."""
         return self._computed is not None or self._wanted is not None
 
     def ask(self, model: ts.Model) -> None:
-        """Wish for the curve of a model; a wish that nobody has begun with is forgotten."""
+        """Ask for the curve of a model, in place of an earlier request that has not begun."""
         self._wanted = model
 
     def forget(self) -> None:
-        """What was computed belongs to another test now."""
+        """Drop the curve: what was computed belongs to another test."""
         self.recording, self.problem, self._wanted, self.number = None, "", None, self.number + 1
         self._stale = self._computed is not None
 
     def poll(self) -> None:
-        """Take an answer, and begin with the next wish."""
+        """Take an answer, and begin with the next request."""
         if self._computed is not None and self._computed.done():
             computed, stale = self._computed, self._stale
             self._computed, self._stale = None, False

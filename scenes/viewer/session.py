@@ -23,7 +23,7 @@ from scenes.viewer.trace import Trace
 from tissue_sim.errors import InputError
 from tissue_sim.parameters import parameter_values, with_values
 
-#: Frames a second, and how many of them until the plots are drawn anew.
+#: Frames a second, and how many of them from one drawing of the plots to the next.
 FRAME_RATE, PLOT_EVERY = 30.0, 3
 #: How far the motion goes on in a single step, s.
 STEP_TIME = 1.0 / FRAME_RATE
@@ -36,7 +36,7 @@ _POINTS = 21
 
 
 class Session:
-    """Owns the simulation, the curve of the whole test and what was felt. Close it.
+    """Holds the simulation, the curve of the whole test and the trace of what was felt. Close it.
 
     Commands come from any thread through `post` and are obeyed, in their order, in the thread that asks for frames.
 
@@ -51,12 +51,12 @@ class Session:
                  real_time: bool = True):
         self.scene = scene
         self._resolution, self._real_time = resolution, real_time
-        self._wishes: queue.SimpleQueue[tuple[str, Callable | None, dict[str, Any]]] = queue.SimpleQueue()
+        self._requests: queue.SimpleQueue[tuple[str, Callable | None, dict[str, Any]]] = queue.SimpleQueue()
         self._curve = ModelCurve(curve_resolution, scene.solver)
         self._curves, self._trace, self._frames = Curves(), Trace(), 0
         #: Time from the beginning of a replay, and force, of the recording.
         self._replayed: tuple | None = None
-        #: Grows with every point of the trace, and where it begins anew.
+        #: Grows with every point of the trace, and where the trace starts again.
         self._felt = 0
         self._motion, self._target = "hand", 0.0
         #: Whether the material was changed while the simulation was starting, so that it still has the old one.
@@ -78,7 +78,7 @@ class Session:
         """
         if command not in COMMANDS:
             raise ValueError(f"no command {command!r}")
-        self._wishes.put((command, reply, values))
+        self._requests.put((command, reply, values))
 
     def frame(self) -> Frame:
         """Obey what was asked for and look at the simulation."""
@@ -90,7 +90,7 @@ class Session:
             try:
                 simulation.ask("set_parameters", **parameter_values(self.scene.material))
             except InputError:
-                # Another one begins with that material, or says why it cannot.
+                # A new simulation begins with that material, or says why it cannot.
                 self._begin_anew()
                 simulation, records = self._simulation, None
         if records is not None and len(records):
@@ -108,7 +108,7 @@ class Session:
                      self._motion, self._target, simulation.surface)
 
     def run(self, viewer: Viewer, stop: threading.Event, seconds: float | None = None) -> None:
-        """Show frames until `stop` is set, or for so long."""
+        """Show frames until `stop` is set, or for so many seconds."""
         began = due = time.monotonic()
         while not stop.is_set() and (seconds is None or time.monotonic() - began < seconds):
             viewer.show(self.frame())
@@ -126,7 +126,7 @@ class Session:
         self._target = depth
 
     def play(self, text: str, speed: float = 5e-3, repeat: bool = False) -> None:
-        """Play a protocol from its beginning, on tissue that nobody has touched.
+        """Play a protocol from its beginning, on undeformed tissue.
 
         Args:
             text: as in `tissue_sim.Protocol.parse`.
@@ -141,7 +141,7 @@ class Session:
         self._follow("protocol", ProtocolMotion(protocol, repeat=repeat))
 
     def replay(self, speed: float = 1.0) -> None:
-        """Repeat the measured motion, so many times as fast.
+        """Repeat the measured motion, `speed` times as fast.
 
         Raises:
             InputError: nothing was measured in this scene, or it goes deeper than the scene.
@@ -155,7 +155,7 @@ class Session:
             self._replayed = ((recording.time - measured.time[0]) / speed, recording.force)
 
     def follow(self, device: HapticDevice) -> None:
-        """Follow a haptic device, or any motion, on tissue that nobody has touched."""
+        """Follow a haptic device, or any motion, on undeformed tissue."""
         self._follow("device", device)
 
     def pause(self) -> None:
@@ -173,7 +173,7 @@ class Session:
         self._simulation.ask("advance", seconds=STEP_TIME)
 
     def reset(self) -> None:
-        """Lift the tool to the touch, from tissue that nobody has touched."""
+        """Lift the tool to the touch, with undeformed tissue."""
         self._follow("hand", HandMotion(0.0, HAND_SPEED))
         self._target = 0.0
 
@@ -243,13 +243,13 @@ class Session:
         self._curve.close()
 
     def _obey(self) -> None:
-        wishes = []
-        while not self._wishes.empty():
-            wishes.append(self._wishes.get())
-        for number, (command, reply, values) in enumerate(wishes):
+        requests = []
+        while not self._requests.empty():
+            requests.append(self._requests.get())
+        for number, (command, reply, values) in enumerate(requests):
             problem = None
             try:
-                if not _overtaken(command, values, wishes[number + 1:]):
+                if not _superseded(command, values, requests[number + 1:]):
                     COMMANDS[command](self, **values)
             except InputError as error:
                 problem = str(error)
@@ -257,7 +257,7 @@ class Session:
                 reply(problem)
 
     def _change(self, scene: Scene) -> None:
-        """Look at something else; what it refuses is refused before anything is changed."""
+        """Show another scene; `Scene` has refused a bad one before anything is changed."""
         other = scene.kind is not self.scene.kind
         self.scene = scene
         if other:
@@ -321,8 +321,8 @@ class Session:
         self._curves = curves
 
 
-def _overtaken(command: str, values: dict[str, Any], later: list[tuple[str, Callable | None, dict[str, Any]]]) -> bool:
-    """Whether a later wish makes this one pointless: of a hand's, and of one slider's, only the newest counts."""
+def _superseded(command: str, values: dict[str, Any], later: list[tuple[str, Callable | None, dict[str, Any]]]) -> bool:
+    """Whether a later request replaces this one: of those of a hand, and of one slider, only the newest counts."""
     if command == "aim":
         return any(other == "aim" for other, _, _ in later)
     return (command == "set_parameters" and bool(later) and later[0][0] == command

@@ -138,6 +138,13 @@ def test_what_is_drawn(spring, shown):
     assert "device" in status_html(frame)
 
 
+def test_the_curve_of_the_whole_test_is_of_that_solver(spring, shown):
+    """Computed in another process, which must know the name."""
+    session, *_ = shown
+    model = until(session.frame, lambda frame: frame.curves.model is not None).curves.model
+    np.testing.assert_allclose(model.force, spring.STIFFNESS[2, 2] * model.displacement, rtol=1e-9)
+
+
 def test_the_page_draws_it(shown, tmp_path):
     """Without a browser: what the nodes of the page's picture hold."""
     session, frame, _ = shown

@@ -167,7 +167,7 @@ def test_the_live_line_is_read_from_the_ring(tmp_path):
     (["--motion", "sine:deep"], "sine.settings: 'deep' sets nothing; give NAME=NUMBER"),
     (["--device", "jump:0"], "unknown haptic device 'jump'; known: virtual"),
     (["--device", "virtual:sine:deep=3"], "virtual.sine.deep: unknown setting; known: depth_mm, lift, frequency_hz"),
-    (["--device", "virtual:", "--motion", "sine"], "--motion: a device moves as it likes"),
+    (["--device", "virtual:", "--motion", "sine"], "--motion: a device brings its motion with it"),
     (["--motion", "sine", "--protocol", "ramp 2mm"], "--protocol: a sine motion has none"),
     (["--material", "missing.json"], "missing.json"),
     (["--depth-mm", "70"], "deeper than the specimen is high"),

@@ -266,8 +266,8 @@ def test_contact_and_weight_are_told(material, capsys):
     (["needle_indentation", "--adhesion-N", "0.1"], "--adhesion-N: adhesion needs a force and a length"),
     (["needle_indentation", "--adhesion-length-mm", "1"], "--adhesion-length-mm: adhesion needs a force and a length"),
     (["needle_indentation", "--gravity"], "states none; add --density-kg-m3"),
-    (["needle_indentation", "--density-kg-m3", "1040"], "--density-kg-m3: matters to a specimen that weighs only"),
-    (["needle_indentation", "--height-is", "placed"], "--height-is: matters to a specimen that weighs only"),
+    (["needle_indentation", "--density-kg-m3", "1040"], "--density-kg-m3: counts only where the specimen has weight"),
+    (["needle_indentation", "--height-is", "placed"], "--height-is: counts only where the specimen has weight"),
 ])
 def test_flags_that_do_not_fit(material, words, expected, capsys):
     capsys.readouterr()

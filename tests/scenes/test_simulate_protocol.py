@@ -178,9 +178,9 @@ class TestReplicates:
         assert 0.01 < np.std(np.subtract(noisy["force_N"], clean["force_N"])) < 0.03
 
     @pytest.mark.parametrize(("words", "expected"), [
-        (["--replicates", "3"], "--replicates: matters where there is noise only; add --noise-N"),
-        (["--seed", "3"], "--seed: matters where there is noise only"),
-        (["--replicates", "3", "--noise-N", "0"], "--replicates: matters where there is noise only"),
+        (["--replicates", "3"], "--replicates: counts only where there is noise; add --noise-N"),
+        (["--seed", "3"], "--seed: counts only where there is noise"),
+        (["--replicates", "3", "--noise-N", "0"], "--replicates: counts only where there is noise"),
     ])
     def test_noise_is_needed(self, words, expected, simulate):
         code, out, err = simulate(LUBRICATED, *words)

@@ -149,7 +149,7 @@ def refused(capsys, *words):
 
 @pytest.mark.parametrize(("words", "expected"), [
     (["needle"], "unknown scene 'needle'"),
-    (["--headless"], "--seconds: runs until somebody stops it"),
+    (["--headless"], "--seconds: a viewer without a browser needs an end"),
     (["--headless", "--seconds", "0"], "'0' is not a positive number"),
     (["--port", "70000"], "at most 65535"),
     (["--resolution", "coarse"], "'coarse'"),

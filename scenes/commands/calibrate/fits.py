@@ -45,8 +45,9 @@ def print_fits(result: CalibrationResult, console: Console) -> None:
     console.print()
     if result.predictions:
         console.print(_prediction_table(result.predictions, tests))
-        print_sentence(console, "%: of the largest force or stress; by chance: what noise, jitter and the errors of "
-                                "the parameters would make")
+        chance = "; by chance: what noise, jitter and the errors of the parameters would make"
+        known = any(prediction.expected_N is not None for prediction in result.predictions)
+        print_sentence(console, f"%: of the largest force or stress{chance if known else ''}")
         console.print()
     print_sentence(console, result.message)
     for sentence in (*_unpredicted(result.predictions), *_undetermined(fits), *_misfits(fits, tests),
@@ -70,7 +71,7 @@ def _ranked_by(result: CalibrationResult) -> tuple[str, str]:
 
 
 def _ranking_table(fits: Sequence[Fit], heading: str) -> Table:
-    """One row a law, with the figure that ranks them beside R2."""
+    """One row for each law, with the figure that ranks them."""
     best = fits[0]
     E0, mu0 = pressure_unit(best.E0), pressure_unit(best.mu0)
     unit, size = _error_unit(best)

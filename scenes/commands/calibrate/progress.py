@@ -30,7 +30,7 @@ _COMPILING = "loading the solver (a machine's first run compiles it, about half 
 
 
 class CalibrationProgress:
-    """What `calibration.calibrate` tells, live on a terminal; gone when the block ends.
+    """What `calibration.calibrate` reports, live on a terminal; gone when the block ends.
 
     Args:
         console: of the progress; when it is quiet nothing is shown.

@@ -76,7 +76,7 @@ def run(arguments) -> int:
     check_scene(arguments.scene)
     name = arguments.device or arguments.motion or ("protocol" if arguments.protocol else "random")
     if arguments.device and arguments.motion:
-        raise InputError("a device moves as it likes; give --motion or --device", field="--motion")
+        raise InputError("a device brings its motion with it; give --motion or --device, not both", field="--motion")
     if name != "protocol" and arguments.protocol:
         raise InputError(f"a {name} motion has none; leave it out, or give --motion protocol", field="--protocol")
     check_solver(arguments.solver)

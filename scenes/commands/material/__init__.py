@@ -136,7 +136,7 @@ def read_prony(terms: list[str], moduli: Literal["instantaneous", "long_term"]) 
 
     if not terms:
         if moduli != "instantaneous":
-            raise InputError("needs a Prony series to relax by; give --prony G,TAU_S as well", field="--moduli")
+            raise InputError("needs a Prony series; give --prony G,TAU_S as well", field="--moduli")
         return None
     try:
         pairs = [tuple(map(float, term.split(","))) for term in terms]

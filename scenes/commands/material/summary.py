@@ -97,7 +97,7 @@ def moduli(summary: dict[str, Any]) -> list[str]:
 
 
 def effects(summary: dict[str, Any]) -> list[str]:
-    """One line for each thing that the material has beside its law and its bulk response."""
+    """One line for each effect that the material has besides its law and its bulk response."""
     lines = []
     if series := summary["viscoelastic"]:
         terms = "; ".join(f"g {_with_error(term, 'g')}, tau {_with_error(term, 'tau_s')} s" for term in series["terms"])

@@ -40,7 +40,7 @@ def results_console(*, quiet: bool = False) -> Console:
 
 
 def progress_console(*, quiet: bool = False) -> Console:
-    """Console of progress: stderr, silent when `quiet` or when nobody watches."""
+    """Console of progress: stderr, silent when `quiet` or where stderr is no terminal."""
     from rich.console import Console
 
     return Console(stderr=True, quiet=quiet or not sys.stderr.isatty(), highlight=False)

@@ -110,7 +110,7 @@ def make_experiment(arguments, protocol: Protocol, material: Material) -> Experi
         weight = {"density": density, "gravity": STANDARD_GRAVITY, "height_is": arguments.height_is or "moulded"}
     for name in ("density_kg_m3", "height_is"):
         if getattr(arguments, name) is not None and not arguments.gravity:
-            raise InputError("matters to a specimen that weighs only; add --gravity or leave it out",
+            raise InputError("counts only where the specimen has weight; add --gravity or leave it out",
                              field=f"--{name.replace('_', '-')}")
     changes = {name: value for name in scene.faces
                if (value := getattr(arguments, name)) is not None}

@@ -20,5 +20,5 @@ def text_table(*headings: str, text: int = 1) -> Table:
 
 
 def print_sentence(console: Console, sentence: str) -> None:
-    """Print it whole, between words on a terminal only; markup in names counts for nothing."""
+    """Print it, wrapped between words on a terminal only; brackets in it are no markup."""
     console.print(sentence, markup=False, emoji=False, soft_wrap=not console.is_terminal)

@@ -44,7 +44,7 @@ def make_rig(arguments) -> Rig:
     if not rig.force_noise:
         for flag, value in (("--replicates", arguments.replicates), ("--seed", arguments.seed)):
             if value is not None:
-                raise InputError("matters where there is noise only; add --noise-N 0.02 or a rig with force_noise_N",
+                raise InputError("counts only where there is noise; add --noise-N 0.02 or a rig with force_noise_N",
                                  field=flag)
     return rig if arguments.seed is None else replace(rig, seed=arguments.seed)
 

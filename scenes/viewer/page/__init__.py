@@ -22,7 +22,7 @@ from scenes.viewer.page.scene_controls import SceneControls
 from scenes.viewer.page.solid import Solid
 from scenes.viewer.web_server import LOOPBACK, PORT, open_server
 
-#: Frames until plots and read-outs are written anew.
+#: Frames from one writing of plots and read-outs to the next.
 _WORDS_EVERY = 3
 #: Pixels.
 _PANEL_WIDTH = 380
@@ -97,7 +97,7 @@ class Page:
             self._look.place_camera(client, "iso")
 
     def show(self, frame: Frame) -> None:
-        """Write what has changed; where nobody looks, nothing."""
+        """Write what has changed; without a client, nothing."""
         while not self._tasks.empty():
             self._tasks.get()()
         self._frames += 1

@@ -182,7 +182,7 @@ class Solid:
         return self._cut_away
 
     def _wait(self, scene: Scene, opening: Opening, look: Look) -> None:
-        """The specimen that nobody has touched, while the simulation of it begins."""
+        """The undeformed specimen, while its simulation starts."""
         cut_away = self._take_mesh(_undeformed(scene))
         place = cut_away.mesh.nodes
         surfaces = cut_away.bands(place, np.zeros(len(place)), np.arange(len(self._bands) + 1.0), opening)
@@ -210,7 +210,7 @@ class Solid:
         while abs(force) > self._full_force:
             self._full_force = _next_round(self._full_force)
         text = f"{round(force, 2) + 0.0:.2f} N"
-        # Steps that nobody sees keep the arrow from being made anew in every frame.
+        # Rounded to steps too small to see, so that not every frame needs a new arrow.
         full = self._full_force
         pushed = (round(force / full * _ARROW_STEPS), full, scene.experiment)
         if text == self._force.text and pushed == self._pushed:
@@ -262,7 +262,7 @@ def _opening(degrees: float, segments: int) -> Opening:
 
 
 def _undeformed(scene: Scene) -> Mesh:
-    """A section of the specimen that nobody has touched."""
+    """A section of the undeformed specimen."""
     return build_mesh(scene.experiment, "realtime", layers=scene.material.layers)
 
 

@@ -36,6 +36,15 @@ def find(picture, part):
     return [(i, j) for i, j in corners if np.array_equal(picture[i:i + high, j:j + wide], part)]
 
 
+def test_without_levels_there_is_no_bar():
+    """Tissue of a solver without fields: the view alone, and no room for what is not there."""
+    view = render()
+    alone, beside = (opened(compose_png(view, levels, COLOURS, "von Mises stress [kPa]", CAPTION))
+                     for levels in (None, LEVELS))
+    assert find(alone, view[60:-60, 80:-80, :3]) and alone.shape[1] < beside.shape[1] - 100
+    assert not (alone == np.round(np.array(to_rgb(COLOURS[2])) * 255)).all(axis=2).any()
+
+
 @pytest.mark.parametrize("curves", [(), (Curve(np.arange(5) * 1e-3, np.arange(5.0), "model", "#0072B2"),)])
 def test_view_is_in_the_picture_pixel_for_pixel(curves):
     view = render()

@@ -67,7 +67,7 @@ class AxisymmetricSolver(Solver):
         self.committed = equations.state
         #: Rates with the parameters of the material, where somebody asked for them.
         self._sensitivity: Sensitivity | None = None
-        self._tried = 0.0
+        self._tried, self._pose = 0.0, Pose.at_depth(0.0)
         self.datum = equations.settings[newton.TOUCH] = 0.0 if contact is None else bring_down(
             mesh, contact, equations.surface, equations.start.reshape(-1, 2))
 
@@ -144,7 +144,9 @@ class AxisymmetricSolver(Solver):
     @property
     def pose(self) -> Pose:
         """Of the tool at the last committed state."""
-        return Pose.at_depth(self.depth)
+        if self._pose.position[2] != -self.committed.depths[0]:
+            self._pose = Pose.at_depth(self.committed.depths[0])
+        return self._pose
 
     @property
     def depth(self) -> float:
