@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.fit import Direction, Suggestion
-from calibration.fit.parameters import ParameterSpace
 from calibration.fit.problem import Problem
 from calibration.forward.motion import offset_rate
 from calibration.statistics.uncertainty import Uncertainty

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calibration.fit.parameters import ParameterSpace
+from calibration.campaign.parameter_space import ParameterSpace
 from calibration.forward.closed import ClosedAnswer, ClosedTest
 from calibration.forward.contract import InfeasibleError, Reached
 from tissue_sim.closed_form.column import Column

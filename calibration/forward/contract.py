@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
-from calibration.fit.parameters import ParameterSpace
+from calibration.campaign.parameter_space import ParameterSpace
 from calibration.forward.solves import Solves
 
 

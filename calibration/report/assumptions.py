@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from calibration.fit.self_weight import statement
 from calibration.report.curve_figures import size_of
 from calibration.report.drawing import counted
 from calibration.report.pressure import format_pressure
-from calibration.report.self_weight import statement
 
 if TYPE_CHECKING:
     from calibration.fit.result import CalibrationResult
