@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from msgspec.structs import replace
@@ -129,9 +130,9 @@ class CampaignFit:
             held_out = [predict_held_out(test, estimate, spread, scatter) for (test, _), asked in zip(
                 tests, campaign.tests, strict=True) if asked.hold_out]
             curves = draw_curves(estimate, spread, tests, scatter)
-            parts = [*descents, estimate, *sides, *left]
+            parts: list[Any] = [*descents, estimate, *sides, *left]
             simulations = sum(sum(part.simulations.values()) for part in parts)
-            simulations += sum((self.solves.counts - counted).values()) + self.checked.get(law, 0)
+            simulations += (self.solves.counts - counted).total() + self.checked.get(law, 0)
             spent = sum(part.cpu_s for part in parts) + time.process_time() - began
             best = min(descents, key=lambda end: end.error)
             fit = replace(fit, fem_solves=simulations, cpu_s=spent,

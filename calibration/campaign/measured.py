@@ -43,7 +43,7 @@ class MeasuredCurve:
         file, sha256: where it came from.
         stressed: whether it was recorded as strain and stress.
         later: samples after the loading (holds, returns) that are left out, because the model does not remember.
-        noise: of the sensor; None before anybody has estimated it.
+        noise: of the sensor; None only while its test is read.
         interpolation: what takes the samples of the file to these points, shape (n, samples); None: they are samples.
     """
 
@@ -57,8 +57,15 @@ class MeasuredCurve:
     sha256: str
     stressed: bool = False
     later: int = 0
-    noise: SensorNoise | None = None
+    noise: SensorNoise = None  # type: ignore[assignment]  # until all recordings of the test are read
     interpolation: csr_array | None = None
+
+    @property
+    def clock(self) -> np.ndarray:
+        """The time of a recording that has one, s, shape (n,)."""
+        if self.time is None:
+            raise InputError(f"{self.name} has no time; give a time column, or speed_mm_s", field="recordings")
+        return self.time
 
     @property
     def speed(self) -> float | None:

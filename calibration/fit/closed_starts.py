@@ -9,6 +9,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from calibration.fit.ordinary_problem import OrdinaryProblem, feasible
+from calibration.fit.variables import LongTerm
 from tissue_sim.laws import find_law
 
 #: Exponents and other numbers without unit that the starts are made of.
@@ -27,7 +28,8 @@ def closed_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
         Unknowns, each of shape (k,), inside their bounds; empty where no start gives a finite stress.
     """
     space = problem.space
-    found = _relaxing_starts(problem) if problem.relaxing else _elastic_starts(problem)
+    relaxing = problem.relaxing
+    found = _elastic_starts(problem) if relaxing is None else _relaxing_starts(problem, relaxing)
     if found and problem.shifted:
         # Moving a contact moves samples in and out of contact, which makes minima of its own.
         for share in _MOVED:
@@ -126,8 +128,8 @@ class _Relaxing:
         return misfit, values, shares
 
 
-def _relaxing_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
-    model, places = _Relaxing(problem), problem.relaxing
+def _relaxing_starts(problem: OrdinaryProblem, places: LongTerm) -> list[np.ndarray]:
+    model = _Relaxing(problem)
     terms = places.g.size
     shortest, longest = problem.time_range
     count = int(np.clip(TIMES_PER_DECADE * np.log10(longest / shortest), terms + 1, 16))

@@ -51,7 +51,7 @@ def _along(estimate: Estimate, spread: Uncertainty, test: ForwardTest, path: Mea
     space = estimate.problem.space
     free = len(space.free)
     # The path is that of a recording without scatter, seen by the same test.
-    seen = replace(test, measured=(path,))
+    seen: ForwardTest = replace(test, measured=(path,))  # type: ignore[type-var]
     answer = seen.solve(space, estimate.theta[:free], estimate.problem.solves)
     force, rates, contact = seen.evaluate(answer, 0, 0.0)
     variance = np.einsum("np,pq,nq->n", rates, spread.covariance[:free, :free], rates) + (mesh_error * force)**2
@@ -69,13 +69,13 @@ def _path(test: ForwardTest) -> MeasuredCurve:
     first, segment = test.measured[0], None
     reached = np.concatenate([curve.displacement for curve in test.measured])
     if test.timed:
-        time = np.linspace(first.time[0], first.time[-1], 4 * POINTS)
-        displacement = np.interp(time, first.time, first.displacement)
-        segment = np.full(time.size, "")
+        time: np.ndarray | None = np.linspace(first.clock[0], first.clock[-1], 4 * POINTS)
+        displacement = np.interp(time, first.clock, first.displacement)
+        segment = np.full(displacement.size, "")
     else:
         # Shear may go both ways: there the path leads from one end to the other.
         start = min(0.0, float(reached.min())) if first.test.kind.both_ways else 0.0
         displacement = np.linspace(start, float(reached.max()), POINTS)
-        time = None if first.time is None else np.interp(displacement, first.displacement, first.time)
+        time = None if first.time is None else np.interp(displacement, first.displacement, first.clock)
     return replace(first, time=time, displacement=displacement, force=np.zeros_like(displacement), segment=segment,
                    interpolation=None)

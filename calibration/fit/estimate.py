@@ -5,12 +5,13 @@ from __future__ import annotations
 import time
 from collections import Counter
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from calibration.fit.fit import Iteration, Minimum
 from calibration.fit.levenberg_marquardt import Listener, descend
-from calibration.fit.problem import LeastSquares, Problem
+from calibration.fit.problem import Problem
 from calibration.forward.contract import InfeasibleError
 from calibration.forward.forms import FAST_REMAINDERS, REMAINDERS, remainder
 from calibration.statistics.jitter import Jitter, estimate_jitter
@@ -36,7 +37,8 @@ class Estimate:
     """The minimum of the corrected problem.
 
     Attributes:
-        problem: with its corrections and jitter. theta: SI, shape (p,). error: sum of squares.
+        problem: `Problem` with its corrections and jitter, or `OrdinaryProblem`.
+        theta: SI, shape (p,). error: sum of squares.
         converged: whether the optimiser said so. failure: why not.
         differences: accurate against fast mesh for each test, relative to the largest force; NaN where the accurate
             mesh did not get through. refreshes: how often they were computed.
@@ -44,7 +46,7 @@ class Estimate:
         minima: distinct ends of the starts, best first.
     """
 
-    problem: LeastSquares
+    problem: Any
     theta: np.ndarray
     error: float
     converged: bool
@@ -109,7 +111,7 @@ def _refine(problem: Problem, theta: np.ndarray, warnings: list[str]) -> tuple[f
             found.append(test.refine(problem.space, theta, problem.solves))
             errors.append(remainder(test, REMAINDERS))
         except InfeasibleError:
-            test.correction = []
+            test.forget()
             found.append(float("nan"))
             errors.append(remainder(test, FAST_REMAINDERS))
             warning = f"{test.name}: the accurate mesh does not get through, so the fast one's error is carried"

@@ -6,11 +6,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from calibration.campaign.campaign import Campaign
+from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.estimate import Estimate
 from calibration.fit.fit import Fit, Prediction
 from calibration.fit.levenberg_marquardt import Descent
 from calibration.fit.problem import Evaluation
 from calibration.forward.contract import ForwardTest, Reached
+from calibration.forward.solves import Solves
 from calibration.statistics.jitter import Jitter
 from calibration.statistics.uncertainty import Uncertainty
 
@@ -59,7 +62,11 @@ class Estimator(Protocol):
     explores: bool
     by_prediction: bool
     words: str
-    pooled_noise: float | None
+
+    @property
+    def pooled_noise(self) -> float | None: ...
+
+    def __init__(self, campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCurve]], solves: Solves): ...
 
     def check(self, law: str, number: int) -> None:
         """Refuse what cannot be fitted: a law, and its number in ``fit.laws``.
@@ -68,7 +75,7 @@ class Estimator(Protocol):
             InputError: with file and field.
         """
 
-    def estimate(self, laws: Sequence[str], run: Runner) -> dict[str, tuple[Sequence[Descent], Estimate | str]]:
+    def estimate(self, laws: Sequence[str], run: Runner) -> dict[str, tuple[list[Descent], Estimate | str]]:
         """Law -> its descents and its estimate, or why it has none."""
 
     def uncertainty(self, estimate: Estimate, evaluation: Evaluation) -> Uncertainty:

@@ -42,7 +42,7 @@ class Generalised:
     explores = True
     by_prediction = True
     words = "inverse FEM: generalised least squares on force"
-    pooled_noise = None
+    pooled_noise: float | None = None
 
     def __init__(self, campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCurve]], solves: Solves):
         self.campaign, self.measured, self.solves = campaign, measured, solves
@@ -55,7 +55,7 @@ class Generalised:
         """Refuse a start that the law or the tests do not bear, or a parameter that no test can see."""
         check_start(self.problem(law), self.campaign, number)
 
-    def estimate(self, laws: Sequence[str], run: Runner) -> dict[str, tuple[Sequence[Descent], Estimate | str]]:
+    def estimate(self, laws: Sequence[str], run: Runner) -> dict[str, tuple[list[Descent], Estimate | str]]:
         """As `Estimator.estimate`: all starts of all laws at once, then all mesh differences."""
         problems = {law: self.problem(law) for law in laws}
         keys = [(law, number, theta) for law in laws
@@ -70,7 +70,7 @@ class Generalised:
         usable = [law for law in laws if np.isfinite(best[law].error)]
         settled = run.descents(run_settle, usable, [(problems[law], best[law], self._stated(problems[law]))
                                                     for law in usable], "the difference of the accurate mesh")
-        found: dict[str, tuple[Sequence[Descent], Estimate | str]] = {
+        found: dict[str, tuple[list[Descent], Estimate | str]] = {
             law: (descents[law], best[law].problem) for law in laws}
         for law, estimate in zip(usable, settled, strict=True):
             estimate.problem.solves = self.solves
@@ -139,7 +139,8 @@ class Generalised:
             found.refine(problem.space, estimate.theta, self.solves)
             error = REMAINDERS
         except InfeasibleError:
-            found.correction, error = [], FAST_REMAINDERS
+            found.forget()
+            error = FAST_REMAINDERS
         return found, remainder(found, error)
 
     def scatter(self, estimate: Estimate) -> Jitter | None:

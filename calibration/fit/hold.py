@@ -96,4 +96,6 @@ def fit_hold(recording: Recording, terms: int = 1, ramp: float = 0.0) -> HoldFit
     error = fit.standard_errors["C10"]
     errors = {"force": None if error is None else size * error, **{name: fit.standard_errors[name] for name in start}}
     message = fit.message.replace("C10", "force")
-    return HoldFit(size * fit.parameters["C10"], material.viscoelastic, errors, fit.RMSE_Pa, fit.status, message)
+    residual = estimate.problem.evaluate(estimate.theta).force - estimate.problem.data
+    return HoldFit(size * fit.parameters["C10"], material.viscoelastic, errors,
+                   float(np.sqrt(np.mean(residual**2))), fit.status, message)

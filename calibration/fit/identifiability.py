@@ -89,8 +89,7 @@ def suggest_tests(problem: Problem, theta: np.ndarray, spread: Uncertainty) -> l
 
 def _candidates(problem: Problem, theta: np.ndarray) -> Sequence[tuple[str, Experiment]]:
     """Tests in words, as experiments on the campaign's specimen."""
-    specimens = [test.specimen for test in problem.tests if getattr(test, "specimen", None) is not None]
-    specimen = specimens[0] if specimens else _SPECIMEN
+    specimen = next((test.specimen for test in problem.tests if test.specimen is not None), _SPECIMEN)
     ageing = problem.space.material(problem.space.values(theta)).remembers
     found = []
     for strain in (_STRAIN, min(_DEEPER * _STRAIN, 0.3)):

@@ -6,6 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -165,7 +166,7 @@ def rmse(problem: LeastSquares, evaluation: Evaluation) -> float:
     return float(np.sqrt(np.mean((evaluation.force - problem.data)**2)))
 
 
-def _rescaled(problem: Problem, theta: np.ndarray) -> np.ndarray:
+def _rescaled(problem: LeastSquares, theta: np.ndarray) -> np.ndarray:
     """The same ratios of moduli, with the factor that fits best."""
     space = problem.space
     moduli = np.array([space.is_modulus(name) for name in space.free])
@@ -173,7 +174,7 @@ def _rescaled(problem: Problem, theta: np.ndarray) -> np.ndarray:
     if fixed or not moduli.any() or not space.of_material_alone or not all(test.proportional for test in problem.tests):
         return theta
     # Without offsets and zeros, which far from the minimum would make up for a wrong size.
-    residual, rates = problem.bare(theta)
+    residual, rates = cast(Problem, problem).bare(theta)
     # Euler: what all moduli together do to the force is their sum of C dF/dC.
     direction = rates[:, moduli] @ theta[moduli]
     if not direction @ direction > 0:

@@ -20,6 +20,7 @@ from calibration.fit.levenberg_marquardt import Descent, descend
 from calibration.fit.ordinary_problem import OrdinaryProblem
 from calibration.fit.problem import Evaluation
 from calibration.fit.ranking import bic_message
+from calibration.forward.closed import ClosedTest
 from calibration.forward.contract import ForwardTest, Reached
 from calibration.forward.forms import analytical_test
 from calibration.forward.solves import Solves
@@ -67,7 +68,7 @@ class Ordinary:
         """Of the nominal stress, over all samples, Pa."""
         return self.problem(self.campaign.fit.laws[0]).noise
 
-    def _test(self, test: Test) -> ForwardTest:
+    def _test(self, test: Test) -> ClosedTest:
         return analytical_test(test, self.measured[test.name], self.campaign.fit)
 
     def check(self, law: str, number: int) -> None:
@@ -78,9 +79,9 @@ class Ordinary:
             raise InputError(f"{law} has {unknowns} parameters and the tests only {samples} points; widen max_strain "
                              "or take a simpler law", file=self.campaign.path, field=f"fit.laws[{number}]")
 
-    def estimate(self, laws: Sequence[str], run: Runner) -> dict[str, tuple[Sequence[Descent], Estimate | str]]:
+    def estimate(self, laws: Sequence[str], run: Runner) -> dict[str, tuple[list[Descent], Estimate | str]]:
         """As `Estimator.estimate`; one law after the other in this process."""
-        found = {}
+        found: dict[str, tuple[list[Descent], Estimate | str]] = {}
         for law in laws:
             run.say(f"fitting {law} to {len(self.fitted)} recording{'s' if len(self.fitted) != 1 else ''}")
             found[law] = fit_law(self.problem(law))

@@ -72,7 +72,7 @@ class OrdinaryProblem:
         """The problem with the noise of its recordings."""
         pairs = [(curve, test.area) for test in tests for curve in test.measured]
         index = np.repeat(np.arange(len(pairs)), [curve.force.size for curve, _ in pairs])
-        noise = pooled_noise([curve.noise.deviation / area for curve, area in pairs], index)
+        noise = pooled_noise(np.array([curve.noise.deviation / area for curve, area in pairs]), index)
         force_noise = max((curve.noise.deviation for curve, _ in pairs if curve.test.specimen is not None), default=0.0)
         return cls(space, tuple(tests), settings, noise, force_noise, solves)
 
@@ -89,8 +89,8 @@ class OrdinaryProblem:
     @property
     def time_range(self) -> tuple[float, float]:
         """The usual step and the length of the longest recording, s."""
-        steps = np.concatenate([np.diff(curve.time) for curve in self.measured])
-        return float(np.median(steps[steps > 0])), max(float(np.ptp(curve.time)) for curve in self.measured)
+        steps = np.concatenate([np.diff(curve.clock) for curve in self.measured])
+        return float(np.median(steps[steps > 0])), max(float(np.ptp(curve.clock)) for curve in self.measured)
 
     @property
     def remembers(self) -> bool:

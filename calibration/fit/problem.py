@@ -98,15 +98,23 @@ class LeastSquares(Protocol):
     """What a descent needs of a problem; its weights are its own.
 
     Attributes:
-        space: parameters. samples: number of them. solves: what has been simulated. data: measured force, N.
+        space: parameters. tests: those that count. samples: number of them. solves: what has been simulated.
+        data: measured force, N.
         bounds: lowest and highest values of the unknowns: the free parameters, then others, if any.
     """
 
     space: ParameterSpace
     samples: int
     solves: Solves
-    data: np.ndarray
-    bounds: tuple[np.ndarray, np.ndarray]
+
+    @property
+    def tests(self) -> Sequence[ForwardTest]: ...
+
+    @property
+    def data(self) -> np.ndarray: ...
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]: ...
 
     def variables(self, theta: np.ndarray) -> Variables:
         """What is varied from `theta` on."""

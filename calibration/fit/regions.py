@@ -41,17 +41,17 @@ def judge_regions(problem: Problem, evaluation: Evaluation) -> list[Region]:
         answer = misfit(residual, design, columns)
         # Model minus data, of what is smooth.
         smooth = -shapes @ answer.amplitudes
-        rows = np.concatenate([np.arange(rows.start, rows.stop)[mine]
-                               for rows, mine in zip(problem.rows, inside, strict=True)])
-        displacement = np.concatenate([curve.displacement for curve in problem.measured])[rows]
-        worst = int(np.argmax(np.abs(smooth[rows])))
+        places = np.concatenate([np.arange(rows.start, rows.stop)[mine]
+                                 for rows, mine in zip(problem.rows, inside, strict=True)])
+        displacement = np.concatenate([curve.displacement for curve in problem.measured])[places]
+        worst = int(np.argmax(np.abs(smooth[places])))
         factor = 1.0 if problem.tests[number].measured[0].test.specimen is None else 1e3
         found.append(Region(
             test=problem.tests[number].name, segment=segment, start=float(displacement.min() * factor),
             end=float(displacement.max() * factor), p=answer.p, statistic=answer.statistic, freedom=answer.freedom,
-            misfit_N=float(np.sqrt(np.mean(smooth[rows]**2))), largest_N=float(smooth[rows][worst]),
+            misfit_N=float(np.sqrt(np.mean(smooth[places]**2))), largest_N=float(smooth[places][worst]),
             at=float(displacement[worst] * factor), adequate=True))
-    adjusted = holm(np.array([region.p for region in found])) if found else []
+    adjusted = holm(np.array([region.p for region in found]))
     return [replace(region, p=float(p), adequate=bool(p > LEVEL))
             for region, p in zip(found, adjusted, strict=True)]
 

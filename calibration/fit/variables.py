@@ -20,8 +20,11 @@ class Variables(Protocol):
         low, high: bounds of the variables, shape (k,).
     """
 
-    low: np.ndarray
-    high: np.ndarray
+    @property
+    def low(self) -> np.ndarray: ...
+
+    @property
+    def high(self) -> np.ndarray: ...
 
     def of(self, unknowns: np.ndarray) -> np.ndarray:
         """Variables of these unknowns, shape (k,)."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from tissue_sim.experiment.kinds.kind import TestKind
 from tissue_sim.laws import Law, find_law
 from tissue_sim.material.material import Material
 from tissue_sim.parameters import tokens
+from tissue_sim.specimen import Specimen
 
 #: Half width of a difference with a parameter of a history, in its size, and with the contact offset, in the height.
 _RATE_WIDTH = 1e-6
@@ -59,9 +61,8 @@ class ClosedTest:
     largest_step: float = LARGEST_STEP
     _histories: dict[int, HomogeneousHistory] = field(default_factory=dict, repr=False, init=False)
 
-    proportional = True
-    homogeneous = True
-    specimen = None
+    proportional: ClassVar[bool] = True
+    homogeneous: ClassVar[bool] = True
 
     @property
     def timed(self) -> bool:
@@ -76,6 +77,11 @@ class ClosedTest:
     def weightless(self) -> ClosedTest:
         """The test without self-weight."""
         return self
+
+    @property
+    def specimen(self) -> Specimen | None:
+        """What weighs; None here."""
+        return None
 
     @property
     def closed_form(self) -> ClosedForm:
@@ -114,14 +120,14 @@ class ClosedTest:
         answer = answers[recording]
         if answer.material is None:
             return self._finite(answer, *self._elastic(answer, self.measured[recording].displacement - offset))
-        return self._finite(answer, *self._remembering(answer, recording, offset))
+        return self._finite(answer, *self._remembering(answer, answer.material, recording, offset))
 
     def differences(self, answers: list[ClosedAnswer]) -> frozenset[str]:
         """As `ForwardTest.differences`."""
         names: set[str] = set()
         for i, answer in enumerate(answers):
             if answer.material is not None:
-                exact = self._relaxing_rates(answer, i, 0.0) if self._relaxes(answer) else {}
+                exact = self._exact_rates(answer, answer.material, i, 0.0)
                 names |= {name for name in answer.space.free if name not in exact or name.endswith(".tau")}
         return frozenset(names)
 
@@ -136,7 +142,8 @@ class ClosedTest:
         if answer.material is None:
             moved = [curve.displacement - offset for curve, offset in zip(self.measured, offsets, strict=True)]
             return self._finite(answer, *self._elastic(answer, np.concatenate(moved), contact))
-        parts = [self._remembering(answer, i, float(offset), contact) for i, offset in enumerate(offsets)]
+        parts = [self._remembering(answer, answer.material, i, offset, contact)
+                 for i, offset in enumerate(offsets.tolist())]
         force, rates, rate = zip(*parts, strict=True)
         return self._finite(answer, np.concatenate(force), np.concatenate(rates),
                             np.concatenate(rate) if contact else None)
@@ -152,12 +159,13 @@ class ClosedTest:
         strain = self.strain(displacement)
         # Wild trial values overflow; the optimiser turns back from what is not finite.
         with np.errstate(all="ignore"):
-            stress, derivatives = closed_form.stress(law, strain, values), closed_form.derivatives(law, strain, values)
+            stress = closed_form.stress(law, strain, values)
+            derivatives = closed_form.derivatives(law, strain, values)
             slope = -self.sign * closed_form.slope(law, strain, values) / self.height if contact else None
         if not self.kind.gripped:
             apart = self.kind.strain(strain) < 0.0
             stress[apart], derivatives[apart] = 0.0, 0.0
-            if contact:
+            if slope is not None:
                 slope[apart] = 0.0
         return self._as_force(answer, stress, derivatives, slope)
 
@@ -170,15 +178,15 @@ class ClosedTest:
         factor = self.sign * self.area
         return factor * stress, factor * rates, None if slope is None else factor * slope
 
-    def _remembering(self, answer: ClosedAnswer, recording: int, offset: float, contact: bool = True):
+    def _remembering(self, answer: ClosedAnswer, material: Material, recording: int, offset: float,
+                     contact: bool = True):
         """As `_elastic`, of a history."""
-        material = answer.material
         try:
             force = self._history_force(material, recording, offset)
         except InputError as error:
             raise InfeasibleError(f"{self.name}: {error}") from None
         rates = np.full((force.size, len(answer.space.free)), np.nan)
-        exact = self._relaxing_rates(answer, recording, offset) if self._relaxes(answer) else {}
+        exact = self._exact_rates(answer, material, recording, offset)
         for k, name in enumerate(answer.space.free):
             rates[:, k] = exact[name] if name in exact else self._difference(answer, recording, offset, k, force)
         if not contact:
@@ -187,18 +195,19 @@ class ClosedTest:
         later, earlier = (self._history_force(material, recording, offset + step) for step in (width, -width))
         return force, rates, (later - earlier) / (2 * width)
 
-    def _relaxes(self, answer: ClosedAnswer) -> bool:
-        """Whether a Prony series is all that its material has beside the law."""
-        material = answer.material
-        return (self._divides and answer.space.of_material_alone and not material.effects and material.softening is None
-                and material.poroelasticity is None and material.instantaneous_factor == 1.0)
-
-    def _relaxing_rates(self, answer: ClosedAnswer, recording: int, offset: float) -> dict[str, np.ndarray]:
+    def _exact_rates(self, answer: ClosedAnswer, material: Material, recording: int,
+                     offset: float) -> dict[str, np.ndarray]:
         """Derivatives of P = (1 - sum g) elastic + sum g_i relaxing_i, which is linear in moduli and shares.
 
-        Those with the times are central differences of `relaxing` alone; of exponents there are none.
+        None where more than a Prony series acts beside the law. Those with the times are central differences of
+        `relaxing` alone; of exponents there are none.
         """
-        law, prony, history = answer.law, answer.material.viscoelastic, self.history(recording, offset)
+        prony = material.viscoelastic
+        if prony is None or not self._divides or not answer.space.of_material_alone or material.effects or (
+                material.softening is not None or material.poroelasticity is not None) or (
+                material.instantaneous_factor != 1.0):
+            return {}
+        law, history = answer.law, self.history(recording, offset)
         count, factor = prony.tau.size, self.sign * self.area
         step = _RATE_WIDTH * prony.tau
         rates = {}
@@ -212,7 +221,7 @@ class ClosedTest:
                              for other, value in zip(law.parameters, answer.values.tolist(), strict=True)]
                     rates[name] = factor * history.nominal_stress(law, np.array(alone), prony)
                 elif "terms" in path:
-                    i = path[-2]
+                    i = int(path[-2])
                     rates[name] = factor * (relaxing[:, i] - elastic) if path[-1] == "g" else \
                         factor * prony.g[i] * (relaxing[:, count + i] - relaxing[:, 2 * count + i]) / (2 * step[i])
         return rates
@@ -238,7 +247,7 @@ class ClosedTest:
         with np.errstate(all="ignore"):
             if not self._divides or material.effects:
                 strain = self.strain(measured.displacement - offset)
-                return factor * self.closed_form.history(material, measured.time, strain, self.radius)
+                return factor * self.closed_form.history(material, measured.clock, strain, self.radius)
             return factor * self.history(recording, offset).nominal_stress(
                 material.energy_law, material.values, material.relaxation(self.radius), material.softening,
                 material.instantaneous_factor)
@@ -253,8 +262,8 @@ class ClosedTest:
         if offset == 0.0 and recording in self._histories:
             return self._histories[recording]
         measured = self.measured[recording]
-        mode = "uniaxial" if self.closed_form.rest else "simple_shear"
-        found = HomogeneousHistory(mode, measured.time, self.strain(measured.displacement - offset), self.largest_step)
+        mode: Literal["uniaxial", "simple_shear"] = "uniaxial" if self.closed_form.rest else "simple_shear"
+        found = HomogeneousHistory(mode, measured.clock, self.strain(measured.displacement - offset), self.largest_step)
         if offset == 0.0:
             self._histories[recording] = found
         return found
@@ -266,6 +275,9 @@ class ClosedTest:
     def refine(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> float:
         """The closed form needs no correction."""
         return 0.0
+
+    def forget(self) -> None:
+        """There is none."""
 
     def reached(self, space: ParameterSpace, theta: np.ndarray) -> Reached:
         """As `ForwardTest.reached`."""

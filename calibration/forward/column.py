@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
@@ -19,14 +20,18 @@ class ColumnTest(ClosedTest):
     """The displacement counts from the settled state, the height is the stated one.
 
     Attributes:
-        specimen: what weighs. reserve: the curve is solved that much beyond the deepest sample, m: as far as a contact
+        weighing: the specimen. reserve: the curve is solved that much beyond the deepest sample, m: as far as a contact
             offset may move it, so that the curve is the same for all recordings and offsets.
     """
 
-    specimen: Specimen = field(kw_only=True)
+    weighing: Specimen = field(kw_only=True)
     reserve: float = 0.0
 
-    proportional = False
+    proportional: ClassVar[bool] = False
+
+    @property
+    def specimen(self) -> Specimen:
+        return self.weighing
 
     @property
     def weightless(self) -> ClosedTest:

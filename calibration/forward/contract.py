@@ -14,6 +14,8 @@ import numpy as np
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.forward.solves import Solves
+from tissue_sim.closed_form.homogeneous import ClosedForm
+from tissue_sim.specimen import Specimen
 
 
 class InfeasibleError(RuntimeError):
@@ -45,15 +47,39 @@ class ForwardTest(Protocol):
         timed: whether the force depends on the way that led to a displacement.
         area: cross-section that a nominal stress refers to, m2 (1 where stress was recorded); None where the stress
             is not homogeneous.
-        specimen: None where stress was recorded without one.
+        specimen: None of a closed form without weight. height: of the specimen, m.
+        closed_form, sign: of the kind of test, where it is homogeneous.
     """
 
-    name: str
-    measured: tuple[MeasuredCurve, ...]
-    proportional: bool
-    homogeneous: bool
-    timed: bool
-    area: float | None
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def measured(self) -> tuple[MeasuredCurve, ...]: ...
+
+    @property
+    def proportional(self) -> bool: ...
+
+    @property
+    def homogeneous(self) -> bool: ...
+
+    @property
+    def timed(self) -> bool: ...
+
+    @property
+    def area(self) -> float | None: ...
+
+    @property
+    def specimen(self) -> Specimen | None: ...
+
+    @property
+    def height(self) -> float: ...
+
+    @property
+    def closed_form(self) -> ClosedForm: ...
+
+    @property
+    def sign(self) -> float: ...
 
     def solve(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> Any:
         """The answer at the free parameters `theta`, SI, shape (p,), for `evaluate`; `solves` remembers simulations.
@@ -81,6 +107,9 @@ class ForwardTest(Protocol):
         Returns:
             The largest correction, relative to the largest force; 0 where every mesh is exact.
         """
+
+    def forget(self) -> None:
+        """Take the correction back."""
 
     def reached(self, space: ParameterSpace, theta: np.ndarray) -> Reached:
         """What the recordings reach with these parameters."""

@@ -11,6 +11,7 @@ from calibration.campaign.campaign import FitSettings, Test
 from calibration.campaign.measured import MeasuredCurve, remembers
 from calibration.forward.closed import ClosedTest
 from calibration.forward.column import ColumnTest
+from calibration.forward.contract import ForwardTest
 from calibration.forward.motion import Loading, Timed
 from calibration.forward.simulated import SimulatedTest
 from tissue_sim.experiment.protocol import STUDY_SPEED
@@ -37,21 +38,23 @@ def build_test(test: Test, curves: Sequence[MeasuredCurve], material: Material,
     layered = bool(material.layers)
     one_way = all(set(curve.segment.tolist()) == {"ramp"} for curve in curves if curve.segment is not None)
     if material.ages or (remembers(test, material) and not one_way):
-        motions, motion_of = [], []
+        motions: list[Timed] = []
+        motion_of = []
         for curve in curves:
-            motion = Timed.of(curve.time, curve.displacement)
+            motion = Timed.of(curve.clock, curve.displacement)
             same = [i for i, other in enumerate(motions) if other.like(motion)]
             if not same:
                 motions.append(motion)
             motion_of.append(same[0] if same else len(motions) - 1)
         return SimulatedTest(test.name, test.experiment, test.rig, tuple(motions), tuple(motion_of), curves, layered)
     deepest = max(curve.displacement.max() for curve in curves)
-    depth = min(deepest + max(_MARGIN * contact, _LEAST_MARGIN * deepest), 0.999 * test.specimen.height)
+    height = test.experiment.specimen.height
+    depth = min(deepest + max(_MARGIN * contact, _LEAST_MARGIN * deepest), 0.999 * height)
     speed = float(np.median([curve.speed or STUDY_SPEED for curve in curves]))
     tool = test.experiment.tool
     smooth = tool.is_plate or (tool.sharp_edge and not test.experiment.slides)
-    motion = Loading.to(float(depth), max(speed, 1e-9), smooth=smooth, strain=float(depth / test.specimen.height))
-    return SimulatedTest(test.name, test.experiment, test.rig, (motion,), (0,) * len(curves), curves, layered)
+    way = Loading.to(float(depth), max(speed, 1e-9), smooth=smooth, strain=float(depth / height))
+    return SimulatedTest(test.name, test.experiment, test.rig, (way,), (0,) * len(curves), curves, layered)
 
 
 def closed_test(test: Test, curves: Sequence[MeasuredCurve]) -> ClosedTest:
@@ -65,14 +68,14 @@ def analytical_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSe
     plain = closed_test(test, curves)
     if test.specimen is not None and test.specimen.specific_weight:
         reserve = settings.offset_bound if settings.offset == "fit" else 0.0
-        return ColumnTest(plain.name, plain.kind, plain.height, plain.area, plain.measured, specimen=test.specimen,
+        return ColumnTest(plain.name, plain.kind, plain.height, plain.area, plain.measured, weighing=test.specimen,
                           reserve=reserve)
     return replace(plain, largest_step=FITTED_STEP)
 
 
-def remainder(test: SimulatedTest | ClosedTest, of: Mapping[str, float]) -> float:
+def remainder(test: ForwardTest, of: Mapping[str, float]) -> float:
     """Relative standard deviation of what a mesh is off in this test; 0 where every mesh is exact."""
-    if test.homogeneous:
+    if test.homogeneous or not isinstance(test, SimulatedTest):
         return 0.0
     shape = test.experiment.tool.shape
     return of[shape if shape in of else "other"]

@@ -131,6 +131,10 @@ class SimulatedTest:
         self.correction = found
         return largest
 
+    def forget(self) -> None:
+        """As `ForwardTest.forget`."""
+        self.correction = []
+
     def _accurate(self, space: ParameterSpace, values: dict[str, float], solves: Solves,
                   motion: Loading | Timed) -> np.ndarray:
         """Force of the accurate mesh at the knots, shape (k,).
@@ -198,7 +202,7 @@ class SimulatedTest:
         simulated, gain = values[:, 0], 1.0 + rig.sensor_gain
         if rig.latency:
             columns = np.column_stack([values, rate])
-            late = np.column_stack([np.interp(measured.time - rig.latency, measured.time, column)
+            late = np.column_stack([np.interp(measured.clock - rig.latency, measured.clock, column)
                                     for column in columns.T])
             values, rate = late[:, :-1], late[:, -1]
         force, rates = _read(rig, measured, simulated), gain * values[:, 1:]
@@ -224,8 +228,8 @@ class SimulatedTest:
 
     def _time(self, recording: int) -> np.ndarray | None:
         """Of the samples, on the clock of their motion: motions that count as one may have begun at other times."""
-        motion, time = self.motions[self.motion_of[recording]], self.measured[recording].time
-        return time - time[0] + motion.sampled_from if isinstance(motion, Timed) else time
+        motion, measured = self.motions[self.motion_of[recording]], self.measured[recording]
+        return measured.clock - measured.clock[0] + motion.sampled_from if isinstance(motion, Timed) else measured.time
 
     def _rig(self, answer: SimulatedAnswer, recording: int) -> Rig:
         """The rig of a recording, with what is fitted of it."""

@@ -103,9 +103,14 @@ class TaskExecutor(Protocol):
         most_deaths: of workers during one task, after which it is given up.
     """
 
-    capacity: float
-    death: type[Exception]
-    most_deaths: int
+    @property
+    def capacity(self) -> float: ...
+
+    @property
+    def death(self) -> type[Exception]: ...
+
+    @property
+    def most_deaths(self) -> int: ...
 
     def submit(self, function: Callable[..., Any], arguments: tuple) -> Future:
         """Start a task."""

@@ -44,16 +44,16 @@ class ProcessPool:
                 return self._executor.submit(run_packed, task)
             except BrokenProcessPool:
                 self.close()
-        self._start()
-        return self._executor.submit(run_packed, task)
+        return self._start().submit(run_packed, task)
 
-    def _start(self) -> None:
+    def _start(self) -> ProcessPoolExecutor:
         # Spawned, not forked: Taichi and the threads of this process do not survive a fork.
         self._executor = ProcessPoolExecutor(self.capacity, multiprocessing.get_context("spawn"), follow_parent)
         try:
             with _start_conditions():
                 first = self._executor.submit(os.getpid)
             first.result()
+            return self._executor
         except BrokenProcessPool as death:
             self.close()
             raise WorkerError(
