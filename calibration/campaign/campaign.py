@@ -282,10 +282,12 @@ def _find_specimen(entry: TestTable, specimens: Mapping[str, Specimen], table: C
         raise InputError(f"gravity = true is for a specimen that stands under a plate, and {entry.kind} does not say "
                          "how it hangs or lies; give this test a specimen with gravity = false",
                          field=f"{field}.specimen")
-    prism = found is not None and table.specimen[list(specimens).index(found.name)].shape == "prism"
     if found is None and kind.closed_form is None:
         raise InputError(f"{entry.kind} is simulated on its specimen; add a [[specimen]] and name it here",
                          field=f"{field}.specimen")
+    if found is None:
+        return None
+    prism = table.specimen[list(specimens).index(found.name)].shape == "prism"
     if prism and kind.closed_form is None:
         raise InputError(f"{entry.kind} is simulated on a cylinder, and {found.name!r} is a prism; use shape = "
                          "'cylinder' with radius_mm", field=f"{field}.specimen")
@@ -333,7 +335,7 @@ def _fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ...]) -
 
 
 def _in_SI(value: float | tuple[float, float], factor: float) -> float | tuple[float, float]:
-    return tuple(factor * each for each in value) if isinstance(value, tuple) else factor * value
+    return (factor * value[0], factor * value[1]) if isinstance(value, tuple) else factor * value
 
 
 def _noise(table: NoiseTable, method: str) -> Noise:
@@ -341,7 +343,7 @@ def _noise(table: NoiseTable, method: str) -> Noise:
         value = getattr(table, key)
         require_positive(None if value == "estimate" else value, f"noise.{key}")
     # What an inverse fit estimates unless it is stated.
-    known = {}
+    known: dict[str, float | None] = {}
     for key, default in (("contact_jitter_mm", 0.0), ("zero_jitter_N", 0.0), ("correlation_time_s", 0.0)):
         value = getattr(table, key)
         if method == "analytical":

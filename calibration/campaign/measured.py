@@ -176,7 +176,8 @@ def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Ca
                              "specimen", field="recordings")
         places = places[: last + 1]
         later = displacement.size - 1 - int(places[-1]) if time is not None else 0
-    loading, inside = places, np.ones(places.size, bool)
+    loading = places
+    inside: np.ndarray = np.ones(places.size, bool)
     if test.max_strain is not None:
         reached = np.abs(displacement) if test.kind.both_ways else displacement
         inside = reached[places] <= test.max_strain * height * (1 + 1e-9)
@@ -190,7 +191,7 @@ def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Ca
         raise InputError(f"{path.name} has a force or stress against the load; {test.kind.name} expects force above "
                          "zero, so turn the column with sign = -1", field="recordings")
     time = None if time is None else time[places]
-    if remembering:
+    if remembering and time is not None:
         if "speed" in test.reading and (np.diff(time) <= 0).any():
             raise InputError(f"{path.name} stands still or turns, and speed_mm_s cannot tell the time there; give a "
                              "time column", field="speed_mm_s")
@@ -240,17 +241,17 @@ def with_noise(loading: MeasuredCurve, campaign: Campaign, window: MeasuredCurve
         noise = SensorNoise(stated)
     if campaign.fit.strain_points is None:
         return replace(window, noise=noise)
-    grid, interpolation = _evenly_spaced(loading.displacement, loading, campaign)
+    grid, interpolation = _evenly_spaced(loading.displacement, loading, campaign.fit.strain_points, campaign)
     return replace(window, noise=noise, time=None, displacement=grid, force=interpolation @ loading.force,
                    interpolation=interpolation)
 
 
-def _evenly_spaced(displacement: np.ndarray, curve: MeasuredCurve,
+def _evenly_spaced(displacement: np.ndarray, curve: MeasuredCurve, points: int,
                    campaign: Campaign) -> tuple[np.ndarray, csr_array]:
     """Even displacements from rest to the end of the window, and the linear interpolation onto them."""
     from scipy.sparse import csr_array
 
-    test, points = curve.test, campaign.fit.strain_points
+    test = curve.test
     height = 1.0 if test.specimen is None else test.specimen.height
     limit = np.inf if test.max_strain is None else test.max_strain * height
     way, samples = np.unique(displacement, return_index=True)
@@ -310,9 +311,9 @@ def _check_replicates(curves: list[MeasuredCurve], test: Test, campaign: Campaig
     first = curves[0]
     for other in curves[1:]:
         depths = [curve.displacement.max() for curve in (first, other)]
-        speeds = [curve.speed for curve in (first, other)]
+        speeds = [curve.speed for curve in (first, other) if curve.speed is not None]
         for what, unit, pair in (("to", "mm", depths), ("at", "mm/s", speeds)):
-            if None in pair or max(pair) <= (1 + REPLICATE_TOLERANCE) * min(pair):
+            if len(pair) < 2 or max(pair) <= (1 + REPLICATE_TOLERANCE) * min(pair):
                 continue
             raise InputError(f"{first.file.name} goes {what} {pair[0] * 1e3:.4g} {unit} and {other.file.name} {what} "
                              f"{pair[1] * 1e3:.4g} {unit}, so they are not replicates; give one of them a [[test]] of "

@@ -69,8 +69,8 @@ def _path(test: ForwardTest) -> MeasuredCurve:
     first, segment = test.measured[0], None
     reached = np.concatenate([curve.displacement for curve in test.measured])
     if test.timed:
-        time: np.ndarray | None = np.linspace(first.clock[0], first.clock[-1], 4 * POINTS)
-        displacement = np.interp(time, first.clock, first.displacement)
+        time: np.ndarray | None = (times := np.linspace(first.clock[0], first.clock[-1], 4 * POINTS))
+        displacement = np.interp(times, first.clock, first.displacement)
         segment = np.full(displacement.size, "")
     else:
         # Shear may go both ways: there the path leads from one end to the other.

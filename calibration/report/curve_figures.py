@@ -101,7 +101,7 @@ class _Abscissa:
     timed: bool
 
     def of(self, measured: MeasuredCurve) -> np.ndarray:
-        return measured.time if self.timed else self.scale.x * measured.displacement
+        return measured.clock if self.timed else self.scale.x * measured.displacement
 
     def spans(self, region: Region, recordings: Sequence[MeasuredCurve]) -> Iterator[tuple[float, float]]:
         """Where a region lies; a displacement that is passed in several cycles gives several."""
@@ -116,7 +116,7 @@ class _Abscissa:
         edges = np.flatnonzero(np.diff(np.concatenate(([0], inside.astype(int), [0]))))
         for first, after in edges.reshape(-1, 2):
             if after - first > 1:
-                yield float(measured.time[first]), float(measured.time[after - 1])
+                yield float(measured.clock[first]), float(measured.clock[after - 1])
 
 
 def _is_timed(recordings: Sequence[MeasuredCurve]) -> bool:
@@ -152,19 +152,22 @@ def _draw_band(axes, best: TestCurves, colour: str, x: _Abscissa) -> None:
     axes.set_ylabel(f"model − data [{x.scale.y_unit}]")
     axes.axhline(0.0, color=colour, lw=1.6)
     first = best.measured[0]
-    if _along(best, first) is None:
+    along = _along(best, first)
+    if along is None:
         axes.text(0.5, 0.75, "no curve without a time that all recordings share", transform=axes.transAxes, ha="center",
                   color="0.4")
         return
     places = first.time if x.timed else x.scale.x * best.displacement
-    band, error = _along(best, first)[:, 1:].T if x.timed else (best.band, best.force_error)
+    band, error = along[:, 1:].T if x.timed else (best.band, best.force_error)
     axes.fill_between(places, -y * band, y * band, color=colour, alpha=0.2, lw=0,
                       label="95 % of new recordings")
     axes.fill_between(places, -2 * y * error, 2 * y * error, color=colour, alpha=0.35, lw=0,
                       label="± 2 standard errors of the model")
     for i, m in enumerate(best.measured):
-        thin = thinned(m.force.size)
-        away = y * (_along(best, m)[:, 0] - m.force)
+        thin, along = thinned(m.force.size), _along(best, m)
+        if along is None:
+            continue
+        away = y * (along[:, 0] - m.force)
         axes.plot(x.of(m)[thin], away[thin], "o", ms=2.2, mew=0, color="0.35", alpha=0.4,
                   label="recordings" if i == 0 else None)
     _head(axes, "Recordings as they came, against the prediction band")
@@ -173,8 +176,9 @@ def _draw_band(axes, best: TestCurves, colour: str, x: _Abscissa) -> None:
 def _along(curves: TestCurves, measured: MeasuredCurve) -> np.ndarray | None:
     """Force, band and standard error of the model at the samples of a recording, shape (n, 3); NaN beyond the model's
     path. None where the path passes a displacement twice and tells no time."""
-    timed = curves.time is not None and measured.time is not None
-    path, at = (curves.time, measured.time) if timed else (curves.displacement, measured.displacement)
+    path, at = curves.displacement, measured.displacement
+    if curves.time is not None and measured.time is not None:
+        path, at = curves.time, measured.time
     if np.any(np.diff(path) < 0):
         return None
     found = np.stack([np.interp(at, path, values) for values in (curves.force, curves.band, curves.force_error)], 1)

@@ -110,8 +110,9 @@ def parameter_unit(law: Law, name: str) -> str:
     if path in law.units:
         unit = law.units[path]
     elif path.startswith(("experiment.", "rig.")):
-        kinds = (Specimen, *TOOLS.values(), Adhesion, Experiment) if path.startswith("experiment.") else (
-            Rig, *FAULTS.values())
+        kinds: tuple[type, ...] = (Specimen, *TOOLS.values(), Adhesion, Experiment)
+        if path.startswith("rig."):
+            kinds = (Rig, *FAULTS.values())
         known = [declared(kind)[last] for kind in kinds if (last := path.rpartition(".")[2]) in declared(kind)]
         unit = known[0].unit if known else "1"
     else:
@@ -143,7 +144,7 @@ def parameter_table(fits: Sequence[Fit], figures: bool) -> str:
         png = draw_formula(fit.law) if figures else None
         formula = escape(fit.formula) if png is None else \
             f'<img class="formula" width="{natural_width(png)}" src="{as_data_uri(png)}" alt="{escape(fit.formula)}">'
-        lead = f"{escape(law.title)}<br>{formula}"
+        lead: str | None = f"{escape(law.title)}<br>{formula}"
         for name, value in fit.parameters.items():
             error, interval = fit.standard_errors[name], fit.intervals95[name]
             unit = parameter_unit(law, name)

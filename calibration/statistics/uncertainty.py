@@ -95,8 +95,9 @@ def sandwich(jacobian: np.ndarray, residual: np.ndarray, replicate: np.ndarray, 
     spread = weight**2 * np.diag(prior_precision)
     for i, part in enumerate(parts):
         columns = jacobian[part]
-        if interpolations is not None and interpolations[i] is not None:
-            columns = interpolations[i].T @ columns
+        interpolation = None if interpolations is None else interpolations[i]
+        if interpolation is not None:
+            columns = interpolation.T @ columns
         spread = spread + deviations[i]**2 * columns.T @ columns
     for column in () if jitter is None else jitter.T:
         gradients = np.stack([jacobian[part].T @ column[part] for part in parts])
