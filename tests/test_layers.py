@@ -83,12 +83,13 @@ def test_import_contracts_hold():
     assert "0 broken" in done.stdout
 
 
-def test_architecture_shows_the_layers():
-    """The picture of tissue_sim in the documentation is that of its contract."""
+@pytest.mark.parametrize("package", PACKAGES)
+def test_architecture_shows_the_layers(package):
+    """The pictures in the documentation are those of the contracts."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]
-    layers, = (contract["layers"] for contract in settings["contracts"] if contract.get("containers") == ["tissue_sim"])
+    layers, = (contract["layers"] for contract in settings["contracts"] if contract.get("containers") == [package])
     page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-    picture = page.split("## Inside tissue_sim")[1].split("```")[1].splitlines()[1:]
+    picture = page.split(f"## Inside {package}\n")[1].split("```")[1].splitlines()[1:]
     assert [line.split("  ")[0] for line in picture] == layers
 
 
