@@ -190,7 +190,7 @@ def test_wheel_holds_exactly_the_four_packages(tmp_path):
     assert {name.split("/")[0] for name in places} == set(PACKAGES)
     assert {name for name in places if name.endswith(".py")} == {place(path) for path in SOURCES}
     # For the type checkers of programs that use them.
-    assert {f"{package}/py.typed" for package in PACKAGES} <= places
+    assert {f"{package}/{file}" for package in PACKAGES for file in ("py.typed", "__init__.pyi")} <= places
     assert entry_points.split() == ["[console_scripts]", "tissue-sim", "=", "scenes.cli:main"]
     assert not list((ROOT / "tests").rglob("__init__.py"))
 

@@ -13,7 +13,6 @@ from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.experiment.tools.tool import (
     TOOLS,
     Tool,
-    make_tool,
     read_shape,
     shapes_without_file,
     sizes_of_keys,
@@ -92,7 +91,7 @@ def _tool(entry: TestTable, kind: TestKind, folder: Path, place: str) -> Tool:
     usual = {} if entry.tool is not None else {name: getattr(kinds_tool, name) for name in declared(type(kinds_tool))}
     # A zero says that the tool has no such size.
     sizes = sizes_of_keys({key: value for key, value in entry.tool_sizes.items() if value})
-    return make_tool(shape, profile_file=profile, **(usual | sizes))
+    return Tool(shape, profile_file=profile, **(usual | sizes))
 
 
 def read_rig(entry: TestTable, folder: Path, place: str) -> Rig:

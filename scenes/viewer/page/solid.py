@@ -169,7 +169,8 @@ class Solid:
     def _place(self, snapshot: Snapshot) -> None:
         """The tool at its pose, and the ground where the specimen stands."""
         pose = snapshot.pose
-        self._tool_frame.position = self._force_frame.position = tuple(self.scale * part for part in pose.position)
+        x, y, z = pose.position
+        self._tool_frame.position = self._force_frame.position = (self.scale * x, self.scale * y, self.scale * z)
         if not np.array_equal(self._tool_frame.wxyz, pose.orientation):
             self._tool_frame.wxyz = pose.orientation
         # Where a specimen has sagged under its own weight, the tool touches it lower.
