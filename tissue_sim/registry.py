@@ -7,10 +7,12 @@ who takes a name looks it up there. A package adds one through an entry point of
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cached_property
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
+from types import ModuleType
 from typing import Any, Generic, TypeVar
 
 from tissue_sim.errors import InputError, nearest
@@ -126,6 +128,15 @@ class Registry(Mapping[str, T], Generic[T]):
 def registered() -> list[tuple[str, str, Any]]:
     """(group, name, thing) of all that was registered in this process; for `register_all` in another."""
     return [(group, name, thing) for group, registry in _ALL.items() for name, thing in registry._added.items()]
+
+
+def modules_of_additions() -> dict[str, ModuleType]:
+    """Name -> module of every thing in use here that is not built in: what was registered, and what installed packages
+    add as far as it was looked up. What a program computes depends on their source too."""
+    things = [thing for registry in _ALL.values() for name, thing in registry._things.items()
+              if name not in registry._built_in]
+    names = {getattr(thing, "__module__", None) for thing in things}
+    return {name: sys.modules[name] for name in sorted(name for name in names if name in sys.modules)}
 
 
 def register_all(things: Iterable[tuple[str, str, Any]]) -> None:

@@ -188,8 +188,9 @@ class SimulatedTest:
         return replace(model, rig=model.rig.motion_only)
 
     def _reads(self, unknown: Unknown, values: dict[str, float]) -> bool:
-        """Whether it is a number of the rig that leaves the motion of the tool alone."""
-        if not unknown.path.startswith("rig."):
+        """Whether it is a number of this test's rig that leaves the motion of the tool alone."""
+        if not unknown.path.startswith("rig.") or not any(unknown.acts_in(self.name, each.name)
+                                                          for each in self.measured):
             return False
         path, value = unknown.path.removeprefix("rig."), values[unknown.name]
         return with_values(self.rig, {path: value + _away(value)}).motion_only == with_values(
@@ -199,13 +200,14 @@ class SimulatedTest:
         """As `ForwardTest.evaluate`."""
         measured, rig = self.measured[recording], self._rig(answer, recording)
         values, rate = answer.courses[recording](self._time(recording), measured.displacement, offset)
-        simulated, gain = values[:, 0], 1.0 + rig.sensor_gain
+        simulated = values[:, 0]
         if rig.latency:
             columns = np.column_stack([values, rate])
             late = np.column_stack([np.interp(measured.clock - rig.latency, measured.clock, column)
                                     for column in columns.T])
             values, rate = late[:, :-1], late[:, -1]
-        force, rates = _read(rig, measured, simulated), gain * values[:, 1:]
+        force = _read(rig, measured, simulated)
+        rates, rate = _through(rig, measured, simulated, force, values[:, 1:], rate)
         for place, name in enumerate(answer.space.free):
             unknown = answer.space.unknown(name)
             if unknown.acts_in(self.name, measured.name) and self._reads(unknown, answer.values):
@@ -213,7 +215,7 @@ class SimulatedTest:
                 width = _away(value)
                 # One-sided: many faults cannot be less than absent.
                 rates[:, place] = (_read(with_values(rig, {path: value + width}), measured, simulated) - force) / width
-        return force, rates, gain * rate
+        return force, rates, rate
 
     def differences(self, answer: SimulatedAnswer) -> frozenset[str]:
         """As `ForwardTest.differences`."""
@@ -248,8 +250,8 @@ class SimulatedTest:
         values = space.values(theta)
         experiment = replace(self.experiment, protocol=Protocol.ramp(deepest, points))
         try:
-            model = space.model(values, experiment, Rig(), test=self.name)
-            fields = simulate(model, fields=True).fields
+            model = space.model(values, experiment, self.rig, test=self.name)
+            fields = simulate(replace(model, rig=Rig()), fields=True).fields
         except (ConvergenceError, InputError):
             return _of_volume(1 - deepest / self.height, 1.0)
         F = fields.deformation_gradient()
@@ -274,6 +276,21 @@ def _simulate(model: Model, topology: Model | None, names: Sequence[str], resolu
     except (ConvergenceError, InputError) as error:
         return SimulatedCurve([], [], str(error), clock.process_time() - began)
     return SimulatedCurve(force.tolist(), rates.tolist(), "", clock.process_time() - began, exact)
+
+
+def _through(rig: Rig, measured: MeasuredCurve, true: np.ndarray, read: np.ndarray, rates: np.ndarray,
+             rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What derivatives of the true force, shape (n, p) and (n,), are of the force that is read."""
+    if not any(fault.reads for fault in rig.faults.values()):
+        gain = 1.0 + rig.sensor_gain
+        return gain * rates, gain * rate
+    # An added fault may be anything that takes a course of forces.
+    columns = np.column_stack([rates, rate])
+    for place, column in enumerate(columns.T):
+        if column.any():
+            width = 1e-6 * max(float(np.abs(true).max()), 1e-6) / np.abs(column).max()
+            columns[:, place] = (_read(rig, measured, true + width * column) - read) / width
+    return columns[:, :-1], columns[:, -1]
 
 
 def _read(rig: Rig, measured: MeasuredCurve, force: np.ndarray) -> np.ndarray:

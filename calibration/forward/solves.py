@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import msgspec
@@ -18,6 +19,7 @@ import tissue_sim
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.parameters import declared
+from tissue_sim.registry import modules_of_additions
 
 
 class SimulatedCurve(msgspec.Struct, frozen=True, array_like=True):
@@ -88,8 +90,16 @@ class Solves:
 
 
 def content_key(*parts: Any) -> str:
-    """SHA-256 of everything in frozen data, numbers to the last digit, and of the solver's own source."""
-    return hashlib.sha256(msgspec.json.encode([_solver_digest(), _plain(parts)])).hexdigest()[:40]
+    """SHA-256 of everything in frozen data, numbers to the last digit, and of the source of the solver and of all laws,
+    effects, ... that were added to it."""
+    added = [[name, _source_digest(module)] for name, module in modules_of_additions().items()]
+    return hashlib.sha256(msgspec.json.encode([_solver_digest(), added, _plain(parts)])).hexdigest()[:40]
+
+
+def _source_digest(module: ModuleType) -> str:
+    # A module without a file, such as a session of a notebook, counts by its name only.
+    file = Path(getattr(module, "__file__", None) or "")
+    return hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else ""
 
 
 @cache

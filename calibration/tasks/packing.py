@@ -15,14 +15,13 @@ from typing import Any
 
 import cloudpickle
 
-from tissue_sim.registry import register_all, registered
+from tissue_sim.registry import modules_of_additions, register_all, registered
 
 
 def pack(function: Callable[..., Any], arguments: tuple) -> bytes:
     """A task that `run_packed` runs elsewhere."""
     things = registered()
-    modules = {type(thing).__module__ for *_, thing in things}
-    travelling = [sys.modules[name] for name in modules if name in sys.modules and not _is_installed(name)]
+    travelling = [module for name, module in modules_of_additions().items() if not _is_installed(name)]
     for module in travelling:
         cloudpickle.register_pickle_by_value(module)
     try:
@@ -45,7 +44,8 @@ def run_packed(task: bytes) -> Any:
 
 def _is_installed(module: str) -> bool:
     """Whether every worker can import it."""
-    return module.partition(".")[0] in _packages()
+    package = module.partition(".")[0]
+    return package in sys.stdlib_module_names or package in _packages()
 
 
 @cache

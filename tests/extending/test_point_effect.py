@@ -4,6 +4,7 @@ Beside a neo-Hooke law of (1 - g) C10 a branch of shear modulus 2 g C10 is the t
 the same recursion for the same isochoric second Piola-Kirchhoff stress.
 """
 
+import json
 import subprocess
 import sys
 from itertools import pairwise
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
+from scenes.cli import main
 from tissue_sim.errors import InputError
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver, element_layers
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
@@ -246,3 +248,37 @@ def test_closed_forms_leave_it_to_the_elements(branch):
 def test_a_name_is_taken_once(branch):
     with pytest.raises(InputError, match="taken by another effect of the tissue"):
         EFFECTS.register(type("Other", (branch,), {}))
+
+
+def test_a_campaign_fits_it(branch, tmp_path):
+    """Modulus, stress and time of the branch from a ramp and a hold between glued plates."""
+    recording = ts.simulate(model(material(branch), protocol=ts.Protocol.parse("ramp 6mm @3mm/s; hold 8s", points=61)))
+    time = np.linspace(0.0, recording.time[-1], 101)
+    noise = np.random.default_rng(4).normal(0.0, 2e-3, time.size)
+    ts.write_recording(ts.Recording({
+        "time": time, "displacement": np.interp(time, recording.time, recording.displacement),
+        "force": np.interp(time, recording.time, recording.force) + noise}), tmp_path / "plates.csv")
+    (tmp_path / "c.toml").write_text("""
+[[specimen]]
+radius_mm = 40.0
+height_mm = 70.0
+[[test]]
+kind = "bonded_compression"
+recordings = ["plates.csv"]
+[fit]
+method = "inverse_fem"
+laws = ["neo_hooke"]
+starts = 1
+start = { C10 = 1300.0, "effects.maxwell_branch.mu_Pa" = 500.0, "effects.maxwell_branch.tau_s" = 4.0 }
+fixed = { "bulk.K_Pa" = 3e7 }
+[noise]
+force_N = 0.002
+contact_jitter_mm = 0.0
+zero_jitter_N = 0.0
+""", encoding="utf-8")
+    assert main(["calibrate", str(tmp_path / "c.toml"), "-o", str(tmp_path / "out")]) == 0
+    fit, = json.loads((tmp_path / "out" / "fit.json").read_text(encoding="utf-8"))["fits"]
+    assert fit["parameters"] == pytest.approx({"C10": (1 - G) * C10, "effects.maxwell_branch.mu": 2 * G * C10,
+                                               "effects.maxwell_branch.tau": TAU, "bulk.K_Pa": 3e7}, rel=0.02)
+    calibrated = ts.load_material(tmp_path / "out" / fit["material_file"])
+    assert calibrated.effects["maxwell_branch"].tau == fit["parameters"]["effects.maxwell_branch.tau"]

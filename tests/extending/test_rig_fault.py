@@ -86,6 +86,48 @@ def test_its_parameters_are_those_of_the_model(worn):
     assert (found.value, found.symbol, found.declaration.absent) == (2e-5, "w", 0.0)
 
 
+def test_a_campaign_fits_it_beside_the_material(worn, tmp_path):
+    """The plates, read by a good sensor, tell the modulus; the tool how far its sensor gives way."""
+    depth, rng = np.linspace(0.0, 6e-3, 61), np.random.default_rng(5)
+    for kind, faults in (("bonded_compression", ()), ("needle_indentation", [worn.SoftSensor(0.05)])):
+        experiment = SCENES[kind].experiment(specimen=ts.Specimen(0.04, 0.07), protocol=ts.Protocol.ramp(6e-3, 31))
+        curve = ts.simulate(ts.Model(experiment, model().material, ts.Rig(faults=faults)))
+        ts.write_recording(ts.Recording({
+            "displacement": depth, "force": np.interp(depth, curve.displacement, curve.force)
+            + rng.normal(0.0, 1e-3, depth.size)}), tmp_path / f"{kind}.csv")
+    ts.write_rig(ts.Rig(faults=[worn.SoftSensor(0.01)]), tmp_path / "tool.rig.json")
+    (tmp_path / "c.toml").write_text("""
+[[specimen]]
+radius_mm = 40.0
+height_mm = 70.0
+[[test]]
+kind = "bonded_compression"
+recordings = ["bonded_compression.csv"]
+[[test]]
+kind = "needle_indentation"
+recordings = ["needle_indentation.csv"]
+tool = "flat"
+tool_radius_mm = 8.0
+rig = "tool.rig.json"
+[fit]
+method = "inverse_fem"
+laws = ["reduced_polynomial_2"]
+starts = 1
+start = { C10 = 1300.0, C20 = 600.0, "rig.faults.soft_sensor.softness_per_N" = 0.02 }
+scope = { "rig.faults.soft_sensor.softness_per_N" = ["needle_indentation"] }
+[noise]
+force_N = 0.001
+contact_jitter_mm = 0.0
+zero_jitter_N = 0.0
+""", encoding="utf-8")
+    assert main(["calibrate", str(tmp_path / "c.toml"), "-o", str(tmp_path / "out")]) == 0
+    fit, = json.loads((tmp_path / "out" / "fit.json").read_text(encoding="utf-8"))["fits"]
+    name, = (each for each in fit["parameters"] if each.startswith("rig."))
+    assert fit["parameters"][name] == pytest.approx(0.05, abs=0.003) and fit["parameters"]["C10"] == pytest.approx(
+        1404.9, rel=0.01)
+    assert fit["derivatives"][name] == "difference" and fit["derivatives"]["C10"] == "exact"
+
+
 def test_a_name_that_is_taken_is_refused(worn):
     class Other(worn.SoftSensor):
         pass

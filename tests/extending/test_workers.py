@@ -2,12 +2,17 @@
 
 import importlib.util
 import sys
+from pathlib import Path
 
 import distributed
 import pytest
 
 import tissue_sim as ts
+from calibration.forward.solves import content_key
 from calibration.tasks.executors import Workers, open_tasks
+from tissue_sim.parameters import value
+
+PLUGINS = Path(__file__).with_name("plugins")
 
 PLUGIN = '''
 import sympy as sp
@@ -35,17 +40,32 @@ def stress(parameters):
 '''
 
 
+def load(path):
+    """A module that no other process can import: it lies in no folder of the search path."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = sys.modules[path.stem] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
 @pytest.fixture
 def plugin(tmp_path):
-    """A module that no other process can import: it lies in no folder of the search path."""
     path = tmp_path / "a_plugin.py"
     path.write_text(PLUGIN, encoding="utf-8")
-    spec = importlib.util.spec_from_file_location("a_plugin", path)
-    module = sys.modules["a_plugin"] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    yield module
+    yield load(path)
     ts.LAWS.unregister("fung_of_a_plugin")
     del sys.modules["a_plugin"]
+
+
+@pytest.fixture
+def seepage(tmp_path):
+    """The class of an effect, in such a module."""
+    path = tmp_path / "a_seepage.py"
+    path.write_text((PLUGINS / "seepage.py").read_text(encoding="utf-8"), encoding="utf-8")
+    module = load(path)
+    yield ts.EFFECTS.register(module.Seepage)
+    ts.EFFECTS.unregister("seepage")
+    del sys.modules["a_seepage"]
 
 
 @pytest.fixture(params=["spawned", "dask"])
@@ -73,3 +93,26 @@ def test_a_law_of_a_plugin_file_is_known_in_workers(plugin, workers):
 def test_what_nobody_registered_is_refused_there_as_here(workers):
     with open_tasks(workers) as tasks, pytest.raises(ts.InputError, match="unknown law 'fung_of_a_plugin'"):
         tasks.run(ts.Material, [("fung_of_a_plugin", {"a": 1.0, "b": 1.0})])
+
+
+def test_a_class_that_a_plugin_file_registers_is_known_in_workers(seepage, workers):
+    tissue = ts.Material("neo_hooke", {"C10": 500.0}, effects=(seepage(0.3, 4.0),))
+    with open_tasks(workers) as tasks:
+        assert tasks.run(value, [(tissue, "effects.seepage.time")]) == [4.0]
+
+
+def test_kept_curves_do_not_outlive_the_plugin_they_were_made_with(tmp_path, monkeypatch):
+    """The source of what was added is part of the key."""
+    monkeypatch.syspath_prepend(tmp_path)
+    keys = []
+    for stiffness in (1, 2):
+        (tmp_path / "a_changing_plugin.py").write_text(PLUGIN.replace("(2 * b)", f"({stiffness} * b)"),
+                                                       encoding="utf-8")
+        importlib.invalidate_caches()
+        importlib.import_module("a_changing_plugin")
+        try:
+            keys.append(content_key("a model"))
+        finally:
+            ts.LAWS.unregister("fung_of_a_plugin")
+            del sys.modules["a_changing_plugin"]
+    assert keys[0] != keys[1] != content_key("a model") != keys[0]

@@ -23,10 +23,12 @@ class RigFault:
     Attributes:
         name: key in rig files.
         title: for people.
+        needs_time: whether what it does depends on the time, or on the speed, of the motion.
     """
 
     name: ClassVar[str]
     title: ClassVar[str] = ""
+    needs_time: ClassVar[bool] = False
 
     @property
     def moves_tool(self) -> bool:

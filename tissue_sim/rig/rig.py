@@ -130,7 +130,8 @@ class Rig:
     @property
     def needs_time(self) -> bool:
         """Whether what it reads depends on the time, or on the speed, of the motion."""
-        return any((self.latency, self.rate_damping, self.sensor_drift, self.sampling_rate, self.faults))
+        return any((self.latency, self.rate_damping, self.sensor_drift, self.sampling_rate,
+                    *(fault.needs_time for fault in self.faults.values())))
 
     def _acting_on(self, *targets: str, faults: Any) -> Rig:
         own = {entry.name: getattr(self, entry.name) for entry in fields(self)
