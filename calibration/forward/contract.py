@@ -7,7 +7,7 @@ elements). A fit knows no other difference between them.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
@@ -50,6 +50,9 @@ class ForwardTest(Protocol):
         specimen: None of a closed form without weight. height: of the specimen, m.
         closed_form, sign: of the kind of test, where it is homogeneous.
     """
+
+    #: A test is a dataclass, so that `dataclasses.replace` gives another one.
+    __dataclass_fields__: ClassVar[dict[str, Any]]
 
     @property
     def name(self) -> str: ...
