@@ -46,12 +46,13 @@ from starts import (
 
 import tissue_sim as ts
 from calibration.campaign.campaign import Noise
+from calibration.fit.campaign_problem import build_problem
 from calibration.fit.estimate import Stated, settle
 from calibration.fit.levenberg_marquardt import descend
 from calibration.fit.problem import Problem
 from calibration.fit.profiles import profile_side
 from calibration.fit.uncertainty import assess_uncertainty
-from calibration.forward.build import REMAINDERS, build_problem
+from calibration.forward.forms import REMAINDERS
 from calibration.forward.solves import Solves
 from calibration.statistics.jitter import Jitter
 from calibration.tasks.executors import Workers, open_tasks

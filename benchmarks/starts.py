@@ -29,10 +29,10 @@ from scipy.stats import qmc
 import tissue_sim as ts
 from calibration.campaign.campaign import Campaign, FitSettings, Noise, Test
 from calibration.campaign.measured import MeasuredCurve
+from calibration.fit.campaign_problem import build_problem
 from calibration.fit.estimate import Stated, settle
 from calibration.fit.levenberg_marquardt import ENOUGH_OF_A_START, descend
 from calibration.fit.uncertainty import assess_uncertainty
-from calibration.forward.build import build_problem
 from calibration.forward.solves import Solves
 from calibration.statistics.sensor_noise import SensorNoise
 from calibration.tasks.executors import Workers, open_tasks

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import tissue_sim
 from calibration.campaign.campaign import load_campaign
-from calibration.fit.campaign_fit import CampaignFit
+from calibration.campaign_fit import CampaignFit
 from calibration.fit.context import Context, IterationListener, Progress
 from calibration.fit.result import CalibrationResult, read_back
-from calibration.report.output_folder import SUMMARY_FILE, claim
+from calibration.output_folder import SUMMARY_FILE, claim
 from calibration.report.outputs import write_summary
 from calibration.tasks.executors import Workers, open_tasks
 from tissue_sim.errors import ConvergenceError, InputError

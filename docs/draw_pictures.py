@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 import tissue_sim as ts
 from calibration import calibrate
 from scenes import SCENES, draw_simulation, run_demo
-from scenes.commands.shared.figures import save
+from scenes.figures import save
 
 PICTURES = Path(__file__).parent / "pictures"
 CURVES = Path(__file__).parents[1] / "tests" / "reference"

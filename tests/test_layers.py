@@ -4,10 +4,13 @@ import ast
 import importlib
 import subprocess
 import sys
+import tomllib
 import zipfile
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 
+import grimp
 import pytest
 from hatchling.builders.wheel import WheelBuilder
 
@@ -21,7 +24,9 @@ IMPORTERS = {  # outside package -> where it may be imported
     "matplotlib": ("scenes/", "calibration/"),
     "socket": ("haptics/", "scenes/doctor/"),
 }
-VAGUE_NAMES = {"utils", "util", "helpers", "helper", "manager", "core", "misc", "common"}
+VAGUE_NAMES = {"utils", "util", "helpers", "helper", "manager", "core", "misc", "common", "work", "batch", "build"}
+#: Lines of a file, and of a function outside kernels.
+LONGEST_FILE, LONGEST_FUNCTION = 400, 120
 
 
 def place(path: Path) -> str:
@@ -78,6 +83,16 @@ def test_import_contracts_hold():
     assert "0 broken" in done.stdout
 
 
+@pytest.mark.parametrize("package", PACKAGES)
+def test_architecture_shows_the_layers(package):
+    """The pictures in the documentation are those of the contracts."""
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]
+    layers, = (contract["layers"] for contract in settings["contracts"] if contract.get("containers") == [package])
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    picture = page.split(f"## Inside {package}\n")[1].split("```")[1].splitlines()[1:]
+    assert [line.split("  ")[0] for line in picture] == layers
+
+
 @pytest.mark.parametrize("package", IMPORTERS)
 def test_outside_package_is_imported_where_it_belongs(package):
     strangers = [place(path) for path in SOURCES
@@ -102,12 +117,67 @@ def test_encoding_check_sees_what_it_should():
     assert not unencoded(ast.parse("path.open('rb')\npath.read_text(encoding='utf-8')\nopen(p, mode='wb')"))
 
 
-def test_files_are_short_and_well_named():
-    # The aim is 300 lines; some subjects need more, and none needs more than this.
-    long = [place(path) for path in SOURCES if len(path.read_text(encoding="utf-8").splitlines()) > 450]
+def functions(path: Path) -> list[ast.FunctionDef | ast.AsyncFunctionDef]:
+    return [node for node in ast.walk(parsed(path)) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
+
+
+def holds_kernels(path: Path) -> bool:
+    """Whether Taichi compiles some of a source: a kernel cannot be cut into functions at will."""
+    return any(ast.unparse(decorator).startswith(("ti.func", "ti.kernel")) for function in functions(path)
+               for decorator in function.decorator_list)
+
+
+def test_files_and_functions_are_short():
+    long = [place(path) for path in SOURCES if len(path.read_text(encoding="utf-8").splitlines()) > LONGEST_FILE]
     assert not long, f"split {long}"
+    long = [f"{function.name} of {place(path)}" for path in SOURCES if not holds_kernels(path)
+            for function in functions(path) if function.end_lineno - function.lineno >= LONGEST_FUNCTION]
+    assert not long, f"split {long}"
+
+
+def test_names_say_what_is_meant():
     vague = [place(path) for path in SOURCES if {path.stem, path.parent.name} & VAGUE_NAMES]
     assert not vague, f"name {vague} after what they do"
+
+
+def circles(imports: Mapping[str, set[str]]) -> list[list[str]]:
+    """Modules that import each other, directly or through others, by Tarjan's algorithm."""
+    number: dict[str, int] = {}
+    lowest: dict[str, int] = {}
+    path: list[str] = []
+    closed: set[str] = set()
+    circles = []
+
+    def visit(module: str) -> None:
+        number[module] = lowest[module] = len(number)
+        path.append(module)
+        for other in imports[module]:
+            if other not in number:
+                visit(other)
+            if other not in closed:
+                lowest[module] = min(lowest[module], lowest[other])
+        if lowest[module] == number[module]:
+            circle = path[path.index(module):]
+            del path[-len(circle):]
+            closed.update(circle)
+            circles.extend([sorted(circle)] if len(circle) > 1 else [])
+
+    for module in imports:
+        if module not in number:
+            visit(module)
+    return circles
+
+
+def test_no_circle_of_imports(monkeypatch):
+    """Imports inside functions, and for the type checker alone, count."""
+    monkeypatch.syspath_prepend(str(ROOT))
+    graph = grimp.build_graph(*PACKAGES, cache_dir=None)
+    assert not circles({module: graph.find_modules_directly_imported_by(module) for module in graph.modules})
+
+
+def test_circles_are_seen():
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"b", "d"}, "d": set()}) == [["b", "c"]]
+    assert not circles({"a": {"b", "c"}, "b": {"c"}, "c": set()})
 
 
 def test_wheel_holds_exactly_the_four_packages(tmp_path):
@@ -120,7 +190,7 @@ def test_wheel_holds_exactly_the_four_packages(tmp_path):
     assert {name.split("/")[0] for name in places} == set(PACKAGES)
     assert {name for name in places if name.endswith(".py")} == {place(path) for path in SOURCES}
     # For the type checkers of programs that use them.
-    assert {f"{package}/py.typed" for package in PACKAGES} <= places
+    assert {f"{package}/{file}" for package in PACKAGES for file in ("py.typed", "__init__.pyi")} <= places
     assert entry_points.split() == ["[console_scripts]", "tissue-sim", "=", "scenes.cli:main"]
     assert not list((ROOT / "tests").rglob("__init__.py"))
 

@@ -200,8 +200,9 @@ def from_keys(kind: type[Part], content: Mapping[str, float], field: str) -> Par
     for key in content:
         if key not in names:
             raise InputError(f"unknown key{nearest(key, names)}", field=f"{field}.{key}")
-    needed = {declaration(entry).key for entry in fields(kind) if declaration(entry) and entry.default is MISSING}
-    if missing := [key for key in names if key in needed and key not in content]:
+    entries: Mapping[str, Field] = getattr(kind, "__dataclass_fields__", {})
+    needed = {name for name, entry in entries.items() if entry.default is MISSING}
+    if missing := [key for key, (name, _) in names.items() if name in needed and key not in content]:
         raise InputError(f"needs {', '.join(missing)}", field=field)
     try:
         return kind(**{names[key][0]: names[key][1] * value for key, value in content.items()})

@@ -3,26 +3,34 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
 
-def import_on_use(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """``__getattr__`` and ``__dir__`` of a package (PEP 562).
+def import_on_use(package: str) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
+    """Names, ``__getattr__`` and ``__dir__`` of a package (PEP 562).
 
     Args:
-        package: its ``__name__``.
-        homes: public name -> module of the package that defines it.
+        package: its ``__name__``. In its folder lies ``__init__.pyi``, which type checkers read, with a line
+            ``from MODULE import NAME as NAME`` for each public name.
     """
-    def get(name: str):
+    homes = {}
+    spec: Any = sys.modules[package].__spec__
+    # As the package itself is read, from a folder or an archive.
+    for line in spec.loader.get_data(f"{spec.origin}i").decode("utf-8").splitlines():
+        match line.split():
+            case "from", module, "import", name, "as", _:
+                homes[name] = module
+
+    def get(name: str) -> Any:
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        value = getattr(import_module(f"{package}.{homes[name]}"), name)
+        value = getattr(import_module(homes[name]), name)
         setattr(sys.modules[package], name, value)
         return value
 
     def names() -> list[str]:
         return sorted({*vars(sys.modules[package]), *homes})
 
-    return get, names
+    return sorted(homes), get, names

@@ -285,8 +285,10 @@ def _find_specimen(entry: TestTable, specimens: Mapping[str, Specimen], table: C
     if found is None and kind.closed_form is None:
         raise InputError(f"{entry.kind} is simulated on its specimen; add a [[specimen]] and name it here",
                          field=f"{field}.specimen")
-    prism = found is not None and table.specimen[list(specimens).index(found.name)].shape == "prism"
-    if found is not None and prism and kind.closed_form is None:
+    if found is None:
+        return None
+    prism = table.specimen[list(specimens).index(found.name)].shape == "prism"
+    if prism and kind.closed_form is None:
         raise InputError(f"{entry.kind} is simulated on a cylinder, and {found.name!r} is a prism; use shape = "
                          "'cylinder' with radius_mm", field=f"{field}.specimen")
     return found
@@ -332,9 +334,8 @@ def _fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ...]) -
         bounds=_read_only(bounds))
 
 
-def _in_SI(value: Any, factor: float) -> Any:
-    """A number, or a pair of them."""
-    return tuple(factor * each for each in value) if isinstance(value, tuple) else factor * value
+def _in_SI(value: float | tuple[float, float], factor: float) -> float | tuple[float, float]:
+    return (factor * value[0], factor * value[1]) if isinstance(value, tuple) else factor * value
 
 
 def _noise(table: NoiseTable, method: str) -> Noise:

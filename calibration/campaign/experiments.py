@@ -68,7 +68,7 @@ def _interface(entry: TestTable, kind: TestKind, key: str, place: str) -> str | 
     face, value = kind.faces[key], getattr(entry, key)
     if face.fixed and value is not None and (value or "frictionless") != face.usual:
         other = " or ".join(repr(name) for name, one in KINDS.items()
-                            if one.faces[key].stated and one.fits(kind.tool))
+                            if one.faces[key].stated and one.fits(kind.require_tool()))
         raise InputError(f"{value!r} contradicts kind = {entry.kind!r}, whose faces are {face.usual}; leave it out, or "
                          f"use kind = {other}", field=f"{place}.{key}")
     if value is None and face.stated:
@@ -78,7 +78,8 @@ def _interface(entry: TestTable, kind: TestKind, key: str, place: str) -> str | 
 
 
 def _tool(entry: TestTable, kind: TestKind, folder: Path, place: str) -> Tool:
-    shape, profile = read_shape(entry.tool or kind.tool.shape, folder)
+    kinds_tool = kind.require_tool()
+    shape, profile = read_shape(entry.tool or kinds_tool.shape, folder)
     fits = kind.fits(TOOLS.find(shape, f"{place}.tool"))
     if kind.tool_stated and (entry.tool is None or not fits):
         known = ", ".join(repr(name) for name in shapes_without_file() if kind.fits(TOOLS[name]))
@@ -87,7 +88,7 @@ def _tool(entry: TestTable, kind: TestKind, folder: Path, place: str) -> Tool:
     if not fits:
         other = " or ".join(repr(name) for name, one in KINDS.items() if one.fits(TOOLS[shape]))
         raise InputError(f"{entry.kind} is not done with {entry.tool!r}; use kind = {other}", field=f"{place}.tool")
-    usual = {} if entry.tool is not None else {name: getattr(kind.tool, name) for name in declared(type(kind.tool))}
+    usual = {} if entry.tool is not None else {name: getattr(kinds_tool, name) for name in declared(type(kinds_tool))}
     # A zero says that the tool has no such size.
     sizes = sizes_of_keys({key: value for key, value in entry.tool_sizes.items() if value})
     return Tool(shape, profile_file=profile, **(usual | sizes))

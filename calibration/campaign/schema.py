@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 import tomllib
 from pathlib import Path
-from typing import Any, Literal
+from types import GenericAlias
+from typing import Any, Literal, cast
 
 import msgspec
 
@@ -27,7 +28,7 @@ class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How every table is read: unknown keys are errors."""
 
 
-class SpecimenTable(_Table, kw_only=True):
+class SpecimenTable(_Table, frozen=True, kw_only=True):
     """``[[specimen]]``."""
 
     name: str | None = None
@@ -40,7 +41,7 @@ class SpecimenTable(_Table, kw_only=True):
     density_kg_m3: float | None = None
 
 
-class TestTable(_Table, kw_only=True):
+class TestTable(_Table, frozen=True, kw_only=True):
     """``[[test]]``, but for the sizes of its tool, see `campaign_table`."""
 
     name: str | None = None
@@ -71,7 +72,7 @@ class TestTable(_Table, kw_only=True):
         return {key: value for key in tool_sizes() if (value := getattr(self, key)) is not None}
 
 
-class FitTable(_Table, kw_only=True):
+class FitTable(_Table, frozen=True, kw_only=True):
     """``[fit]``."""
 
     method: Literal["analytical", "inverse_fem"] = "analytical"
@@ -91,7 +92,7 @@ class FitTable(_Table, kw_only=True):
     scope: dict[str, str | list[str]] = {}
 
 
-class NoiseTable(_Table, kw_only=True):
+class NoiseTable(_Table, frozen=True, kw_only=True):
     """``[noise]``."""
 
     force_N: float | Literal["estimate"] = "estimate"
@@ -101,7 +102,7 @@ class NoiseTable(_Table, kw_only=True):
     zero_jitter_N: float | Literal["estimate"] | None = None
 
 
-class CampaignTable(_Table, kw_only=True):
+class CampaignTable(_Table, frozen=True, kw_only=True):
     """The whole file."""
 
     specimen: list[SpecimenTable] = []
@@ -112,10 +113,12 @@ class CampaignTable(_Table, kw_only=True):
 
 def campaign_table() -> type[CampaignTable]:
     """The whole file, with the kinds of test and the sizes of tools that there are now, those of packages included."""
-    how = {"frozen": True, "forbid_unknown_fields": True, "kw_only": True}
+    how: dict[str, Any] = {"frozen": True, "forbid_unknown_fields": True, "kw_only": True}
     sizes = [(key, float | None, None) for key in tool_sizes()]
     test = msgspec.defstruct("TestTable", [("kind", Literal[tuple(KINDS)]), *sizes], bases=(TestTable,), **how)
-    return msgspec.defstruct("CampaignTable", [("test", list[test])], bases=(CampaignTable,), **how)
+    tests: Any = GenericAlias(list, (test,))
+    table = msgspec.defstruct("CampaignTable", [("test", tests)], bases=(CampaignTable,), **how)
+    return cast(type[CampaignTable], table)
 
 
 def decode_campaign(path: Path) -> tuple[CampaignTable, bytes]:

@@ -13,8 +13,8 @@ from calibration.fit.fit import Covariance, Fit, Profile
 from calibration.fit.identifiability import not_identifiable
 from calibration.fit.levenberg_marquardt import Descent
 from calibration.fit.profiles import ProfileSide
+from calibration.fit.self_weight import sags
 from calibration.forward.contract import Reached
-from calibration.report.self_weight import sags
 from calibration.statistics.statistics import correlation, information_criteria
 from calibration.statistics.uncertainty import Uncertainty
 from tissue_sim.laws import Stability, check_stability, find_law

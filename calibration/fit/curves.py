@@ -51,7 +51,7 @@ def _along(estimate: Estimate, spread: Uncertainty, test: ForwardTest, path: Mea
     space = estimate.problem.space
     free = len(space.free)
     # The path is that of a recording without scatter, seen by the same test.
-    seen: ForwardTest = replace(test, measured=(path,))  # type: ignore[type-var]
+    seen: ForwardTest = replace(test, measured=(path,))
     answer = seen.solve(space, estimate.theta[:free], estimate.problem.solves)
     force, rates, contact = seen.evaluate(answer, 0, 0.0)
     variance = np.einsum("np,pq,nq->n", rates, spread.covariance[:free, :free], rates) + (mesh_error * force)**2

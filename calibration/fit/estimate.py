@@ -12,8 +12,8 @@ import numpy as np
 from calibration.fit.fit import Iteration, Minimum
 from calibration.fit.levenberg_marquardt import Listener, descend
 from calibration.fit.problem import Problem
-from calibration.forward.build import FAST_REMAINDERS, REMAINDERS, remainder
 from calibration.forward.contract import InfeasibleError
+from calibration.forward.forms import FAST_REMAINDERS, REMAINDERS, remainder
 from calibration.statistics.jitter import Jitter, estimate_jitter
 
 #: The difference of the meshes is computed again until that moves no parameter by more than this share of its size;

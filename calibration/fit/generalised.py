@@ -9,6 +9,7 @@ import numpy as np
 
 from calibration.campaign.campaign import Campaign, Test
 from calibration.campaign.measured import MeasuredCurve
+from calibration.fit.campaign_problem import build_problem
 from calibration.fit.checks import check_start
 from calibration.fit.estimate import Estimate, Stated, settle
 from calibration.fit.estimator import Findings, Runner
@@ -20,8 +21,8 @@ from calibration.fit.ranking import prediction_message
 from calibration.fit.regions import judge_regions, name_misfits
 from calibration.fit.starts import starts
 from calibration.fit.uncertainty import assess_uncertainty
-from calibration.forward.build import FAST_REMAINDERS, REMAINDERS, build_problem, build_test, remainder
 from calibration.forward.contract import ForwardTest, InfeasibleError, Reached
+from calibration.forward.forms import FAST_REMAINDERS, REMAINDERS, build_test, remainder
 from calibration.forward.solves import Solves
 from calibration.statistics.jitter import Jitter
 from calibration.statistics.statistics import MODEL_ERROR_RATIO, r_squared

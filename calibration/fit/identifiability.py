@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.fit import Direction, Suggestion
-from calibration.fit.parameters import ParameterSpace
 from calibration.fit.problem import Problem
 from calibration.forward.motion import offset_rate
 from calibration.statistics.uncertainty import Uncertainty
@@ -15,7 +15,8 @@ from tissue_sim.differentiation import sensitivities
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.protocol import STUDY_SPEED, Protocol
-from tissue_sim.experiment.tools.tool import Tool
+from tissue_sim.experiment.tools.flat import Flat
+from tissue_sim.experiment.tools.plate import Plate
 from tissue_sim.model import Model
 from tissue_sim.specimen import Specimen
 
@@ -95,10 +96,10 @@ def _candidates(problem: Problem, theta: np.ndarray) -> Sequence[tuple[str, Expe
     for strain in (_STRAIN, min(_DEEPER * _STRAIN, 0.3)):
         depth = strain * specimen.height
         millimetres = f"{depth * 1e3:.3g} mm"
-        needle = Tool("flat", radius=_NEEDLE * specimen.radius)
+        needle = Flat(radius=_NEEDLE * specimen.radius)
         for words, tool, friction in (
-                (f"lubricated compression to {millimetres}", Tool(), "frictionless"),
-                (f"bonded compression to {millimetres}", Tool(), "bonded"),
+                (f"lubricated compression to {millimetres}", Plate(), "frictionless"),
+                (f"bonded compression to {millimetres}", Plate(), "bonded"),
                 (f"needle indentation (flat, radius {needle.radius * 1e3:.3g} mm) to {millimetres}", needle, "bonded")):
             base = "frictionless" if friction == "frictionless" else "bonded"
             for ending, protocol in _protocols(depth, ageing):

@@ -11,18 +11,18 @@ import numpy as np
 
 from calibration.campaign.campaign import Campaign, Test
 from calibration.campaign.measured import MeasuredCurve
+from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.closed_starts import closed_starts
 from calibration.fit.estimate import Estimate
 from calibration.fit.estimator import Findings, Runner
 from calibration.fit.fit import Fit, Minimum, Nuisance, Prediction
 from calibration.fit.levenberg_marquardt import Descent, descend
 from calibration.fit.ordinary_problem import OrdinaryProblem
-from calibration.fit.parameters import ParameterSpace
 from calibration.fit.problem import Evaluation
 from calibration.fit.ranking import bic_message
-from calibration.forward.build import analytical_test
 from calibration.forward.closed import ClosedTest
 from calibration.forward.contract import ForwardTest, Reached
+from calibration.forward.forms import analytical_test
 from calibration.forward.solves import Solves
 from calibration.statistics.jitter import Jitter
 from calibration.statistics.statistics import CURVATURE_RATIO, MODEL_ERROR_RATIO, r_squared

@@ -9,7 +9,7 @@ import numpy as np
 
 from calibration.campaign.campaign import FitSettings, Noise
 from calibration.campaign.measured import MeasuredCurve
-from calibration.fit.parameters import ParameterSpace
+from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.problem import Evaluation
 from calibration.fit.variables import LongTerm, Scaled, Variables
 from calibration.forward.closed import ClosedTest

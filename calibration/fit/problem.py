@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from calibration.campaign.measured import MeasuredCurve
-from calibration.fit.parameters import ParameterSpace
+from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.variables import Scaled, Variables
 from calibration.forward.contract import ForwardTest, InfeasibleError
 from calibration.forward.solves import Solves

@@ -12,8 +12,8 @@ import msgspec
 
 from calibration.campaign.campaign import Campaign
 from calibration.fit.fit import Fit, Prediction, SensorStatement
-from calibration.report.output_folder import FIT_FILE, TABLES
-from calibration.report.self_weight import statement
+from calibration.fit.self_weight import statement
+from calibration.output_folder import FIT_FILE, TABLES
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from itertools import combinations_with_replacement, cycle
 
 import numpy as np
 
-from calibration.fit.parameters import ParameterSpace
+from calibration.campaign.parameter_space import ParameterSpace
 
 #: Exponents, first ones first; moduli take care of themselves.
 EXPONENTS = (2.0, 8.0, -4.0, 15.0, -10.0, 4.0, -2.0)

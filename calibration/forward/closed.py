@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
-from calibration.fit.parameters import ParameterSpace
+from calibration.campaign.parameter_space import ParameterSpace
 from calibration.forward.contract import InfeasibleError, Reached
 from calibration.forward.solves import Solves
 from tissue_sim.closed_form.histories import LARGEST_STEP, HomogeneousHistory

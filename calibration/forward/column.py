@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from calibration.fit.parameters import ParameterSpace
+from calibration.campaign.parameter_space import ParameterSpace
 from calibration.forward.closed import ClosedAnswer, ClosedTest
 from calibration.forward.contract import InfeasibleError, Reached
 from tissue_sim.closed_form.column import Column

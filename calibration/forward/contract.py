@@ -7,12 +7,12 @@ elements). A fit knows no other difference between them.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
-from calibration.fit.parameters import ParameterSpace
+from calibration.campaign.parameter_space import ParameterSpace
 from calibration.forward.solves import Solves
 from tissue_sim.closed_form.homogeneous import ClosedForm
 from tissue_sim.specimen import Specimen
@@ -50,6 +50,9 @@ class ForwardTest(Protocol):
         specimen: None of a closed form without weight. height: of the specimen, m.
         closed_form, sign: of the kind of test, where it is homogeneous.
     """
+
+    #: A test is a dataclass, so that `dataclasses.replace` gives another one.
+    __dataclass_fields__: ClassVar[dict[str, Any]]
 
     @property
     def name(self) -> str: ...

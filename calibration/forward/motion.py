@@ -146,6 +146,7 @@ class Timed:
         knots_t, knots_d, legs = [t[:1]], [d[:1]], []
         for i in range(t.size - 1):
             way, duration = d[i + 1] - d[i], t[i + 1] - t[i]
+            share: np.ndarray
             if abs(way) > 2 * STRAIGHT * travel:
                 share = np.linspace(0.0, 1.0, int(np.ceil(steps * abs(way) / travel - 1e-9)) + 1)[1:]
                 # From the touch as in `Loading`: friction remembers its first part.

@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
-from calibration.fit.parameters import ParameterSpace, Unknown
+from calibration.campaign.parameter_space import ParameterSpace, Unknown
 from calibration.forward.contract import InfeasibleError, Reached
 from calibration.forward.motion import Course, Loading, Timed
 from calibration.forward.solves import SimulatedCurve, Solves, content_key

@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
+from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.fit import Fit
-from calibration.fit.parameters import ParameterSpace
 from calibration.fit.result import CalibrationResult, to_json
 from calibration.fit.results import TestCurves
-from calibration.report.output_folder import FIT_FILE
+from calibration.fit.self_weight import statement
+from calibration.output_folder import FIT_FILE
 from calibration.report.report import write_report
-from calibration.report.self_weight import statement
 from tissue_sim.atomic_write import write_text
 from tissue_sim.laws import find_law
 from tissue_sim.material.file import MaterialFile, write_material_file

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from scenes.commands.shared.figures import draw_fold, draw_section, save
 from scenes.demo.comparison import Comparison
+from scenes.figures import draw_fold, draw_section, save
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.material.material import Material
 from tissue_sim.recording.recording import Recording

@@ -79,7 +79,7 @@ def run_demo(output: Path, *, overwrite: bool = False, console=None, seed: int =
     write_text(campaign, CAMPAIGN.format(radius_mm=SPECIMEN.radius * 1e3, height_mm=SPECIMEN.height * 1e3,
                                          laws=json.dumps(LAWS), bulk_ratio=BULK_RATIO, force_N=FORCE_NOISE))
     (result,) = calibration.calibrate([campaign], output / "calibration", overwrite=overwrite)
-    material_file = output / "calibration" / result.best.material_file
+    material_file = output / "calibration" / str(result.best.material_file)
 
     say("3 predicting the needle and the bonded test, which the calibration never saw ...")
     material = ts.load_material(material_file)

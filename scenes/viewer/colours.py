@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scenes.commands.shared.figures import volume_range
+from scenes.figures import volume_range
 from tissue_sim.errors import InputError
 from tissue_sim.fem.axisymmetric.fields import FIELD_UNITS
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import tissue_sim as ts
 from scenes.catalogue import SCENES
@@ -69,7 +70,7 @@ class Scene:
             tool = before.tool if kind.fits(before.tool) else kind.require_tool()
         if not kind.fits(tool):
             raise ts.InputError(f"{kind.title.lower()} is not done with the tool {tool.shape!r}", field="tool")
-        changes = kind.interfaces
+        changes: dict[str, Any] = {**kind.interfaces}
         if kind is self.kind:
             changes = {key: getattr(before, key) for key in changes}
         if friction is not None:

@@ -6,7 +6,7 @@ import signal
 import numpy as np
 import pytest
 
-from scenes.commands.shared.field_labels import LABELS
+from scenes.field_labels import LABELS
 from scenes.viewer.page.solid import SIZE
 from scenes.viewer.tone import seen_colour
 

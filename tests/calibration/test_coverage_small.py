@@ -11,8 +11,8 @@ from scipy.interpolate import CubicSpline
 
 import tissue_sim as ts
 from calibration.campaign.campaign import Noise
+from calibration.fit.campaign_problem import build_problem
 from calibration.fit.levenberg_marquardt import descend
-from calibration.forward.build import build_problem
 from calibration.forward.solves import Solves
 
 CAMPAIGNS, STARTS, SEED = 12, 6, 1

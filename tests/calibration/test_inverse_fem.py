@@ -10,14 +10,14 @@ from scipy.interpolate import CubicSpline
 
 import calibration
 import tissue_sim as ts
+from calibration.campaign.parameter_space import ParameterSpace
+from calibration.fit.campaign_problem import build_problem
 from calibration.fit.checks import check_start
 from calibration.fit.estimate import Stated, settle
 from calibration.fit.levenberg_marquardt import descend
-from calibration.fit.parameters import ParameterSpace
 from calibration.fit.profiles import profile_side
 from calibration.fit.starts import starts
 from calibration.fit.uncertainty import assess_uncertainty
-from calibration.forward.build import build_problem
 from calibration.forward.motion import Timed
 from calibration.forward.solves import Solves
 from calibration.statistics.jitter import Jitter

@@ -8,9 +8,9 @@ import pytest
 
 import calibration
 import tissue_sim as ts
-from calibration.fit.parameters import ParameterSpace
-from calibration.forward.build import analytical_test
+from calibration.campaign.parameter_space import ParameterSpace
 from calibration.forward.column import ColumnTest
+from calibration.forward.forms import analytical_test
 from calibration.forward.solves import Solves
 from tissue_sim.closed_form.column import Column
 

@@ -4,8 +4,8 @@ import pytest
 
 import tissue_sim as ts
 from scenes import SCENES, draw_simulation
-from scenes.commands.shared.field_labels import LABELS
-from scenes.commands.shared.figures import RIGID, draw_fold, draw_section
+from scenes.field_labels import LABELS
+from scenes.figures import RIGID, draw_fold, draw_section
 from tissue_sim.fem.axisymmetric.fields import FIELD_UNITS
 
 STUDY = ts.Specimen(0.04, 0.07)

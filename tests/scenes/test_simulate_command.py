@@ -8,7 +8,7 @@ import pytest
 
 import tissue_sim as ts
 from scenes.cli import main
-from scenes.commands.shared.field_labels import LABELS
+from scenes.field_labels import LABELS
 from tissue_sim.errors import ConvergenceError
 
 KEYS = {"displacement_mm", "time_s", "force_N", "status", "message", "warnings", "newton_iterations", "wall_s", "mesh",

@@ -96,4 +96,3 @@ UNIAXIAL = Homogeneous("uniaxial", "uniaxial")
 SIMPLE_SHEAR = Homogeneous("simple_shear", "planar", rest=0.0, label="shear strain [-]")
 #: Tension of a sheet whose width is held.
 PLANAR = Homogeneous("planar", "planar", lateral=1.0)
-EQUIBIAXIAL = Homogeneous("equibiaxial", "equibiaxial", lateral=2.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from scenes.catalogue import SCENES
 from scenes.commands.shared.parsing import Parser, at_least, between, interface, not_negative, positive
@@ -11,7 +11,6 @@ from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.tools.tool import (
     TOOLS,
     Tool,
-    make_tool,
     read_shape,
     shapes_without_file,
     sizes_of_keys,
@@ -101,7 +100,7 @@ def make_experiment(arguments, protocol: Protocol, material: Material) -> Experi
         fitting = [name for name, other in SCENES.items() if other.fits(kind)]
         raise InputError(f"{scene.name} is not done with the tool {shape!r}; use scene {' or '.join(fitting)}",
                          field="--tool")
-    weight = {}
+    weight: dict[str, Any] = {}
     if arguments.gravity:
         density = arguments.density_kg_m3 or material.density
         if density is None:
@@ -158,5 +157,5 @@ def _tool(arguments, shape: str, profile: Path | None, usual: Tool) -> Tool:
     kept = {name: getattr(usual, name) for _, name, shapes in known.values() if {usual.shape, shape} <= {*shapes}}
     changes = sizes_of_keys(stated)
     if profile is not None:
-        return make_tool(shape, profile_file=profile, **changes)
-    return make_tool(shape, **(kept | changes))
+        return Tool(shape, profile_file=profile, **changes)
+    return Tool(shape, **(kept | changes))

@@ -8,11 +8,11 @@ from pathlib import Path
 from scenes.catalogue import SCENES
 from scenes.commands.shared.console import print_json, progress_console, results_console
 from scenes.commands.shared.experiment_flags import add_experiment_flags, check_scene, make_experiment, make_protocol
-from scenes.commands.shared.field_labels import LABELS
 from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, new_file
 from scenes.commands.shared.tissue_flags import add_solver_flags, check_solver
 from scenes.commands.simulate.replicates import add_rig_flags, make_rig, output_files, read_replicates
 from scenes.commands.simulate.report import as_json, print_curve, print_solver
+from scenes.field_labels import LABELS
 from tissue_sim.errors import ConvergenceError, InputError
 
 SUMMARY = "simulate a test and print force against displacement"
@@ -81,7 +81,7 @@ def run(arguments) -> int:
     for path, written in zip(outputs, recordings, strict=bool(outputs)):
         ts.write_recording(written, path)
     if arguments.figure is not None:
-        from scenes.commands.shared.figures import draw_simulation
+        from scenes.figures import draw_simulation
 
         draw_simulation(recording, model, arguments.figure, field=arguments.field or "von_mises")
     reached = 1 - float(recording.displacement.max()) / experiment.specimen.height

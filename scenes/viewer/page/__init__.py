@@ -8,7 +8,7 @@ from pathlib import Path
 
 import viser
 
-from scenes.commands.shared.field_labels import LABELS
+from scenes.field_labels import LABELS
 from scenes.viewer.colours import colour_bar_html
 from scenes.viewer.frame import Commands, Frame, Phase
 from scenes.viewer.page.curve_plots import CurvePlots

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import viser
 
-from scenes.commands.shared.field_labels import LABELS
+from scenes.field_labels import LABELS
 from scenes.viewer.camera import FIELD_OF_VIEW, PRESETS, camera_pose
 from scenes.viewer.frame import Frame
 from scenes.viewer.page.notices import set_value

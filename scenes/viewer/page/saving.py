@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import viser
 
-from scenes.commands.shared.field_labels import LABELS
+from scenes.field_labels import LABELS
 from scenes.viewer.frame import Frame
 from scenes.viewer.measurement import branches_on_grid
 from scenes.viewer.page.look_controls import LookControls

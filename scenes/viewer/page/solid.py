@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 import viser
 
-from scenes.commands.shared.field_labels import LABELS
+from scenes.field_labels import LABELS
 from scenes.viewer.colours import PALETTE, field_range, steady_levels
 from scenes.viewer.cut_away import CutAway
 from scenes.viewer.frame import Frame
@@ -47,7 +47,7 @@ class Look:
     """How the specimen is shown.
 
     Attributes:
-        field: a name in `scenes.commands.shared.field_labels.LABELS`.
+        field: a name in `scenes.field_labels.LABELS`.
         cut: angle of the wedge that is left out, degrees.
         mesh_lines, outline: whether to show the element edges, and the undeformed specimen.
         hold: keep the colours' levels as they are.
@@ -169,7 +169,8 @@ class Solid:
     def _place(self, snapshot: Snapshot) -> None:
         """The tool at its pose, and the ground where the specimen stands."""
         pose = snapshot.pose
-        self._tool_frame.position = self._force_frame.position = tuple(self.scale * part for part in pose.position)
+        x, y, z = pose.position
+        self._tool_frame.position = self._force_frame.position = (self.scale * x, self.scale * y, self.scale * z)
         if not np.array_equal(self._tool_frame.wxyz, pose.orientation):
             self._tool_frame.wxyz = pose.orientation
         # Where a specimen has sagged under its own weight, the tool touches it lower.

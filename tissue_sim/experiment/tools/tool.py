@@ -8,11 +8,10 @@ line, campaigns and parameters of fits take its sizes from the declarations.
 from __future__ import annotations
 
 import math
-from abc import ABCMeta, abstractmethod
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, fields, is_dataclass
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from tissue_sim.errors import InputError, require_length
 from tissue_sim.experiment.tools.outline import Profile
@@ -20,14 +19,26 @@ from tissue_sim.parameters import Declaration, declared
 from tissue_sim.registry import Registry
 
 
-class _ByShape(ABCMeta):
+class _ByShape(type):
     """``Tool("flat", radius=0.008)`` makes a tool of that shape."""
 
     def __call__(cls, *values: Any, **sizes: Any) -> Any:
         if cls is not Tool:
             return super().__call__(*values, **sizes)
         shape, *unnamed = (sizes.pop("shape", "plate"),) if "shape" in sizes or not values else values
-        return make_tool(shape, *unnamed, **sizes)
+        kind = TOOLS.find(shape, field="tool")
+        entries = {entry.name: entry for entry in fields(kind)}
+        if len(unnamed) > len(entries):
+            raise _does_not_have(kind, "radius" if not entries else "more sizes")
+        sizes = {name: value for name, value in (*zip(entries, unnamed, strict=False), *sizes.items())
+                 if value is not None and (value or name in entries)}
+        for name in sizes:
+            if name not in entries:
+                raise _does_not_have(kind, name)
+        for entry in entries.values():
+            if entry.default is entry.default_factory is MISSING and entry.name not in sizes:
+                raise InputError(f"a {shape} tool needs a {_words(entry.name)}", field=f"tool.{entry.name}")
+        return kind(**sizes)
 
 
 class Tool(metaclass=_ByShape):
@@ -62,10 +73,13 @@ class Tool(metaclass=_ByShape):
         """Name of the shape."""
         return self.name
 
+    if TYPE_CHECKING:  # what `_ByShape` takes
+        def __init__(self, *values: Any, **sizes: Any): ...
+
     @property
-    @abstractmethod
     def profile(self) -> Profile:
         """The outline that the tissue meets."""
+        raise NotImplementedError
 
     @property
     def face_radius(self) -> float | None:
@@ -77,10 +91,10 @@ class Tool(metaclass=_ByShape):
         """Whether a flat face ends in an edge without rounding, round which no tissue can slide."""
         return False
 
-    @abstractmethod
     def contact_radius(self, depth: float, specimen_radius: float = math.inf) -> float:
         """About how wide the contact is at a depth, m: of a pointed tool as on an elastic half-space (Hertz; Sneddon,
         Int. J. Eng. Sci. 3 (1965) 47), of a plate the specimen's radius."""
+        raise NotImplementedError
 
     def require_radius(self) -> float:
         """Its radius, m.
@@ -104,23 +118,6 @@ class Tool(metaclass=_ByShape):
             if not 0 <= value < radius:
                 raise InputError(f"an {_words(name)} of {value:g} m does not fit a tool of radius {radius:g} m; "
                                  "give 0 or more and less than the radius", field=f"tool.{name}")
-
-
-def make_tool(shape: str, *unnamed: Any, **sizes: Any) -> Tool:
-    """What ``Tool(shape, ...)`` gives; arguments and errors as there."""
-    kind = TOOLS.find(shape, field="tool")
-    entries = {entry.name: entry for entry in fields(kind)}
-    if len(unnamed) > len(entries):
-        raise _does_not_have(kind, "radius" if not entries else "more sizes")
-    sizes = {name: value for name, value in (*zip(entries, unnamed, strict=False), *sizes.items())
-             if value is not None and (value or name in entries)}
-    for name in sizes:
-        if name not in entries:
-            raise _does_not_have(kind, name)
-    for entry in entries.values():
-        if entry.default is entry.default_factory is MISSING and entry.name not in sizes:
-            raise InputError(f"a {shape} tool needs a {_words(entry.name)}", field=f"tool.{entry.name}")
-    return kind(**sizes)
 
 
 def _words(name: str) -> str:

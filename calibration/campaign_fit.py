@@ -29,7 +29,7 @@ from calibration.fit.ranking import Fitted, rank
 from calibration.fit.result import CalibrationResult
 from calibration.fit.validation import LeftOut, leave_out, predict_held_out
 from calibration.forward.solves import Solves
-from calibration.report.output_folder import SOLVES
+from calibration.output_folder import SOLVES
 from calibration.report.outputs import write_campaign
 from calibration.statistics.uncertainty import Uncertainty
 from tissue_sim.errors import ConvergenceError

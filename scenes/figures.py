@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from scenes.commands.shared.field_labels import LABELS
+from scenes.field_labels import LABELS
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.tools.tool import Tool

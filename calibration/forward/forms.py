@@ -1,4 +1,4 @@
-"""From a campaign and its recordings to the tests that a fit compares them with."""
+"""Which form of forward model answers a test."""
 
 from __future__ import annotations
 
@@ -7,17 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.campaign.campaign import Campaign, FitSettings, Test
+from calibration.campaign.campaign import FitSettings, Test
 from calibration.campaign.measured import MeasuredCurve, remembers
-from calibration.fit.parameters import ParameterSpace
-from calibration.fit.problem import Problem
 from calibration.forward.closed import ClosedTest
 from calibration.forward.column import ColumnTest
 from calibration.forward.contract import ForwardTest
 from calibration.forward.motion import Loading, Timed
 from calibration.forward.simulated import SimulatedTest
-from calibration.forward.solves import Solves
-from calibration.statistics.jitter import Jitter
 from tissue_sim.experiment.protocol import STUDY_SPEED
 from tissue_sim.material.material import Material
 
@@ -31,25 +27,6 @@ FAST_REMAINDERS = {"plate": 0.003, "flat": 0.008, "other": 0.01}
 FITTED_STEP = 0.01
 #: The simulated way goes on for so many standard deviations of the contact offset, but for this share at least.
 _MARGIN, _LEAST_MARGIN = 4.0, 1e-3
-#: Standard deviations with which an estimate of the jitter begins, and which are assumed where no test has two
-#: recordings: m, and a share of the largest force.
-FIRST_CONTACT, FIRST_ZERO = 0.05e-3, 0.002
-
-
-def build_problem(law: str, campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCurve]],
-                  solves: Solves) -> Problem:
-    """The least-squares problem of one law over all tests that are not held out.
-
-    Args:
-        law: its name. campaign: what is asked. measured: test -> its recordings. solves: what has been simulated.
-    """
-    names = {test: [curve.name for curve in curves] for test, curves in measured.items()}
-    space = ParameterSpace.of(law, campaign, names)
-    fitted = [test for test in campaign.tests if not test.hold_out]
-    jitter = first_jitter(campaign, [curve for test in fitted for curve in measured[test.name]])
-    tests = tuple(build_test(test, measured[test.name], campaign.fit.material, jitter.contact) for test in fitted)
-    # What the fast mesh is off is no misfit that offsets should make up for.
-    return Problem(space, tests, solves, jitter, tuple(remainder(test, FAST_REMAINDERS) for test in tests))
 
 
 def build_test(test: Test, curves: Sequence[MeasuredCurve], material: Material,
@@ -94,20 +71,6 @@ def analytical_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSe
         return ColumnTest(plain.name, plain.kind, plain.height, plain.area, plain.measured, weighing=test.specimen,
                           reserve=reserve)
     return replace(plain, largest_step=FITTED_STEP)
-
-
-def first_jitter(campaign: Campaign, curves: Sequence[MeasuredCurve]) -> Jitter:
-    """What is stated, and a first guess where it is to be estimated."""
-    fit, noise = campaign.fit, campaign.noise
-    contact, zero, freedom = noise.contact_jitter, noise.zero_jitter, None
-    largest = float(np.median([np.abs(curve.force).max() for curve in curves]))
-    if fit.offset == "fit":
-        contact, zero = fit.offset_prior, fit.zero_prior or 5.0 * max(curve.noise.deviation for curve in curves)
-    if contact is None:
-        contact, freedom = FIRST_CONTACT, 0
-    if zero is None:
-        zero, freedom = FIRST_ZERO * largest, 0
-    return Jitter(contact, zero, freedom)
 
 
 def remainder(test: ForwardTest, of: Mapping[str, float]) -> float:

@@ -1,0 +1,5 @@
+"""Public names of the package; `__init__.py` imports each on its first use."""
+
+from scenes.catalogue import SCENES as SCENES
+from scenes.demo.virtual_test import run_demo as run_demo
+from scenes.figures import draw_simulation as draw_simulation
