@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -111,7 +112,7 @@ class ParameterSpace:
         """Names of the parameters that have the unit of a pressure."""
         return tuple(each.name for each in self.unknowns if each.is_modulus)
 
-    @property
+    @cached_property
     def of_material_alone(self) -> bool:
         """Whether all of them are the material's, the same in all tests."""
         return all(each.of_material and each.tests is None and each.recording is None for each in self.unknowns)

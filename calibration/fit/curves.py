@@ -67,10 +67,11 @@ def _along(estimate: Estimate, spread: Uncertainty, test: ForwardTest, path: Mea
 def _path(test: ForwardTest) -> MeasuredCurve:
     """What a perfect recording of the test would have for its motion."""
     first, segment = test.measured[0], None
+    time: np.ndarray | None = None
     reached = np.concatenate([curve.displacement for curve in test.measured])
     if test.timed:
-        time: np.ndarray | None = (times := np.linspace(first.clock[0], first.clock[-1], 4 * POINTS))
-        displacement = np.interp(times, first.clock, first.displacement)
+        even = np.linspace(first.clock[0], first.clock[-1], 4 * POINTS)
+        time, displacement = even, np.interp(even, first.clock, first.displacement)
         segment = np.full(displacement.size, "")
     else:
         # Shear may go both ways: there the path leads from one end to the other.

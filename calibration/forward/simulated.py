@@ -5,6 +5,7 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -33,15 +34,54 @@ _READING_WIDTH = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
+class Reading:
+    """A rig, and what of it reads forces; None where it reads them as they are."""
+
+    rig: Rig
+    reading: Rig | None
+
+    @classmethod
+    def of(cls, rig: Rig) -> Reading:
+        """Of a rig."""
+        reading = rig.reading_only
+        return cls(rig, None if reading.ideal else reading)
+
+    def read(self, measured: MeasuredCurve, force: np.ndarray) -> np.ndarray:
+        """What it makes of forces at the samples of a recording."""
+        if self.reading is None:
+            return force
+        channels = {"displacement": measured.displacement, "force": force}
+        if measured.time is not None:
+            channels["time"] = measured.time
+        return self.reading.read(Recording(channels)).force
+
+    def through(self, measured: MeasuredCurve, true: np.ndarray, read: np.ndarray, rates: np.ndarray,
+                rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What derivatives of the true force, shape (n, p) and (n,), are of the force that is read."""
+        if not any(fault.reads for fault in self.rig.faults.values()):
+            gain = 1.0 + self.rig.sensor_gain
+            return gain * rates, gain * rate
+        # An added fault may be anything that takes a course of forces.
+        columns = np.column_stack([rates, rate])
+        for place, column in enumerate(columns.T):
+            if column.any():
+                width = 1e-6 * max(float(np.abs(true).max()), 1e-6) / np.abs(column).max()
+                columns[:, place] = (self.read(measured, true + width * column) - read) / width
+        return columns[:, :-1], columns[:, -1]
+
+
+@dataclass(frozen=True, eq=False)
 class SimulatedAnswer:
     """Simulated forces.
 
     Attributes:
-        courses: of force and derivatives, of each recording. space, values: the parameters that they belong to.
+        courses: of force and derivatives, of each recording. rigs: that each was read with.
+        space, values: the parameters that they belong to.
         differences: names whose derivatives are differences.
     """
 
     courses: list[Course]
+    rigs: list[Reading]
     space: ParameterSpace
     values: dict[str, float]
     differences: frozenset[str]
@@ -111,7 +151,15 @@ class SimulatedTest:
                 courses[key] = motion.through(np.column_stack([force, rates]))
             chosen.append(courses[key])
         differences |= {each.name for each in map(space.unknown, space.free) if self._reads(each, values)}
-        return SimulatedAnswer(chosen, space, values, frozenset(differences))
+        rigs = [self._usual] * len(chosen) if space.of_material_alone else [
+            Reading.of(self._model(space, values, self.motions[number], measured.name, whole=True).rig)
+            for measured, number in zip(self.measured, self.motion_of, strict=False)]
+        return SimulatedAnswer(chosen, rigs, space, values, frozenset(differences))
+
+    @cached_property
+    def _usual(self) -> Reading:
+        """The rig as the campaign states it."""
+        return Reading.of(self.rig)
 
     def refine(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> float:
         """Compute what the accurate mesh has more at these parameters, and keep it as the correction.
@@ -182,10 +230,10 @@ class SimulatedTest:
         return force, rates, {space.free[place] for place, exact in zip(acting, curve.exact, strict=False) if not exact}
 
     def _model(self, space: ParameterSpace, values: dict[str, float], motion: Loading | Timed,
-               recording: str | None) -> Model:
-        """What is simulated: the rig only moves the tool."""
+               recording: str | None, whole: bool = False) -> Model:
+        """What is simulated: the rig only moves the tool, unless the `whole` of it is asked for."""
         model = space.model(values, self._experiment(motion), self.rig, test=self.name, recording=recording)
-        return replace(model, rig=model.rig.motion_only)
+        return model if whole else replace(model, rig=model.rig.motion_only)
 
     def _reads(self, unknown: Unknown, values: dict[str, float]) -> bool:
         """Whether it is a number of this test's rig that leaves the motion of the tool alone."""
@@ -198,7 +246,8 @@ class SimulatedTest:
 
     def evaluate(self, answer: SimulatedAnswer, recording: int, offset: float):
         """As `ForwardTest.evaluate`."""
-        measured, rig = self.measured[recording], self._rig(answer, recording)
+        measured, reading = self.measured[recording], answer.rigs[recording]
+        rig = reading.rig
         values, rate = answer.courses[recording](self._time(recording), measured.displacement, offset)
         simulated = values[:, 0]
         if rig.latency:
@@ -206,15 +255,16 @@ class SimulatedTest:
             late = np.column_stack([np.interp(measured.clock - rig.latency, measured.clock, column)
                                     for column in columns.T])
             values, rate = late[:, :-1], late[:, -1]
-        force = _read(rig, measured, simulated)
-        rates, rate = _through(rig, measured, simulated, force, values[:, 1:], rate)
-        for place, name in enumerate(answer.space.free):
+        force = reading.read(measured, simulated)
+        rates, rate = reading.through(measured, simulated, force, values[:, 1:], rate)
+        for place, name in enumerate(() if answer.space.of_material_alone else answer.space.free):
             unknown = answer.space.unknown(name)
             if unknown.acts_in(self.name, measured.name) and self._reads(unknown, answer.values):
                 path, value = unknown.path.removeprefix("rig."), answer.values[name]
                 width = _away(value)
                 # One-sided: many faults cannot be less than absent.
-                rates[:, place] = (_read(with_values(rig, {path: value + width}), measured, simulated) - force) / width
+                more = Reading.of(with_values(rig, {path: value + width})).read(measured, simulated)
+                rates[:, place] = (more - force) / width
         return force, rates, rate
 
     def differences(self, answer: SimulatedAnswer) -> frozenset[str]:
@@ -223,7 +273,7 @@ class SimulatedTest:
 
     def scan(self, answer: SimulatedAnswer, recording: int, offsets: np.ndarray) -> np.ndarray:
         """Force at the samples of a recording for these contact offsets, m, shape (n, offsets)."""
-        if not self._rig(answer, recording).reading_only.ideal:
+        if answer.rigs[recording].reading is not None:
             return np.column_stack([self.evaluate(answer, recording, offset)[0] for offset in offsets])
         measured = self.measured[recording]
         return answer.courses[recording].forces(self._time(recording), measured.displacement, offsets)
@@ -232,13 +282,6 @@ class SimulatedTest:
         """Of the samples, on the clock of their motion: motions that count as one may have begun at other times."""
         motion, measured = self.motions[self.motion_of[recording]], self.measured[recording]
         return measured.clock - measured.clock[0] + motion.sampled_from if isinstance(motion, Timed) else measured.time
-
-    def _rig(self, answer: SimulatedAnswer, recording: int) -> Rig:
-        """The rig of a recording, with what is fitted of it."""
-        if answer.space.of_material_alone:
-            return self.rig
-        motion, name = self.motions[self.motion_of[recording]], self.measured[recording].name
-        return answer.space.model(answer.values, self._experiment(motion), self.rig, test=self.name, recording=name).rig
 
     def reached(self, space: ParameterSpace, theta: np.ndarray) -> Reached:
         """Of the volume, without a hundredth at either end."""
@@ -276,32 +319,6 @@ def _simulate(model: Model, topology: Model | None, names: Sequence[str], resolu
     except (ConvergenceError, InputError) as error:
         return SimulatedCurve([], [], str(error), clock.process_time() - began)
     return SimulatedCurve(force.tolist(), rates.tolist(), "", clock.process_time() - began, exact)
-
-
-def _through(rig: Rig, measured: MeasuredCurve, true: np.ndarray, read: np.ndarray, rates: np.ndarray,
-             rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What derivatives of the true force, shape (n, p) and (n,), are of the force that is read."""
-    if not any(fault.reads for fault in rig.faults.values()):
-        gain = 1.0 + rig.sensor_gain
-        return gain * rates, gain * rate
-    # An added fault may be anything that takes a course of forces.
-    columns = np.column_stack([rates, rate])
-    for place, column in enumerate(columns.T):
-        if column.any():
-            width = 1e-6 * max(float(np.abs(true).max()), 1e-6) / np.abs(column).max()
-            columns[:, place] = (_read(rig, measured, true + width * column) - read) / width
-    return columns[:, :-1], columns[:, -1]
-
-
-def _read(rig: Rig, measured: MeasuredCurve, force: np.ndarray) -> np.ndarray:
-    """What the rig makes of forces at the samples of a recording."""
-    reading = rig.reading_only
-    if reading.ideal:
-        return force
-    channels = {"displacement": measured.displacement, "force": force}
-    if measured.time is not None:
-        channels["time"] = measured.time
-    return reading.read(Recording(channels)).force
 
 
 def _away(value: float) -> float:

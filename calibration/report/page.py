@@ -7,6 +7,7 @@ from html import escape
 
 from calibration.fit.fit import Fit
 from calibration.report.drawing import as_data_uri, draw_formula, natural_width
+from tissue_sim.experiment.contact_law import CONTACT_LAWS
 from tissue_sim.experiment.experiment import Adhesion, Experiment
 from tissue_sim.experiment.tools.tool import TOOLS
 from tissue_sim.laws import find_law
@@ -110,9 +111,9 @@ def parameter_unit(law: Law, name: str) -> str:
     if path in law.units:
         unit = law.units[path]
     elif path.startswith(("experiment.", "rig.")):
-        kinds: tuple[type, ...] = (Specimen, *TOOLS.values(), Adhesion, Experiment)
-        if path.startswith("rig."):
-            kinds = (Rig, *FAULTS.values())
+        kinds: tuple[type, ...] = (Rig, *FAULTS.values())
+        if path.startswith("experiment."):
+            kinds = (Specimen, *TOOLS.values(), *CONTACT_LAWS.values(), Adhesion, Experiment)
         known = [declared(kind)[last] for kind in kinds if (last := path.rpartition(".")[2]) in declared(kind)]
         unit = known[0].unit if known else "1"
     else:

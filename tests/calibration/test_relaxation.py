@@ -32,6 +32,16 @@ def test_exact_data_give_the_material_back(fit_relaxation):
     assert found.prony.moduli == "instantaneous"
 
 
+@pytest.mark.parametrize(("seed", "values"), [
+    # Of a separate optimiser of the same least-squares problem, in long-term moduli.
+    (0, [1410.153582, 686.850086, 0.303354766, 2.016526753, 0.1977169011, 30.84487507]),
+    (1, [1403.820149, 699.0786195, 0.2995250609, 2.022953014, 0.1995632293, 29.91272737]),
+])
+def test_the_minimum_is_that_of_another_optimiser(seed, values, fit_relaxation):
+    found = fit_relaxation(recording(noise=10.0, seed=seed), "reduced_polynomial_2", 2)
+    np.testing.assert_allclose(found.values, values, rtol=1e-6)
+
+
 def test_exponents_are_found_too(fit_relaxation):
     ogden = ts.Material("ogden_1", {"mu1": 3000.0, "alpha1": -4.0}, viscoelastic=Prony((PronyTerm(0.4, 5.0),)))
     np.testing.assert_allclose(fit_relaxation(recording(ogden), "ogden_1", 1).values, [3000, -4, 0.4, 5],
