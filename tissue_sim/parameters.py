@@ -66,14 +66,18 @@ class Parameter:
     @property
     def symbol(self) -> str:
         """Of its declaration, with a number where there are several of its kind: ``g1``."""
-        return self.declaration.symbol + "".join(str(token + 1) for token in tokens(self.path)
-                                                 if isinstance(token, int))
+        return symbol_at(self.path, self.declaration)
 
     @property
     def file_path(self) -> str:
         """The path as files write it, its last part with the unit: ``viscoelastic.terms[0].tau_s``."""
         place, dot, _ = self.path.rpartition(".")
         return place + dot + self.declaration.key
+
+
+def symbol_at(path: str, declaration: Declaration) -> str:
+    """Symbol of what is declared at a path, with a number where there are several of its kind: ``g1``."""
+    return declaration.symbol + "".join(str(token + 1) for token in tokens(path) if isinstance(token, int))
 
 
 @runtime_checkable

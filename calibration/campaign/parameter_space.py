@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,7 +18,7 @@ from tissue_sim.laws.ogden import SMALLEST_EXPONENT
 from tissue_sim.material.material import Bulk, Material, law_declaration
 from tissue_sim.material.parts import make_material
 from tissue_sim.model import Model
-from tissue_sim.parameters import Declaration, with_values
+from tissue_sim.parameters import Declaration, symbol_at, with_values
 from tissue_sim.rig.rig import Rig
 
 #: Sum of the moduli, Pa, at which a material is simulated whose force is proportional to them.
@@ -51,6 +52,12 @@ class Unknown:
         """Whether it acts in a recording of a test; None stands for any of them."""
         return ((self.tests is None or test is None or test in self.tests)
                 and (self.recording is None or recording is None or recording == self.recording))
+
+    @property
+    def symbol(self) -> str:
+        """As reports write it: ``g1``, ``gs@needle``."""
+        _, at, mark = self.name.partition("@")
+        return symbol_at(self.path, self.declaration) + at + mark
 
     @property
     def is_modulus(self) -> bool:
@@ -106,6 +113,16 @@ class ParameterSpace:
     def names(self) -> tuple[str, ...]:
         """Of all parameters, those of the law first."""
         return tuple(each.name for each in self.unknowns)
+
+    @property
+    def symbols(self) -> dict[str, str]:
+        """Name -> symbol, of all parameters; the name itself where two have the same symbol."""
+        how_often = Counter(each.symbol for each in self.unknowns)
+        return {each.name: each.symbol if how_often[each.symbol] == 1 else each.name for each in self.unknowns}
+
+    def in_symbols(self, names: Iterable[str]) -> str:
+        """Symbols of parameters, such as ``C10, g1``."""
+        return ", ".join(self.symbols[name] for name in names)
 
     @property
     def moduli(self) -> tuple[str, ...]:

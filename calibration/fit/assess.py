@@ -51,7 +51,8 @@ def assess(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descen
     free = [order.index(name) for name in space.free]
     covariance[np.ix_(free, free)] = spread.covariance[: len(free), : len(free)]
     shared = {
-        "law": law.name, "formula": law.formula(), "parameters": values,
+        "law": law.name, "formula": law.formula(), "parameters": values, "symbols": space.symbols,
+        "units": {each.name: each.declaration.unit for each in space.unknowns},
         "standard_errors": {name: errors[name] for name in order},
         "derivatives": _derivatives(estimate, theta), "covariance": Covariance(order=order, matrix=covariance.tolist()),
         "correlation": correlation(covariance).tolist(), "covariance_from": spread.basis, "intervals95": intervals,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import msgspec
 
 
@@ -199,7 +201,8 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
 
     Attributes:
         law, formula: name and energy.
-        parameters: name -> value, SI.
+        parameters: name, a path in the model, -> value, SI. symbols: name -> as reports write it, such as ``g1``.
+        units: name -> SI unit; ``"1"`` of a number.
         standard_errors: name -> standard deviation of the estimate; None where not determined or on a bound; 0 if
             fixed.
         derivatives: free parameter -> ``"exact"`` or ``"difference"``: how its derivatives were found.
@@ -240,6 +243,8 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
     law: str
     formula: str
     parameters: dict[str, float]
+    symbols: dict[str, str]
+    units: dict[str, str]
     standard_errors: dict[str, float | None]
     derivatives: dict[str, str] = {}
     covariance: Covariance
@@ -283,3 +288,11 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
     mesh: list[MeshCorrection] = []
     left_out: float | None = None
     estimate_cpu_s: float = 0.0
+
+    def unit(self, name: str) -> str:
+        """Of a parameter, as people read it: empty for a number."""
+        return "" if self.units[name] == "1" else self.units[name]
+
+    def in_symbols(self, names: Iterable[str]) -> str:
+        """Symbols of parameters, such as ``C10, g1``."""
+        return ", ".join(self.symbols[name] for name in names)

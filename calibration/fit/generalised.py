@@ -98,8 +98,8 @@ class Generalised:
         on_bound = [name for name, hit in zip(space.free, spread.on_bound, strict=True) if hit]
         regions = judge_regions(problem, evaluation)
         directions = weak_directions(space, spread)
-        warnings = [*estimate.warnings, *(f"{name} ended on its bound {found.values[name]:.6g}" for name in on_bound),
-                    *found.lost, *_doubts(problem, evaluation, spread)]
+        held = [f"{space.symbols[name]} ended on its bound {found.values[name]:.6g}" for name in on_bound]
+        warnings = [*estimate.warnings, *held, *found.lost, *_doubts(problem, evaluation, spread)]
         stressed = [curve for curve in problem.measured if curve.test.specimen is None]
         residual = evaluation.force - problem.data
         root = float(np.sqrt(np.mean(residual**2)))
@@ -115,7 +115,7 @@ class Generalised:
         elif regions:
             parts.append("no smooth misfit is left in any test")
         if found.loose:
-            parts.append(f"the tests do not determine {', '.join(found.loose)}")
+            parts.append(f"the tests do not determine {space.in_symbols(found.loose)}")
         return {
             "R2": r_squared(problem.data, residual), "RMSE_N": None if stressed else root,
             "RMSE_Pa": root if len(stressed) == len(problem.measured) else None, "on_bound": on_bound,

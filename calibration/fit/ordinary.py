@@ -112,9 +112,9 @@ class Ordinary:
         problem, spread = found.estimate.problem, found.spread
         on_bound = [name for name, hit in zip(problem.space.free, spread.on_bound, strict=False) if hit]
         nuisances = _nuisances(problem, found.estimate.theta, spread)
-        held = [(name, found.values[name]) for name in on_bound]
-        held += [(f"{n.replicate}: {name}", getattr(n, name)) for n in nuisances for name in n.on_bound]
-        warnings = [f"{name} ended on its bound {value:.6g}" for name, value in held]
+        held = {f"{n.replicate}: {name}": getattr(n, name) for n in nuisances for name in n.on_bound}
+        warnings = [f"{name} ended on its bound {value:.6g}" for name, value in (
+            *((problem.space.symbols[name], found.values[name]) for name in on_bound), *held.items())]
         if found.status != "not_physical":
             warnings += found.lost
         stress = (found.evaluation.force - problem.data) / problem.area
@@ -123,7 +123,7 @@ class Ordinary:
         return {
             "R2": r_squared(measured, stress),
             "RMSE_N": float(np.sqrt(np.mean((stress * problem.area)**2))) if all(recorded) else None,
-            "RMSE_Pa": float(np.sqrt(np.mean(stress**2))), "on_bound": [name for name, _ in held],
+            "RMSE_Pa": float(np.sqrt(np.mean(stress**2))), "on_bound": [*on_bound, *held],
             "nuisances": nuisances, "warnings": warnings,
             "message": "; ".join([*self._remarks(found), *_relaxation(problem, found), *warnings])}
 
@@ -142,7 +142,7 @@ class Ordinary:
         elif spread.basis == "residuals" and not found.estimate.problem.remembers:
             parts.append("standard errors follow the residuals, as if these were independent")
         if found.loose:
-            parts.append(f"the data do not determine {', '.join(found.loose)}")
+            parts.append(f"the data do not determine {found.estimate.problem.space.in_symbols(found.loose)}")
         return parts
 
     def held_out(self, test: Test, estimate: Estimate) -> tuple[ForwardTest, float]:

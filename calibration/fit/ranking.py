@@ -58,8 +58,8 @@ def prediction_message(fits: Sequence[Fit], predictions: Sequence[Prediction]) -
         return f"No law is usable over the data; the first is {best.law}: {best.message}."
     parts = []
     if held := [name for name in best.on_bound if name in best.parameters]:
-        parts.append(f"{best.law} is held by the bounds of {', '.join(held)}: widen them in fit.bounds, or do not "
-                     "trust it")
+        parts.append(f"{best.law} is held by the bounds of {best.in_symbols(held)}: widen them in fit.bounds, or do "
+                     "not trust it")
     if best.left_out is not None:
         mine = [p for p in predictions if p.law == best.law]
         held_out = [p for p in mine if not p.fitted]
@@ -84,7 +84,7 @@ def prediction_message(fits: Sequence[Fit], predictions: Sequence[Prediction]) -
     if bad := name_misfits(best.regions):
         parts.append(f"it leaves a smooth misfit in {bad}, so something is missing in the model")
     if best.not_identifiable:
-        parts.append(f"the tests do not determine {', '.join(best.not_identifiable)}"
+        parts.append(f"the tests do not determine {best.in_symbols(best.not_identifiable)}"
                      + (f"; {best.suggestions[0].test} would" if best.suggestions else ""))
     known = {fit.law for fit in fits}
     sentences = (part if part.split()[0].rstrip(",") in known else part[0].upper() + part[1:] for part in parts)

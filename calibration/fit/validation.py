@@ -52,7 +52,8 @@ def leave_out(problem: Problem, theta: np.ndarray, number: int) -> LeftOut:
             spread = assess_uncertainty(rest, rest.evaluate(descent.theta))
             # What the others do not tell would stay where this test has put it.
             if open_names := not_identifiable(problem.space, spread):
-                answer = unpredicted(test.name, law, names, f"the other tests do not determine {', '.join(open_names)}")
+                answer = unpredicted(test.name, law, names, "the other tests do not determine "
+                                     f"{problem.space.in_symbols(open_names)}")
             else:
                 answer = predict(problem, test, descent.theta, spread.covariance, names, problem.jitter)
         except InfeasibleError as failure:

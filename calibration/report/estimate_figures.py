@@ -12,9 +12,8 @@ from calibration.fit.fit import Fit, Profile
 from calibration.report.curve_figures import MISFIT
 from calibration.report.drawing import COLOURS, STYLE, line_styles, new_figure, to_png
 from calibration.report.figures import WIDTH
-from calibration.report.page import free_parameters, parameter_unit
+from calibration.report.page import free_parameters
 from calibration.report.pressure import pressure_unit
-from tissue_sim.laws import find_law
 
 _PANELS = 3
 #: Pressures are drawn in Pa, as campaigns state them, up to here.
@@ -48,7 +47,7 @@ def draw_profiles(fit: Fit, bounds: Mapping[str, tuple[float, float]]) -> bytes:
 
 def _draw_profile(axes, fit: Fit, name: str, bounds: tuple[float, float] | None) -> None:
     profile: Profile = fit.profiles[name]
-    unit, size = _unit_of(fit, name)
+    symbol, (unit, size) = fit.symbols[name], _unit_of(fit, name)
     values, rises = np.array(profile.values) / size, np.array(profile.rises)
     estimate, error = fit.parameters[name] / size, fit.standard_errors[name]
     ends = [end / size for end in fit.intervals95.get(name) or ()]
@@ -88,12 +87,12 @@ def _draw_profile(axes, fit: Fit, name: str, bounds: tuple[float, float] | None)
                           textcoords="offset points", rotation=90, va="top", fontsize=8.5, color="0.25",
                           ha="left" if outward > 0 else "right", bbox={"fc": "white", "ec": "none", "pad": 1.0})
     ceiling = min(max(1.9 * profile.level, 1.05 * rises.max()), 4 * profile.level)
-    axes.set(xlim=(left, right), ylim=(-0.02 * ceiling, ceiling), xlabel=f"{name} [{unit}]" if unit else name)
+    axes.set(xlim=(left, right), ylim=(-0.02 * ceiling, ceiling), xlabel=f"{symbol} [{unit}]" if unit else symbol)
     axes.legend(loc="upper center", fontsize=8, framealpha=0.9, frameon=True, edgecolor="none")
 
 
 def _unit_of(fit: Fit, name: str) -> tuple[str, float]:
-    unit = parameter_unit(find_law(fit.law), name)
+    unit = fit.unit(name)
     large = unit == "Pa" and abs(fit.parameters[name]) >= _MOST_PA
     return pressure_unit(fit.parameters[name]) if large else (unit, 1.0)
 
@@ -111,7 +110,7 @@ def draw_correlation(fit: Fit) -> bytes | None:
     with matplotlib.rc_context(STYLE):
         figure = new_figure(WIDTH, 4.2 + 0.35 * max(0, len(names) - 4))
         left, right = figure.subplots(1, 2, width_ratios=(1, 1.45))
-        _draw_matrix(figure, left, names, matrix)
+        _draw_matrix(figure, left, [fit.symbols[name] for name in names], matrix)
         if len(names) == 2:
             _draw_ellipse(right, fit, names)
         else:
@@ -119,24 +118,24 @@ def draw_correlation(fit: Fit) -> bytes | None:
         return to_png(figure)
 
 
-def _draw_matrix(figure, axes, names: Sequence[str], matrix: np.ndarray) -> None:
+def _draw_matrix(figure, axes, symbols: Sequence[str], matrix: np.ndarray) -> None:
     from matplotlib.colors import LinearSegmentedColormap
 
     shades = LinearSegmentedColormap.from_list("signed", [
         "#D55E00", "#f6c9a4", "#fafafa", "#a5cbe4", "#0072B2"]).with_extremes(bad="#e8eaed")
-    image = axes.imshow(np.where(np.eye(len(names), dtype=bool), np.nan, matrix), cmap=shades, vmin=-1, vmax=1)
+    image = axes.imshow(np.where(np.eye(len(symbols), dtype=bool), np.nan, matrix), cmap=shades, vmin=-1, vmax=1)
     for (i, j), value in np.ndenumerate(matrix):
         digits = 4 if abs(value) >= 0.995 and i != j else 2
         words = f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "−")
         axes.text(j, i, "1" if i == j else words, ha="center", va="center",
-                  color="white" if abs(value) > 0.75 and i != j else "0.15", fontsize=13 if len(names) < 5 else 8,
+                  color="white" if abs(value) > 0.75 and i != j else "0.15", fontsize=13 if len(symbols) < 5 else 8,
                   fontweight="bold" if i != j and abs(value) > 0.9 else "normal")
-    for edge in np.arange(len(names) - 1) + 0.5:
+    for edge in np.arange(len(symbols) - 1) + 0.5:
         axes.axvline(edge, color="white", lw=2)
         axes.axhline(edge, color="white", lw=2)
-    long = max(map(len, names)) > 8
-    axes.set_xticks(range(len(names)), names, rotation=35 if long else 0, ha="right" if long else "center")
-    axes.set_yticks(range(len(names)), names)
+    long = max(map(len, symbols)) > 8
+    axes.set_xticks(range(len(symbols)), symbols, rotation=35 if long else 0, ha="right" if long else "center")
+    axes.set_yticks(range(len(symbols)), symbols)
     axes.grid(visible=False)
     axes.spines[:].set_visible(False)
     axes.tick_params(length=0)
@@ -161,7 +160,8 @@ def _draw_ellipse(axes, fit: Fit, names: Sequence[str]) -> None:
         for end in fit.intervals95.get(name) or ():
             line(end / size, color=MISFIT, lw=1.2, ls=(0, (5, 3)))
     axes.plot([], [], color=MISFIT, lw=1.2, ls=(0, (5, 3)), label="95 % interval of each")
-    labels = [f"{name} [{unit}]" if unit else name for name, (unit, _) in zip(names, scales, strict=True)]
+    symbols = [fit.symbols[name] for name in names]
+    labels = [f"{symbol} [{unit}]" if unit else symbol for symbol, (unit, _) in zip(symbols, scales, strict=True)]
     axes.set(xlabel=labels[0], ylabel=labels[1])
     axes.locator_params(nbins=7)
     axes.legend(loc="best", fontsize=9, frameon=True, framealpha=0.92, edgecolor="none")
@@ -181,7 +181,7 @@ def _draw_directions(axes, fit: Fit, names: Sequence[str]) -> None:
         axes.barh(y, [direction.shares.get(name, 0.0) for name in names], 0.88 * height, color=look["color"],
                   label=f"± {100 * error:.3g} %" if error < NOT_TOLD else "not told at all")
     axes.axvline(0.0, color="0.3", lw=0.8)
-    axes.set_yticks(range(len(names)), names)
+    axes.set_yticks(range(len(names)), [fit.symbols[name] for name in names])
     axes.set(xlim=(-1.05, 1.05), xlabel="share of each parameter's relative change")
     axes.set_title("combinations told most poorly", loc="left", fontsize=10, fontweight="bold")
     axes.invert_yaxis()

@@ -202,7 +202,8 @@ def _draw_convergence(above, below, fit: Fit) -> None:
                 above.plot([s.run for s in fine], [s.error for s in fine], "o", color=COLOURS[0], ms=5, zorder=6,
                            label="with the accurate mesh's difference")
         for name, look in zip(names, line_styles(), strict=False):
-            label = name if fit.parameters[name] else f"{name} (of {scale[name]:.4g})"
+            symbol = fit.symbols[name]
+            label = symbol if fit.parameters[name] else f"{symbol} (of {scale[name]:.4g})"
             below.plot(run, [s.parameters[name] / scale[name] for s in steps], color=look["color"],
                        lw=2.4 if bold else 0.7, alpha=1.0 if bold else 0.4, zorder=4 if bold else 2,
                        label=label if bold else None)

@@ -17,7 +17,6 @@ from calibration.fit.result import CalibrationResult, to_json
 from calibration.fit.results import TestCurves
 from calibration.fit.self_weight import statement
 from calibration.output_folder import FIT_FILE
-from calibration.report.page import parameter_unit
 from calibration.report.report import write_report
 from tissue_sim.atomic_write import write_text
 from tissue_sim.laws import find_law
@@ -82,8 +81,7 @@ def material_file(fit: Fit, result: CalibrationResult, measured: Mapping[str, Se
 
 def write_summary(results: Sequence[CalibrationResult], path: Path) -> None:
     """One row for each law of each campaign; a cell is empty where the method has no such figure."""
-    laws = [(fit.law, name) for result in results for fit in result.fits for name in fit.parameters]
-    units = {name: parameter_unit(find_law(law), name) or "-" for law, name in laws}
+    units = {name: fit.unit(name) or "-" for result in results for fit in result.fits for name in fit.parameters}
     header = ["campaign", "rank", "law", "status", "E0 [Pa]", "mu0 [Pa]", "R2", "RMSE [N]", "RMSE [Pa]", "AIC", "BIC",
               "left_out [%]", "noise_ratio", "stable_from", "stable_to", "not_identifiable", "fem_solves", "cpu [s]"]
     for name, unit in units.items():

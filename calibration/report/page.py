@@ -7,16 +7,7 @@ from html import escape
 
 from calibration.fit.fit import Fit
 from calibration.report.drawing import as_data_uri, draw_formula, natural_width
-from tissue_sim.experiment.contact_law import CONTACT_LAWS
-from tissue_sim.experiment.experiment import Adhesion, Experiment
-from tissue_sim.experiment.tools.tool import TOOLS
 from tissue_sim.laws import find_law
-from tissue_sim.laws.law import Law
-from tissue_sim.material.parts import find_declaration
-from tissue_sim.parameters import declared
-from tissue_sim.rig.fault import FAULTS
-from tissue_sim.rig.rig import Rig
-from tissue_sim.specimen import Specimen
 
 _STYLE = """
 :root { color-scheme: light; }
@@ -105,20 +96,10 @@ def plus_minus(error: float | None) -> str:
     return "" if error is None else f" ± {error:.2g}"
 
 
-def parameter_unit(law: Law, name: str) -> str:
-    """SI unit of a parameter of a law, or of another of the model by its path; empty for a number."""
-    path = name.partition("@")[0]
-    if path in law.units:
-        unit = law.units[path]
-    elif path.startswith(("experiment.", "rig.")):
-        kinds: tuple[type, ...] = (Rig, *FAULTS.values())
-        if path.startswith("experiment."):
-            kinds = (Specimen, *TOOLS.values(), *CONTACT_LAWS.values(), Adhesion, Experiment)
-        known = [declared(kind)[last] for kind in kinds if (last := path.rpartition(".")[2]) in declared(kind)]
-        unit = known[0].unit if known else "1"
-    else:
-        unit = find_declaration(path)[1].unit
-    return "" if unit == "1" else unit
+def symbol_of(fit: Fit, name: str) -> str:
+    """A parameter's symbol, with its name in the model where that is another."""
+    symbol = escape(fit.symbols[name])
+    return symbol if fit.symbols[name] == name else f'<span title="{escape(name)}">{symbol}</span>'
 
 
 def stable_stretches(fit: Fit) -> str:
@@ -148,13 +129,13 @@ def parameter_table(fits: Sequence[Fit], figures: bool) -> str:
         lead: str | None = f"{escape(law.title)}<br>{formula}"
         for name, value in fit.parameters.items():
             error, interval = fit.standard_errors[name], fit.intervals95[name]
-            unit = parameter_unit(law, name)
+            unit = fit.unit(name)
             unit = f" {unit}" if unit else ""
             doubtful = ' <span class="bad">not determined</span>' if name in fit.not_identifiable else ""
             held = "on its bound" if name in fit.on_bound else "-"
             spread = held if error is None else "fixed" if error == 0 else f"{error:.3g}{unit}"
             bounds = "-" if interval is None or error == 0 else f"{interval[0]:.5g} to {interval[1]:.5g}"
-            rows.append([lead, f"{escape(name)}{doubtful}", f"{value:.6g}{unit}", spread, bounds,
+            rows.append([lead, f"{symbol_of(fit, name)}{doubtful}", f"{value:.6g}{unit}", spread, bounds,
                          escape(fit.interval_notes.get(name, ""))][:6 if noted else 5])
             lead = None
     labels = ["Law", "Parameter", "Value", "Standard error", "95 % interval", "What cuts it"]

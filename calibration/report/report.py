@@ -20,11 +20,11 @@ from calibration.report.page import (
     html_page,
     nuisance_table,
     parameter_table,
-    parameter_unit,
     plus_minus,
     recording_list,
     remark_list,
     stable_stretches,
+    symbol_of,
     title_of,
 )
 from calibration.report.pressure import format_pressure
@@ -38,7 +38,6 @@ from calibration.report.report_tables import (
     suggestion_in_words,
 )
 from tissue_sim.atomic_write import write_text
-from tissue_sim.laws import find_law
 
 if TYPE_CHECKING:
     from calibration.campaign.campaign import Campaign, Test
@@ -104,12 +103,12 @@ def _lines(sentences: Sequence[str]) -> str:
 
 
 def _law_in_words(fit: Fit) -> str:
-    law, parts = find_law(fit.law), []
+    parts = []
     for name, value in fit.parameters.items():
-        unit, error = parameter_unit(law, name), fit.standard_errors[name]
+        unit, error = fit.unit(name), fit.standard_errors[name]
         spread = " (on its bound)" if error is None and name in fit.on_bound else " (fixed)" if error == 0 else \
             plus_minus(error)
-        parts.append(f"{escape(name)} = {value:.5g}{spread}{f' {unit}' if unit else ''}")
+        parts.append(f"{symbol_of(fit, name)} = {value:.5g}{spread}{f' {unit}' if unit else ''}")
     usable = "" if fit.status == "converged" else f' <span class="bad">{escape(fit.unusable or fit.message)}</span>'
     return (f"<b>{title_of(fit.law)}</b>: {', '.join(parts)}; E<sub>0</sub> = {format_pressure(fit.E0, 4)}, stable "
             f"stretches {stable_stretches(fit)}.{usable}")
@@ -137,7 +136,7 @@ def _misfits(fit: Fit, tests: Mapping[str, Test]) -> Iterator[str]:
 def _untold(fits: Sequence[Fit]) -> Iterator[str]:
     for i, fit in enumerate(fits):
         if fit.not_identifiable:
-            names = ", ".join(map(escape, fit.not_identifiable))
+            names = ", ".join(symbol_of(fit, name) for name in fit.not_identifiable)
             remedy = f"; {escape(suggestion_in_words(fit.suggestions[0], fit))}" if fit.suggestions else ""
             yield f'<span class="bad">{names}</span> of {title_of(fit.law)} from these tests{remedy}.'
         elif i == 0:

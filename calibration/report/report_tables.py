@@ -10,9 +10,8 @@ from calibration.fit.fit import Direction, Fit, Prediction, Region, Suggestion
 from calibration.report.curve_figures import probability, size_of
 from calibration.report.estimate_figures import NOT_TOLD
 from calibration.report.figures import percent
-from calibration.report.page import html_table, number, parameter_unit, plus_minus, stable_stretches, title_of
+from calibration.report.page import html_table, number, plus_minus, stable_stretches, symbol_of, title_of
 from calibration.report.pressure import pressure_unit
-from tissue_sim.laws import find_law
 
 if TYPE_CHECKING:
     from calibration.campaign.campaign import Test
@@ -74,17 +73,18 @@ def length_of(displacement: float, test: Test) -> str:
 def identifiability_table(fits: Sequence[Fit]) -> str:
     """Condition, combinations told poorly and what is not identifiable, a row a law."""
     rows = [[title_of(fit.law), number(fit.condition, 3),
-             "; ".join(escape(direction_in_words(d)) for d in fit.directions) or "none",
-             f'<span class="bad">{escape(", ".join(fit.not_identifiable))}</span>' if fit.not_identifiable else "none",
+             "; ".join(escape(direction_in_words(d, fit)) for d in fit.directions) or "none",
+             f'<span class="bad">{", ".join(symbol_of(fit, name) for name in fit.not_identifiable)}</span>'
+             if fit.not_identifiable else "none",
              "; ".join(escape(suggestion_in_words(s, fit)) for s in fit.suggestions) or "-"] for fit in fits]
     return html_table(["Law", "Condition", "Told poorly", "Not identifiable", "What would mend it"], rows,
                       text=(2, 3, 4))
 
 
-def direction_in_words(direction: Direction) -> str:
+def direction_in_words(direction: Direction, fit: Fit) -> str:
     """``0.99 C20 − 0.08 C10, known to ± 35 %``: relative changes of parameters that leave the forces as they are."""
     terms = sorted(direction.shares.items(), key=lambda item: -abs(item[1]))
-    words = "".join(f"{' − ' if share < 0 else ' + '}{abs(share):.2f} {name}" for name, share in terms
+    words = "".join(f"{' − ' if share < 0 else ' + '}{abs(share):.2f} {fit.symbols[name]}" for name, share in terms
                     if abs(share) >= 0.05)
     words = words.removeprefix(" + ").strip()
     error = direction.relative_error
@@ -93,10 +93,9 @@ def direction_in_words(direction: Direction) -> str:
 
 def suggestion_in_words(suggestion: Suggestion, fit: Fit) -> str:
     """``a test: C20 to ± 6.5 Pa``."""
-    law = find_law(fit.law)
     worst = [name for name in suggestion.standard_errors if name in fit.not_identifiable] \
         or list(suggestion.standard_errors)
-    errors = ", ".join(f"{name}{plus_minus(suggestion.standard_errors[name])} {parameter_unit(law, name)}".rstrip()
+    errors = ", ".join(f"{fit.symbols[name]}{plus_minus(suggestion.standard_errors[name])} {fit.unit(name)}".rstrip()
                        for name in worst)
     return f"{suggestion.test} would give {errors}"
 
@@ -106,7 +105,7 @@ def history_table(fit: Fit) -> str:
     names = list(fit.history[0].parameters)
     rows = [[f"{step.start}", f"{step.run}", *(f"{step.parameters[name]:.6g}" for name in names), f"{step.error:.6g}",
              f"{step.RMSE_N:.4g}", "yes" if step.corrected else "-"] for step in fit.history]
-    units = [parameter_unit(find_law(fit.law), name) for name in names]
-    return html_table(["Start", "Run", *(f"{escape(name)} [{unit}]" if unit else escape(name)
+    units = [fit.unit(name) for name in names]
+    return html_table(["Start", "Run", *(f"{symbol_of(fit, name)} [{unit}]" if unit else symbol_of(fit, name)
                                          for name, unit in zip(names, units, strict=True)),
                        "Error", "RMSE [N]", "Accurate mesh"], rows)

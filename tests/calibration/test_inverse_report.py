@@ -160,6 +160,7 @@ def make_fit(law, parameters, covariance, **changes):
     whole = np.outer(deviation, deviation)
     base = {
         "law": law, "formula": find_law(law).formula(), "parameters": parameters,
+        "symbols": {name: name for name in order}, "units": {name: find_law(law).units[name] for name in order},
         "standard_errors": {name: float(s) or None for name, s in zip(order, deviation, strict=True)},
         "covariance": Covariance(order=order, matrix=matrix.tolist()),
         "correlation": np.divide(matrix, whole, out=np.eye(len(order)), where=whole > 0).tolist(),

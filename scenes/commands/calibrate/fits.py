@@ -12,11 +12,10 @@ from rich.text import Text
 from calibration.fit.self_weight import statement
 from calibration.report.curve_figures import probability, size_of
 from calibration.report.drawing import counted
-from calibration.report.page import number, parameter_unit, stable_stretches
+from calibration.report.page import number, stable_stretches
 from calibration.report.pressure import pressure_unit
 from calibration.report.report_tables import direction_in_words, place_of, suggestion_in_words
 from scenes.commands.shared.text_table import print_sentence, text_table
-from tissue_sim.laws import find_law
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -43,6 +42,9 @@ def print_fits(result: CalibrationResult, console: Console) -> None:
     console.print()
     console.print(_parameter_table(fits))
     console.print()
+    if legend := _legend(fits):
+        print_sentence(console, legend)
+        console.print()
     if result.predictions:
         console.print(_prediction_table(result.predictions, tests))
         chance = "; by chance: what noise, jitter and the errors of the parameters would make"
@@ -115,16 +117,27 @@ def _parameter_table(fits: Sequence[Fit]) -> Table:
         if len(fits) > 1:
             table.add_row(fit.law, "", "")
         for name, value in fit.parameters.items():
-            unit = parameter_unit(find_law(fit.law), name)
+            unit = fit.unit(name)
             error = fit.standard_errors.get(name)
             digits = _decimals(value, error)
             spread = f" ± {_fixed(error, _decimals(error, error))}" if error else ""
             pair = fit.intervals95.get(name) if error else None
             interval = "" if pair is None else " to ".join(_fixed(end, digits) for end in pair)
-            table.add_row(f"{'  ' if len(fits) > 1 else ''}{name}",
+            table.add_row(f"{'  ' if len(fits) > 1 else ''}{fit.symbols[name]}",
                           f"{_fixed(value, digits)}{spread}{f' {unit}' if unit else ''}{_remark_on_error(fit, name)}",
                           f"{interval}{' (cut)' if name in fit.interval_notes else ''}")
     return table
+
+
+def _legend(fits: Sequence[Fit]) -> str:
+    """What in the model the symbols are that are no parameters of a law, and which derivatives are differences."""
+    places = {symbol: name for fit in fits for name, symbol in fit.symbols.items() if symbol != name}
+    parts = [f"{symbol}: {name}" for symbol, name in places.items()]
+    inexact = dict.fromkeys(fit.symbols[name] for fit in fits for name, how in fit.derivatives.items()
+                            if how == "difference")
+    if inexact:
+        parts.append(f"by differences of simulations: {', '.join(inexact)}")
+    return "; ".join(parts)
 
 
 def _remark_on_error(fit: Fit, name: str) -> str:
@@ -184,11 +197,12 @@ def _undetermined(fits: Sequence[Fit]) -> Iterator[str]:
             advice = "; ".join(suggestion_in_words(each, fit) for each in fit.suggestions)
             if fit.fem_solves and not advice:
                 advice = "no further test is known to help"
-            yield (f"{fit.law}: not identifiable from these tests: {', '.join(fit.not_identifiable)}"
+            yield (f"{fit.law}: not identifiable from these tests: {fit.in_symbols(fit.not_identifiable)}"
                    f"{f'; {advice}' if advice else ''}")
         elif fit.directions:
             advice = f"; {suggestion_in_words(fit.suggestions[0], fit)}" if fit.suggestions else ""
-            yield f"{fit.law}: poorly determined: {'; '.join(direction_in_words(d) for d in fit.directions)}{advice}"
+            directions = "; ".join(direction_in_words(each, fit) for each in fit.directions)
+            yield f"{fit.law}: poorly determined: {directions}{advice}"
 
 
 def _misfits(fits: Sequence[Fit], tests: Mapping[str, Test]) -> Iterator[str]:

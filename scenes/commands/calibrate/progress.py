@@ -12,7 +12,6 @@ from rich.spinner import Spinner
 from rich.table import Table
 from rich.text import Text
 
-from calibration.report.page import parameter_unit
 from scenes.commands.shared.text_table import text_table
 from tissue_sim.laws import find_law
 
@@ -92,7 +91,8 @@ class CalibrationProgress:
     def _table(self) -> Table:
         law = find_law(self._place[1])
         names = list(self._rows[-1].parameters)
-        headings = [f"{name} {unit}".strip() for name, unit in ((n, parameter_unit(law, n)) for n in names)]
+        # All in SI; the last part of a path tells which it is.
+        headings = [f"{name.rpartition('.')[2]} {law.units.get(name, '')}".removesuffix("1").strip() for name in names]
         table = text_table("start", "run", *headings, "error", "RMSE", "mesh", text=0)
         for column in table.columns[2:2 + len(names)]:
             column.no_wrap, column.overflow = False, "fold"
