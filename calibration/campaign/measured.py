@@ -192,7 +192,7 @@ def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Ca
                          "zero, so turn the column with sign = -1", field="recordings")
     time = None if time is None else time[places]
     if remembering and time is not None:
-        if "speed" in test.reading and (np.diff(time) <= 0).any():
+        if "speed" in test.reading and bool(np.any(np.diff(time) <= 0)):
             raise InputError(f"{path.name} stands still or turns, and speed_mm_s cannot tell the time there; give a "
                              "time column", field="speed_mm_s")
         if campaign.fit.method != "analytical":
@@ -242,13 +242,13 @@ def with_noise(loading: MeasuredCurve, campaign: Campaign, window: MeasuredCurve
     points = campaign.fit.strain_points
     if points is None:
         return replace(window, noise=noise)
-    grid, interpolation = _evenly_spaced(loading.displacement, loading, points, campaign)
+    grid, interpolation = _evenly_spaced(loading.displacement, loading, campaign, points)
     return replace(window, noise=noise, time=None, displacement=grid, force=interpolation @ loading.force,
                    interpolation=interpolation)
 
 
-def _evenly_spaced(displacement: np.ndarray, curve: MeasuredCurve, points: int,
-                   campaign: Campaign) -> tuple[np.ndarray, csr_array]:
+def _evenly_spaced(displacement: np.ndarray, curve: MeasuredCurve, campaign: Campaign,
+                   points: int) -> tuple[np.ndarray, csr_array]:
     """Even displacements from rest to the end of the window, and the linear interpolation onto them."""
     from scipy.sparse import csr_array
 
@@ -312,7 +312,7 @@ def _check_replicates(curves: list[MeasuredCurve], test: Test, campaign: Campaig
     first = curves[0]
     for other in curves[1:]:
         depths = [curve.displacement.max() for curve in (first, other)]
-        speeds = [curve.speed for curve in (first, other) if curve.speed is not None]
+        speeds = [speed for curve in (first, other) if (speed := curve.speed) is not None]
         for what, unit, pair in (("to", "mm", depths), ("at", "mm/s", speeds)):
             if len(pair) < 2 or max(pair) <= (1 + REPLICATE_TOLERANCE) * min(pair):
                 continue

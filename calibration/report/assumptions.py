@@ -34,16 +34,18 @@ def _of_closed_forms(result: CalibrationResult) -> list[str]:
     if fit.offset == "none":
         lines.append("Contact offsets and zeros are taken as they were recorded (offset = \"none\").")
         if noise.contact_jitter or noise.zero_jitter:
-            lines.append("Standard errors include a jitter between recordings of "
-                         f"{(noise.contact_jitter or 0.0) * 1e3:g} mm and {noise.zero_jitter or 0.0:g} N.")
+            contact = 1e3 * (noise.contact_jitter or 0.0)
+            lines.append(f"Standard errors include a jitter between recordings of {contact:g} mm "
+                         f"and {noise.zero_jitter or 0:g} N.")
     else:
         lines.append(f"Each recording has a contact offset (prior 0 ± {fit.offset_prior * 1e3:g} mm, bounds "
                      f"± {fit.offset_bound * 1e3:g} mm) and a zero, fitted beside the parameters.")
     source = {"stated": "stated in the campaign", "estimated": "estimated from second differences of the samples",
               "resolution": "the resolution of the sensor, step/√12, because neighbouring samples are mostly equal",
               "mixed": "of different sources for different recordings"}[result.noise_source]
-    lines.append(f"The noise of the nominal stress is {format_pressure(result.noise_Pa or 0.0, 3)} (standard "
-                 f"deviation), {source}; AIC and BIC take it as known.")
+    level = format_pressure(result.noise_Pa or 0.0, 3)
+    lines.append(f"The noise of the nominal stress is {level} (standard deviation), "
+                 f"{source}; AIC and BIC take it as known.")
     if fit.prior or fit.offset == "fit":
         lines.append("AIC and BIC are those of the penalised likelihood: the distance from the priors counts.")
     if fit.strain_points is not None:

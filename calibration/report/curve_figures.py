@@ -152,22 +152,21 @@ def _draw_band(axes, best: TestCurves, colour: str, x: _Abscissa) -> None:
     axes.set_ylabel(f"model − data [{x.scale.y_unit}]")
     axes.axhline(0.0, color=colour, lw=1.6)
     first = best.measured[0]
-    along = _along(best, first)
-    if along is None:
+    along = [_along(best, m) for m in best.measured]
+    known = [values for values in along if values is not None]
+    if len(known) < len(along):
         axes.text(0.5, 0.75, "no curve without a time that all recordings share", transform=axes.transAxes, ha="center",
                   color="0.4")
         return
     places = first.time if x.timed else x.scale.x * best.displacement
-    band, error = along[:, 1:].T if x.timed else (best.band, best.force_error)
+    band, error = known[0][:, 1:].T if x.timed else (best.band, best.force_error)
     axes.fill_between(places, -y * band, y * band, color=colour, alpha=0.2, lw=0,
                       label="95 % of new recordings")
     axes.fill_between(places, -2 * y * error, 2 * y * error, color=colour, alpha=0.35, lw=0,
                       label="± 2 standard errors of the model")
-    for i, m in enumerate(best.measured):
-        thin, along = thinned(m.force.size), _along(best, m)
-        if along is None:
-            continue
-        away = y * (along[:, 0] - m.force)
+    for i, (m, values) in enumerate(zip(best.measured, known, strict=True)):
+        thin = thinned(m.force.size)
+        away = y * (values[:, 0] - m.force)
         axes.plot(x.of(m)[thin], away[thin], "o", ms=2.2, mew=0, color="0.35", alpha=0.4,
                   label="recordings" if i == 0 else None)
     _head(axes, "Recordings as they came, against the prediction band")

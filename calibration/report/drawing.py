@@ -13,9 +13,9 @@ from tissue_sim.laws import find_law
 #: Okabe and Ito's palette without yellow and black: apart for every kind of colour vision.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F3C8D", "#555555")
 DASHES = ("-", (0, (6, 2)), (0, (2, 1.2)), (0, (6, 2, 1.5, 2)), (0, (9, 3)), (0, (1, 1)), (0, (4, 1, 1, 1, 1, 1)), "-")
-STYLE: Any = {
-    "font.size": 10, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "grid.alpha": 0.25,
-    "legend.frameon": False, "figure.constrained_layout.use": True, "font.family": "DejaVu Sans"}
+STYLE: Any = {"font.size": 10, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
+              "grid.alpha": 0.25, "legend.frameon": False, "figure.constrained_layout.use": True,
+              "font.family": "DejaVu Sans"}
 #: Points of a recording that are drawn, at most about that many.
 DATA_POINTS = 250
 #: Twice the 96 of a CSS inch, for sharp screens.

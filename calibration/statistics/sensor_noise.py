@@ -134,15 +134,10 @@ class _Piece:
     def triangle(self, tau: float) -> tuple[np.ndarray, float]:
         """R of the whitened columns, and log det of the correlation matrix. Leading parts of R are lower degrees."""
         if not tau:
-            return _upper(self.columns), 0.0
+            return np.asarray(np.linalg.qr(self.columns, mode="r")), 0.0
         kept, fresh = _memory(self.time, tau)
-        return _upper(_innovations(self.columns, kept, fresh)), 2.0 * float(np.log(fresh).sum())
-
-
-def _upper(columns: np.ndarray) -> np.ndarray:
-    """R of their QR decomposition."""
-    # numpy's annotations know no mode.
-    return np.asarray(np.linalg.qr(columns, mode="r"))
+        whitened = np.asarray(np.linalg.qr(_innovations(self.columns, kept, fresh), mode="r"))
+        return whitened, 2.0 * float(np.log(fresh).sum())
 
 
 def _pieces(force: np.ndarray, time: np.ndarray | None, segment: Sequence | np.ndarray | None) -> list[_Piece]:
@@ -168,7 +163,7 @@ def _select(pieces: list[_Piece], stated: float | None) -> tuple[float, list[int
         longest = LONGEST * max(piece.time[-1] - piece.time[0] for piece in pieces)
         shortest = SHORTEST * float(np.median(steps))
         candidates += list(np.geomspace(shortest, longest, GRID)) if longest > shortest else []
-    best: tuple[float, float, list[int]] = (np.inf, 0.0, [])
+    best: tuple[float, float, list] = (np.inf, 0.0, [])
     for tau in candidates:
         triangles, logarithms = zip(*(piece.triangle(tau) for piece in pieces), strict=True)
         # Sum of squared residuals of each segment for each degree, from 0 up.

@@ -94,8 +94,7 @@ def sandwich(jacobian: np.ndarray, residual: np.ndarray, replicate: np.ndarray, 
         deviations = noise * np.sqrt(repeats * np.maximum(own[:, 0] / own[:, 1] * samples / freedom, 1.0))
     spread = weight**2 * np.diag(prior_precision)
     for i, part in enumerate(parts):
-        columns = jacobian[part]
-        interpolation = None if interpolations is None else interpolations[i]
+        columns, interpolation = jacobian[part], None if interpolations is None else interpolations[i]
         if interpolation is not None:
             columns = interpolation.T @ columns
         spread = spread + deviations[i]**2 * columns.T @ columns
