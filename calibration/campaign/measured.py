@@ -79,7 +79,7 @@ class MeasuredCurve:
 
 def remembers(test: Test, material: Material) -> bool:
     """Whether force depends on the way of the tool and not on its place alone, so that unloading is fitted too."""
-    return material.remembers or (test.experiment is not None and test.experiment.slides)
+    return material.remembers or (test.experiment is not None and test.experiment.depends_on_way)
 
 
 def read_measured(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:

@@ -1,6 +1,7 @@
 """A law of contact from one file: traction from gap, pressure and slip, through `simulate` and `Simulator`."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -79,6 +80,13 @@ def test_its_parameters_are_those_of_the_model(film):
     assert force(changed).min() < 1.3 * force(tested).min() < 0.0
     rates = ts.sensitivities(tested, ["experiment.contact_laws.tacky_film.tack"])
     assert not rates.exact.any() and rates.values[3, 0] < 0.0
+
+
+def test_the_way_out_counts(film):
+    """What has touched pulls when it comes off, so a calibration looks at returns too."""
+    assert model(film(tack=30.0)).experiment.depends_on_way and not model().experiment.depends_on_way
+    plate = ts.Experiment(ts.Specimen(0.03, 0.03), WAY, friction="frictionless", friction_base="frictionless")
+    assert plate.homogeneous and not replace(plate, contact_laws=[film(tack=30.0)]).homogeneous
 
 
 def test_simulator_takes_it(film):

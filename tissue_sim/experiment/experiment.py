@@ -105,12 +105,14 @@ class Experiment:
         return self.tool.contact_radius(depth, self.specimen.radius)
 
     @property
-    def slides(self) -> bool:
-        """Whether tissue may slip against friction, so that the force depends on the way of the tool."""
-        return any(isinstance(value, float) for value in (self.friction, self.friction_base, self.friction_wall))
+    def depends_on_way(self) -> bool:
+        """Whether the force depends on the way of the tool and not on its place alone: tissue may slip against
+        friction, or a law of the contact acts on what has touched the tool."""
+        return self.adhesion is not None or bool(self.contact_laws) or any(isinstance(value, float) for value in (
+            self.friction, self.friction_base, self.friction_wall))
 
     @property
     def homogeneous(self) -> bool:
         """Whether a specimen of one material deforms homogeneously, so that closed forms hold."""
         return (self.tool.is_plate and self.friction == self.friction_base == "frictionless"
-                and not self.specimen.specific_weight)
+                and not self.specimen.specific_weight and not self.contact_laws)
