@@ -91,6 +91,8 @@ class ViewerServer(viser.ViserServer):
                 raise door.failure
             self._unregister_sharing()
             self.set_theme()
+            # Nobody waits for it yet.
+            self._websock_server.get_message_buffer().message_event = _WakeUp()
             door.listen()
         except OSError as error:
             self.stop()
@@ -127,6 +129,25 @@ class ViewerServer(viser.ViserServer):
             if message not in self._websock_server._incoming_handlers:
                 raise _unknown_viser(f"it has no handler of {message.__name__} to take away")
             self._websock_server.unregister_handler(message)
+
+
+class _WakeUp(asyncio.Event):
+    """What browsers' tasks wait for when there is nothing to send.
+
+    viser sets it in the thread that has something to say, and once more in the loop. Python's event would go through
+    the tasks that wait while others begin to, "deque mutated during iteration", which ended that thread.
+    """
+
+    def set(self) -> None:
+        """From any thread; tasks are woken in the loop only."""
+        try:
+            asyncio.get_running_loop()
+        except RuntimeError:
+            self._value = True
+            return
+        # Set already by the other thread, it would wake nobody.
+        self._value = False
+        super().set()
 
 
 class _Door:

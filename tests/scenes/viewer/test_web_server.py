@@ -1,5 +1,6 @@
 """The viewer's server on real sockets: who is answered, what is not offered, what a taken port says."""
 
+import asyncio
 import http.client
 import platform
 import re
@@ -338,3 +339,21 @@ first.stop()
     done = subprocess.run([sys.executable, "-W", "error::DeprecationWarning", "-c", code], capture_output=True,
                           text=True, encoding="utf-8", timeout=120)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_the_page_is_woken_in_its_loop_only(server):
+    """viser wakes from the thread that says something, while tasks begin to wait: that ended the thread."""
+    event = type(server._websock_server.get_message_buffer().message_event)()
+
+    async def wait_and_be_woken():
+        waiting = [asyncio.ensure_future(event.wait()) for _ in range(3)]
+        await asyncio.sleep(0)
+        elsewhere = threading.Thread(target=event.set)
+        elsewhere.start()
+        elsewhere.join()
+        assert event.is_set() and not any(future.done() for future in event._waiters)
+        asyncio.get_running_loop().call_soon_threadsafe(event.set)
+        return await asyncio.wait_for(asyncio.gather(*waiting), 120)
+
+    assert asyncio.run(wait_and_be_woken()) == [True] * 3
+    assert type(event) is not asyncio.Event
