@@ -49,6 +49,9 @@ class ProcessPool:
     def _start(self) -> ProcessPoolExecutor:
         # Spawned, not forked: Taichi and the threads of this process do not survive a fork.
         self._executor = ProcessPoolExecutor(self.capacity, multiprocessing.get_context("spawn"), follow_parent)
+        # All processes now and none later: one that starts while another dies is neither ended nor noticed, and the
+        # executor waits for it for ever; and all have to start under the same conditions.
+        self._executor._safe_to_dynamically_spawn_children = False  # type: ignore[attr-defined]
         try:
             with _start_conditions():
                 first = self._executor.submit(os.getpid)
