@@ -27,7 +27,11 @@ def surface_colour(seen: tuple[int, int, int]) -> tuple[int, int, int]:
     y = np.linalg.solve(_OUT, _linear(seen))
     a, b, c = 1.0 - _C * y, _A - _D * y, -_B - _E * y
     v = (-b + np.sqrt(np.maximum(b * b - 4.0 * a * c, 0.0))) / (2.0 * a)
-    return _rounded(np.linalg.solve(_IN, v) / _EXPOSURE)
+    rounded = _rounded(np.linalg.solve(_IN, v) / _EXPOSURE)
+    # Near black half a step of one channel of the surface is several of another that is seen: rounded together.
+    reds, greens, blues = (range(max(part - 1, 0), min(part + 1, 255) + 1) for part in rounded)
+    near = ((red, green, blue) for red in reds for green in greens for blue in blues)
+    return min(near, key=lambda surface: float(np.sum(np.subtract(seen_colour(surface), seen) ** 2)))
 
 
 def _linear(colour: tuple[int, int, int]) -> np.ndarray:
