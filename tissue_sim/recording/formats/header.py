@@ -5,24 +5,15 @@ from __future__ import annotations
 import difflib
 import io
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from tissue_sim.errors import InputError, nearest
-from tissue_sim.recording.formats.table import Row, is_number, split_rows
-from tissue_sim.units import split_header
+from tissue_sim.recording.formats.table import Row, Table, is_number, split_rows
+from tissue_sim.units import loose_header, split_header
 
 DELIMITERS = (",", ";", "\t")
 #: Without names a comma may be a decimal comma, so it is tried last.
 DELIMITERS_OF_NUMBERS = ("\t", ";", ",")
-
-
-@dataclass(frozen=True)
-class Table:
-    """Rows that are not blank: of a text split at `delimiter`, or of a sheet (None)."""
-
-    rows: Sequence[Row]
-    delimiter: str | None = None
 
 
 def text_tables(text: str, *, file: Path, skip_lines: int = 0,
@@ -49,7 +40,8 @@ def find_header(tables: Iterable[Table], names: Sequence[str], *, file: Path) ->
             found = [matches(row.cells, name) for name in names]
             if all(found):
                 for name, places in zip(names, found, strict=True):
-                    if len(places) > 1:
+                    # As many of each are replicates beside each other.
+                    if len(places) != min(map(len, found)):
                         raise InputError(f"column {name!r} appears twice; remove or rename one, or give its number as "
                                          "column", file=file, line=row.line)
                 return table, Row(row.line, without_empty_end(row.cells)), _data(table.rows[i + 1:])
@@ -82,8 +74,10 @@ def matches(cells: Sequence[str], name: str) -> list[int]:
     def plain(text):
         return " ".join(text.casefold().split())
 
-    exact = [i for i, cell in enumerate(cells) if plain(cell) == plain(name)]
-    return exact or [i for i, cell in enumerate(cells) if cell and plain(split_header(cell)[0]) == plain(name)]
+    wanted = plain(name)
+    exact = [i for i, cell in enumerate(cells) if plain(cell) == wanted]
+    return exact or [i for i, cell in enumerate(cells)
+                     if cell and wanted in (plain(split_header(cell)[0]), plain(loose_header(cell)[0]))]
 
 
 def without_empty_end(cells: tuple[str, ...]) -> tuple[str, ...]:

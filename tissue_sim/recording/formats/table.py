@@ -14,7 +14,11 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.recording.recording import CHANNELS, LABELS, MIN_POINTS, Recording
-from tissue_sim.units import to_si
+from tissue_sim.units import quantity_of, to_si
+
+#: SI units in words of the messages.
+_SI = {"time": "s", "length": "m", "force": "N", "torque": "Nm", "stress": "Pa", "ratio": "units",
+       "temperature": "K"}
 
 
 @dataclass(frozen=True)
@@ -27,6 +31,15 @@ class Row:
     @property
     def blank(self) -> bool:
         return not any(self.cells)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows that are not blank: of a text split at `delimiter`, or of the sheet or group `name`."""
+
+    rows: Sequence[Row]
+    delimiter: str | None = None
+    name: str = ""
 
 
 @dataclass(frozen=True)
@@ -168,15 +181,27 @@ def _labels(rows, column, file) -> np.ndarray:
     return np.array([int(cell) for cell in cells], dtype=np.int64)
 
 
-def conversion(channel: str, unit: str | None) -> tuple[float, float]:
+def conversion(channel: str, unit: str | None, scale: float | None = None) -> tuple[float, float]:
     """Factor and offset to SI for a channel; a ratio may stand without a unit.
 
+    Args:
+        channel: a name in `CHANNELS`.
+        unit: of the values. scale: that many units in one of the file; SI units where the unit is that of a signal
+            (V, counts) or none is stated.
+
     Raises:
-        InputError: no unit, an unknown one, or one of another quantity.
+        InputError: no unit, an unknown one, or one of another quantity; a signal without a scale.
     """
     quantity = CHANNELS[channel]
     if unit is None and quantity == "ratio":
         unit = "-"
+    if scale is not None and (unit is None or quantity_of(unit) == "signal"):
+        return scale, 0.0
+    if scale is not None:
+        factor, offset = to_si(unit or "-", quantity)
+        return scale * factor, offset
+    if unit is not None and quantity_of(unit) == "signal":
+        raise InputError(f"{unit} is the signal of a sensor; give scale, the {_SI[quantity]} in 1 {unit}")
     if unit is None:
         example = {"time": "s", "length": "mm", "force": "N", "torque": "Nm", "stress": "kPa", "temperature": "degC"}
         raise InputError(f"the unit is missing, expected a {quantity} such as [{example[quantity]}]")
