@@ -94,8 +94,8 @@ def decode_text(data: bytes, path: str | Path, expected: str) -> tuple[str, str]
         except UnicodeDecodeError:
             continue
     else:
-        raise InputError(f"has the byte order mark of {encoding} and is none, expected {expected}; save it as UTF-8 text",
-                         file=path)
+        raise InputError(f"has the byte order mark of {encoding} and is none, expected {expected}; save it as UTF-8 "
+                         "text", file=path)
     if encoding is None and any(byte in data for byte in _CONTROL):
         raise InputError(f"is a binary file (it has control characters), expected {expected}", file=path)
     if not text.strip():

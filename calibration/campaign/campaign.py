@@ -172,14 +172,14 @@ def load_campaign(path: str | Path) -> Campaign:
         InputError: anything wrong in the file, with the file and the dotted field.
     """
     path = Path(path)
-    table, data = decode_campaign(path)
+    table, data, defaults = decode_campaign(path)
     try:
         specimens = _specimens(table)
         tests = _tests(table, specimens, path.parent)
         return Campaign(path, _read_only(specimens), tests, _fit_settings(table.fit, table.noise, tests),
                         _noise(table.noise, table.fit.method), hashlib.sha256(data).hexdigest(), _density(tests))
     except InputError as error:
-        raise error.located(file=path) from None
+        raise defaults.located(error, path) from None
 
 
 def _specimens(table: CampaignTable) -> dict[str, Specimen]:
