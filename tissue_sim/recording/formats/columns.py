@@ -58,7 +58,7 @@ def read_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int
         columns: channel -> header, or a mapping with ``name`` or ``column`` (a number from 1, or a letter) and, where
             wanted, ``unit`` (in place of the one in the header's brackets or below it), ``sign`` (1 or -1), ``scale``
             (units in one of the file, SI where the unit is that of a signal) and ``offset`` (units, added last):
-            the value is (sign * scale * cell + offset) units.
+            the value is (sign * scale * cell + offset) units. An ``offset = "start"`` counts from the first sample.
         skip_lines: lines (rows) at the top of the file that are not looked at.
         delimiter: one character; a blank stands for any number of blanks. None: found. Text only.
         sheet: name or number (from 1) of a spreadsheet's sheet, or of a container's table, or a list of them, which
@@ -105,7 +105,8 @@ def read_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int
 def _sheets(path: Path, sheet: Sheets | None) -> Sequence[Sheet]:
     if is_container(path):
         return read_container(path, sheet)
-    return read_sheets(path, sheet) if isinstance(sheet, list | tuple) else [read_sheet(path, sheet)]
+    return read_sheets(path, sheet) if isinstance(sheet, Sequence) and not isinstance(sheet, str) else [
+        read_sheet(path, sheet)]
 
 
 def _recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path, metadata: Mapping[str, Any] | None, *,
@@ -134,7 +135,9 @@ def _recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path, met
             found[-1] = _joined(found[-1], recording)
         else:
             found.append(recording)
-    return found
+    from_start = [channel for channel, entry in wanted.items() if entry.get("offset") == "start"]
+    return [each.with_channels(**{channel: each.channel(channel) - each.channel(channel)[0]
+                                  for channel in from_start}) for each in found]
 
 
 def _goes_on(first: Recording, second: Recording) -> bool:
@@ -174,7 +177,7 @@ def _choose(wanted: Mapping[str, Mapping[str, Any]], places: Mapping[str, int], 
             raise InputError(f'column {cell!r}: {error.problem}; or give it as {{ {key} = {value}, unit = "..." }}',
                              file=path, line=header.line, field=field) from None
         sign = entry.get("sign", 1)
-        added = entry["offset"] * factor / entry.get("scale", 1.0) if "offset" in entry else 0.0
+        added = 0.0 if entry.get("offset", "start") == "start" else entry["offset"] * factor / entry.get("scale", 1.0)
         chosen.append(Column(channel, index, cell, sign * factor, sign * offset + added))
     return chosen
 
@@ -223,11 +226,13 @@ def check_columns(columns: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
                 raise InputError(f"{value!r} is not a sign; give 1 or -1", field=f"{field}.sign")
             if key in ("name", "unit") and not isinstance(value, str):
                 raise InputError(f"{value!r} is not text in quotation marks", field=f"{field}.{key}")
-            if key in ("scale", "offset") and (isinstance(value, bool) or not isinstance(value, int | float)
-                                               or not math.isfinite(value) or (key == "scale" and value <= 0)):
-                raise InputError(f"{value!r} is no {'positive ' if key == 'scale' else ''}number"
-                                 f"{'; the direction is said by sign' if key == 'scale' else ''}",
-                                 field=f"{field}.{key}")
+            number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+            if key == "scale" and not (number and value > 0):
+                raise InputError(f"{value!r} is no positive number; the direction is said by sign",
+                                 field=f"{field}.scale")
+            if key == "offset" and not number and value != "start":
+                raise InputError(f'{value!r} is no number; or give "start", which counts from the first sample',
+                                 field=f"{field}.offset")
         if "column" in entry:
             if "name" in entry:
                 raise InputError("give either the name of the column or its place, not both", field=f"{field}.column")

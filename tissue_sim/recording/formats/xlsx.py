@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,7 @@ def read_xlsx(path: str | Path, *, columns: Mapping[str, Any] | None = None, she
     if columns is not None:
         found = read_blocks(path, columns, sheet=sheet, skip_lines=skip_lines)
         return found if len(found) > 1 else found[0]
-    if isinstance(sheet, list | tuple):
+    if isinstance(sheet, Sequence) and not isinstance(sheet, str):
         return tuple(_native(each) for each in read_sheets(Path(path), sheet))
     return _native(read_sheet(Path(path), sheet))
 
