@@ -125,6 +125,7 @@ class Stated:
         columns: channel (or ``strain``) -> header, or place as a number or letter.
         units, scales, signs: channel -> it.
         kind: of test. format: of a machine. sheet, delimiter, skip_lines: where the table is.
+        direct: whether stress and strain are read where a file has force and displacement, too.
     """
 
     columns: Mapping[str, str | int] = field(default_factory=dict)
@@ -136,3 +137,4 @@ class Stated:
     sheet: Sheets | None = None
     delimiter: str | None = None
     skip_lines: int = 0
+    direct: bool = False

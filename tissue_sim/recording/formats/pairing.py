@@ -97,19 +97,20 @@ def _best(part: Sequence[tuple[int, str, int]]) -> dict[str, int]:
 def _pair(chosen: Mapping[str, int], stated: Stated) -> tuple[str, str] | None:
     """Roles of the motion and the load that belong together; what the load frame measured before what is derived."""
     sheared = stated.kind == "simple_shear" or "shear strain" in chosen
-    for pair in (("displacement", "force"), ("shear strain" if sheared else "stretch", "stress"), ("strain", "stress"),
-                 ("stretch", "stress"), ("displacement", "stress"), ("stretch", "force"), ("strain", "force")):
-        if set(pair) <= set(chosen):
-            return pair
-    return None
+    mechanical = [("displacement", "force")]
+    direct = [("shear strain" if sheared else "stretch", "stress"), ("strain", "stress"), ("stretch", "stress")]
+    pairs = [*direct, *mechanical] if stated.direct else [*mechanical, *direct]
+    return next((pair for pair in pairs if set(pair) <= set(chosen)), None)
 
 
 def _column(numbers: Numbers, place: int, role: str, machine: Machine | None, stated: Stated) -> ColumnGuess:
     channel = _CHANNEL[role]
     unit, header = numbers.unit(place), numbers.name(place)
     reason = f"header {header!r}" if header else f"column {place + 1}"
-    if channel in stated.units:
-        unit, reason = stated.units[channel], f"{reason}; unit as stated"
+    said = {name: values.get(role, values.get(channel)) for name, values in
+            (("unit", stated.units), ("scale", stated.scales), ("sign", stated.signs))}
+    if said["unit"] is not None:
+        unit, reason = str(said["unit"]), f"{reason}; unit as stated"
     elif unit is None and machine is not None and role in machine.units:
         unit, reason = machine.units[role], f"{reason} without unit: {machine.title} writes {machine.units[role]}"
     elif numbers.units is not None:
@@ -118,8 +119,8 @@ def _column(numbers: Numbers, place: int, role: str, machine: Machine | None, st
     if role == "strain" and channel == "stretch":
         offset = 100.0 if unit == "%" else 1.0
         reason += "; a strain, which 1 makes a stretch"
-    return ColumnGuess(channel, header, place + 1, unit, role, stated.signs.get(channel, 1),
-                       stated.scales.get(channel), offset, bool(header), reason)
+    return ColumnGuess(channel, header, place + 1, unit, role, int(said["sign"] or 1),
+                       None if said["scale"] is None else float(said["scale"]), offset, bool(header), reason)
 
 
 def _stated_column(numbers: Numbers, channel: str, name: str | int, stated: Stated) -> ColumnGuess | None:
