@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from calibration.campaign.campaign import load_campaign
+from calibration.campaign.campaign import DEFAULT_OFFSET_PRIOR, load_campaign
 from calibration.campaign.measured import read_measured
 from calibration.importing.afm import is_afm, understand_afm
 from calibration.importing.campaign_text import campaign_text
@@ -29,6 +29,8 @@ _LAWS = {"analytical": ("neo_hooke", "mooney_rivlin", "reduced_polynomial_2", "o
          "inverse_fem": ("neo_hooke", "reduced_polynomial_2")}
 #: K / mu0 of a simulated tissue where nobody says it.
 _BULK_RATIO = 1000.0
+#: Contact of a test whose travel is small, as a share of it.
+_CONTACT_SHARE = 0.02
 
 
 def import_files(files: Iterable[str | Path], output: str | Path | None = None, wishes: Wishes | None = None, *,
@@ -57,7 +59,7 @@ def import_files(files: Iterable[str | Path], output: str | Path | None = None, 
     tests, specimens, missing = _tests(group(parts), wishes)
     fit = _fit(tests, wishes)
     folder = Path() if output is None else output.parent
-    text = campaign_text(tests, specimens, fit, folder)
+    text = campaign_text(tests, specimens, fit, _noise(tests, fit), folder)
     imported = Imported(tuple(understood), tests, read_only(specimens), text, missing, _warnings(parts, tests))
     if not missing:
         imported = replace(imported, problem=_problem(text, folder))
@@ -207,6 +209,9 @@ def _keys(parts: Sequence[Part], wishes: Wishes) -> tuple[list[Line], list[str]]
                                   else "radius of the tool; --tool-radius-mm"))
                 missing.append("the shape of the tool (--tool)" if key == "tool"
                                else "the radius of the tool (--tool-radius-mm)")
+        shape = test.get("tool", said.get("tool", "flat"))
+        if "friction" not in test and shape != "flat":
+            lines.append(Line("friction", "stick", f"taken so: tissue does not slip on a {shape}, and can lift off"))
     if kind is not None and kind.face.stated and "friction" not in test:
         lines.append(Line("friction", None, "coefficient of friction of both plates, or \"stick\"; --friction"))
         missing.append("the friction of the plates (--friction)")
@@ -236,6 +241,17 @@ def _fit(tests: Sequence[ImportedTest], wishes: Wishes) -> list[Line]:
     return lines
 
 
+def _noise(tests: Sequence[ImportedTest], fit: Sequence[Line]) -> list[Line]:
+    """How well the contacts of small tests are known, where the usual assumption would be as large as their travel."""
+    travels = [max(motion.reach) for test in tests for part in test.parts for motion in part.motions
+               if motion.channel == "displacement"]
+    simulated = any(line == ("method", "inverse_fem") for line in ((each.key, each.value) for each in fit))
+    if not simulated or not travels or _CONTACT_SHARE * min(travels) > DEFAULT_OFFSET_PRIOR or min(travels) <= 0:
+        return []
+    return [Line("contact_jitter_mm", float(f"{_CONTACT_SHARE * min(travels) * 1e3:.2g}"),
+                 f"taken as {100 * _CONTACT_SHARE:g} % of the travel")]
+
+
 def _problem(text: str, folder: Path) -> str | None:
     """Why the campaign cannot be calibrated as it stands."""
     # Beside its place, for its paths are relative; where that folder is not there yet they are made so.
@@ -258,8 +274,8 @@ def _warnings(parts: Sequence[Part], tests: Sequence[ImportedTest]) -> tuple[str
     for kind in dict.fromkeys(test.kind for test in tests if test.kind):
         names = [test.name for test in tests if test.kind == kind]
         if len(names) > 1:
-            found[f"{len(names)} tests of {kind} are fitted as one material; import files of different materials one by "
-                  "one"] = None
+            found[f"{len(names)} tests of {kind} are fitted as one material; import different materials one by one"
+                  ] = None
     for part in parts:
         for warning in (*part.understanding.warnings, *part.reading.remarks,
                         *(each for motion in part.motions for each in motion.warnings)):

@@ -55,10 +55,12 @@ def describe_motion(recording: Recording) -> Motion:
     channel = next(name for name in MOTIONS if name in recording)
     way = np.array(recording.channel(channel)) - MOTIONS[channel]
     # Compression is recorded as a stretch below 1, and a table may begin at its far end.
-    turned = way if abs(way.max()) >= abs(way.min()) else -way
+    turned = -way if channel != "displacement" and abs(way.max()) < abs(way.min()) else way
     time = recording.time if "time" in recording and np.ptp(recording.time) > 0 else None
     clock = np.arange(way.size, dtype=float) if time is None else time
     labels, cycles = count_cycles(label_motion(clock, turned))
+    if "segment" in recording.labels:
+        labels = recording.labels["segment"]
     edges = np.flatnonzero(np.append(True, labels[1:] != labels[:-1]))
     segments = tuple(Segment(str(labels[first]), int(first), int(last))
                      for first, last in zip(edges, np.append(edges[1:], labels.size) - 1, strict=True))

@@ -281,3 +281,13 @@ def test_foam_set_by_name(data_folder):
                                columns={"stretch": "leap-comten-stretch", "nominal stress": "leap-comten-stress"})
     assert len(recording) == 201
     assert recording.channel("nominal stress")[0] == pytest.approx(-241599.6066768916)
+
+
+def test_a_cell_far_away_is_refused(tmp_path):
+    """It would take the memory of the whole rectangle."""
+    book = openpyxl.Workbook()
+    for row in NUMBERS:
+        book.active.append(row)
+    book.active["XFD1048576"] = 3
+    book.save(tmp_path / "far.xlsx")
+    assert "reaches to cell XFD1048576" in refusal(read_xlsx, tmp_path / "far.xlsx", columns=BY_PLACE).problem

@@ -48,7 +48,10 @@ def named_blocks(tables: Iterable[Table], names: Sequence[str], *, also: Sequenc
         InputError: no such row.
     """
     table, header, below = find_header(tables, names, file=file)
-    headers = [header, *(row for row in below if all(matches(row.cells, name) for name in names))]
+    # A row of names has none of the numbers: most rows are done with at one look.
+    place = matches(header.cells, names[0])[0]
+    headers = [header, *(row for row in below if not _numbers(row, (place,))
+                         and all(matches(row.cells, name) for name in names))]
     blocks: list[Block] = []
     for number, head in enumerate(headers):
         end = headers[number + 1].line if number + 1 < len(headers) else None

@@ -11,12 +11,12 @@ from tissue_sim.recording.formats.sources import quantity_in
 from tissue_sim.recording.formats.vocabulary import plain
 from tissue_sim.units import UNITS, known_unit, loose_header
 
-_DIAMETER = r"diameter|durchmesser|diamètre|diametro|d0"
-_WIDTH, _THICKNESS = r"width|breite|largeur|b0", r"thickness|dicke|épaisseur|a0"
-_AREA = r"area|cross section|querschnitt|querschnittsfläche|s0"
+_DIAMETER = r"diameter|\w*durchmesser|diamètre|diametro|d0"
+_WIDTH, _THICKNESS = r"width|\w*breite|largeur|b0", r"thickness|\w*dicke|épaisseur|a0"
+_AREA = r"area|cross section|\w*querschnitt|\w*querschnittsfläche|s0"
 _LENGTH = (r"gauge length|gage length|grip separation|einspannlänge|messlänge|length|länge|longueur|l0|height|höhe|"
            r"hauteur")
-_HEIGHT = r"height|höhe|hauteur|thickness|dicke|épaisseur|length|länge|l0|h0|gap"
+_HEIGHT = r"height|\w*höhe|hauteur|thickness|\w*dicke|épaisseur|length|\w*länge|l0|h0|gap"
 #: Of the machine, not of the specimen.
 _NOT = re.compile(r"\b(probe|tool|punch|plate|platen|stempel|indenter|needle|cell|wave|step|data|path|pre)\b")
 _SQUARE = re.compile(r"^(?P<number>[-+\d.,eE]+)?\s*\(?(?P<unit>m|cm|mm)\s*(\^2|²|2)\)?$")

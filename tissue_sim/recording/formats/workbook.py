@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Sequence
+import re
+import zipfile
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import python_calamine as calamine
+import xlrd
 
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.files import ZIP_MAGIC, read_bytes
@@ -18,6 +21,8 @@ from tissue_sim.recording.formats.table import Row, Table
 EXPECTED = "a spreadsheet (xlsx, xls, ods)"
 #: How an .xls of Excel 97 to 2003 begins, and an xlsx with a password.
 OLE_MAGIC = b"\xd0\xcf\x11\xe0"
+#: Cells of the rectangle of a sheet.
+_MOST_CELLS = 50_000_000
 SUFFIXES = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 
 
@@ -70,14 +75,9 @@ def read_sheets(path: Path, sheet: str | int | Sequence[str | int] | None = None
                              file=path, field="sheet")
     data = read_bytes(path, EXPECTED)
     try:
-        with calamine.load_workbook(io.BytesIO(data)) as book:
-            names = book.sheet_names
-            chosen = dict.fromkeys(_find(path, each, names) for each in wanted) if wanted else names
-            found = [Sheet(path, name, _rows(book.get_sheet_by_name(name))) for name in chosen]
+        found = list((_old_sheets if data.startswith(OLE_MAGIC) else _sheets)(data, path, wanted))
     except InputError:
         raise
-    except calamine.PasswordError:
-        raise InputError("has a password; save it without one", file=path) from None
     # A damaged archive may end the parser, too: its panics derive from BaseException.
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt | SystemExit | GeneratorExit | MemoryError):
@@ -105,10 +105,56 @@ def read_sheet(path: Path, sheet: str | int | None = None) -> Sheet:
     return filled[0]
 
 
-def _rows(sheet: Any) -> tuple[Row, ...]:
-    numbered = (Row(number, tuple(map(_text, cells)))
-                for number, cells in enumerate(sheet.to_python(skip_empty_area=False), start=1))
+def _sheets(data: bytes, path: Path, wanted: Sequence[str | int]) -> Iterator[Sheet]:
+    """Of an xlsx or ods."""
+    _check_extent(data, path)
+    with calamine.load_workbook(io.BytesIO(data)) as book:
+        for name in _chosen(path, wanted, book.sheet_names):
+            yield Sheet(path, name, _rows(book.get_sheet_by_name(name).to_python(skip_empty_area=False)))
+
+
+def _old_sheets(data: bytes, path: Path, wanted: Sequence[str | int]) -> Iterator[Sheet]:
+    """Of an xls."""
+    try:
+        book = xlrd.open_workbook(file_contents=data, logfile=io.StringIO(), ragged_rows=True)
+    except xlrd.XLRDError as error:
+        if "encrypted" in str(error):
+            raise InputError("has a password; save it without one", file=path) from None
+        raise
+    for name in _chosen(path, wanted, book.sheet_names()):
+        sheet = book.sheet_by_name(name)
+        # What a formula makes of a fault has no value.
+        yield Sheet(path, name, _rows([["" if cell.ctype == xlrd.XL_CELL_ERROR else cell.value for cell in sheet.row(i)]
+                                       for i in range(sheet.nrows)]))
+
+
+def _check_extent(data: bytes, path: Path) -> None:
+    """Refuse a sheet that reaches so far that its rectangle does not fit the memory: calamine ends the process there.
+
+    Raises:
+        InputError: such a sheet.
+    """
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        for name in archive.namelist():
+            if not name.startswith("xl/worksheets/") or not name.endswith(".xml"):
+                continue
+            content = archive.read(name)
+            rows = max(map(int, re.findall(rb'<row [^>]*?\br="(\d{1,9})"', content)), default=0)
+            letters = {match.decode() for match in re.findall(rb'<c [^>]*?\br="([A-Z]{1,9})', content)}
+            columns = max(letters, key=lambda each: (len(each), each), default="A")
+            width = sum(26**i * (ord(letter) - 64) for i, letter in enumerate(reversed(columns)))
+            if rows * width > _MOST_CELLS:
+                raise InputError(f"a sheet ({Path(name).stem}) reaches to cell {columns}{rows}; clear what stands far from "
+                                 "the table", file=path)
+
+
+def _rows(cells: Iterable[Iterable[Any]]) -> tuple[Row, ...]:
+    numbered = (Row(number, tuple(map(_text, row))) for number, row in enumerate(cells, start=1))
     return tuple(row for row in numbered if not row.blank)
+
+
+def _chosen(path: Path, wanted: Sequence[str | int], names: list[str]) -> Iterable[str]:
+    return dict.fromkeys(_find(path, each, names) for each in wanted) if wanted else names
 
 
 def _find(path: Path, sheet: str | int, names: list[str]) -> str:
