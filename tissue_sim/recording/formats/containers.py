@@ -7,6 +7,7 @@ table without names. So they are read as the sheets of a spreadsheet.
 from __future__ import annotations
 
 import io
+import logging
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -26,6 +27,8 @@ _HDF5, _MATLAB, _TDMS = b"\x89HDF", b"MATL", b"TDSm"
 _SUFFIXES = (".mat", ".tdms", ".h5", ".hdf5", ".hdf")
 #: A matrix with more columns than this is a picture.
 _WIDEST = 64
+#: Numbers of a dataset.
+_MOST_NUMBERS = 50_000_000
 
 
 def is_container(path: Path) -> bool:
@@ -56,9 +59,7 @@ def read_container(path: Path, table: str | int | Sequence[str | int] | None = N
             sheets = [Sheet(path, name, rows) for name, rows in _tables(tree, "")]
     except InputError:
         raise
-    except (KeyboardInterrupt, SystemExit, GeneratorExit, MemoryError):
-        raise
-    except Exception as error:  # whatever a damaged file makes of the three libraries
+    except Exception as error:  # whatever a damaged file makes of the three libraries, memory that it asks for included
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise InputError(f"cannot be read as {EXPECTED}: {reason}", file=path) from None
     if not sheets:
@@ -76,7 +77,9 @@ def read_container(path: Path, table: str | int | Sequence[str | int] | None = N
 
 def _read(data: bytes, path: Path) -> Mapping[str, Any]:
     if data[:4] == _TDMS:
-        return _tdms(require("nptdms", path).TdmsFile.read(io.BytesIO(data)))
+        nptdms = require("nptdms", path)
+        logging.getLogger("nptdms").setLevel(logging.CRITICAL)
+        return _tdms(nptdms.TdmsFile.read(io.BytesIO(data)))
     if data[:4] == _HDF5:
         with require("h5py", path).File(io.BytesIO(data), "r") as file:
             return _hdf5(file)
@@ -94,6 +97,8 @@ def _hdf5(group: Any) -> dict[str, Any]:
             continue
         unit = item.attrs.get("units", item.attrs.get("unit"))
         unit = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else unit
+        if item.size is not None and item.size > _MOST_NUMBERS:
+            raise ValueError(f"{name} has {item.size:g} numbers")
         value = item[()]
         if getattr(value, "dtype", None) is not None and value.dtype.names:
             tree[name] = {column: value[column] for column in value.dtype.names}

@@ -144,8 +144,8 @@ def _check_extent(data: bytes, path: Path) -> None:
             columns = max(letters, key=lambda each: (len(each), each), default="A")
             width = sum(26**i * (ord(letter) - 64) for i, letter in enumerate(reversed(columns)))
             if rows * width > _MOST_CELLS:
-                raise InputError(f"a sheet ({Path(name).stem}) reaches to cell {columns}{rows}; clear what stands far from "
-                                 "the table", file=path)
+                raise InputError(f"a sheet ({Path(name).stem}) reaches to cell {columns}{rows}; clear what stands far "
+                                 "from the table", file=path)
 
 
 def _rows(cells: Iterable[Iterable[Any]]) -> tuple[Row, ...]:
