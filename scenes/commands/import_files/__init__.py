@@ -12,13 +12,7 @@ from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.kinds.kind import KINDS
 
 SUMMARY = "understand files of a test machine and write a campaign of them"
-EXAMPLE = """tissue-sim import gel_1.csv gel_2.csv gel_3.csv -o gel.toml --radius-mm 10 --height-mm 12
-  tissue-sim calibrate gel.toml -o results
-
-without a header:
-  tissue-sim import run.txt -o run.toml --column time=1 --column displacement=2 --column force=3 \\
-      --unit time=s --unit displacement=mm --unit force=gf --kind lubricated_compression \\
-      --radius-mm 10 --height-mm 12"""
+EXAMPLE = "tissue-sim import gel_1.csv gel_2.csv gel_3.csv -o gel.toml --radius-mm 10 --height-mm 12"
 #: What a person may call a channel, and how recordings do; a strain is read as a stretch.
 _CHANNELS = {"time": "time", "displacement": "displacement", "force": "force", "stretch": "stretch",
              "strain": "strain", "shear_strain": "shear strain", "shear strain": "shear strain",
