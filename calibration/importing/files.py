@@ -21,9 +21,9 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.experiment.tools.tool import shapes_without_file
 from tissue_sim.frozen_mapping import read_only
-from tissue_sim.recording.formats.guesses import Understanding
+from tissue_sim.recording.formats.guesses import Reading, Understanding
 from tissue_sim.recording.formats.sizes import Size, find_sizes
-from tissue_sim.recording.formats.understanding import understand
+from tissue_sim.recording.formats.understanding import reread, understand
 
 _LAWS = {"analytical": ("neo_hooke", "mooney_rivlin", "reduced_polynomial_2", "ogden_1"),
          "inverse_fem": ("neo_hooke", "reduced_polynomial_2")}
@@ -54,8 +54,7 @@ def import_files(files: Iterable[str | Path], output: str | Path | None = None, 
     output = None if output is None else Path(output)
     _check(paths, output, overwrite)
     understood = _understand(paths, wishes)
-    parts = [Part(each, reading, tuple(map(describe_motion, reading.recordings)))
-             for each in understood for reading in each.readings]
+    parts = [_part(each, reading) for each in understood for reading in each.readings]
     tests, specimens, missing = _tests(group(parts), wishes)
     fit = _fit(tests, wishes)
     folder = Path() if output is None else output.parent
@@ -70,6 +69,27 @@ def import_files(files: Iterable[str | Path], output: str | Path | None = None, 
     write_text(output, text)
     write_bytes(picture, drawn)
     return replace(imported, output=output, picture=picture)
+
+
+def _part(understanding: Understanding, reading: Reading) -> Part:
+    """The tables with their motions; those with air before the contact are counted from there."""
+    motions = tuple(map(describe_motion, reading.recordings))
+    contacts = [motion.contact for motion in motions]
+    air = [contact for contact in contacts if contact is not None and contact.found]
+    if not air or not reading.columns or reading.missing or any(
+            contact is None or contact.status not in ("found", "before") for contact in contacts):
+        return Part(understanding, reading, motions)
+    low, high = (1e3 * end for end in air[0].interval)
+    reasons = {"displacement": f"touches at {1e3 * air[0].displacement:.4g} mm of the file (95 %: {low:.4g} to "
+                               f"{high:.4g}){' and so on' if len(air) > 1 else ''}, so counted from the contact",
+               "force": f"{air[0].force_zero:.3g} N in air, which is taken off"}
+    columns = tuple(replace(column, offset="contact", reason=f"{column.reason}; {reasons[column.channel]}")
+                    if column.channel in reasons and not isinstance(column.offset, float) else column
+                    for column in reading.columns)
+    counted = reread(understanding.file, replace(reading, columns=columns))
+    again = tuple(replace(describe_motion(recording), contact=contact, warnings=motion.warnings)
+                  for recording, contact, motion in zip(counted.recordings, contacts, motions, strict=True))
+    return Part(understanding, counted, again)
 
 
 def _check(paths: Sequence[Path], output: Path | None, overwrite: bool) -> None:

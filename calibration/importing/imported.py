@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -134,11 +135,13 @@ def _file(understanding: Understanding, imported: Imported) -> dict[str, Any]:
 
 
 def _recording(motion: Motion, name: str, points: int) -> dict[str, Any]:
+    contact = motion.contact
     in_mm = 1e3 if motion.channel == "displacement" else 1.0
     return {"name": name, "points": points, "rate_Hz": motion.rate, "duration_s": motion.duration,
-            "contact_mm": None if motion.contact is None else motion.contact * 1e3,
-            "contact_interval_mm": None if motion.contact_interval is None
-            else [end * 1e3 for end in motion.contact_interval],
+            "contact_mm": contact.displacement * 1e3 if contact is not None and contact.found else None,
+            "contact_interval_mm": None if contact is None or contact.status == "none"
+            else [end * 1e3 if math.isfinite(end) else None for end in contact.interval],
+            "contact": None if contact is None else contact.status,
             "segments": [{"name": each.name, "first": each.first, "last": each.last} for each in motion.segments],
             "cycles": motion.cycles,
             "failure": None if motion.failure is None else motion.failure * in_mm}

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tissue_sim.recording.contact import Contact, find_contact
 from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.segmentation import count_cycles, label_motion
 
@@ -13,6 +14,8 @@ from tissue_sim.recording.segmentation import count_cycles, label_motion
 MOTIONS = {"displacement": 0.0, "stretch": 1.0, "shear strain": 0.0}
 #: A first force of more than this share of the range is no zero of the sensor.
 _PRELOAD = 0.05
+#: Samples from which a contact can be looked for.
+_FEWEST = 12
 
 
 @dataclass(frozen=True)
@@ -32,7 +35,7 @@ class Motion:
         channel: the motion that was looked at. reach: largest and smallest value of it, SI, from rest.
         rate: samples a second, None without time. duration: s, or None. speed: of the first loading, SI, or None.
         segments: in order. cycles: loadings that begin after an unloading, and the first.
-        contact: displacement of the contact, m, and its 95 % interval; None: not looked for.
+        contact: where it touched, in the displacement of the file, m, and with which interval; None: not looked for.
         failure: motion at which the specimen failed, SI; None: it did not.
         warnings: sentences.
     """
@@ -44,8 +47,7 @@ class Motion:
     speed: float | None
     segments: tuple[Segment, ...]
     cycles: int
-    contact: float | None = None
-    contact_interval: tuple[float, float] | None = None
+    contact: Contact | None = None
     failure: float | None = None
     warnings: tuple[str, ...] = ()
 
@@ -64,6 +66,9 @@ def describe_motion(recording: Recording) -> Motion:
     edges = np.flatnonzero(np.append(True, labels[1:] != labels[:-1]))
     segments = tuple(Segment(str(labels[first]), int(first), int(last))
                      for first, last in zip(edges, np.append(edges[1:], labels.size) - 1, strict=True))
+    contact = None
+    if channel == "displacement" and "force" in recording and way.size >= _FEWEST:
+        contact = find_contact(way, recording.force, time)
     rate = duration = speed = None
     if time is not None:
         duration = float(time[-1] - time[0])
@@ -72,12 +77,14 @@ def describe_motion(recording: Recording) -> Motion:
         peak = int(np.argmax(turned))
         speed = abs(float((turned[peak] - turned[0]) / (time[peak] - time[0]))) if time[peak] > time[0] else None
     return Motion(channel, (float(way.max()), float(way.min())), rate, duration, speed, segments, int(cycles[-1]),
-                  warnings=_warnings(recording, turned))
+                  contact, warnings=_warnings(recording, turned, contact))
 
 
-def _warnings(recording: Recording, way: np.ndarray) -> tuple[str, ...]:
+def _warnings(recording: Recording, way: np.ndarray, contact: Contact | None) -> tuple[str, ...]:
     found = []
-    if "force" in recording:
+    if contact is not None and contact.status in ("none", "unclear"):
+        found.append(contact.sentence)
+    if "force" in recording and not (contact is not None and contact.found):
         first, spread = abs(recording.force[0]), np.ptp(recording.force)
         if spread > 0 and first > _PRELOAD * spread:
             found.append(f"the force begins at {recording.force[0]:.3g} N, {100 * first / spread:.0f} % of its range: "

@@ -46,8 +46,6 @@ def _draw(left, right, test: ImportedTest) -> None:
             if number == 0:
                 _label(left, right, motion.channel, load, raw, timed=motion.rate is not None)
                 _shade(left, recording, motion)
-            if motion.contact is not None:
-                right.axvline(motion.contact * _SHOWN["displacement"][1], color=style["color"], lw=0.7, ls=":")
             number += 1
     kind = test.kind.replace("_", " ") if test.kind else "kind not known"
     left.set_title(f"{test.name}: {kind}", loc="left", fontsize=10)

@@ -268,6 +268,43 @@ def test_positions_count_from_the_first_sample_of_each_recording(tmp_path):
         assert part.reading.recordings[0].displacement[0] == 0.0
 
 
+def test_air_before_the_contact_is_found_and_left_out(tmp_path, capsys):
+    """A cylinder of neo-Hookean gel with 0.4 to 0.7 mm of air and a sensor that shows 0.05 N: E0 is that of the gel."""
+    for number, air in enumerate((0.4, 0.55, 0.7), start=1):
+        way = np.linspace(0.0, 2.0, 201)
+        pressed = np.clip(way - air, 0.0, None)
+        load = -ts.find_law("neo_hooke").nominal_stress(1 - pressed / 12.0, {"C10": 1500.0}) * np.pi * 0.01**2
+        noise = np.random.default_rng(number).normal(0.0, 2e-3, way.size)
+        text(tmp_path, f"gel_{number}.csv", "Time (s),Compression (mm),Load (N)\n"
+             + numbers(way / 0.2, way, load + 0.05 + noise))
+    paths = sorted(tmp_path.glob("gel_*.csv"))
+    imported = calibration.import_files(paths, tmp_path / "c.toml", wishes())
+    assert imported.text.count('offset = "contact"') == 2
+    for file, air in zip(to_json(imported)["files"], (0.4, 0.55, 0.7), strict=True):
+        low, high = file["contact_interval_mm"]
+        assert low < air < high and high - low < 0.04
+        assert [each["name"] for each in file["segments"]] == ["approach", "ramp"]
+    result, = calibration.calibrate([imported.output], tmp_path / "out", figures=False)
+    assert result.best.parameters["C10"] == pytest.approx(1500.0, rel=0.03)
+    # Counted as in the file it would be far too soft.
+    campaign = text(tmp_path, "as_they_are.toml", imported.text.replace(', offset = "contact"', ""))
+    result, = calibration.calibrate([campaign], tmp_path / "out_2", figures=False)
+    assert result.best.parameters["C10"] < 1200.0
+    assert main(["import", *map(str, paths)]) == 1
+    assert "touches at 0.4" in " ".join(capsys.readouterr().out.split())
+
+
+def test_a_contact_that_cannot_be_told_is_said(tmp_path):
+    noise = np.random.default_rng(0).normal(0.0, 1.0, 101)
+    path = text(tmp_path, "gel.csv", "Time (s),Compression (mm),Load (N)\n"
+                + numbers(np.arange(101.0), np.linspace(0, 3, 101), noise))
+    imported = calibration.import_files([path], wishes=wishes())
+    assert any("the force never leaves its zero" in warning for warning in imported.warnings)
+    columns = {"displacement": {"name": "Compression (mm)", "offset": "contact"}, "force": "Load (N)"}
+    with pytest.raises(ts.InputError, match="state the offset of the displacement as a number"):
+        ts.read_recording(path, columns=columns)
+
+
 # Every set of measurements that the project is checked against: folder, files, what only a person knows.
 TABLE = {"time": "A", "stretch": "B", "nominal stress": "C"}
 UNITS = {"time": "s", "nominal stress": "kPa"}

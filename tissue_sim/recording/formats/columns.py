@@ -18,6 +18,7 @@ from tissue_sim.recording.formats.containers import is_container, read_container
 from tissue_sim.recording.formats.header import DELIMITERS, DELIMITERS_OF_NUMBERS, text_tables
 from tissue_sim.recording.formats.table import Column, Row, Table, conversion, read_recording_table
 from tissue_sim.recording.formats.workbook import Sheet, is_workbook, read_sheet, read_sheets
+from tissue_sim.recording.formats.zeroing import CONTACT, START, zeroed
 from tissue_sim.recording.recording import CHANNELS, LABELS, MIN_POINTS, Recording
 from tissue_sim.units import loose_header, split_header
 
@@ -58,7 +59,8 @@ def read_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int
         columns: channel -> header, or a mapping with ``name`` or ``column`` (a number from 1, or a letter) and, where
             wanted, ``unit`` (in place of the one in the header's brackets or below it), ``sign`` (1 or -1), ``scale``
             (units in one of the file, SI where the unit is that of a signal) and ``offset`` (units, added last):
-            the value is (sign * scale * cell + offset) units. An ``offset = "start"`` counts from the first sample.
+            the value is (sign * scale * cell + offset) units. An offset ``"start"`` counts from the first sample,
+            ``"contact"`` (displacement and force) from there, see `tissue_sim.recording.formats.zeroing`.
         skip_lines: lines (rows) at the top of the file that are not looked at.
         delimiter: one character; a blank stands for any number of blanks. None: found. Text only.
         sheet: name or number (from 1) of a spreadsheet's sheet, or of a container's table, or a list of them, which
@@ -135,9 +137,8 @@ def _recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path, met
             found[-1] = _joined(found[-1], recording)
         else:
             found.append(recording)
-    from_start = [channel for channel, entry in wanted.items() if entry.get("offset") == "start"]
-    return [each.with_channels(**{channel: each.channel(channel) - each.channel(channel)[0]
-                                  for channel in from_start}) for each in found]
+    words = {channel: entry["offset"] for channel, entry in wanted.items() if isinstance(entry.get("offset"), str)}
+    return [zeroed(each, words, path) for each in found] if words else found
 
 
 def _goes_on(first: Recording, second: Recording) -> bool:
@@ -177,7 +178,8 @@ def _choose(wanted: Mapping[str, Mapping[str, Any]], places: Mapping[str, int], 
             raise InputError(f'column {cell!r}: {error.problem}; or give it as {{ {key} = {value}, unit = "..." }}',
                              file=path, line=header.line, field=field) from None
         sign = entry.get("sign", 1)
-        added = 0.0 if entry.get("offset", "start") == "start" else entry["offset"] * factor / entry.get("scale", 1.0)
+        stated = entry.get("offset", 0.0)
+        added = 0.0 if isinstance(stated, str) else stated * factor / entry.get("scale", 1.0)
         chosen.append(Column(channel, index, cell, sign * factor, sign * offset + added))
     return chosen
 
@@ -230,9 +232,9 @@ def check_columns(columns: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
             if key == "scale" and not (number and value > 0):
                 raise InputError(f"{value!r} is no positive number; the direction is said by sign",
                                  field=f"{field}.scale")
-            if key == "offset" and not number and value != "start":
-                raise InputError(f'{value!r} is no number; or give "start", which counts from the first sample',
-                                 field=f"{field}.offset")
+            if key == "offset" and not number and value not in (START, CONTACT):
+                raise InputError(f'{value!r} is no number; or give "{START}", which counts from the first sample, or '
+                                 f'"{CONTACT}", from where it touches', field=f"{field}.offset")
         if "column" in entry:
             if "name" in entry:
                 raise InputError("give either the name of the column or its place, not both", field=f"{field}.column")
