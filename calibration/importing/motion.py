@@ -67,7 +67,9 @@ def describe_motion(recording: Recording) -> Motion:
     segments = tuple(Segment(str(labels[first]), int(first), int(last))
                      for first, last in zip(edges, np.append(edges[1:], labels.size) - 1, strict=True))
     contact = None
-    if channel == "displacement" and "force" in recording and way.size >= _FEWEST:
+    # Force curves of an AFM come counted from their contact.
+    if channel == "displacement" and "force" in recording and way.size >= _FEWEST and \
+            "zeroing" not in recording.metadata:
         contact = find_contact(way, recording.force, time)
     rate = duration = speed = None
     if time is not None:

@@ -21,17 +21,17 @@ _MOST_ROWS = 40
 
 def print_imported(imported: Imported, console: Console) -> None:
     """A row for each recording, the columns of each test, then what is missing and what was written."""
-    files = text_table("file", "what", "test", "points", "Hz", "reaches", "cycles", "segments", text=3)
-    for column in (0, 1, 2, 7):
+    files = text_table("file", "what", "test", "points", "Hz", "reaches", "contact", "cycles", "segments", text=3)
+    for column in (0, 1, 2, 6, 8):
         files.columns[column].no_wrap, files.columns[column].overflow = False, "fold"
-    files.columns[7].justify = "left"
+    files.columns[8].justify = "left"
     rows = [(test.name, part, number, motion) for test in imported.tests for part in test.parts
             for number, motion in enumerate(part.motions, start=1)]
     for name, part, number, motion in rows[:_MOST_ROWS]:
         several = f" {number}" if len(part.motions) > 1 else ""
         files.add_row(part.file.name + several, _what(part), name, str(len(part.reading.recordings[number - 1])),
-                      "-" if motion.rate is None else f"{motion.rate:.3g}", _reach(part, motion), str(motion.cycles),
-                      ", ".join(_runs(motion)))
+                      "-" if motion.rate is None else f"{motion.rate:.3g}", _reach(part, motion), _contact(motion),
+                      str(motion.cycles), ", ".join(_runs(motion)))
     console.print(files)
     if len(rows) > _MOST_ROWS:
         print_sentence(console, f"and {len(rows) - _MOST_ROWS} more recordings")
@@ -81,6 +81,17 @@ def _reach(part: Part, motion: Motion) -> str:
         return f"{max(motion.reach, key=abs):.4g} ?"
     unit, factor = shown("m") if motion.channel == "displacement" else ("", 1.0)
     return f"{max(motion.reach, key=abs) * factor:.4g} {unit}".strip()
+
+
+def _contact(motion: Motion) -> str:
+    """Where it touched, in the file's own displacement, and the 95 % interval."""
+    contact = motion.contact
+    if contact is None or contact.status == "none":
+        return "-"
+    if not contact.found:
+        return "no air" if contact.status == "before" else "?"
+    low, high = (1e3 * end for end in contact.interval)
+    return f"{1e3 * contact.displacement:.3g} ({low:.3g} to {high:.3g}) mm"
 
 
 def _runs(motion: Motion) -> list[str]:
