@@ -12,7 +12,7 @@ from calibration.campaign.campaign import DEFAULT_OFFSET_PRIOR, load_campaign
 from calibration.campaign.measured import read_measured
 from calibration.importing.afm import is_afm, understand_afm
 from calibration.importing.campaign_text import campaign_text
-from calibration.importing.grouping import group
+from calibration.importing.grouping import group, same_motion
 from calibration.importing.imported import Imported, ImportedTest, Line, Part, Wishes
 from calibration.importing.motion import describe_motion
 from calibration.importing.picture import draw_imported
@@ -166,8 +166,11 @@ def _tests(groups, wishes: Wishes) -> tuple[tuple[ImportedTest, ...], dict[str, 
             lines, lacks = _specimen(reading, wishes, kind)
             missing += [what for what in lacks if what not in missing]
             values = [(line.key, line.value) for line in lines]
-            specimen = next((known for known, other in specimens.items()
-                             if [(line.key, line.value) for line in other] == values), None)
+            # The same test under another name was done on another specimen; another test may be done on this one.
+            others = {test.specimen for test in tests if test.kind == reading.kind.kind
+                      and same_motion(test.parts[0], parts[0])}
+            specimen = next((known for known, other in specimens.items() if known not in others
+                             and [(line.key, line.value) for line in other] == values), None)
             if specimen is None:
                 specimen = name if specimens else "specimen"
                 specimens[specimen] = lines

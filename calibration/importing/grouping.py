@@ -28,7 +28,7 @@ def group(parts: Sequence[Part]) -> list[tuple[str, tuple[Part, ...], str]]:
         key = (stem, reading.name, reading.kind.kind, repr(sorted(reading.options.items(), key=str)),
                tuple((column.channel, column.header, column.unit) for column in reading.columns))
         clusters = alike.setdefault(key, [])
-        cluster = next((each for each in clusters if _same_motion(each[0], part)), None)
+        cluster = next((each for each in clusters if same_motion(each[0], part)), None)
         if cluster is None:
             clusters.append([part])
         else:
@@ -57,7 +57,8 @@ def _numbered(files: Sequence[Path]) -> dict[Path, str]:
     return found
 
 
-def _same_motion(first: Part, second: Part) -> bool:
+def same_motion(first: Part, second: Part) -> bool:
+    """Whether two files move alike, within `REPLICATE_TOLERANCE`."""
     kind = KINDS[first.reading.kind.kind] if first.reading.kind.kind else None
     pairs = []
     a, b = first.motions[0], second.motions[0]

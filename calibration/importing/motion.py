@@ -14,6 +14,7 @@ from tissue_sim.recording.segmentation import count_cycles, label_motion
 MOTIONS = {"displacement": 0.0, "stretch": 1.0, "shear strain": 0.0}
 #: A first force of more than this share of the range is no zero of the sensor.
 _PRELOAD = 0.05
+_AT_ONCE = 0.01
 #: Samples from which a contact can be looked for.
 _FEWEST = 12
 
@@ -82,9 +83,15 @@ def describe_motion(recording: Recording) -> Motion:
                   contact, warnings=_warnings(recording, turned, contact))
 
 
+def touches_at_once(contact: Contact, way: np.ndarray) -> bool:
+    """Whether there is no air, or none that matters: it ends within a hundredth of the way."""
+    return contact.status == "before" or (contact.status == "unclear"
+                                          and contact.interval[1] - way[0] <= _AT_ONCE * np.ptp(way))
+
+
 def _warnings(recording: Recording, way: np.ndarray, contact: Contact | None) -> tuple[str, ...]:
     found = []
-    if contact is not None and contact.status in ("none", "unclear"):
+    if contact is not None and (contact.status == "none" or not (contact.found or touches_at_once(contact, way))):
         found.append(contact.sentence)
     if "force" in recording and not (contact is not None and contact.found):
         first, spread = abs(recording.force[0]), np.ptp(recording.force)

@@ -111,7 +111,7 @@ def read_recording_table(header: Row, rows: Sequence[Row], columns: Sequence[Col
         raise InputError(f"{_count(len(rows), 'point')} in the table on line {header.line}, expected at least "
                          f"{MIN_POINTS}", file=file)
     numeric = [column for column in columns if column.channel not in LABELS]
-    decimal_comma = delimiter != "," and _decimal_comma(rows, numeric, file)
+    decimal_comma = (delimiter != "," or _quoted_commas(rows, numeric)) and _decimal_comma(rows, numeric, file)
     values = _numbers(rows, numeric, decimal_comma, file)
     channels = {column.channel: values[:, i] * column.factor + column.offset for i, column in enumerate(numeric)}
     if "time" in channels:
@@ -144,6 +144,15 @@ def _decimal_comma(rows, columns, file) -> bool:
             raise InputError(f"{later!r} after {earlier!r} mixes decimal points and decimal commas, expected one of "
                              "them", file=file, line=line)
     return "," in first
+
+
+def _quoted_commas(rows, columns) -> bool:
+    """Whether cells between commas hold decimal commas, in quotation marks: no cell in use has a point, and some comma
+    cannot part thousands."""
+    cells = [row.cells[column.index] for row in rows for column in columns]
+    commas = [cell for cell in cells if "," in cell]
+    return bool(commas) and not any("." in cell for cell in cells) and any(
+        len(cell.lstrip("+-").partition(",")[2]) != 3 for cell in commas)
 
 
 def _number(cell: str, decimal_comma: bool) -> float:
