@@ -270,7 +270,8 @@ def _orthogonal(columns: list[np.ndarray], data: np.ndarray) -> tuple[np.ndarray
     Source: Bjorck, BIT 7 (1967) 1, modified Gram-Schmidt.
     """
     m, rest = columns[0].shape[0], np.broadcast_to(data, columns[0].shape)
-    triangle, right, directions = np.zeros((m, len(columns), len(columns))), np.zeros((m, len(columns))), list[np.ndarray]()
+    triangle, right = np.zeros((m, len(columns), len(columns))), np.zeros((m, len(columns)))
+    directions: list[np.ndarray] = []
     for k, column in enumerate(columns):
         for j, direction in enumerate(directions):
             triangle[:, j, k] = np.einsum("mn,mn->m", direction, column)

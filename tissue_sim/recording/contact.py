@@ -72,22 +72,23 @@ class Contact:
         """Whether there is air, and contact after it."""
         return self.status == "found"
 
-    @property
-    def sentence(self) -> str:
-        """What is known, in mm and N."""
-        low, high = (1e3 * end for end in self.interval)
+    def in_words(self, *, stressed: bool = False) -> str:
+        """What is known, in mm and N; in strain and kPa where the recording is of stress."""
+        scale, unit, load, of = (1.0, "", 1e-3, "kPa") if stressed else (1e3, " mm", 1.0, "N")
+        low, high = (scale * end for end in self.interval)
         if self.status == "none":
             return "no contact: the force never leaves its zero by more than its noise"
         if self.status == "before":
-            return (f"no air: the force rises from the first motion on, so contact was with the first sample or before "
-                    f"it (at {high:.4g} mm at the latest)")
-        stands = (f"it stands on {self.air} samples before and {self.loading} after, noise {self.noise:.2g} N, force "
-                  f"zero {self.force_zero:.4g} N")
+            return ("no air: the force rises with the first motion, so contact was with the first sample or before it "
+                    f"(at {high:.4g}{unit} at the latest)")
+        stands = (f"it stands on {self.air} samples before and {self.loading} after, noise {load * self.noise:.2g} "
+                  f"{of}, zero {load * self.force_zero:.4g} {of}")
         if self.status == "unclear":
-            return f"contact cannot be told: anywhere up to {high:.4g} mm; {stands}" if np.isneginf(low) else \
-                f"contact cannot be told: anywhere from {low:.4g} to {high:.4g} mm; {stands}"
+            reach = f"up to {high:.4g}{unit}" if np.isneginf(low) else f"from {low:.4g} to {high:.4g}{unit}"
+            return f"contact cannot be told, it may be anywhere {reach}; {stands}"
         doubt = "" if self.adequate else "; the rise after it is not smooth (adhesion?), so the interval may be short"
-        return (f"contact at {1e3 * self.displacement:.4g} mm (95 %: {low:.4g} to {high:.4g} mm); {stands}{doubt}")
+        return (f"contact at {scale * self.displacement:.4g}{unit} (95 %: {low:.4g} to {high:.4g}{unit}); "
+                f"{stands}{doubt}")
 
 
 def find_contact(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None = None, *,
