@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -238,12 +239,32 @@ def _keys(parts: Sequence[Part], wishes: Wishes) -> tuple[list[Line], list[str]]
     if kind is not None and kind.face.stated and "friction" not in test:
         lines.append(Line("friction", None, "coefficient of friction of both plates, or \"stick\"; --friction"))
         missing.append("the friction of the plates (--friction)")
+    if "max_strain" not in test and (window := _window(parts, wishes)) is not None:
+        lines.append(window)
     if "speed_mm_s" not in test and all(motion.rate is None for part in parts for motion in part.motions):
         speed = find_sizes(reading.stated, None).get("speed_mm_s")
         if speed is not None and any(column.channel == "displacement" for column in reading.columns):
             lines.append(Line("speed_mm_s", speed.value, f"no clock; {speed.reason}"))
     lines += [Line(key, value, "stated") for key, value in test.items()]
     return lines, missing
+
+
+def _window(parts: Sequence[Part], wishes: Wishes) -> Line | None:
+    """The strain of the first specimen that failed, and before which all are fitted."""
+    strains: list[tuple[float, str]] = []
+    for part in parts:
+        height = _sizes(part.reading, wishes).get("height_mm")
+        for motion in part.motions:
+            if motion.failure is None or motion.failure.recovered or (motion.channel == "displacement" and not height):
+                continue
+            length = 1e-3 * height.value if height is not None and motion.channel == "displacement" else 1.0
+            said = motion.failure.in_words(stressed=motion.channel != "displacement")
+            strains.append((motion.failure.displacement / length, f"{part.file.name}: {said}; fitted up to there"))
+    if not strains:
+        return None
+    strain, reason = min(strains)
+    # Downwards, so that the first sample after it stays out.
+    return Line("max_strain", math.floor(1e4 * strain) / 1e4, reason)
 
 
 def _flag_name(channel: str) -> str:

@@ -136,7 +136,7 @@ def _file(understanding: Understanding, imported: Imported) -> dict[str, Any]:
 
 def _recording(motion: Motion, name: str, points: int) -> dict[str, Any]:
     contact = motion.contact
-    in_mm = 1e3 if motion.channel == "displacement" else 1.0
+    channel, in_mm = ("displacement_mm", 1e3) if motion.channel == "displacement" else ("strain", 1.0)
     return {"name": name, "points": points, "rate_Hz": motion.rate, "duration_s": motion.duration,
             "contact_mm": contact.displacement * 1e3 if contact is not None and contact.found else None,
             "contact_interval_mm": None if contact is None or contact.status == "none"
@@ -144,4 +144,6 @@ def _recording(motion: Motion, name: str, points: int) -> dict[str, Any]:
             "contact": None if contact is None else contact.status,
             "segments": [{"name": each.name, "first": each.first, "last": each.last} for each in motion.segments],
             "cycles": motion.cycles,
-            "failure": None if motion.failure is None else motion.failure * in_mm}
+            "failure": None if motion.failure is None else {
+                "mode": motion.failure.mode, f"at_{channel}": motion.failure.displacement * in_mm,
+                "lost": motion.failure.lost, "recovered": motion.failure.recovered}}

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissue_sim.recording.contact import Contact, find_contact
+from tissue_sim.recording.failure import Failure, find_failure
 from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.segmentation import count_cycles, label_motion
 
@@ -37,7 +38,7 @@ class Motion:
         rate: samples a second, None without time. duration: s, or None. speed: of the first loading, SI, or None.
         segments: in order. cycles: loadings that begin after an unloading, and the first.
         contact: where it touched, in the displacement of the file, m, and with which interval; None: not looked for.
-        failure: motion at which the specimen failed, SI; None: it did not.
+        failure: of the specimen; None: it is intact.
         warnings: sentences.
     """
 
@@ -49,7 +50,7 @@ class Motion:
     segments: tuple[Segment, ...]
     cycles: int
     contact: Contact | None = None
-    failure: float | None = None
+    failure: Failure | None = None
     warnings: tuple[str, ...] = ()
 
 
@@ -79,8 +80,10 @@ def describe_motion(recording: Recording) -> Motion:
         rate = float(1.0 / np.median(steps[steps > 0]))
         peak = int(np.argmax(turned))
         speed = abs(float((turned[peak] - turned[0]) / (time[peak] - time[0]))) if time[peak] > time[0] else None
+    load = recording.force if "force" in recording else recording.channel("nominal stress")
+    failure = find_failure(turned, load if turned is way else -load, time)
     return Motion(channel, (float(way.max()), float(way.min())), rate, duration, speed, segments, int(cycles[-1]),
-                  contact, warnings=_warnings(recording, turned, contact))
+                  contact, failure, _warnings(recording, turned, contact, failure))
 
 
 def touches_at_once(contact: Contact, way: np.ndarray) -> bool:
@@ -89,10 +92,11 @@ def touches_at_once(contact: Contact, way: np.ndarray) -> bool:
                                           and contact.interval[1] - way[0] <= _AT_ONCE * np.ptp(way))
 
 
-def _warnings(recording: Recording, way: np.ndarray, contact: Contact | None) -> tuple[str, ...]:
-    found = []
+def _warnings(recording: Recording, way: np.ndarray, contact: Contact | None,
+              failure: Failure | None) -> tuple[str, ...]:
+    found = [] if failure is None else [failure.in_words(stressed="displacement" not in recording)]
     if contact is not None and (contact.status == "none" or not (contact.found or touches_at_once(contact, way))):
-        found.append(contact.sentence)
+        found.append(contact.in_words())
     if "force" in recording and not (contact is not None and contact.found):
         first, spread = abs(recording.force[0]), np.ptp(recording.force)
         if spread > 0 and first > _PRELOAD * spread:

@@ -43,6 +43,10 @@ def _draw(left, right, test: ImportedTest) -> None:
             clock = recording.time[every] if motion.rate is not None else np.arange(len(recording))[every]
             left.plot(clock, way, **style)
             right.plot(way, value, **style, label=name if number < _MOST_NAMES else None)
+            if motion.failure is not None:
+                at = motion.failure.index
+                right.plot(*(_values(recording, channel, raw)[at] for channel in (motion.channel, load)), "x",
+                           color="k", ms=7, label="failure" if number == 0 else None)
             if number == 0:
                 _label(left, right, motion.channel, load, raw, timed=motion.rate is not None)
                 _shade(left, recording, motion)
@@ -50,7 +54,7 @@ def _draw(left, right, test: ImportedTest) -> None:
     kind = test.kind.replace("_", " ") if test.kind else "kind not known"
     left.set_title(f"{test.name}: {kind}", loc="left", fontsize=10)
     more = f"and {number - _MOST_NAMES} more" if number > _MOST_NAMES else None
-    if number > 1:
+    if number > 1 or any(motion.failure for part in test.parts for motion in part.motions):
         right.legend(fontsize=7, title=more, title_fontsize=7)
 
 

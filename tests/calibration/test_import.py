@@ -304,6 +304,22 @@ def test_air_before_the_contact_is_found_and_left_out(tmp_path, capsys):
     assert "touches at" in said and "0.4 (0.39" in said
 
 
+def test_a_rupture_ends_what_is_fitted(tmp_path):
+    """A neo-Hookean strip of 1.2 kPa that ruptures at a strain of 0.8."""
+    strain = np.linspace(0.0, 1.0, 201)
+    stress = ts.find_law("neo_hooke").nominal_stress(1 + strain, {"C10": 200.0}) / 1e3
+    stress = np.where(strain <= 0.8, stress, 0.03 * stress) + np.random.default_rng(0).normal(0, 1e-3, strain.size)
+    path = text(tmp_path, "strip.csv", "Time (s),Stretch,Nominal stress (kPa)\n"
+                + numbers(10 * strain, 1 + strain, stress))
+    imported = calibration.import_files([path], tmp_path / "c.toml", calibration.Wishes(laws=("neo_hooke",)))
+    file, = to_json(imported)["files"]
+    assert file["failure"]["mode"] == "rupture" and file["failure"]["at_strain"] == pytest.approx(0.8, abs=0.006)
+    campaign = calibration.load_campaign(imported.output)
+    assert campaign.tests[0].max_strain == pytest.approx(0.8, abs=0.006) and "ruptures" in imported.warnings[0]
+    result, = calibration.calibrate([imported.output], tmp_path / "out", figures=False)
+    assert result.best.parameters["C10"] == pytest.approx(200.0, rel=0.01)
+
+
 def test_a_contact_that_cannot_be_told_is_said(tmp_path):
     noise = np.random.default_rng(0).normal(0.0, 1.0, 101)
     path = text(tmp_path, "gel.csv", "Time (s),Compression (mm),Load (N)\n"

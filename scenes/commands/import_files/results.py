@@ -89,7 +89,7 @@ def _contact(motion: Motion) -> str:
     if contact is None or contact.status == "none":
         return "-"
     if not contact.found:
-        return "?" if any(contact.sentence == warning for warning in motion.warnings) else "no air"
+        return "?" if any(contact.in_words() == warning for warning in motion.warnings) else "no air"
     low, high = (1e3 * end for end in contact.interval)
     return f"{1e3 * contact.displacement:.3g} ({low:.3g} to {high:.3g}) mm"
 

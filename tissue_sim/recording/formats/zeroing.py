@@ -43,7 +43,7 @@ def zeroed(recording: Recording, offsets: dict[str, str], file: Path) -> Recordi
         return recording.with_channels(**{**channels, **({"displacement": way - way[0]}
                                                          if "displacement" in by_contact else {})})
     if not contact.found:
-        raise InputError(f"{contact.sentence}; state the offset of the displacement as a number", file=file,
+        raise InputError(f"{contact.in_words()}; state the offset of the displacement as a number", file=file,
                          field="columns.displacement.offset")
     clock = np.arange(way.size, dtype=float) if time is None else time
     if "displacement" in by_contact:
