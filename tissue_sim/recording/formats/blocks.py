@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from tissue_sim.recording.formats.header import find_header, find_numbers, matches
+from tissue_sim.recording.formats.header import find_header, find_numbers, matches, places_of
 from tissue_sim.recording.formats.table import Row, Table, is_number
 from tissue_sim.units import known_unit
 
@@ -56,7 +56,7 @@ def named_blocks(tables: Iterable[Table], names: Sequence[str], *, also: Sequenc
     for number, head in enumerate(headers):
         end = headers[number + 1].line if number + 1 < len(headers) else None
         rows = [row for row in below if row.line > head.line and (end is None or row.line < end)]
-        for places in zip(*(matches(head.cells, name) for name in names), strict=True):
+        for places in zip(*places_of(head, names, file=file), strict=True):
             wanted = (*places, *also)
             units, data = _below_header(rows, wanted)
             blocks.append(Block(head, units, tuple(data), wanted, below=number > 0))

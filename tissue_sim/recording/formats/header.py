@@ -39,11 +39,7 @@ def find_header(tables: Iterable[Table], names: Sequence[str], *, file: Path) ->
             row = Row(row.line, (row.cells[0].lstrip("# "), *row.cells[1:]))
             found = [matches(row.cells, name) for name in names]
             if all(found):
-                for name, places in zip(names, found, strict=True):
-                    # As many of each are replicates beside each other.
-                    if len(places) != min(map(len, found)):
-                        raise InputError(f"column {name!r} appears twice; remove or rename one, or give its number as "
-                                         "column", file=file, line=row.line)
+                places_of(row, names, file=file)
                 return table, Row(row.line, without_empty_end(row.cells)), _data(table.rows[i + 1:])
             # The row that comes closest is the one to talk about: most matches, then a header right above numbers.
             above_numbers = (i + 1 < len(table.rows) and _looks_like_data(table.rows[i + 1])
@@ -67,6 +63,20 @@ def find_numbers(tables: Iterable[Table], places: Sequence[int], *, file: Path) 
     wanted = ", ".join(str(place + 1) for place in places)
     raise InputError(f"no row has a number in each of the columns {wanted}; check the numbers of the columns",
                      file=file)
+
+
+def places_of(row: Row, names: Sequence[str], *, file: Path) -> list[list[int]]:
+    """Places of each name in a row that has them all, as many of each: those of replicates beside each other.
+
+    Raises:
+        InputError: one of them stands there more often than another.
+    """
+    found = [matches(row.cells, name) for name in names]
+    for name, places in zip(names, found, strict=True):
+        if len(places) != min(map(len, found)):
+            raise InputError(f"column {name!r} appears twice; remove or rename one, or give its number as column",
+                             file=file, line=row.line)
+    return found
 
 
 def matches(cells: Sequence[str], name: str) -> list[int]:
