@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -57,6 +57,8 @@ class Test:
         place: where it stands in the campaign file, such as ``test[0]``.
         experiment: everything but the motion, which is a short one here; None of a gripped specimen.
         rig: what stands between the tissue and the recordings; without noise and resolution.
+        contact: displacement at which it touches, m; ``"recorded"``: the recording's own zero; ``"find"``: found.
+        failure: what becomes of a recording from its failure on: ``"cut"``, ``"keep"`` or ``"refuse"``.
     """
 
     name: str
@@ -69,6 +71,8 @@ class Test:
     place: str = "test"
     experiment: Experiment | None = None
     rig: Rig = field(default_factory=Rig)
+    contact: float | Literal["recorded", "find"] = "recorded"
+    failure: Literal["cut", "keep", "refuse"] = "cut"
 
 
 def _read_only(values: Mapping | None = None) -> Mapping:
@@ -254,7 +258,8 @@ def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path
         tests[name] = Test(
             name, kind, specimen, find_recordings(entry.recordings, folder, f"{field}.recordings"),
             _reading(entry, columns), entry.max_strain, entry.hold_out, field,
-            read_experiment(entry, specimen, folder, field), read_rig(entry, folder, field))
+            read_experiment(entry, specimen, folder, field), read_rig(entry, folder, field),
+            entry.contact if isinstance(entry.contact, str) else 1e-3 * entry.contact, entry.failure)
     if all(test.hold_out for test in tests.values()):
         raise InputError("every test is held out, so there is nothing to fit; set hold_out = false on one",
                          field="test[0].hold_out")

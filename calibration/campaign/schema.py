@@ -66,6 +66,8 @@ class TestTable(_Table, frozen=True, kw_only=True):
     protocol: str | None = None
     max_strain: float | None = None
     hold_out: bool = False
+    contact: Literal["recorded", "find"] | float = "recorded"
+    failure: Literal["cut", "keep", "refuse"] = "cut"
     rig: str | None = None
 
     @property

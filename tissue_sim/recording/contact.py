@@ -72,6 +72,18 @@ class Contact:
         """Whether there is air, and contact after it."""
         return self.status == "found"
 
+    @property
+    def sentence(self) -> str:
+        """`in_words`, in mm and N."""
+        return self.in_words()
+
+    def counted_from(self, displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None = None
+                     ) -> tuple[np.ndarray, np.ndarray]:
+        """The displacement from contact on, m, and the force less zero and drift, N, of the recording it was found
+        in, shapes (n,)."""
+        clock = np.arange(force.size, dtype=float) if time is None else time
+        return displacement - self.displacement, force - self.force_zero - self.drift * (clock - clock[0])
+
     def in_words(self, *, stressed: bool = False) -> str:
         """What is known, in mm and N; in strain and kPa where the recording is of stress."""
         scale, unit, load, of = (1.0, "", 1e-3, "kPa") if stressed else (1e3, " mm", 1.0, "N")

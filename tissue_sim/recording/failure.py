@@ -42,6 +42,11 @@ class Failure:
     lost: float
     recovered: bool
 
+    @property
+    def sentence(self) -> str:
+        """`in_words`, in mm and N."""
+        return self.in_words()
+
     def in_words(self, *, stressed: bool = False) -> str:
         """What happened, in mm and N; in strain and kPa where the recording is of stress."""
         words = {"rupture": "the specimen ruptures", "drop": "the force drops (a tear, a slip or a puncture)",
