@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -22,9 +21,9 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.experiment.tools.tool import shapes_without_file
 from tissue_sim.frozen_mapping import read_only
-from tissue_sim.recording.formats.guesses import Reading, Understanding
+from tissue_sim.recording.formats.guesses import Understanding
 from tissue_sim.recording.formats.sizes import Size, find_sizes
-from tissue_sim.recording.formats.understanding import reread, understand
+from tissue_sim.recording.formats.understanding import understand
 
 _LAWS = {"analytical": ("neo_hooke", "mooney_rivlin", "reduced_polynomial_2", "ogden_1"),
          "inverse_fem": ("neo_hooke", "reduced_polynomial_2")}
@@ -55,7 +54,9 @@ def import_files(files: Iterable[str | Path], output: str | Path | None = None, 
     output = None if output is None else Path(output)
     _check(paths, output, overwrite)
     understood = _understand(paths, wishes)
-    parts = [_part(each, reading) for each in understood for reading in each.readings]
+    parts = [Part(each, reading, tuple(describe_motion(recording, reading.kind.kind)
+                                       for recording in reading.recordings))
+             for each in understood for reading in each.readings]
     tests, specimens, missing = _tests(group(parts), wishes)
     fit = _fit(tests, wishes)
     folder = Path() if output is None else output.parent
@@ -70,27 +71,6 @@ def import_files(files: Iterable[str | Path], output: str | Path | None = None, 
     write_text(output, text)
     write_bytes(picture, drawn)
     return replace(imported, output=output, picture=picture)
-
-
-def _part(understanding: Understanding, reading: Reading) -> Part:
-    """The tables with their motions; those with air before the contact are counted from there."""
-    motions = tuple(map(describe_motion, reading.recordings))
-    contacts = [motion.contact for motion in motions]
-    air = [contact for contact in contacts if contact is not None and contact.found]
-    if not air or not reading.columns or reading.missing or any(
-            contact is None or contact.status not in ("found", "before") for contact in contacts):
-        return Part(understanding, reading, motions)
-    low, high = (1e3 * end for end in air[0].interval)
-    reasons = {"displacement": f"touches at {1e3 * air[0].displacement:.4g} mm of the file (95 %: {low:.4g} to "
-                               f"{high:.4g}){' and so on' if len(air) > 1 else ''}, so counted from the contact",
-               "force": f"{air[0].force_zero:.3g} N in air, which is taken off"}
-    columns = tuple(replace(column, offset="contact", reason=f"{column.reason}; {reasons[column.channel]}")
-                    if column.channel in reasons and not isinstance(column.offset, float) else column
-                    for column in reading.columns)
-    counted = reread(understanding.file, replace(reading, columns=columns))
-    again = tuple(replace(describe_motion(recording), contact=contact, warnings=motion.warnings)
-                  for recording, contact, motion in zip(counted.recordings, contacts, motions, strict=True))
-    return Part(understanding, counted, again)
 
 
 def _check(paths: Sequence[Path], output: Path | None, overwrite: bool) -> None:
@@ -239,8 +219,7 @@ def _keys(parts: Sequence[Part], wishes: Wishes) -> tuple[list[Line], list[str]]
     if kind is not None and kind.face.stated and "friction" not in test:
         lines.append(Line("friction", None, "coefficient of friction of both plates, or \"stick\"; --friction"))
         missing.append("the friction of the plates (--friction)")
-    if "max_strain" not in test and (window := _window(parts, wishes)) is not None:
-        lines.append(window)
+    lines += _found(parts)
     if "speed_mm_s" not in test and all(motion.rate is None for part in parts for motion in part.motions):
         speed = find_sizes(reading.stated, None).get("speed_mm_s")
         if speed is not None and any(column.channel == "displacement" for column in reading.columns):
@@ -249,22 +228,20 @@ def _keys(parts: Sequence[Part], wishes: Wishes) -> tuple[list[Line], list[str]]
     return lines, missing
 
 
-def _window(parts: Sequence[Part], wishes: Wishes) -> Line | None:
-    """The strain of the first specimen that failed, and before which all are fitted."""
-    strains: list[tuple[float, str]] = []
-    for part in parts:
-        height = _sizes(part.reading, wishes).get("height_mm")
-        for motion in part.motions:
-            if motion.failure is None or motion.failure.recovered or (motion.channel == "displacement" and not height):
-                continue
-            length = 1e-3 * height.value if height is not None and motion.channel == "displacement" else 1.0
-            said = motion.failure.in_words(stressed=motion.channel != "displacement")
-            strains.append((motion.failure.displacement / length, f"{part.file.name}: {said}; fitted up to there"))
-    if not strains:
-        return None
-    strain, reason = min(strains)
-    # Downwards, so that the first sample after it stays out.
-    return Line("max_strain", math.floor(1e4 * strain) / 1e4, reason)
+def _found(parts: Sequence[Part]) -> list[Line]:
+    """What becomes of air before the contact, and of what comes after a failure."""
+    lines = []
+    motions = [(part.file.name, motion) for part in parts for motion in part.motions]
+    air = [(name, motion.contact) for name, motion in motions if motion.air and motion.contact is not None]
+    zeroed = any("zeroing" in recording.metadata for part in parts for recording in part.reading.recordings)
+    if air and not zeroed and all(motion.air is not None for _, motion in motions):
+        name, contact = air[0]
+        lines.append(Line("contact", "find", f"{name}: {contact.in_words(stressed=motions[0][1].found.stressed)}"))
+    failed = next(((name, motion) for name, motion in motions if motion.failure is not None), None)
+    if failed is not None and failed[1].failure is not None:
+        said = failed[1].failure.in_words(stressed=failed[1].found.stressed)
+        lines.append(Line("failure", "cut", f"{failed[0]}: {said}; fitted up to there"))
+    return lines
 
 
 def _flag_name(channel: str) -> str:

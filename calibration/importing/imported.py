@@ -138,8 +138,8 @@ def _recording(motion: Motion, name: str, points: int) -> dict[str, Any]:
     contact = motion.contact
     channel, in_mm = ("displacement_mm", 1e3) if motion.channel == "displacement" else ("strain", 1.0)
     return {"name": name, "points": points, "rate_Hz": motion.rate, "duration_s": motion.duration,
-            "contact_mm": contact.displacement * 1e3 if contact is not None and contact.found else None,
-            "contact_interval_mm": None if contact is None or contact.status == "none"
+            "contact_mm": contact.displacement * 1e3 if in_mm > 1 and contact is not None and contact.found else None,
+            "contact_interval_mm": None if in_mm == 1 or contact is None or contact.status == "none"
             else [end * 1e3 if math.isfinite(end) else None for end in contact.interval],
             "contact": None if contact is None else contact.status,
             "segments": [{"name": each.name, "first": each.first, "last": each.last} for each in motion.segments],

@@ -88,10 +88,11 @@ def _contact(motion: Motion) -> str:
     contact = motion.contact
     if contact is None or contact.status == "none":
         return "-"
-    if not contact.found:
-        return "?" if any(contact.in_words() == warning for warning in motion.warnings) else "no air"
-    low, high = (1e3 * end for end in contact.interval)
-    return f"{1e3 * contact.displacement:.3g} ({low:.3g} to {high:.3g}) mm"
+    if not motion.air:
+        return "?" if motion.air is None else "no air"
+    factor, unit = (1e3, " mm") if motion.channel == "displacement" else (1.0, "")
+    low, high = (factor * end for end in contact.interval)
+    return f"{factor * contact.displacement:.3g} ({low:.3g} to {high:.3g}){unit}"
 
 
 def _runs(motion: Motion) -> list[str]:

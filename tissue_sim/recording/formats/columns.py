@@ -18,7 +18,6 @@ from tissue_sim.recording.formats.containers import is_container, read_container
 from tissue_sim.recording.formats.header import DELIMITERS, DELIMITERS_OF_NUMBERS, text_tables
 from tissue_sim.recording.formats.table import Column, Row, Table, conversion, read_recording_table
 from tissue_sim.recording.formats.workbook import Sheet, is_workbook, read_sheet, read_sheets
-from tissue_sim.recording.formats.zeroing import CONTACT, START, zeroed
 from tissue_sim.recording.recording import CHANNELS, LABELS, MIN_POINTS, Recording
 from tissue_sim.units import loose_header, split_header
 
@@ -59,8 +58,7 @@ def read_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int
         columns: channel -> header, or a mapping with ``name`` or ``column`` (a number from 1, or a letter) and, where
             wanted, ``unit`` (in place of the one in the header's brackets or below it), ``sign`` (1 or -1), ``scale``
             (units in one of the file, SI where the unit is that of a signal) and ``offset`` (units, added last):
-            the value is (sign * scale * cell + offset) units. An offset ``"start"`` counts from the first sample,
-            ``"contact"`` (displacement and force) from there, see `tissue_sim.recording.formats.zeroing`.
+            the value is (sign * scale * cell + offset) units. An offset ``"start"`` counts from the first sample.
         skip_lines: lines (rows) at the top of the file that are not looked at.
         delimiter: one character; a blank stands for any number of blanks. None: found. Text only.
         sheet: name or number (from 1) of a spreadsheet's sheet, or of a container's table, or a list of them, which
@@ -137,8 +135,9 @@ def _recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path, met
             found[-1] = _joined(found[-1], recording)
         else:
             found.append(recording)
-    words = {channel: entry["offset"] for channel, entry in wanted.items() if isinstance(entry.get("offset"), str)}
-    return [zeroed(each, words, path) for each in found] if words else found
+    from_start = [channel for channel, entry in wanted.items() if entry.get("offset") == "start"]
+    return [each.with_channels(**{channel: each.channel(channel) - each.channel(channel)[0]
+                                  for channel in from_start}) for each in found]
 
 
 def _goes_on(first: Recording, second: Recording) -> bool:
@@ -232,9 +231,9 @@ def check_columns(columns: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
             if key == "scale" and not (number and value > 0):
                 raise InputError(f"{value!r} is no positive number; the direction is said by sign",
                                  field=f"{field}.scale")
-            if key == "offset" and not number and value not in (START, CONTACT):
-                raise InputError(f'{value!r} is no number; or give "{START}", which counts from the first sample, or '
-                                 f'"{CONTACT}", from where it touches', field=f"{field}.offset")
+            if key == "offset" and not number and value != "start":
+                raise InputError(f'{value!r} is no number; or give "start", which counts from the first sample',
+                                 field=f"{field}.offset")
         if "column" in entry:
             if "name" in entry:
                 raise InputError("give either the name of the column or its place, not both", field=f"{field}.column")

@@ -119,16 +119,6 @@ def _readable(path: Path, columns: tuple[ColumnGuess, ...], options: Mapping[str
     return columns, recordings, remarks
 
 
-def reread(path: Path, reading: Reading) -> Reading:
-    """The reading with its columns as they are now.
-
-    Raises:
-        InputError: columns that do not fit the file.
-    """
-    options = {**reading.options, "columns": {column.channel: column.entry() for column in reading.columns}}
-    return replace(reading, options=read_only(options), recordings=_read(path, reading.columns, options))
-
-
 def _read(path: Path, columns: Sequence[ColumnGuess], options: Mapping[str, Any]) -> tuple[Recording, ...]:
     entries = {}
     for column in columns:
