@@ -249,7 +249,7 @@ def test_mutated_exports_are_understood_or_refused_in_one_sentence(tmp_path, mon
                         lambda seed, hold=False, points=8, _curve=machine_exports.curve: _curve(seed, hold, points))
     export, chance = EXPORTS[name](), random.Random(name)
     path = tmp_path / export.name
-    for number in range(40):
+    for number in range(25):
         path.write_bytes(mutated(export.content, chance))
         try:
             imported = calibration.import_files([path], wishes=wishes())
@@ -331,8 +331,8 @@ def test_a_contact_that_cannot_be_told_is_said(tmp_path):
 TABLE = {"time": "A", "stretch": "B", "nominal stress": "C"}
 UNITS = {"time": "s", "nominal stress": "kPa"}
 SETS = {
-    # Of the ten recordings of this mixture two of each sample, of the others one.
-    "ecoflex EF10_0T": ("ecoflex_compression", "EF10_0T_?[15].csv", {}),
+    # Of this mixture one recording of each sample, of the others one.
+    "ecoflex EF10_0T": ("ecoflex_compression", "EF10_0T_?1.csv", {}),
     **{f"ecoflex {name}": ("ecoflex_compression", f"{name}_B1.csv", {}) for name in (
         "EF10_50T", "EF10_100T", "EF30_0T", "EF50_0T")},
     **{f"soro {name}": ("soro_tensile", f"{name}.csv", {}) for name in (
@@ -353,14 +353,16 @@ SETS = {
 
 
 @pytest.mark.parametrize("name", SETS)
-def test_every_measured_set_goes_from_raw_files_to_a_report(data_folder, tmp_path, name):
+def test_every_measured_set_goes_from_raw_files_to_a_report(data_folder, tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
     folder, pattern, stated = SETS[name]
-    files = sorted((data_folder / folder).glob(pattern))
+    files = sorted((data_folder.resolve() / folder).glob(pattern))
     assert files
-    imported = calibration.import_files(files, tmp_path / "set.toml", calibration.Wishes(
-        Stated(**stated), laws=("neo_hooke",)))
+    # Without the picture, which takes as long as all the rest.
+    imported = calibration.import_files(files, wishes=calibration.Wishes(Stated(**stated), laws=("neo_hooke",)))
     assert imported.complete, (imported.missing, imported.problem)
-    result, = calibration.calibrate([imported.output], tmp_path / "report", figures=False)
+    text(tmp_path, "set.toml", imported.text)
+    result, = calibration.calibrate(["set.toml"], tmp_path / "report", figures=False)
     assert (tmp_path / "report" / "report.html").is_file()
     assert result.best.parameters["C10"] > 0
     assert sum(len(part.motions) for test in imported.tests for part in test.parts) == len(files) + 3 * (
