@@ -34,6 +34,8 @@ _DRIFT, _DRIFT_RISE = 0.2, 5.0
 _FEWEST, _FEWEST_AIR, _FEWEST_ALL = 30, 4, 12
 #: Nothing was touched where chance makes such a rise with this probability.
 _NO_FORCE = 1e-4
+#: The force rises at once where it does so by this many deviations of the noise within the first moves.
+_AT_ONCE = 20.0
 #: Contact that is known no better than to this share of the way is not known.
 _UNKNOWN = 0.3
 
@@ -127,6 +129,8 @@ def find_contact(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
     if displacement.size < _FEWEST_ALL:
         raise InputError(f"{displacement.size} samples; contact needs at least {_FEWEST_ALL}", field="force")
     way = _WayIn.of(time, displacement, force)
+    if (latest := way.rises_at_once()) is not None:
+        return Contact("before", way.start, (-np.inf, latest), way.zero, noise=way.noise, step=way.step)
     part, terms, chance = way.whole, _TERMS, 0.0
     parts = way.parts()
     judged = None
@@ -230,6 +234,13 @@ class _WayIn:
         start = displacement[ramps[0] if ramps.size and ramps[0] < end else 0]
         whole = Part(time[:end], displacement[:end], force[:end], rounding, float(np.median(moved)), float(start))
         return cls(whole, smooth[:end], zero, noise)
+
+    def rises_at_once(self) -> float | None:
+        """Displacement where the force has clearly risen, m, where that is within the first moves; else None."""
+        first = int(np.argmax(self.whole.displacement > self.start)) - 1
+        risen = self.whole.force[max(first, 0):][:_FEWEST_AIR + 1] - np.median(self.whole.force[:max(first, 0) + 1])
+        clear = risen > _AT_ONCE * self.noise
+        return float(self.whole.displacement[max(first, 0) + int(np.argmax(clear))]) if clear[-2:].all() else None
 
     def parts(self) -> list[Part]:
         """From the whole to the shortest that holds a clear rise."""
