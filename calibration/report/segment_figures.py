@@ -41,7 +41,9 @@ def draw_segments(displacement: np.ndarray, force: np.ndarray, time: np.ndarray 
     stressed = segmentation.stressed
     way, load = (displacement, 1e-3 * force) if stressed else (1e3 * displacement, force)
     words = ("strain", "stress [kPa]") if stressed else ("displacement [mm]", "force [N]")
-    clock = np.arange(force.size) if time is None else time
+    # A table without time is drawn over its motion.
+    table = time is None and bool(np.all(np.diff(way) >= 0))
+    clock = way if table else np.arange(force.size) if time is None else time
     contact = segmentation.contact
     near = contact is not None and np.isfinite(contact.interval[1])
     with matplotlib.rc_context(STYLE):
@@ -53,18 +55,22 @@ def draw_segments(displacement: np.ndarray, force: np.ndarray, time: np.ndarray 
             over_time.plot(np.where(used, clock, np.nan), load, color="#0072B2", lw=3.2, alpha=0.55,
                            label="fitted", zorder=1.9)
         _mark_failure(over_time, clock, load, segmentation)
-        beside = over_time.twinx()
-        beside.plot(clock, way, color="0.45", lw=1.0, ls=(0, (4, 2)), label=words[0])
-        beside.set_ylabel(f"{words[0]} (dashed)", color="0.4")
-        beside.grid(visible=False)
-        beside.spines["right"].set_visible(True)
-        over_time.set(xlabel="sample" if time is None else "time [s]", ylabel=words[1],
+        if not table:
+            _draw_motion(over_time.twinx(), clock, way, words[0])
+        over_time.set(xlabel=words[0] if table else "sample" if time is None else "time [s]", ylabel=words[1],
                       xlim=(clock[0], max(clock[-1], clock[0] + 1e-9)))
         over_time.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=6, fontsize=8.5, borderaxespad=0.2)
         line.set_zorder(3)
         if close is not None and contact is not None:
-            _draw_contact(close, way, load, clock, contact, words, stressed)
+            _draw_contact(close, way, load, np.arange(force.size) if time is None else time, contact, words, stressed)
         return to_png(figure)
+
+
+def _draw_motion(axes, clock: np.ndarray, way: np.ndarray, label: str) -> None:
+    axes.plot(clock, way, color="0.45", lw=1.0, ls=(0, (4, 2)))
+    axes.set_ylabel(f"{label} (dashed)", color="0.4")
+    axes.grid(visible=False)
+    axes.spines["right"].set_visible(True)
 
 
 def _draw_spans(axes, clock: np.ndarray, segmentation: Segmentation) -> None:

@@ -34,6 +34,8 @@ _DRIFT, _DRIFT_RISE = 0.2, 5.0
 _FEWEST, _FEWEST_AIR, _FEWEST_ALL = 30, 4, 12
 #: Nothing was touched where chance makes such a rise with this probability.
 _NO_FORCE = 1e-4
+#: The force rises at once where it does so by this many deviations of the noise within the first moves.
+_AT_ONCE = 20.0
 #: Contact that is known no better than to this share of the way is not known.
 _UNKNOWN = 0.3
 
@@ -91,8 +93,8 @@ class Contact:
         if self.status == "none":
             return "no contact: the force never leaves its zero by more than its noise"
         if self.status == "before":
-            return ("no air: the force rises with the first motion, so contact was with the first sample or before it "
-                    f"(at {high:.4g}{unit} at the latest)")
+            return ("no air is seen: contact was with the first motion or before it, at "
+                    f"{high:.4g}{unit} at the latest")
         stands = (f"it stands on {self.air} samples before and {self.loading} after, noise {load * self.noise:.2g} "
                   f"{of}, zero {load * self.force_zero:.4g} {of}")
         if self.status == "unclear":
@@ -127,6 +129,8 @@ def find_contact(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
     if displacement.size < _FEWEST_ALL:
         raise InputError(f"{displacement.size} samples; contact needs at least {_FEWEST_ALL}", field="force")
     way = _WayIn.of(time, displacement, force)
+    if (latest := way.rises_at_once()) is not None:
+        return Contact("before", way.start, (-np.inf, latest), way.zero, noise=way.noise, step=way.step)
     part, terms, chance = way.whole, _TERMS, 0.0
     parts = way.parts()
     judged = None
@@ -174,14 +178,15 @@ def _answer(way: _WayIn, fitted: ChangePointFit, profile: Profile, adequate: boo
     if stats.f.sf(ratio, fitted.terms + 2, freedom) > _NO_FORCE:
         return replace(found, status="none", displacement=np.nan, interval=(-np.inf, np.inf), exponent=np.nan)
     reach = float(np.ptp(way.whole.displacement))
-    no_air = replace(found, status="before", interval=(-np.inf, found.interval[1]), index=0)
+    # A drift and a law together can bend where there is air: only a clear rise bounds a contact without air.
+    risen = way.smooth - way.zero > _DRIFT_RISE * max(way.noise, deviation)
+    latest = way.whole.displacement[min(int(np.flatnonzero(~risen).max(initial=-1)) + 1, risen.size - 1)]
+    no_air = replace(found, status="before", interval=(-np.inf, max(float(high), float(latest))), index=0)
     in_air, after = place - way.start, part.displacement[-1] - place
     rise = coefficients[1] * (part.time[min(first, part.time.size - 1)] - part.time[0]) / span
     gain = float(np.mean(part.force[-3:])) - part.force[0] - coefficients[0] - rise
     if rise > _DRIFT_RISE * deviation and in_air > 0 and after > 0 and rise / in_air > _DRIFT * gain / after:
-        risen = part.force - part.force[0] - coefficients[0] > _DRIFT_RISE * deviation
-        latest = float(part.displacement[np.argmax(risen)])
-        found = replace(no_air, displacement=way.start, interval=(-np.inf, latest), drift=0.0, exponent=np.nan)
+        found = replace(no_air, displacement=way.start, drift=0.0, exponent=np.nan)
     elif np.isneginf(low) or first < _FEWEST_AIR:
         found = no_air
     low, high = found.interval
@@ -230,6 +235,13 @@ class _WayIn:
         start = displacement[ramps[0] if ramps.size and ramps[0] < end else 0]
         whole = Part(time[:end], displacement[:end], force[:end], rounding, float(np.median(moved)), float(start))
         return cls(whole, smooth[:end], zero, noise)
+
+    def rises_at_once(self) -> float | None:
+        """Displacement where the force has clearly risen, m, where that is within the first moves; else None."""
+        first = int(np.argmax(self.whole.displacement > self.start)) - 1
+        risen = self.whole.force[max(first, 0):][:_FEWEST_AIR + 1] - np.median(self.whole.force[:max(first, 0) + 1])
+        clear = risen > _AT_ONCE * self.noise
+        return float(self.whole.displacement[max(first, 0) + int(np.argmax(clear))]) if clear[-2:].all() else None
 
     def parts(self) -> list[Part]:
         """From the whole to the shortest that holds a clear rise."""

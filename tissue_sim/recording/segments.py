@@ -84,8 +84,9 @@ def segments_of(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | 
     ordered = _is_ordered(displacement, time)
     contact = failure = None
     if ordered and displacement.size >= _FEWEST and np.ptp(displacement) > 0:
-        contact = find_contact(displacement, force, time)
         failure = find_failure(displacement, force, time)
+        end = max(displacement.size if failure is None else failure.index + 1, _FEWEST)
+        contact = find_contact(displacement[:end], force[:end], None if time is None else time[:end])
     if contact is not None and contact.status != "before":
         warnings.append(contact.in_words(stressed=stressed))
     stated = labels is not None
