@@ -21,3 +21,4 @@ from calibration.importing.imported import Wishes as Wishes
 from calibration.pipeline import calibrate as calibrate
 from calibration.tasks.errors import WorkerError as WorkerError
 from calibration.tasks.executors import Workers as Workers
+from tissue_sim.recording.formats.guesses import Stated as Stated

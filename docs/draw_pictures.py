@@ -16,10 +16,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import tissue_sim as ts
-from calibration import Wishes, calibrate, import_files
+from calibration import Stated, Wishes, calibrate, import_files
 from scenes import SCENES, draw_simulation, run_demo
 from scenes.figures import save
-from tissue_sim.recording.formats.guesses import Stated
 
 PICTURES = Path(__file__).parent / "pictures"
 CURVES = Path(__file__).parents[1] / "tests" / "reference"

@@ -11,9 +11,9 @@ import pytest
 
 import calibration
 import tissue_sim as ts
+from calibration import Stated
 from calibration.importing.imported import to_json
 from scenes.cli import main
-from tissue_sim.recording.formats.guesses import Stated
 
 sys.path.insert(0, str(Path(__file__).parent))
 import machine_exports

@@ -8,7 +8,6 @@ import pytest
 
 import calibration
 import tissue_sim as ts
-from tissue_sim.recording.formats.guesses import Stated
 
 sys.path.insert(0, str(Path(__file__).parent))
 from machine_exports import EXPORTS
@@ -29,7 +28,7 @@ def test_an_export_is_read_and_imported(tmp_path, monkeypatch, name):
     assert imported.complete == (export.kind is not None), (imported.missing, imported.problem)
     if export.kind is None:
         assert imported.missing == ("the kind of test (--kind)",)
-        stated = calibration.Wishes(Stated(kind="lubricated_compression"), SIZES.specimen)
+        stated = calibration.Wishes(calibration.Stated(kind="lubricated_compression"), SIZES.specimen)
         imported = calibration.import_files([path], wishes=stated)
         assert imported.complete, imported.problem
     Path("campaign.toml").write_text(imported.text, encoding="utf-8")
