@@ -6,22 +6,21 @@ import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from calibration.campaign.campaign import DEFAULT_OFFSET_PRIOR, load_campaign
 from calibration.campaign.measured import read_measured
 from calibration.importing.afm import is_afm, understand_afm
-from calibration.importing.campaign_text import campaign_text
+from calibration.importing.campaign_text import FILL_IN, campaign_text
 from calibration.importing.grouping import group, same_motion
 from calibration.importing.imported import Imported, ImportedTest, Line, Part, Wishes
 from calibration.importing.motion import describe_motion
 from calibration.importing.picture import draw_imported
 from tissue_sim.atomic_write import write_bytes, write_text
 from tissue_sim.errors import InputError
-from tissue_sim.experiment.kinds.kind import KINDS
+from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.experiment.tools.tool import shapes_without_file
 from tissue_sim.frozen_mapping import read_only
-from tissue_sim.recording.formats.guesses import Understanding
+from tissue_sim.recording.formats.guesses import Reading, Understanding
 from tissue_sim.recording.formats.sizes import Size, find_sizes
 from tissue_sim.recording.formats.understanding import understand
 
@@ -121,7 +120,7 @@ def _one(path: Path, wishes: Wishes) -> Understanding:
     return found
 
 
-def _sizes(reading, wishes: Wishes) -> dict[str, Size]:
+def _sizes(reading: Reading, wishes: Wishes) -> dict[str, Size]:
     found = find_sizes(reading.stated, reading.kind.kind)
     if any(key in wishes.specimen for key in ("radius_mm", "area_mm2")):
         found = {key: size for key, size in found.items() if key not in ("radius_mm", "area_mm2")}
@@ -132,7 +131,8 @@ def _sized(sizes: Mapping[str, Size]) -> bool:
     return "height_mm" in sizes and ("radius_mm" in sizes or "area_mm2" in sizes)
 
 
-def _tests(groups, wishes: Wishes) -> tuple[tuple[ImportedTest, ...], dict[str, tuple[Line, ...]], tuple[str, ...]]:
+def _tests(groups: Sequence[tuple[str, tuple[Part, ...], str]], wishes: Wishes
+           ) -> tuple[tuple[ImportedTest, ...], dict[str, tuple[Line, ...]], tuple[str, ...]]:
     """Tests, their specimens (equal ones once), and what is missing."""
     tests: list[ImportedTest] = []
     specimens: dict[str, tuple[Line, ...]] = {}
@@ -158,7 +158,7 @@ def _tests(groups, wishes: Wishes) -> tuple[tuple[ImportedTest, ...], dict[str, 
         keys, lacks = _keys(parts, wishes)
         missing += [what for what in lacks if what not in missing]
         columns = tuple(Line(column.channel, column.entry(),
-                             f"{FILL}: {column.missing}; {column.reason}" if column.missing else column.reason)
+                             f"{FILL_IN}: {column.missing}; {column.reason}" if column.missing else column.reason)
                         for column in reading.columns)
         tests.append(ImportedTest(name, reading.kind.kind, tuple(parts), specimen, tuple(keys), columns, reason))
     if len(specimens) > 1 and "specimen" in specimens:
@@ -169,10 +169,7 @@ def _tests(groups, wishes: Wishes) -> tuple[tuple[ImportedTest, ...], dict[str, 
     return tuple(tests), specimens, tuple(missing)
 
 
-FILL = "FILL IN"
-
-
-def _specimen(reading, wishes: Wishes, kind) -> tuple[tuple[Line, ...], list[str]]:
+def _specimen(reading: Reading, wishes: Wishes, kind: TestKind | None) -> tuple[tuple[Line, ...], list[str]]:
     sizes = _sizes(reading, wishes)
     lines, missing = [], []
     flat = "area_mm2" in sizes or (kind is not None and kind.gripped and "radius_mm" not in sizes)
@@ -291,7 +288,7 @@ def _problem(text: str, folder: Path) -> str | None:
 
 
 def _warnings(parts: Sequence[Part], tests: Sequence[ImportedTest]) -> tuple[str, ...]:
-    found: dict[str, Any] = {}
+    found: dict[str, None] = {}
     for kind in dict.fromkeys(test.kind for test in tests if test.kind):
         names = [test.name for test in tests if test.kind == kind]
         if len(names) > 1:

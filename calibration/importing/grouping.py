@@ -9,6 +9,7 @@ from pathlib import Path
 from calibration.campaign.measured import REPLICATE_TOLERANCE
 from calibration.importing.imported import Part
 from tissue_sim.experiment.kinds.kind import KINDS
+from tissue_sim.recording.formats.sizes import size_signature
 
 #: The number at the end of a name: ``EF10_A3``, ``Specimen_RawData_1``, ``gel (2)``.
 _NUMBER = re.compile(r"[ _.\-]*\(?\d+\)?$")
@@ -16,7 +17,8 @@ _NUMBER = re.compile(r"[ _.\-]*\(?\d+\)?$")
 
 def group(parts: Sequence[Part]) -> list[tuple[str, tuple[Part, ...], str]]:
     """(name, replicates, reason) of each test: files whose names differ in the number at their end only, with the same
-    columns, the same kind of test, and a motion alike within `REPLICATE_TOLERANCE`.
+    columns, the same kind of test, the same size of the specimen as far as they state one, and a motion alike within
+    `REPLICATE_TOLERANCE`.
 
     A gripped specimen is pulled as far as it holds: there the speed alone tells tests apart.
     """
@@ -26,6 +28,7 @@ def group(parts: Sequence[Part]) -> list[tuple[str, tuple[Part, ...], str]]:
         reading = part.reading
         stem = counted[part.file]
         key = (stem, reading.name, reading.kind.kind, repr(sorted(reading.options.items(), key=str)),
+               size_signature(reading.stated),
                tuple((column.channel, column.header, column.unit) for column in reading.columns))
         clusters = alike.setdefault(key, [])
         cluster = next((each for each in clusters if same_motion(each[0], part)), None)

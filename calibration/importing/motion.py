@@ -91,6 +91,9 @@ def describe_motion(recording: Recording, kind: str | None) -> Motion:
         rate = float(1.0 / np.median(steps[steps > 0]))
         peak = int(np.argmax(turned))
         speed = abs(float((turned[peak] - turned[0]) / (time[peak] - time[0]))) if time[peak] > time[0] else None
+    if rate is None and abs(way[0]) > abs(way[-1]):
+        # A table without a clock has no order; from rest on it reads as a loading.
+        recording = recording.select(slice(None, None, -1))
     motion = Motion(channel, (float(way.max()), float(way.min())), rate, duration, speed,
                     find_segments(recording, kind))
     return Motion(channel, motion.reach, rate, duration, speed, motion.found, tuple(_warnings(recording, motion)))

@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import openpyxl
 import pytest
 
 import calibration
@@ -93,6 +94,22 @@ def test_the_same_test_under_another_name_is_of_another_specimen(tmp_path):
     imported = calibration.import_files(sorted(tmp_path.glob("*.csv")), wishes=wishes())
     assert imported.complete, imported.problem
     assert {test.name: test.specimen for test in imported.tests} == {"A": "A", "B_1": "B_1", "B_slow": "A"}
+
+
+def test_specimens_of_other_sizes_are_other_tests(tmp_path):
+    for number, diameter in ((1, 20), (2, 20), (3, 22)):
+        text(tmp_path, f"gel_{number}.csv", f"Compression\nDiameter (mm),{diameter}\nHeight (mm),12\n"
+             "Time (s),Way (mm),Load (N)\n" + numbers(WAY, WAY, WAY))
+    book = machine_exports.zwick_book((1, 2))
+    (tmp_path / book.name).write_bytes(book.content)
+    sheets = openpyxl.load_workbook(tmp_path / book.name)
+    for name, diameter in (("Probe 1", 20), ("Probe 2", 22)):
+        sheets[name]["A1"], sheets[name]["B1"] = "Durchmesser (mm)", diameter
+    sheets.save(tmp_path / book.name)
+    for files in (sorted(tmp_path.glob("*.csv")), [tmp_path / book.name]):
+        imported = calibration.import_files(files, wishes=calibration.Wishes(specimen={"height_mm": 12.0}))
+        assert imported.complete, (imported.missing, imported.problem)
+        assert [lines[1].value for lines in imported.specimens.values()] == [10.0, 11.0]
 
 
 def test_everything_that_is_missing_is_said_at_once_and_has_a_line(tmp_path, capsys):

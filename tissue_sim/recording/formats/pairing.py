@@ -9,7 +9,8 @@ from tissue_sim.errors import InputError
 from tissue_sim.recording.formats.columns import column_number
 from tissue_sim.recording.formats.guesses import ColumnGuess, Stated
 from tissue_sim.recording.formats.header import matches
-from tissue_sim.recording.formats.sources import Numbers
+from tissue_sim.recording.formats.sizes import size_signature
+from tissue_sim.recording.formats.sources import Numbers, stated_values
 from tissue_sim.recording.formats.vocabulary import Machine, role_of
 
 #: Role of a column -> channel of a recording. The strain of a test is one less than its stretch.
@@ -28,7 +29,8 @@ class Group:
 
     @property
     def signature(self) -> tuple:
-        return tuple((each.channel, each.header or each.place, each.unit) for each in self.columns)
+        sizes = size_signature(stated_values(self.numbers.above)) if self.numbers.table.name else ()
+        return (*sizes, *((each.channel, each.header or each.place, each.unit) for each in self.columns))
 
 
 def find_groups(numbers: Numbers, machine: Machine | None, stated: Stated) -> list[Group]:
@@ -166,7 +168,7 @@ def no_pair(found: Sequence[Numbers], machine: Machine | None, stated: Stated) -
 
 
 def alike(groups: Sequence[Group]) -> list[list[Group]]:
-    """Tables with the same columns together."""
+    """Tables with the same columns together, of a spreadsheet those of specimens of one size."""
     together: dict[tuple, list[Group]] = {}
     for group in groups:
         together.setdefault(group.signature, []).append(group)

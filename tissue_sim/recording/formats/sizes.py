@@ -73,6 +73,12 @@ def find_sizes(stated: Mapping[str, str], kind: str | None) -> dict[str, Size]:
     return found
 
 
+def size_signature(stated: Mapping[str, str]) -> tuple[tuple[str, float], ...]:
+    """The same for files, or sheets, that state the same sizes."""
+    return tuple(sorted((size.key, size.value) for size in find_sizes(stated, None).values()
+                        if size.key != "speed_mm_s"))
+
+
 def _first(lengths: Mapping[str, float], words: str) -> str | None:
     """The first key that is called one of the words, in their order."""
     for word in words.split("|"):
