@@ -173,6 +173,15 @@ def test_a_unit_that_nobody_stated_is_asked_for(tmp_path):
     assert error.field == "columns.force" and error.line == 1 and 'unit = "..."' in error.problem
 
 
+def test_all_faults_of_the_columns_are_said_at_once(tmp_path):
+    path = write(tmp_path, table(header=("t", "Way", "Load")))
+    error = refusal(path, columns={"time": "t", "displacement": "Way", "force": {"name": "Load", "unit": "V"}})
+    assert error.field == "columns" and error.line == 1
+    assert all(part in error.problem for part in ("column 't'", "column 'Way'", "column 'Load'", "give scale"))
+    error = refusal(path, columns={"displacement": "Weg", "force": "Kraft"})
+    assert "no column 'Weg' (nor 'Kraft')" in error.problem
+
+
 def test_format_names(tmp_path):
     path = write(tmp_path, table())
     error = refusal(path, format="instrom")

@@ -156,6 +156,7 @@ def _choose(wanted: Mapping[str, Mapping[str, Any]], places: Mapping[str, int], 
             path: Path) -> list[Column]:
     """Where each channel stands under the header (the first row of numbers where nothing is named)."""
     chosen: list[Column] = []
+    faults: list[InputError] = []
     header = block.header
     for channel, entry in wanted.items():
         field, index = f"columns.{channel}", places[channel]
@@ -174,12 +175,18 @@ def _choose(wanted: Mapping[str, Mapping[str, Any]], places: Mapping[str, int], 
             factor, offset = conversion(channel, unit, entry.get("scale"))
         except InputError as error:
             key, value = ("name", f'"{entry["name"]}"') if "name" in entry else ("column", entry["column"])
-            raise InputError(f'column {cell!r}: {error.problem}; or give it as {{ {key} = {value}, unit = "..." }}',
-                             file=path, line=header.line, field=field) from None
+            faults.append(InputError(
+                f'column {cell!r}: {error.problem}; or give it as {{ {key} = {value}, unit = "..." }}',
+                file=path, line=header.line, field=field))
+            continue
         sign = entry.get("sign", 1)
         stated = entry.get("offset", 0.0)
         added = 0.0 if isinstance(stated, str) else stated * factor / entry.get("scale", 1.0)
         chosen.append(Column(channel, index, cell, sign * factor, sign * offset + added))
+    if faults:
+        # All at once: a person mends them in one go.
+        raise InputError("; ".join(fault.problem for fault in faults), file=path, line=header.line,
+                         field=faults[0].field if len(faults) == 1 else "columns")
     return chosen
 
 

@@ -109,7 +109,8 @@ def _missing(closest, names, file, delimiters) -> InputError:
     if closest is None:
         return InputError(f"no lines are left, expected a header with {names[0]!r}; skip fewer lines", file=file)
     (found, above_numbers, _), row = closest
-    missing = next(name for name in names if not matches(row.cells, name))
+    missing, *others = (name for name in names if not matches(row.cells, name))
+    also = f" (nor {', '.join(map(repr, others))})" if others else ""
     cells = [cell for cell in row.cells if cell and not is_number(cell)]
     if found or (above_numbers and len(row.cells) > 1):
         bare = {split_header(cell)[0].casefold(): cell for cell in cells}
@@ -118,7 +119,7 @@ def _missing(closest, names, file, delimiters) -> InputError:
             hint = f"; did you mean {bare[close[0]]!r}?"
         else:
             hint = nearest(missing, cells) if cells else ": this row has numbers only; add a line with names above it"
-        return InputError(f"no column {missing!r}{hint}", file=file, line=row.line)
+        return InputError(f"no column {missing!r}{also}{hint}", file=file, line=row.line)
     if None in delimiters:
         return InputError(f"no row with the column {missing!r}, expected a header row above the numbers; where there "
                           'is none, give columns by their place: { column = "C", unit = "mm" }', file=file)
