@@ -48,11 +48,17 @@ from tissue_sim.model import Model as Model
 from tissue_sim.parameters import parameter as parameter
 from tissue_sim.parameters import with_values as with_values
 from tissue_sim.pose import Pose as Pose
+from tissue_sim.recording.contact import Contact as Contact
+from tissue_sim.recording.contact import find_contact as find_contact
+from tissue_sim.recording.failure import Failure as Failure
+from tissue_sim.recording.failure import find_failure as find_failure
 from tissue_sim.recording.file import read_recording as read_recording
 from tissue_sim.recording.file import read_recordings as read_recordings
 from tissue_sim.recording.file import write_recording as write_recording
 from tissue_sim.recording.formats import FORMATS as FORMATS
 from tissue_sim.recording.recording import Recording as Recording
+from tissue_sim.recording.segments import Segmentation as Segmentation
+from tissue_sim.recording.segments import find_segments as find_segments
 from tissue_sim.registry import Registry as Registry
 from tissue_sim.rig.fault import FAULTS as FAULTS
 from tissue_sim.rig.fault import RigFault as RigFault

@@ -28,8 +28,8 @@ _DOUBTFUL = 1e-3
 #: A shorter part with less than this share of a part's residual is fitted in its place.
 _SMALLER = 0.7
 #: A rise in the air that is steeper than this share of the rise after it, and more than so many deviations of the
-#: noise, is no drift.
-_DRIFT, _DRIFT_RISE = 0.2, 5.0
+#: noise, is no drift; nor is one of more than a share of the largest force.
+_DRIFT, _DRIFT_RISE, _DRIFT_SHARE = 0.2, 5.0, 0.05
 #: Fewest samples of a part, fewest that are not in contact, and fewest in all.
 _FEWEST, _FEWEST_AIR, _FEWEST_ALL = 30, 4, 12
 #: Nothing was touched where chance makes such a rise with this probability.
@@ -185,7 +185,8 @@ def _answer(way: _WayIn, fitted: ChangePointFit, profile: Profile, adequate: boo
     in_air, after = place - way.start, part.displacement[-1] - place
     rise = coefficients[1] * (part.time[min(first, part.time.size - 1)] - part.time[0]) / span
     gain = float(np.mean(part.force[-3:])) - part.force[0] - coefficients[0] - rise
-    if rise > _DRIFT_RISE * deviation and in_air > 0 and after > 0 and rise / in_air > _DRIFT * gain / after:
+    steep = in_air > 0 and after > 0 and rise / in_air > _DRIFT * gain / after
+    if rise > _DRIFT_RISE * deviation and (steep or rise > _DRIFT_SHARE * float(np.ptp(way.smooth))):
         found = replace(no_air, displacement=way.start, drift=0.0, exponent=np.nan)
     elif np.isneginf(low) or first < _FEWEST_AIR:
         found = no_air

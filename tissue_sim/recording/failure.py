@@ -85,7 +85,7 @@ def find_failure(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
         zero = float(force[:first + 1].min())
         while first < last and labels[first] != "unload":
             test = _Stretch(time[first:last], displacement[first:last], force[first:last], zero, float(np.ptp(force)),
-                            noise, least_drop, timed)
+                            noise, least_drop, timed, STRAIGHT * float(np.ptp(displacement)))
             peaks = [peak for peak in (test.peak_of_ramp() if labels[first] == "ramp" else None, test.sudden()) if
                      peak is not None]
             if not peaks:
@@ -103,7 +103,7 @@ class _Stretch:
     """A ramp or a hold.
 
     zero: least force before, N. range: of the whole test, N. least: share that must be lost. timed: whether the speed
-    is known.
+    is known. tremble: of the motion, m.
     """
 
     time: np.ndarray
@@ -114,6 +114,7 @@ class _Stretch:
     noise: float
     least: float
     timed: bool
+    tremble: float
 
     def _enough(self, peak: np.ndarray) -> np.ndarray:
         """Force that must be lost from a peak, N; infinite where that is nothing yet."""
@@ -145,8 +146,10 @@ class _Stretch:
         at = np.arange(_SUDDEN + 1, n - _SUDDEN)
         lost = self.force[at] - self.force[at + _SUDDEN]
         before = np.maximum(self.force[at - _SUDDEN] - self.force[at], 0.0)
-        forward = self.displacement[at + _SUDDEN] >= self.displacement[at] - STRAIGHT * np.ptp(self.displacement) - (
-            0.0 if np.ptp(self.displacement) > 0 else np.inf)
+        forward = self.displacement[at + _SUDDEN] >= self.displacement[at] - self.tremble
+        # Where the motion slows down, a tissue that relaxes loses force at once.
+        speed = _speeds(self.time, self.displacement) if self.timed else np.ones(n)
+        forward &= (speed[at + _SUDDEN] >= _SAME_SPEED * speed[at - _SUDDEN]) | (speed[at - _SUDDEN] <= 0)
         drops = np.flatnonzero((lost > self._enough(self.force[at])) & forward
                                & (lost > _FASTER * before + _LEAST_NOISE * self.noise))
         if not drops.size:
