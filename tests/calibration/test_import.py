@@ -159,6 +159,15 @@ def test_stress_and_strain_are_taken_where_the_size_of_the_specimen_is_not_known
     assert "displacement" in with_size.files[0].readings[0].recordings[0]
 
 
+@pytest.mark.parametrize(("sign", "smallest"), [({}, 0.7), ({"strain": 1}, 1.0)])
+def test_a_stated_sign_is_not_turned(tmp_path, sign, smallest):
+    """A strain that is positive in compression becomes a stretch below 1, unless a person says that it is not."""
+    path = text(tmp_path, "c.csv", "Compressive strain (%),Stress (kPa)\n" + numbers(10 * WAY, 20 * WAY))
+    reading, = calibration.import_files([path], wishes=calibration.Wishes(Stated(signs=sign))).files[0].readings
+    assert reading.kind.kind == "lubricated_compression"
+    assert reading.recordings[0].channel("stretch").min() == pytest.approx(smallest)
+
+
 def test_sizes_and_speed_above_the_numbers(tmp_path):
     path = text(tmp_path, "gel.csv", "Druckversuch\nProbendurchmesser;20,0;mm\nProbenhöhe (mm);12,5\nSonde: 5 mm\n"
                 "Geschwindigkeit: 30 mm/min\n\nWeg (mm);Kraft (N)\n"

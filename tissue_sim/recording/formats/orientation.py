@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -66,11 +66,11 @@ def guess_kind(recordings: Sequence[Recording], columns: Sequence[ColumnGuess], 
 
 
 def oriented(columns: Sequence[ColumnGuess], recordings: Sequence[Recording], kind: str | None,
-             stated: Mapping[str, int]) -> tuple[ColumnGuess, ...]:
+             stated: Collection[str]) -> tuple[ColumnGuess, ...]:
     """Columns with signs and zeros by which travel and force grow under load, and stretch and stress carry their sign.
 
     Args:
-        columns: as the file has them. recordings: read so. kind: of test. stated: channel -> sign that a person states.
+        columns: as the file has them. recordings: read so. kind: of test. stated: channels whose sign a person states.
     """
     turned: dict[str, ColumnGuess] = {}
     for column in columns:
@@ -87,7 +87,7 @@ def oriented(columns: Sequence[ColumnGuess], recordings: Sequence[Recording], ki
     return tuple(turned.values())
 
 
-def _travel(column: ColumnGuess, recordings: Sequence[Recording], stated: Mapping[str, int]) -> ColumnGuess:
+def _travel(column: ColumnGuess, recordings: Sequence[Recording], stated: Collection[str]) -> ColumnGuess:
     ways = [each.channel("displacement") for each in recordings]
     if "displacement" not in stated and _most(_excursion(way) < 0 for way in ways):
         column = replace(column, sign=-1, reason=f"{column.reason}; it falls under load, so turned")

@@ -79,7 +79,8 @@ def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: M
                                 reason=column.reason.replace("; a strain, which 1 makes a stretch", "; sheared"))
                         if column.role == "strain" else column for column in columns)
         recordings = _read(source.file, columns, options)
-    columns = oriented(columns, recordings, kind.kind, stated.signs)
+    signed = {column.channel for column in columns if stated.signs.keys() & {column.channel, column.role}}
+    columns = oriented(columns, recordings, kind.kind, signed)
     options["columns"] = {column.channel: column.entry() for column in columns}
     return Reading("", columns, first.others, read_only(options), _read(source.file, columns, options), kind, line,
                    sheets, read_only(stated_above), remarks)
