@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 from tissue_sim.errors import InputError
+from tissue_sim.recording.formats.vocabulary import MACHINES
 from tissue_sim.registry import Registry
 
 
@@ -22,4 +23,4 @@ FORMATS: Registry[Callable[..., Any]] = Registry("format", "tissue_sim.formats",
        for name in ("native", "instron", "soft_robotics", "xlsx", "afm")},
     **dict.fromkeys(("jpk", "bruker"), "tissue_sim.recording.formats.afm:read_afm"),
     **{name: f"tissue_sim.recording.formats.machines:read_{name}"
-       for name in ("table", "mts", "bluehill", "zwick", "exponent", "mach1", "mecmesin", "trios")}}, check=_check)
+       for name in ("table", *MACHINES)}}, check=_check)

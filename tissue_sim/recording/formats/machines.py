@@ -57,6 +57,4 @@ def _read(path: str | Path, machine: str | None, sheet: Sheets | None, curve: in
     return tuple(found)
 
 
-read_mts, read_bluehill, read_zwick = _reader("mts"), _reader("bluehill"), _reader("zwick")
-read_exponent, read_mach1, read_mecmesin = _reader("exponent"), _reader("mach1"), _reader("mecmesin")
-read_trios = _reader("trios")
+globals().update({f"read_{name}": _reader(name) for name in MACHINES})
