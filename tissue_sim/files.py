@@ -13,7 +13,7 @@ ZIP_MAGIC = b"PK\x03\x04"
 _MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF32_LE, "utf-32"), (codecs.BOM_UTF32_BE, "utf-32"),
           (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
 #: What no text holds: control characters but for tab, line ends, form feed and the end-of-file sign of DOS.
-_CONTROL = bytes(set(range(32)) - {9, 10, 11, 12, 13, 26})
+_CONTROL = [chr(code) for code in range(32) if code not in (9, 10, 11, 12, 13, 26)]
 
 
 def read_bytes(path: str | Path, expected: str) -> bytes:
@@ -96,7 +96,7 @@ def decode_text(data: bytes, path: str | Path, expected: str) -> tuple[str, str]
     else:
         raise InputError(f"has the byte order mark of {encoding} and is none, expected {expected}; save it as UTF-8 "
                          "text", file=path)
-    if encoding is None and any(byte in data for byte in _CONTROL):
+    if any(character in text for character in _CONTROL):
         raise InputError(f"is a binary file (it has control characters), expected {expected}", file=path)
     if not text.strip():
         raise InputError(f"is empty, expected {expected}", file=path)

@@ -60,7 +60,7 @@ def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: M
     by_name = _told_apart(groups)
     columns = tuple(replace(column, by_name=by_name) for column in first.columns)
     options: dict[str, Any] = {}
-    if sheets and (len(source.tables) > 1 or len(sheets) > 1):
+    if sheets and (len(source.tables) > 1 or stated.sheet is not None):
         options["sheet"] = list(sheets) if len(sheets) > 1 else sheets[0]
     if source.kind == "text" and first.numbers.table.delimiter in ("|", " "):
         options["delimiter"] = first.numbers.table.delimiter
