@@ -101,8 +101,8 @@ def test_preconditioning_is_left_out_of_an_elastic_fit(tmp_path):
 
 
 @pytest.mark.parametrize(("keys", "problem"), [
-    ('contact = "found"', "did you mean 'find'"), ("contact = nan", "no place"), ('failure = "cutt"', "did you mean 'cut'"),
-    ("contact = 3.0", "ends before its contact")])
+    ('contact = "found"', "did you mean 'find'"), ("contact = nan", "no place"),
+    ('failure = "cutt"', "did you mean 'cut'"), ("contact = 3.0", "ends before its contact")])
 def test_keys_that_make_no_sense_are_refused(tmp_path, keys, problem):
     compress(tmp_path)
     with pytest.raises(ts.InputError, match=problem) as caught:
