@@ -245,6 +245,9 @@ def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path
         if entry.max_strain is not None and kind.sign < 0 and entry.max_strain >= 1:
             raise InputError(f"{entry.max_strain:g} is not below 1, where the specimen would have no height left",
                              field=f"{field}.max_strain")
+        if not isinstance(entry.contact, str) and not np.isfinite(entry.contact):
+            raise InputError(f"{entry.contact} is no place; give a number of mm, 'recorded' or 'find'",
+                             field=f"{field}.contact")
         if entry.skip_lines is not None and entry.skip_lines < 0:
             raise InputError(f"{entry.skip_lines} is negative; give a number of lines", field=f"{field}.skip_lines")
         for key in ("skip_lines", "delimiter"):

@@ -36,8 +36,12 @@ class Part:
 
     @cached_property
     def coarse(self) -> Part:
-        """Means of neighbours, at most some 300."""
-        each = -(-self.time.size // _COARSE)
+        """For a coarse search, some 300 samples."""
+        return self.at_most(_COARSE)
+
+    def at_most(self, samples: int) -> Part:
+        """Means of neighbours, of so few that at most `samples` are left."""
+        each = -(-self.time.size // samples)
         if each == 1:
             return self
         starts = np.arange(0, self.time.size - each + 1, each)

@@ -7,6 +7,7 @@ Before contact the force is a zero with a drift in time; from contact on a smoot
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -30,6 +31,8 @@ _SMALLER = 0.7
 #: A rise in the air that is steeper than this share of the rise after it, and more than so many deviations of the
 #: noise, is no drift; nor is one of more than a share of the largest force.
 _DRIFT, _DRIFT_RISE, _DRIFT_SHARE = 0.2, 5.0, 0.05
+#: Most samples that are worked on; more are averaged.
+_MOST = 4000
 #: Fewest samples of a part, fewest that are not in contact, and fewest in all.
 _FEWEST, _FEWEST_AIR, _FEWEST_ALL = 30, 4, 12
 #: Nothing was touched where chance makes such a rise with this probability.
@@ -91,7 +94,7 @@ class Contact:
         scale, unit, load, of = (1.0, "", 1e-3, "kPa") if stressed else (1e3, " mm", 1.0, "N")
         low, high = (scale * end for end in self.interval)
         if self.status == "none":
-            return "no contact: the force never leaves its zero by more than its noise"
+            return "no contact: the force never leaves its zero by more than its noise does"
         if self.status == "before":
             return ("no air is seen: contact was with the first motion or before it, at "
                     f"{high:.4g}{unit} at the latest")
@@ -131,6 +134,7 @@ def find_contact(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
     way = _WayIn.of(time, displacement, force)
     if (latest := way.rises_at_once()) is not None:
         return Contact("before", way.start, (-np.inf, latest), way.zero, noise=way.noise, step=way.step)
+    recorded, way = way, way.fewer
     part, terms, chance = way.whole, _TERMS, 0.0
     parts = way.parts()
     judged = None
@@ -143,7 +147,11 @@ def find_contact(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
     fitted = ChangePointFit(part, terms + 1, exponents)
     profile = fitted.profile(fitted.search())
     fitted = ChangePointFit(part, terms + 1, exponents, fitted.colour(*profile.best))
-    return _answer(way, fitted, fitted.profile(profile.best), adequate=chance > _DOUBTFUL)
+    found = _answer(way, fitted, fitted.profile(profile.best), adequate=chance > _DOUBTFUL)
+    each = round(way.step / recorded.step)
+    index = int(np.argmax(displacement > found.displacement)) if found.index else 0
+    return replace(found, index=index, step=recorded.step, air=each * found.air, loading=each * found.loading,
+                   noise=found.noise * float(np.sqrt(each)))
 
 
 def _judge(part: Part, terms: int, exponents: tuple[float, float]) -> tuple[float, float]:
@@ -215,27 +223,29 @@ class _WayIn:
     @classmethod
     def of(cls, time: np.ndarray, displacement: np.ndarray, force: np.ndarray) -> _WayIn:
         labels = label_motion(time, displacement)
-        back = np.flatnonzero(labels == "unload")
-        ramps = np.flatnonzero(labels == "ramp")
-        back = back[back > ramps[0]] if ramps.size else back
-        end = max(back[0] if back.size else labels.size, min(_FEWEST_ALL, labels.size))
-        labels, force = labels[:end], force[:end]
         rounding = _rounding_step(force) / np.sqrt(12.0)
         bend = (force[1:-1] - 0.5 * (force[:-2] + force[2:])) / np.sqrt(1.5)
         noise = max(float(np.median(np.abs(bend))) / 0.6745, rounding, 1e-9 * float(np.abs(force).max()), 1e-300)
         smooth = np.convolve(np.pad(force, 1, mode="edge"), np.full(3, 1 / 3), "valid")
-        zero = float(np.median(force[:max(3, min(8, end // 20))]))
-        edges = np.append(np.flatnonzero(np.append(True, labels[1:] != labels[:-1])), end)
-        for first, last in pairwise(edges):
-            # What follows a stop under load has relaxed.
-            if labels[first] == "ramp" and smooth[last - 1] - zero > 2 * _LEAST_RISE * noise and last - first > 8:
-                end = int(last)
-                break
+        zero = float(np.median(force[:max(3, min(8, force.size // 20))]))
+        edges = np.append(np.flatnonzero(np.append(True, labels[1:] != labels[:-1])), labels.size)
+        ramps = np.flatnonzero(labels == "ramp")
+        # What follows a stop under load has relaxed.
+        end = next((int(last) for first, last in pairwise(edges) if labels[first] == "ramp" and last >= _FEWEST_ALL
+                    and smooth[last - 1] - zero > 2 * _LEAST_RISE * noise and last - first > 8), labels.size)
         steps = np.abs(np.diff(displacement[:end]))
         moved = steps[steps > 0.2 * np.median(steps[steps > 0])] if np.any(steps > 0) else np.ones(1)
         start = displacement[ramps[0] if ramps.size and ramps[0] < end else 0]
         whole = Part(time[:end], displacement[:end], force[:end], rounding, float(np.median(moved)), float(start))
         return cls(whole, smooth[:end], zero, noise)
+
+    @cached_property
+    def fewer(self) -> _WayIn:
+        """The same in no more samples than take a moment."""
+        part = self.whole.at_most(_MOST)
+        share = np.sqrt(part.time.size / self.whole.time.size)
+        smooth = np.convolve(np.pad(part.force, 1, mode="edge"), np.full(3, 1 / 3), "valid")
+        return self if part is self.whole else _WayIn(part, smooth, self.zero, max(self.noise * share, part.rounding))
 
     def rises_at_once(self) -> float | None:
         """Displacement where the force has clearly risen, m, where that is within the first moves; else None."""

@@ -81,7 +81,7 @@ def segments_of(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | 
     """As `find_segments`, of displacement and force, positive under load, m and N (strain and Pa: `stressed`)."""
     clock = np.arange(displacement.size, dtype=float) if time is None else time
     warnings: list[str] = []
-    ordered = _is_ordered(displacement, time)
+    ordered = _is_ordered(displacement, force, time)
     contact = failure = None
     if ordered and displacement.size >= _FEWEST and np.ptp(displacement) > 0:
         failure = find_failure(displacement, force, time)
@@ -110,11 +110,13 @@ def segments_of(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | 
     return Segmentation(labels, cycles, contact, failure, stated, stressed, tuple(warnings))
 
 
-def _is_ordered(displacement: np.ndarray, time: np.ndarray | None) -> bool:
+def _is_ordered(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None) -> bool:
     """Whether samples are in the order of time, and load to one side."""
-    reach = float(np.abs(displacement).max()) or 1.0
-    one_sided = displacement.min() > -0.5 * reach
-    return one_sided and (time is not None or float(np.diff(displacement).min(initial=0.0)) > -0.5 * reach)
+    reach, least = float(np.abs(displacement).max()) or 1.0, int(np.argmin(displacement))
+    both_sides = displacement[least] < -0.2 * reach and force[least] < -0.2 * float(np.abs(force).max())
+    table = time is None and (displacement[-1] < displacement[0] or
+                              float(np.diff(displacement).min(initial=0.0)) < -0.5 * reach)
+    return not both_sides and not table
 
 
 def _loading(recording: Recording, kind: TestKind | None) -> tuple[np.ndarray, np.ndarray, bool]:
