@@ -200,19 +200,8 @@ def _keys(parts: Sequence[Part], wishes: Wishes) -> tuple[list[Line], list[str]]
     kind = KINDS[reading.kind.kind] if reading.kind.kind else None
     test = dict(wishes.test)
     if kind is not None and kind.tool_stated:
-        said = reading.recordings[0].metadata
-        for key in ("tool", "tool_radius_mm"):
-            if key not in test and key in said:
-                lines.append(Line(key, said[key], "in the file"))
-            elif key not in test and (key == "tool" or test.get("tool") not in ("profile",)):
-                shapes = ", ".join(shape for shape in shapes_without_file() if shape != "plate")
-                lines.append(Line(key, None, f"shape of the tool: {shapes}; --tool" if key == "tool"
-                                  else "radius of the tool; --tool-radius-mm"))
-                missing.append("the shape of the tool (--tool)" if key == "tool"
-                               else "the radius of the tool (--tool-radius-mm)")
-        shape = test.get("tool", said.get("tool", "flat"))
-        if "friction" not in test and shape != "flat":
-            lines.append(Line("friction", "stick", f"taken so: tissue does not slip on a {shape}, and can lift off"))
+        more, lacks = _tool(test, reading)
+        lines, missing = [*lines, *more], [*missing, *lacks]
     if kind is not None and kind.face.stated and "friction" not in test:
         lines.append(Line("friction", None, "coefficient of friction of both plates, or \"stick\"; --friction"))
         missing.append("the friction of the plates (--friction)")
@@ -222,6 +211,25 @@ def _keys(parts: Sequence[Part], wishes: Wishes) -> tuple[list[Line], list[str]]
         if speed is not None and any(column.channel == "displacement" for column in reading.columns):
             lines.append(Line("speed_mm_s", speed.value, f"no clock; {speed.reason}"))
     lines += [Line(key, value, "stated") for key, value in test.items()]
+    return lines, missing
+
+
+def _tool(test: Mapping[str, Any], reading: Reading) -> tuple[list[Line], list[str]]:
+    """Shape and size of the tool of an indentation, and how its face holds the tissue."""
+    lines, missing, said = [], [], reading.recordings[0].metadata
+    shapes = ", ".join(shape for shape in shapes_without_file() if shape != "plate")
+    for key, what, flag in (("tool", "the shape of the tool", "--tool"),
+                            ("tool_radius_mm", "the radius of the tool", "--tool-radius-mm")):
+        if key in test:
+            continue
+        if key in said:
+            lines.append(Line(key, said[key], "in the file"))
+            continue
+        lines.append(Line(key, None, f"{what}{f', {shapes}' if key == 'tool' else ''}; {flag}"))
+        missing.append(f"{what} ({flag})")
+    shape = test.get("tool", said.get("tool", "flat"))
+    if "friction" not in test and shape != "flat":
+        lines.append(Line("friction", "stick", f"taken so: tissue does not slip on a {shape}, and can lift off"))
     return lines, missing
 
 
