@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from calibration.campaign.campaign import DEFAULT_OFFSET_PRIOR, load_campaign
 from calibration.campaign.measured import read_measured
@@ -216,7 +217,9 @@ def _keys(parts: Sequence[Part], wishes: Wishes) -> tuple[list[Line], list[str]]
 
 def _tool(test: Mapping[str, Any], reading: Reading) -> tuple[list[Line], list[str]]:
     """Shape and size of the tool of an indentation, and how its face holds the tissue."""
-    lines, missing, said = [], [], reading.recordings[0].metadata
+    lines: list[Line] = []
+    missing: list[str] = []
+    said = reading.recordings[0].metadata
     shapes = ", ".join(shape for shape in shapes_without_file() if shape != "plate")
     for key, what, flag in (("tool", "the shape of the tool", "--tool"),
                             ("tool_radius_mm", "the radius of the tool", "--tool-radius-mm")):
