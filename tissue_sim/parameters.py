@@ -9,7 +9,7 @@ at any part: ``viscoelastic.terms[0].g`` is one of a `Material`.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
 from math import inf
 from numbers import Real
@@ -107,6 +107,12 @@ def declaration(entry: Field) -> Declaration | None:
 def declared(kind: type) -> dict[str, Declaration]:
     """Field -> what it declares, of a dataclass, in order."""
     return {entry.name: what for entry in fields(kind) if (what := declaration(entry)) is not None}
+
+
+def declaring(base: type) -> Callable[[Any], bool]:
+    """Whether a thing is a dataclass that derives from `base` and declares parameters: a check for registries."""
+    return lambda kind: (isinstance(kind, type) and issubclass(kind, base) and is_dataclass(kind)
+                         and bool(declared(kind)))
 
 
 def parameters(part: Any) -> dict[str, Parameter]:

@@ -7,12 +7,11 @@ An effect is a frozen dataclass that derives from one of the classes here and de
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import Field, dataclass, is_dataclass
+from dataclasses import Field, dataclass
 from math import inf
 from typing import Any, ClassVar
 
-from tissue_sim.errors import InputError
-from tissue_sim.parameters import declared
+from tissue_sim.parameters import declaring
 from tissue_sim.registry import Registry
 
 
@@ -129,14 +128,7 @@ class ReducedForce:
         return share
 
 
-def _check(name: str, kind: Any) -> None:
-    if not (isinstance(kind, type) and issubclass(kind, TissueEffect) and is_dataclass(kind)):
-        raise InputError(f"{name!r} is no effect of a tissue; register a frozen dataclass that derives from "
-                         "tissue_sim.TissueEffect", field="tissue_sim.effects")
-    if not declared(kind):
-        raise InputError(f"the effect {name!r} has no parameters; declare each with tissue_sim.parameter",
-                         field="tissue_sim.effects")
-
-
 #: Name -> class.
-EFFECTS: Registry[type[TissueEffect]] = Registry("effect of the tissue", "tissue_sim.effects", {}, check=_check)
+EFFECTS: Registry[type[TissueEffect]] = Registry(
+    "effect of the tissue", "tissue_sim.effects", {}, accepts=declaring(TissueEffect),
+    expected="a frozen dataclass that derives from tissue_sim.TissueEffect and declares its parameters")
