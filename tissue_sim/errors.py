@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -33,6 +34,15 @@ class InputError(ValueError):
         """The same error with the file, or an outer field, that only the caller knows."""
         joined = ".".join(part for part in (field, self.field) if part) or None
         return InputError(self.problem, file=self.file if self.file is not None else file, line=self.line, field=joined)
+
+
+@contextmanager
+def located(*, file: str | Path | None = None, field: str | None = None) -> Iterator[None]:
+    """Input errors of the work inside are `InputError.located`."""
+    try:
+        yield
+    except InputError as error:
+        raise error.located(file=file, field=field) from None
 
 
 class ConvergenceError(RuntimeError):

@@ -212,8 +212,9 @@ def from_keys(kind: type[Part], content: Mapping[str, float], field: str) -> Par
         raise InputError(f"needs {', '.join(missing)}", field=field)
     try:
         return kind(**{names[key][0]: names[key][1] * value for key, value in content.items()})
-    except InputError as error:
-        raise error.located(field=field) from None
+    except InputError as refused:
+        named = next((key for key, (name, _) in names.items() if name == refused.field), refused.field)
+        raise InputError(refused.problem, field=".".join(filter(None, (field, named)))) from None
 
 
 def _at(part: Any, path: str) -> Any:

@@ -14,7 +14,7 @@ import numpy as np
 
 from tissue_sim.atomic_write import write_text
 from tissue_sim.decode import as_json_types, decode, read_json, require_writable
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.errors import InputError, located, nearest
 from tissue_sim.laws import Law, check_stability, find_law
 from tissue_sim.material.material import Bulk, Material
 from tissue_sim.material.schema import (
@@ -163,10 +163,8 @@ def read_material_file(path: str | Path) -> MaterialFile:
     """
     path = Path(path)
     data = read_json(path, "a material file (JSON)")
-    try:
+    with located(file=path):
         return decode_material_file(data)
-    except InputError as error:
-        raise error.located(file=path) from None
 
 
 def write_material_file(material_file: MaterialFile, path: str | Path) -> None:
@@ -175,10 +173,8 @@ def write_material_file(material_file: MaterialFile, path: str | Path) -> None:
     Raises:
         InputError: a value that the reader would refuse, or a place that cannot be written; nothing is written then.
     """
-    try:
+    with located(file=path):
         data = msgspec.to_builtins(checked(material_file))
-    except InputError as error:
-        raise error.located(file=path) from None
     text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
     # Lists of numbers on one line: a line end inside brackets is never part of a JSON text.
     text = re.sub(r"\[\n([^\[\]{}\"]*)\n\s*\]", lambda match: f"[{' '.join(match[1].split())}]", text)
@@ -222,10 +218,8 @@ def checked(file: MaterialFile) -> MaterialFile:
         if name not in law.units:
             raise InputError(f"law {law.name} has no parameter {name!r}{nearest(name, law.parameters)}",
                              field=f"parameters.{name}")
-        try:
+        with located(field=f"parameters.{name}.unit"):
             factors[name], _ = to_si(entry.unit, UNITS[law.units[name]][0])
-        except InputError as error:
-            raise error.located(field=f"parameters.{name}.unit") from None
         if entry.standard_error is not None and entry.standard_error < 0:
             raise InputError(f"{entry.standard_error:g} is negative; give a standard deviation",
                              field=f"parameters.{name}.standard_error")

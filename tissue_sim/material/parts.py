@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.errors import InputError, located, nearest
 from tissue_sim.material.effect import EFFECTS
 from tissue_sim.material.layer import Layer
 from tissue_sim.material.material import Bulk, Material, bulk_declaration
@@ -79,10 +79,8 @@ def make_material(law: str, parameters: Mapping[str, float], others: Mapping[str
     parts: dict[str, Any] = {place: _part(SINGLE[place], place, numbers) for place, numbers in single.items()}
     prony = tuple(_in_order(terms, "viscoelastic.terms"))
     if prony:
-        try:
+        with located(field="viscoelastic"):
             parts["viscoelastic"] = Prony(prony)
-        except InputError as error:
-            raise error.located(field="viscoelastic") from None
     added = {name: _part(EFFECTS[name], f"effects.{name}", numbers) for name, numbers in effects.items()}
     return Material(law, parameters, response, layers=tuple(_in_order(terms, "layers")), effects=added, **parts,
                     **options)

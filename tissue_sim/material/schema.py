@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, cast
 import msgspec
 
 from tissue_sim.decode import decode
-from tissue_sim.errors import InputError
+from tissue_sim.errors import InputError, located
 from tissue_sim.material.effect import EFFECTS
 from tissue_sim.material.layer import Layer
 from tissue_sim.material.material import Material
@@ -21,7 +21,7 @@ from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.material.puncture import Puncture
 from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import FORM, Prony, PronyTerm
-from tissue_sim.parameters import declared
+from tissue_sim.parameters import declared, from_keys
 
 Range = tuple[float, float]
 
@@ -111,7 +111,7 @@ class PartEntry(Entry, frozen=True, kw_only=True):
         Raises:
             InputError: a value that the part refuses, or a bad standard error, with the path below `field`.
         """
-        keys = {what.key: name for name, what in declared(self.noun).items()}
+        keys = [what.key for what in declared(self.noun).values()]
         for key, error in self.standard_errors.items():
             if key not in keys:
                 raise InputError(f"names no parameter beside it; known: {', '.join(keys)}",
@@ -119,12 +119,7 @@ class PartEntry(Entry, frozen=True, kw_only=True):
             if error < 0:
                 raise InputError(f"{error:g} is negative; give a standard deviation",
                                  field=f"{field}.standard_errors.{key}")
-        try:
-            return self.noun(**{name: what.factor * getattr(self, what.key)
-                                for name, what in declared(self.noun).items()})
-        except InputError as refused:
-            named = next((key for key, name in keys.items() if name == refused.field), refused.field)
-            raise InputError(refused.problem, field=".".join(filter(None, (field, named)))) from None
+        return from_keys(self.noun, {key: getattr(self, key) for key in keys}, field)
 
     def errors(self, place: str) -> dict[str, float]:
         """Path of the attribute -> standard error, SI."""
@@ -173,10 +168,8 @@ class ViscoelasticEntry(Entry, frozen=True, kw_only=True, omit_defaults=False):
     def part(self, field: str) -> Prony:
         """The Prony series; errors as `PartEntry.part`."""
         terms = tuple(term.part(f"{field}.terms[{i}]") for i, term in enumerate(self.terms))
-        try:
+        with located(field=field):
             return Prony(terms, self.moduli)
-        except InputError as refused:
-            raise refused.located(field=field) from None
 
 
 def entries_of(material: Material, errors: Mapping[str, float]) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import msgspec
 
 from tissue_sim.atomic_write import write_text
 from tissue_sim.decode import decode, read_json, require_writable
-from tissue_sim.errors import InputError
+from tissue_sim.errors import InputError, located
 from tissue_sim.parameters import declared, from_keys, to_keys
 from tissue_sim.rig.fault import FAULTS
 from tissue_sim.rig.rig import Rig
@@ -33,10 +33,8 @@ def load_rig(path: str | Path) -> Rig:
             or out of its range; with the file and the key.
     """
     path = Path(path)
-    try:
+    with located(file=path):
         return _decode(read_json(path, "a rig file (JSON)"))
-    except InputError as error:
-        raise error.located(file=path) from None
 
 
 def write_rig(rig: Rig, path: str | Path) -> None:
@@ -52,10 +50,8 @@ def write_rig(rig: Rig, path: str | Path) -> None:
         data["seed"] = int(rig.seed)
     if rig.faults:
         data["faults"] = {name: to_keys(fault) for name, fault in rig.faults.items()}
-    try:
+    with located(file=path):
         require_writable(data)
-    except InputError as error:
-        raise error.located(file=path) from None
     write_text(path, json.dumps(data, indent=2) + "\n")
 
 
