@@ -6,6 +6,8 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,7 @@ import msgspec
 import numpy as np
 
 from tissue_sim.atomic_write import write_text
-from tissue_sim.decode import as_json_types, decode, read_json, require_writable
+from tissue_sim.decode import as_json_types, decode, read_json, require_schema, require_writable
 from tissue_sim.errors import InputError, located, nearest
 from tissue_sim.laws import Law, check_stability, find_law
 from tissue_sim.material.material import Bulk, Material
@@ -31,10 +33,9 @@ from tissue_sim.material.schema import (
     ValidRange,
     ViscoelasticEntry,
     entries_of,
-    errors_of,
     parts_of,
 )
-from tissue_sim.parameters import Parameter, parameters
+from tissue_sim.parameters import Parameter, parameters, tokens
 from tissue_sim.units import UNITS, to_si
 from tissue_sim.version import __version__
 
@@ -131,8 +132,16 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
     @property
     def standard_errors(self) -> dict[str, float]:
         """Path, as in `tissue_sim.parameters`, -> standard error, SI, of those that are known; of a file in SI."""
-        law = {name: entry.standard_error for name, entry in self.parameters.items()}
-        return {name: error for name, error in law.items() if error is not None} | errors_of(self._effects)
+        stated, content = {}, msgspec.to_builtins(self)
+        for path, each in _with_errors(self.material).items():
+            *place, key = tokens(each.file_path)
+            if place:
+                error = reduce(getitem, place, content).get("standard_errors", {}).get(key)
+            else:
+                error = self.parameters[path].standard_error
+            if error is not None:
+                stated[path] = each.declaration.factor * error
+        return stated
 
     @property
     def covariance_SI(self) -> tuple[tuple[str, ...], np.ndarray] | None:
@@ -183,9 +192,7 @@ def write_material_file(material_file: MaterialFile, path: str | Path) -> None:
 
 def decode_material_file(data: Any) -> MaterialFile:
     """A `MaterialFile` from decoded JSON; see `read_material_file`."""
-    if not isinstance(data, dict):
-        raise InputError('expected an object { "schema": ... }, found something else')
-    _check_schema(data.get("schema"))
+    require_schema(data, "material", VERSION)
     parameters = data.get("parameters")
     if isinstance(parameters, dict):
         # One by one: msgspec names no keys of maps in its messages.
@@ -194,24 +201,15 @@ def decode_material_file(data: Any) -> MaterialFile:
     return checked(decode(data, MaterialFile, ""))
 
 
-def _check_schema(schema: Any) -> None:
-    match = re.fullmatch(r"tissue_sim/material/([0-9]{1,9})", schema) if isinstance(schema, str) else None
-    if not match or int(match[1]) < 1:
-        found = "the schema is missing" if schema is None else f"{schema!r} is not a material schema"
-        raise InputError(f"{found}, expected {SCHEMA!r}", field="schema")
-    if int(match[1]) > VERSION:
-        raise InputError(f"{schema!r} was written by a newer version, expected {SCHEMA!r}; update tissue-sim",
-                         field="schema")
-
-
 def checked(file: MaterialFile) -> MaterialFile:
     """The same file in SI, with everything checked that types do not say.
 
     Raises:
         InputError: with the dotted path of the field.
     """
-    _check_schema(file.schema)
-    require_writable(msgspec.to_builtins(file))
+    content = msgspec.to_builtins(file)
+    require_schema(content, "material", VERSION)
+    require_writable(content)
     law = find_law(file.law)
     factors = {}
     for name, entry in file.parameters.items():
@@ -246,7 +244,6 @@ def checked(file: MaterialFile) -> MaterialFile:
         matrix = np.outer(scale, scale) * matrix
         _check_matrix(matrix, len(order))
         file = msgspec.structs.replace(file, covariance=CovarianceEntry(order=order, matrix=_rows(matrix)))
-    _ = errors_of(file._effects)
     require_writable(msgspec.to_builtins(file))  # a number near 1e308 MPa does not fit in Pa
     return file
 

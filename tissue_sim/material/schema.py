@@ -5,7 +5,7 @@ The entry of a part of a material follows from what the part declares (`tissue_s
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import MISSING, fields
 from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, cast
@@ -121,11 +121,6 @@ class PartEntry(Entry, frozen=True, kw_only=True):
                                  field=f"{field}.standard_errors.{key}")
         return from_keys(self.noun, {key: getattr(self, key) for key in keys}, field)
 
-    def errors(self, place: str) -> dict[str, float]:
-        """Path of the attribute -> standard error, SI."""
-        return {f"{place}.{name}": what.factor * self.standard_errors[what.key]
-                for name, what in declared(self.noun).items() if what.key in self.standard_errors}
-
 
 @cache
 def entry_of(noun: type) -> type[PartEntry]:
@@ -197,16 +192,9 @@ def parts_of(entries: Mapping[str, Any]) -> dict[str, Any]:
     single = {key: entry.part(key) for key, entry in entries.items()
               if entry is not None and key not in ("layers", "effects")}
     layers = tuple(layer.part(f"layers[{i}]") for i, layer in enumerate(entries["layers"] or ()))
-    effects = {name: _effect(name, content).part(f"effects.{name}") for name, content in _effects(entries)}
+    effects = {name: _effect(name, content).part(f"effects.{name}")
+               for name, content in (entries["effects"] or {}).items()}
     return {**single, "layers": layers, "effects": effects}
-
-
-def errors_of(entries: Mapping[str, Any]) -> dict[str, float]:
-    """Path -> standard error, SI, of everything beside the law that states one."""
-    stated: dict[str, float] = {}
-    for place, entry in _places(entries):
-        stated |= entry.errors(place)
-    return stated
 
 
 def _effect(name: str, content: Any) -> PartEntry:
@@ -220,19 +208,3 @@ def _effect(name: str, content: Any) -> PartEntry:
                          "or register the package that brings it", field=f"effects.{name}")
     kind: type = EFFECTS[name]
     return decode(content, entry_of(kind), f"effects.{name}")
-
-
-def _effects(entries: Mapping[str, Any]) -> list[tuple[str, Any]]:
-    return list((entries.get("effects") or {}).items())
-
-
-def _places(entries: Mapping[str, Any]) -> Iterator[tuple[str, PartEntry]]:
-    for key, entry in entries.items():
-        if key == "effects":
-            yield from ((f"effects.{name}", _effect(name, content)) for name, content in _effects(entries))
-        elif key == "layers":
-            yield from ((f"layers[{i}]", layer) for i, layer in enumerate(entry or ()))
-        elif isinstance(entry, ViscoelasticEntry):
-            yield from ((f"{key}.terms[{i}]", term) for i, term in enumerate(entry.terms))
-        elif entry is not None:
-            yield key, entry

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from tissue_sim.atomic_write import write_text
-from tissue_sim.decode import decode, read_json, require_writable
+from tissue_sim.decode import decode, read_json, require_schema, require_writable
 from tissue_sim.errors import InputError, located
 from tissue_sim.parameters import declared, from_keys, to_keys
 from tissue_sim.rig.fault import FAULTS
@@ -56,16 +55,7 @@ def write_rig(rig: Rig, path: str | Path) -> None:
 
 
 def _decode(data) -> Rig:
-    if not isinstance(data, dict):
-        raise InputError('expected an object { "schema": ... }, found something else')
-    schema = data.get("schema")
-    version = re.fullmatch(r"tissue_sim/rig/([1-9][0-9]{0,8})", schema) if isinstance(schema, str) else None
-    if not version:
-        found = "the schema is missing" if schema is None else f"{schema!r} is not a rig schema"
-        raise InputError(f"{found}, expected {SCHEMA!r}", field="schema")
-    if int(version[1]) > VERSION:
-        raise InputError(f"{schema!r} was written by a newer version, expected {SCHEMA!r}; update tissue-sim",
-                         field="schema")
+    require_schema(data, "rig", VERSION)
     file = decode(data, _RigFile)
     require_writable(data)
     stated = {name: what.factor * getattr(file, what.key) for name, what in declared(Rig).items()
