@@ -247,7 +247,7 @@ def test_tangent_is_the_derivative_of_the_residual(element):
     for depth, dt in ((5e-3, 0.5), (10e-3, 1.0), (8e-3, 0.3)):
         assert solver.step(depth, dt).status is StepStatus.CONVERGED
     assert (solver.equations.memory.energies < solver.equations.memory.largest).mean() > 0.5, "softened in most places"
-    lower = solver.tangent()
+    lower = solver.equations.tangent()
     tangent = np.zeros((solver.equations.free, solver.equations.free))
     for d in range(lower.shape[0]):
         i = np.arange(solver.equations.free - d)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import Field, dataclass
-from math import inf
+from math import inf, prod
 from typing import Any, ClassVar
 
 from tissue_sim.parameters import declaring
@@ -111,21 +111,16 @@ class ReducedForce:
 
     def share(self, depth: float, dt: float = 0.0) -> float:
         """Of the force (or its derivative) at a depth, m, that is tried dt s later."""
-        return self._share(self._at(depth, dt)) if self._effects else 1.0
+        here = self._at(depth, dt)
+        return prod((effect.share(here) for effect in self._effects), start=1.0)
 
     def go(self, depth: float, dt: float = 0.0) -> float:
         """The same at a depth that is final."""
-        self.history = self._at(depth, dt)
-        return self._share(self.history) if self._effects else 1.0
+        share, self.history = self.share(depth, dt), self._at(depth, dt)
+        return share
 
     def _at(self, depth: float, dt: float) -> ToolHistory:
         return ToolHistory(depth, max(self.history.deepest, depth), self.history.time + dt)
-
-    def _share(self, history: ToolHistory) -> float:
-        share = 1.0
-        for effect in self._effects:
-            share *= effect.share(history)
-        return share
 
 
 #: Name -> class.

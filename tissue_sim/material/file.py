@@ -240,8 +240,10 @@ def checked(file: MaterialFile) -> MaterialFile:
         order = file.covariance.order
         _check_order(order, law, [each.file_path for each in _with_errors(file.material).values()])
         scale = np.array([factors.get(name, 1.0) for name in order])
-        matrix = np.array(_square(file.covariance.matrix, len(order)), dtype=float)
-        matrix = np.outer(scale, scale) * matrix
+        if (lengths := [len(row) for row in file.covariance.matrix]) != [len(order)] * len(order):
+            raise InputError(f"has rows of length {lengths}, expected {len(order)} rows of {len(order)}",
+                             field="covariance.matrix")
+        matrix = np.outer(scale, scale) * np.array(file.covariance.matrix, dtype=float)
         _check_matrix(matrix, len(order))
         file = msgspec.structs.replace(file, covariance=CovarianceEntry(order=order, matrix=_rows(matrix)))
     require_writable(msgspec.to_builtins(file))  # a number near 1e308 MPa does not fit in Pa
@@ -261,13 +263,6 @@ def _check_order(order: Sequence[str], law: Law, known: Sequence[str]) -> None:
     for name in order[m:]:
         if name not in known:
             raise InputError(f"this material has no parameter {name!r}{nearest(name, known)}", field="covariance.order")
-
-
-def _square(rows: Sequence[Sequence[float]], m: int) -> Sequence[Sequence[float]]:
-    if [len(row) for row in rows] != [m] * m:
-        raise InputError(f"has rows of length {[len(row) for row in rows]}, expected {m} rows of {m}",
-                         field="covariance.matrix")
-    return rows
 
 
 def _rows(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:

@@ -21,9 +21,8 @@ SINGLE: dict[str, type] = {"softening": Softening, "poroelasticity": Poroelastic
 SEVERAL: dict[str, type] = {"viscoelastic.terms": PronyTerm, "layers": Layer}
 _NUMBERED = re.compile(r"(.*)\[(?:0|[1-9]\d*)\]")
 #: Paths that messages name where one is not known.
-_EXAMPLES = ("viscoelastic.terms[0].g", "viscoelastic.terms[0].tau", "softening.loss", "softening.share",
-             "layers[0].ratio", "layers[0].thickness", "poroelasticity.phi", "poroelasticity.diffusivity",
-             "puncture.depth", "puncture.drop", "bulk.bulk_ratio")
+_EXAMPLES = (*(f"{place}[0].{name}" for place, kind in SEVERAL.items() for name in declared(kind)),
+             *(f"{place}.{name}" for place, kind in SINGLE.items() for name in declared(kind)), "bulk.bulk_ratio")
 
 
 def find_declaration(path: str) -> tuple[str, Declaration]:
