@@ -191,13 +191,14 @@ def to_keys(part: Any) -> dict[str, float]:
             if (number := getattr(part, name)) is not None}
 
 
-def from_keys(kind: type[Part], content: Mapping[str, float], field: str) -> Part:
+def from_keys(kind: type[Part], content: Mapping[str, float], field: str, **others: Any) -> Part:
     """A part from the keys of a file.
 
     Args:
         kind: its class.
         content: key -> value in its unit.
         field: where they stand, for messages.
+        others: what it takes beside them.
 
     Raises:
         InputError: an unknown key (names the nearest), a missing one, or a value that the part refuses; with the field.
@@ -211,9 +212,10 @@ def from_keys(kind: type[Part], content: Mapping[str, float], field: str) -> Par
     if missing := [key for key, (name, _) in names.items() if name in needed and key not in content]:
         raise InputError(f"needs {', '.join(missing)}", field=field)
     try:
-        return kind(**{names[key][0]: names[key][1] * value for key, value in content.items()})
+        return kind(**{names[key][0]: names[key][1] * value for key, value in content.items()}, **others)
     except InputError as refused:
-        named = next((key for key, (name, _) in names.items() if name == refused.field), refused.field)
+        last = (refused.field or "").rpartition(".")[2]
+        named = next((key for key, (name, _) in names.items() if name == last), last)
         raise InputError(refused.problem, field=".".join(filter(None, (field, named)))) from None
 
 

@@ -10,16 +10,16 @@ import msgspec
 
 from tissue_sim.atomic_write import write_text
 from tissue_sim.decode import decode, read_json, require_schema, require_writable
-from tissue_sim.errors import InputError, located
+from tissue_sim.errors import located
 from tissue_sim.parameters import declared, from_keys, to_keys
 from tissue_sim.rig.fault import FAULTS
 from tissue_sim.rig.rig import Rig
 
 VERSION = 1
 SCHEMA = f"tissue_sim/rig/{VERSION}"
-_KEYS = {name: what.key for name, what in declared(Rig).items()}
+_KEYS = [what.key for what in declared(Rig).values()]
 _RigFile = msgspec.defstruct(
-    "RigFile", [("schema", str), *((key, float | None, None) for key in _KEYS.values()), ("seed", int, 0),
+    "RigFile", [("schema", str), *((key, float | None, None) for key in _KEYS), ("seed", int, 0),
                 ("faults", dict[str, dict[str, float]] | None, None)],
     frozen=True, kw_only=True, forbid_unknown_fields=True)
 
@@ -58,12 +58,7 @@ def _decode(data) -> Rig:
     require_schema(data, "rig", VERSION)
     file = decode(data, _RigFile)
     require_writable(data)
-    stated = {name: what.factor * getattr(file, what.key) for name, what in declared(Rig).items()
-              if getattr(file, what.key) is not None}
+    stated = {key: number for key in _KEYS if (number := getattr(file, key)) is not None}
     faults = {name: from_keys(FAULTS.find(name, f"faults.{name}"), content, f"faults.{name}")
               for name, content in (file.faults or {}).items()}
-    try:
-        return Rig(**stated, seed=file.seed, faults=faults)
-    except InputError as error:
-        name = (error.field or "").removeprefix("rig.")
-        raise InputError(error.problem, field=_KEYS.get(name, name)) from None
+    return from_keys(Rig, stated, "", seed=file.seed, faults=faults)
