@@ -62,7 +62,7 @@ def read_columns(path: str | Path, columns: Mapping[str, Any], *, skip_lines: in
         if delimiter is not None:
             raise InputError("a spreadsheet has no delimiter; leave it out", file=path, field="delimiter")
         found = read_sheet(path, sheet)
-        with located(file=path, part=found.title):
+        with located(file=path, part=f"sheet {found.name!r}"):
             below = Table([row for row in found.rows if row.line > skip_lines])
             _, header, rows = _begin([below], names, places, path)
             chosen = _choose(wanted, header, bool(names), path)

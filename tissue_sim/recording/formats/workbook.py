@@ -28,11 +28,6 @@ class Sheet:
     name: str
     rows: tuple[Row, ...]
 
-    @property
-    def title(self) -> str:
-        """The sheet, for messages."""
-        return f"sheet {self.name!r}"
-
 
 def is_workbook(path: Path) -> bool:
     """Whether the file is meant as a spreadsheet: by its first bytes or, failing these, by its name."""

@@ -33,7 +33,7 @@ def read_xlsx(path: str | Path, *, columns: Mapping[str, Any] | None = None, she
         return read_columns(path, columns, sheet=sheet, skip_lines=skip_lines)
     path = Path(path)
     found = read_sheet(path, sheet)
-    with located(file=path, part=found.title):
+    with located(file=path, part=f"sheet {found.name!r}"):
         rows = [row for row in found.rows if not row.cells[0].startswith("#")]
         # Cells beside the table, in columns without a name, are not part of it.
         named = [i for i, cell in enumerate(rows[0].cells) if cell] if rows else []
