@@ -12,7 +12,7 @@ from calibration.campaign.parameter_space import ParameterSpace
 from calibration.forward.contract import InfeasibleError, Reached
 from calibration.forward.solves import Solves
 from tissue_sim.closed_form.histories import LARGEST_STEP, HomogeneousHistory
-from tissue_sim.closed_form.homogeneous import ClosedForm, Homogeneous
+from tissue_sim.closed_form.homogeneous import ClosedForm
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import TestKind
 from tissue_sim.laws import Law, find_law
@@ -255,7 +255,7 @@ class ClosedTest:
     @property
     def _divides(self) -> bool:
         """Whether its histories are those of `HomogeneousHistory`."""
-        return isinstance(self.closed_form, Homogeneous) and self.closed_form.law_mode in ("uniaxial", "simple_shear")
+        return type(self.closed_form) is ClosedForm and self.closed_form.law_mode in ("uniaxial", "simple_shear")
 
     def history(self, recording: int, offset: float = 0.0) -> HomogeneousHistory:
         """How a recording deformed the specimen."""

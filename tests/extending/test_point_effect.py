@@ -102,7 +102,7 @@ def test_tangent_is_the_derivative_of_the_residual(branch, element):
     solver = AxisymmetricSolver(mesh, stuff, {"base": "rz"}, {"top": "rz"}, element_layers=layers)
     for depth, dt in ((5e-3, 0.5), (10e-3, 1.0), (8e-3, 0.3)):
         assert solver.step(depth, dt).status is StepStatus.CONVERGED
-    equations, lower = solver.equations, solver.tangent()
+    equations, lower = solver.equations, solver.equations.tangent()
     equation, free = equations.equation, equations.free
     tangent = np.zeros((free, free))
     for d in range(lower.shape[0]):

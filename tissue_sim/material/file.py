@@ -6,6 +6,8 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +15,8 @@ import msgspec
 import numpy as np
 
 from tissue_sim.atomic_write import write_text
-from tissue_sim.decode import as_json_types, decode, read_json, require_writable
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.decode import as_json_types, decode, read_json, require_schema, require_writable
+from tissue_sim.errors import InputError, located, nearest
 from tissue_sim.laws import Law, check_stability, find_law
 from tissue_sim.material.material import Bulk, Material
 from tissue_sim.material.schema import (
@@ -31,10 +33,9 @@ from tissue_sim.material.schema import (
     ValidRange,
     ViscoelasticEntry,
     entries_of,
-    errors_of,
     parts_of,
 )
-from tissue_sim.parameters import Parameter, parameters
+from tissue_sim.parameters import Parameter, parameters, tokens
 from tissue_sim.units import UNITS, to_si
 from tissue_sim.version import __version__
 
@@ -131,8 +132,16 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
     @property
     def standard_errors(self) -> dict[str, float]:
         """Path, as in `tissue_sim.parameters`, -> standard error, SI, of those that are known; of a file in SI."""
-        law = {name: entry.standard_error for name, entry in self.parameters.items()}
-        return {name: error for name, error in law.items() if error is not None} | errors_of(self._effects)
+        stated, content = {}, msgspec.to_builtins(self)
+        for path, each in _with_errors(self.material).items():
+            *place, key = tokens(each.file_path)
+            if place:
+                error = reduce(getitem, place, content).get("standard_errors", {}).get(key)
+            else:
+                error = self.parameters[path].standard_error
+            if error is not None:
+                stated[path] = each.declaration.factor * error
+        return stated
 
     @property
     def covariance_SI(self) -> tuple[tuple[str, ...], np.ndarray] | None:
@@ -163,10 +172,8 @@ def read_material_file(path: str | Path) -> MaterialFile:
     """
     path = Path(path)
     data = read_json(path, "a material file (JSON)")
-    try:
+    with located(file=path):
         return decode_material_file(data)
-    except InputError as error:
-        raise error.located(file=path) from None
 
 
 def write_material_file(material_file: MaterialFile, path: str | Path) -> None:
@@ -175,10 +182,8 @@ def write_material_file(material_file: MaterialFile, path: str | Path) -> None:
     Raises:
         InputError: a value that the reader would refuse, or a place that cannot be written; nothing is written then.
     """
-    try:
+    with located(file=path):
         data = msgspec.to_builtins(checked(material_file))
-    except InputError as error:
-        raise error.located(file=path) from None
     text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
     # Lists of numbers on one line: a line end inside brackets is never part of a JSON text.
     text = re.sub(r"\[\n([^\[\]{}\"]*)\n\s*\]", lambda match: f"[{' '.join(match[1].split())}]", text)
@@ -187,9 +192,7 @@ def write_material_file(material_file: MaterialFile, path: str | Path) -> None:
 
 def decode_material_file(data: Any) -> MaterialFile:
     """A `MaterialFile` from decoded JSON; see `read_material_file`."""
-    if not isinstance(data, dict):
-        raise InputError('expected an object { "schema": ... }, found something else')
-    _check_schema(data.get("schema"))
+    require_schema(data, "material", VERSION)
     parameters = data.get("parameters")
     if isinstance(parameters, dict):
         # One by one: msgspec names no keys of maps in its messages.
@@ -198,34 +201,23 @@ def decode_material_file(data: Any) -> MaterialFile:
     return checked(decode(data, MaterialFile, ""))
 
 
-def _check_schema(schema: Any) -> None:
-    match = re.fullmatch(r"tissue_sim/material/([0-9]{1,9})", schema) if isinstance(schema, str) else None
-    if not match or int(match[1]) < 1:
-        found = "the schema is missing" if schema is None else f"{schema!r} is not a material schema"
-        raise InputError(f"{found}, expected {SCHEMA!r}", field="schema")
-    if int(match[1]) > VERSION:
-        raise InputError(f"{schema!r} was written by a newer version, expected {SCHEMA!r}; update tissue-sim",
-                         field="schema")
-
-
 def checked(file: MaterialFile) -> MaterialFile:
     """The same file in SI, with everything checked that types do not say.
 
     Raises:
         InputError: with the dotted path of the field.
     """
-    _check_schema(file.schema)
-    require_writable(msgspec.to_builtins(file))
+    content = msgspec.to_builtins(file)
+    require_schema(content, "material", VERSION)
+    require_writable(content)
     law = find_law(file.law)
     factors = {}
     for name, entry in file.parameters.items():
         if name not in law.units:
             raise InputError(f"law {law.name} has no parameter {name!r}{nearest(name, law.parameters)}",
                              field=f"parameters.{name}")
-        try:
+        with located(field=f"parameters.{name}.unit"):
             factors[name], _ = to_si(entry.unit, UNITS[law.units[name]][0])
-        except InputError as error:
-            raise error.located(field=f"parameters.{name}.unit") from None
         if entry.standard_error is not None and entry.standard_error < 0:
             raise InputError(f"{entry.standard_error:g} is negative; give a standard deviation",
                              field=f"parameters.{name}.standard_error")
@@ -248,11 +240,12 @@ def checked(file: MaterialFile) -> MaterialFile:
         order = file.covariance.order
         _check_order(order, law, [each.file_path for each in _with_errors(file.material).values()])
         scale = np.array([factors.get(name, 1.0) for name in order])
-        matrix = np.array(_square(file.covariance.matrix, len(order)), dtype=float)
-        matrix = np.outer(scale, scale) * matrix
+        if (lengths := [len(row) for row in file.covariance.matrix]) != [len(order)] * len(order):
+            raise InputError(f"has rows of length {lengths}, expected {len(order)} rows of {len(order)}",
+                             field="covariance.matrix")
+        matrix = np.outer(scale, scale) * np.array(file.covariance.matrix, dtype=float)
         _check_matrix(matrix, len(order))
         file = msgspec.structs.replace(file, covariance=CovarianceEntry(order=order, matrix=_rows(matrix)))
-    _ = errors_of(file._effects)
     require_writable(msgspec.to_builtins(file))  # a number near 1e308 MPa does not fit in Pa
     return file
 
@@ -270,13 +263,6 @@ def _check_order(order: Sequence[str], law: Law, known: Sequence[str]) -> None:
     for name in order[m:]:
         if name not in known:
             raise InputError(f"this material has no parameter {name!r}{nearest(name, known)}", field="covariance.order")
-
-
-def _square(rows: Sequence[Sequence[float]], m: int) -> Sequence[Sequence[float]]:
-    if [len(row) for row in rows] != [m] * m:
-        raise InputError(f"has rows of length {[len(row) for row in rows]}, expected {m} rows of {m}",
-                         field="covariance.matrix")
-    return rows
 
 
 def _rows(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:

@@ -7,17 +7,18 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.errors import InputError, located, nearest
 from tissue_sim.files import read_text
 from tissue_sim.recording.formats.header import (
     DELIMITERS,
     DELIMITERS_OF_NUMBERS,
+    Table,
     find_header,
     find_numbers,
     matches,
     text_tables,
 )
-from tissue_sim.recording.formats.table import Column, Row, conversion, read_recording_table
+from tissue_sim.recording.formats.table import Column, Row, conversion, narrow, read_recording_table
 from tissue_sim.recording.formats.workbook import is_workbook, read_sheet
 from tissue_sim.recording.recording import CHANNELS, LABELS, Recording
 from tissue_sim.units import split_header
@@ -61,12 +62,13 @@ def read_columns(path: str | Path, columns: Mapping[str, Any], *, skip_lines: in
         if delimiter is not None:
             raise InputError("a spreadsheet has no delimiter; leave it out", file=path, field="delimiter")
         found = read_sheet(path, sheet)
-        with found.located():
-            _, header, rows = _begin([found.table(skip_lines)], names, places, path)
+        with located(file=path, part=f"sheet {found.name!r}"):
+            below = Table([row for row in found.rows if row.line > skip_lines])
+            _, header, rows = _begin([below], names, places, path)
             chosen = _choose(wanted, header, bool(names), path)
-            narrow, chosen = _narrow(rows, chosen)
+            rows, chosen = _alone(rows, chosen)
             header = Row(header.line, tuple(column.header for column in chosen))
-            return read_recording_table(header, narrow, chosen, file=path, delimiter=";", metadata=metadata)
+            return read_recording_table(header, rows, chosen, file=path, delimiter=";", metadata=metadata)
     if sheet is not None:
         raise InputError("this file is no spreadsheet (xlsx), so it has no sheets; leave it out", file=path,
                          field="sheet")
@@ -110,11 +112,9 @@ def _choose(wanted: Mapping[str, Mapping[str, Any]], header: Row, named: bool, p
     return chosen
 
 
-def _narrow(rows: Sequence[Row], chosen: Sequence[Column]) -> tuple[list[Row], list[Column]]:
+def _alone(rows: Sequence[Row], chosen: Sequence[Column]) -> tuple[list[Row], list[Column]]:
     """The chosen columns alone, and the rows that have something in them: a sheet holds other things beside a table."""
-    narrow = [Row(row.line, tuple(row.cells[column.index] if column.index < len(row.cells) else ""
-                                  for column in chosen)) for row in rows]
-    return ([row for row in narrow if not row.blank],
+    return (narrow(rows, [column.index for column in chosen]),
             [Column(column.channel, i, column.header, column.factor, column.offset)
              for i, column in enumerate(chosen)])
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import io
 import warnings
 import zipfile
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
@@ -15,7 +14,6 @@ from typing import Any
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.files import ZIP_MAGIC, read_bytes
 from tissue_sim.recording.formats.extra import require
-from tissue_sim.recording.formats.header import Table
 from tissue_sim.recording.formats.table import Row
 
 EXPECTED = "a spreadsheet (xlsx)"
@@ -27,22 +25,8 @@ _OLE_MAGIC = b"\xd0\xcf\x11\xe0"
 class Sheet:
     """A sheet's rows that hold anything; `Row.line` is the number of the row in the spreadsheet."""
 
-    file: Path
     name: str
     rows: tuple[Row, ...]
-
-    def table(self, skip_rows: int = 0) -> Table:
-        """The rows below the first `skip_rows`."""
-        return Table([row for row in self.rows if row.line > skip_rows])
-
-    @contextmanager
-    def located(self) -> Iterator[None]:
-        """Errors of the work inside name the sheet."""
-        try:
-            yield
-        except InputError as error:
-            raise InputError(f"sheet {self.name!r}: {error.problem}", file=self.file, line=error.line,
-                             field=error.field) from None
 
 
 def is_workbook(path: Path) -> bool:
@@ -101,7 +85,7 @@ def _sheets(openpyxl: Any, data: bytes, path: Path, sheet: str | int | None) -> 
     found = []
     for name, rows in values.items():
         numbered = (Row(number, cells) for number, cells in enumerate(rows, start=1))
-        found.append(Sheet(path, name, tuple(row for row in numbered if not row.blank)))
+        found.append(Sheet(name, tuple(row for row in numbered if not row.blank)))
     return found
 
 

@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from tissue_sim.errors import located
 from tissue_sim.recording.formats.columns import read_columns
 from tissue_sim.recording.formats.native import native_recording
-from tissue_sim.recording.formats.table import Row
+from tissue_sim.recording.formats.table import narrow
 from tissue_sim.recording.formats.workbook import read_sheet
 from tissue_sim.recording.recording import Recording
 
@@ -30,10 +31,10 @@ def read_xlsx(path: str | Path, *, columns: Mapping[str, Any] | None = None, she
     """
     if columns is not None:
         return read_columns(path, columns, sheet=sheet, skip_lines=skip_lines)
-    found = read_sheet(Path(path), sheet)
-    with found.located():
+    path = Path(path)
+    found = read_sheet(path, sheet)
+    with located(file=path, part=f"sheet {found.name!r}"):
         rows = [row for row in found.rows if not row.cells[0].startswith("#")]
         # Cells beside the table, in columns without a name, are not part of it.
         named = [i for i, cell in enumerate(rows[0].cells) if cell] if rows else []
-        table = [Row(row.line, tuple(row.cells[i] if i < len(row.cells) else "" for i in named)) for row in rows]
-        return native_recording([row for row in table if not row.blank], found.file)
+        return native_recording(narrow(rows, named), path)
