@@ -17,7 +17,7 @@ from tissue_sim.laws import find_law
 if TYPE_CHECKING:
     from calibration.campaign.campaign import Test
     from calibration.campaign.measured import MeasuredCurve
-    from calibration.fit.results import TestCurves
+    from calibration.fit.curves import TestCurves
 
 _BINS = 60
 #: Of a panel; room for a line of legend below it.

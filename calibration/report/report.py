@@ -41,8 +41,8 @@ from tissue_sim.atomic_write import write_text
 
 if TYPE_CHECKING:
     from calibration.campaign.campaign import Campaign, Test
+    from calibration.fit.curves import TestCurves
     from calibration.fit.result import CalibrationResult
-    from calibration.fit.results import TestCurves
 
 
 def write_report(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurves]], path: Path, *,
