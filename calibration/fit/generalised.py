@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from calibration.campaign.campaign import Campaign, Test
-from calibration.campaign.measured import MeasuredCurve
+from calibration.campaign.campaign import Test
 from calibration.fit.campaign_problem import build_problem
 from calibration.fit.checks import check_start
 from calibration.fit.estimate import Estimate, Stated, settle
-from calibration.fit.estimator import Findings, Runner
+from calibration.fit.estimator import Estimator, Findings
 from calibration.fit.fit import Fit, JitterStatement, MeshCorrection, Minimum, Nuisance, Prediction
 from calibration.fit.identifiability import condition, suggest_tests, weak_directions
 from calibration.fit.levenberg_marquardt import ENOUGH_OF_A_START, Descent, Listener, descend
@@ -20,10 +19,10 @@ from calibration.fit.problem import Evaluation, Problem
 from calibration.fit.ranking import prediction_message
 from calibration.fit.regions import judge_regions, name_misfits
 from calibration.fit.starts import starts
+from calibration.fit.steps import Steps
 from calibration.fit.uncertainty import assess_uncertainty
 from calibration.forward.contract import ForwardTest, InfeasibleError, Reached
 from calibration.forward.forms import FAST_REMAINDERS, REMAINDERS, build_test, remainder
-from calibration.forward.solves import Solves
 from calibration.statistics.jitter import Jitter
 from calibration.statistics.statistics import MODEL_ERROR_RATIO, r_squared
 from calibration.statistics.uncertainty import Uncertainty
@@ -36,16 +35,11 @@ SUSPECT = 4.0
 FEW = 6
 
 
-class Generalised:
+class Generalised(Estimator):
     """Any test, force, weights from noise, jitter and mesh error; see `calibration.fit.estimator.Estimator`."""
 
     explores = True
-    by_prediction = True
     words = "inverse FEM: generalised least squares on force"
-    pooled_noise: float | None = None
-
-    def __init__(self, campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCurve]], solves: Solves):
-        self.campaign, self.measured, self.solves = campaign, measured, solves
 
     def problem(self, law: str) -> Problem:
         """The least-squares problem of one law over all tests that are not held out."""
@@ -55,21 +49,21 @@ class Generalised:
         """Refuse a start that the law or the tests do not bear, or a parameter that no test can see."""
         check_start(self.problem(law), self.campaign, number)
 
-    def estimate(self, laws: Sequence[str], run: Runner) -> dict[str, tuple[list[Descent], Estimate | str]]:
+    def estimate(self, laws: Sequence[str], steps: Steps) -> dict[str, tuple[list[Descent], Estimate | str]]:
         """As `Estimator.estimate`: all starts of all laws at once, then all mesh differences."""
         problems = {law: self.problem(law) for law in laws}
         keys = [(law, number, theta) for law in laws
                 for number, theta in enumerate(starts(problems[law].space, self.campaign.fit.starts), 1)]
-        ends = run.descents(run_start, [law for law, *_ in keys],
-                            [(problems[law], number, theta) for law, number, theta in keys],
-                            f"{len(keys)} start{'s' if len(keys) > 1 else ''}")
+        ends = steps.descents(run_start, [law for law, *_ in keys],
+                              [(problems[law], number, theta) for law, number, theta in keys],
+                              f"{len(keys)} start{'s' if len(keys) > 1 else ''}")
         descents: dict[str, list[Descent]] = {law: [] for law in laws}
         for (law, *_), end in zip(keys, ends, strict=True):
             descents[law].append(end)
         best = {law: min(descents[law], key=lambda end: end.error) for law in laws}
         usable = [law for law in laws if np.isfinite(best[law].error)]
-        settled = run.descents(run_settle, usable, [(problems[law], best[law], self._stated(problems[law]))
-                                                    for law in usable], "the difference of the accurate mesh")
+        settled = steps.descents(run_settle, usable, [(problems[law], best[law], self._stated(problems[law]))
+                                                      for law in usable], "the difference of the accurate mesh")
         found: dict[str, tuple[list[Descent], Estimate | str]] = {
             law: (descents[law], best[law].problem) for law in laws}
         for law, estimate in zip(usable, settled, strict=True):

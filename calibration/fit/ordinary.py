@@ -14,17 +14,17 @@ from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.closed_starts import closed_starts
 from calibration.fit.estimate import Estimate
-from calibration.fit.estimator import Findings, Runner
+from calibration.fit.estimator import Estimator, Findings
 from calibration.fit.fit import Fit, Minimum, Nuisance, Prediction
 from calibration.fit.levenberg_marquardt import Descent, descend
 from calibration.fit.ordinary_problem import OrdinaryProblem
 from calibration.fit.problem import Evaluation
 from calibration.fit.ranking import bic_message
+from calibration.fit.steps import Steps
 from calibration.forward.closed import ClosedTest
 from calibration.forward.contract import ForwardTest, Reached
 from calibration.forward.forms import analytical_test
 from calibration.forward.solves import Solves
-from calibration.statistics.jitter import Jitter
 from calibration.statistics.statistics import CURVATURE_RATIO, MODEL_ERROR_RATIO, r_squared
 from calibration.statistics.uncertainty import Uncertainty, sandwich
 from tissue_sim.errors import InputError
@@ -46,15 +46,14 @@ _REMEDIES = {
 }
 
 
-class Ordinary:
+class Ordinary(Estimator):
     """Closed forms, nominal stress, all samples alike; see `calibration.fit.estimator.Estimator`."""
 
     explores = False
-    by_prediction = False
     words = "analytical: least squares on nominal stress"
 
     def __init__(self, campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCurve]], solves: Solves):
-        self.campaign, self.measured, self.solves = campaign, measured, solves
+        super().__init__(campaign, measured, solves)
         self.fitted = [curve for test in campaign.tests if not test.hold_out for curve in measured[test.name]]
 
     def problem(self, law: str) -> OrdinaryProblem:
@@ -79,11 +78,11 @@ class Ordinary:
             raise InputError(f"{law} has {unknowns} parameters and the tests only {samples} points; widen max_strain "
                              "or take a simpler law", file=self.campaign.path, field=f"fit.laws[{number}]")
 
-    def estimate(self, laws: Sequence[str], run: Runner) -> dict[str, tuple[list[Descent], Estimate | str]]:
+    def estimate(self, laws: Sequence[str], steps: Steps) -> dict[str, tuple[list[Descent], Estimate | str]]:
         """As `Estimator.estimate`; one law after the other in this process."""
         found: dict[str, tuple[list[Descent], Estimate | str]] = {}
         for law in laws:
-            run.say(f"fitting {law} to {len(self.fitted)} recording{'s' if len(self.fitted) != 1 else ''}")
+            steps.say(f"fitting {law} to {len(self.fitted)} recording{'s' if len(self.fitted) != 1 else ''}")
             found[law] = fit_law(self.problem(law))
         return found
 
@@ -148,10 +147,6 @@ class Ordinary:
     def held_out(self, test: Test, estimate: Estimate) -> tuple[ForwardTest, float]:
         """A closed form is exact."""
         return self._test(test), 0.0
-
-    def scatter(self, estimate: Estimate) -> Jitter | None:
-        """Nobody estimates it here."""
-        return None
 
     def rank_message(self, fits: Sequence[Fit], predictions: Sequence[Prediction]) -> str:
         """As `Estimator.rank_message`."""
