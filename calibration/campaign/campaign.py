@@ -21,8 +21,16 @@ from calibration.campaign.checks import (
     require_positive,
 )
 from calibration.campaign.experiments import read_experiment, read_rig
-from calibration.campaign.parameters import Named, Surroundings, check_values, find_named, stated_material
-from calibration.campaign.schema import CampaignTable, FitTable, NoiseTable, SpecimenTable, TestTable, decode_campaign
+from calibration.campaign.parameters import Named, check_values, declared_around, find_named, stated_material
+from calibration.campaign.schema import (
+    BY_PARAMETER,
+    CampaignTable,
+    FitTable,
+    NoiseTable,
+    SpecimenTable,
+    TestTable,
+    decode_campaign,
+)
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
@@ -311,15 +319,15 @@ def _fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ...]) -
         raise InputError(f"{table.starts} starts; give 1 to {MOST_STARTS}", field="fit.starts")
     check_unused(table, noise)
     check_parameters(table)
-    named = find_named(table, [
-        Surroundings(test.name, None if test.specimen is None else test.experiment, test.rig) for test in tests])
+    named = find_named(table, {test.name: declared_around(None if test.specimen is None else test.experiment, test.rig)
+                               for test in tests})
     check_values(table, named)
     if table.method == "analytical":
         check_closed(table, named)
     by_path = {what.path: what for what in named.values()}
     start, fixed, prior, bounds = (
         {named[name].path: _in_SI(value, named[name].declaration.factor) for name, value in getattr(table, key).items()}
-        for key in ("start", "fixed", "prior", "bounds"))
+        for key in BY_PARAMETER)
     offset_prior = next((value * 1e-3 for value in (table.offset_prior_mm, noise.contact_jitter_mm)
                          if isinstance(value, float | int) and value > 0), DEFAULT_OFFSET_PRIOR)
     zero_prior = next((float(value) for value in (table.zero_prior_N, noise.zero_jitter_N)

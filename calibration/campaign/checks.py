@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from calibration.campaign.parameters import SHARED, Named, is_of_material
-from calibration.campaign.schema import FitTable, NoiseTable, TestTable
-from tissue_sim.errors import InputError, nearest
-from tissue_sim.experiment.interfaces import INTERFACES
+from calibration.campaign.parameters import SHARED, Named
+from calibration.campaign.schema import BY_PARAMETER, FitTable, NoiseTable, TestTable
+from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.experiment.tools.tool import TOOLS, read_shape
 from tissue_sim.frozen_mapping import read_only
@@ -47,17 +46,6 @@ def check_available(entry: TestTable, field: str) -> None:
         if getattr(entry, key) is not None:
             raise InputError("does not belong to the analytical method; leave it out, or set fit.method = "
                              "'inverse_fem'", field=f"{field}.{key}")
-    for key, value in {**entry.tool_sizes, "friction_wall": entry.friction_wall}.items():
-        if value:
-            raise InputError(f"a plate that covers the specimen has no {key}; leave it out", field=f"{field}.{key}")
-    for key, face in kind.faces.items():
-        value = getattr(entry, key)
-        if isinstance(value, str) and value not in INTERFACES:
-            raise InputError(f"unknown friction {value!r}{nearest(value, INTERFACES)}; or give a coefficient",
-                             field=f"{field}.{key}")
-        if face.fixed and value is not None and (value or "frictionless") != face.usual:
-            raise InputError(f"{value!r} contradicts kind = {entry.kind!r}, whose faces are {face.usual}; leave it "
-                             "out", field=f"{field}.{key}")
 
 
 def read_columns_key(entry: TestTable, field: str) -> Mapping[str, Any] | None:
@@ -130,25 +118,21 @@ def check_closed(table: FitTable, named: Mapping[str, Named]) -> None:
         raise InputError(f"points at even strains have no history, and {others[0]} needs one; leave it out",
                          field="fit.strain_points")
     for name, what in named.items():
-        if not is_of_material(name, named) or what.scope != SHARED:
-            key = next(key for key in ("scope", "start", "fixed", "prior", "bounds") if name in getattr(table, key))
+        if not what.of_material or what.scope != SHARED:
+            key = next(key for key in ("scope", *BY_PARAMETER) if name in getattr(table, key))
             raise InputError("the analytical method fits one material to all tests; leave it out, or set fit.method = "
                              "'inverse_fem'", field=f"fit.{key}.{name}")
 
 
 def check_parameters(table: FitTable) -> None:
     """Refuse numbers of start, fixed, prior and bounds that contradict each other or are none."""
-    for key in ("start", "fixed", "prior", "bounds"):
+    for key in BY_PARAMETER:
         for name, value in getattr(table, key).items():
             if np.isnan(value).any() or (key != "bounds" and not np.isfinite(value).all()):
                 raise InputError(f"{value} is not finite; give a number", field=f"fit.{key}.{name}")
     for name, (low, high) in table.bounds.items():
         if not low < high:
             raise InputError(f"[{low:g}, {high:g}] is empty; give the lower bound first", field=f"fit.bounds.{name}")
-        for key in ("start", "fixed"):
-            value = getattr(table, key).get(name)
-            if value is not None and not low <= value <= high:
-                raise InputError(f"{value:g} is outside its bounds [{low:g}, {high:g}]", field=f"fit.{key}.{name}")
     for name, (_, deviation) in table.prior.items():
         if deviation <= 0:
             raise InputError(f"the standard deviation {deviation:g} is not positive; a prior is [mean, standard "

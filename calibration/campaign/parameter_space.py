@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from calibration.campaign.campaign import Campaign, Test
-from calibration.campaign.parameters import PER_REPLICATE, PER_SPECIMEN, PER_TEST, SHARED, Named, is_of_material
+from calibration.campaign.parameters import PER_REPLICATE, PER_SPECIMEN, PER_TEST, SHARED, Named
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.laws import find_law
@@ -232,11 +232,9 @@ class ParameterSpace:
 
 def _spread(named: Named, tests: Sequence[Test], recordings: Mapping[str, Sequence[str]]) -> list[Unknown]:
     """The numbers that a named parameter stands for: one, or one for each specimen, test or recording."""
-    of_material = named.of_law or is_of_material(named.path, {named.path: named})
-
     def one(mark: str = "", where: tuple[str, ...] | None = None, recording: str | None = None) -> Unknown:
         name = f"{named.path}@{mark}" if mark else named.path
-        return Unknown(name, named.path, named.declaration, named.of_law, of_material, where, recording)
+        return Unknown(name, named.path, named.declaration, named.of_law, named.of_material, where, recording)
 
     own = [test for test in tests if test.name in named.tests and not test.hold_out]
     if named.scope == PER_TEST:
@@ -248,5 +246,5 @@ def _spread(named: Named, tests: Sequence[Test], recordings: Mapping[str, Sequen
         return [one(specimen, tuple(test.name for test in tests
                                     if test.specimen is not None and test.specimen.name == specimen))
                 for specimen in specimens]
-    shared = named.scope if isinstance(named.scope, tuple) else None if of_material else named.tests
+    shared = named.scope if isinstance(named.scope, tuple) else None if named.of_material else named.tests
     return [one(where=shared)]
