@@ -139,20 +139,15 @@ class OrdinaryProblem(LeastSquares):
     def _weighted(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
         free = len(self.space.free)
         force, rates = np.empty(self.samples), np.zeros((self.samples, theta.size))
-        offsets, first = self.offsets(theta), 0
-        for test in self.tests:
-            numbers = range(first, first + len(test.measured))
-            rows = slice(self.rows[first].start, self.rows[numbers[-1]].stop)
-            shifted = [i for i in numbers if i in self.shifted]
-            answer = test.solve(self.space, theta[:free], self.solves)
-            force[rows], rates[rows, :free], contact = test.evaluate_all(answer, offsets[list(numbers), 0],
-                                                                         bool(shifted))
-            for i in shifted:
-                column, mine = free + 2 * self.shifted.index(i), self.rows[i]
-                force[mine] += offsets[i, 1]
-                rates[mine, column] = contact[mine.start - rows.start:mine.stop - rows.start]
-                rates[mine, column + 1] = 1.0
-            first = numbers.stop
+        answers = [test.solve(self.space, theta[:free], self.solves) for test in self.tests]
+        for i, (rows, (t, r), (offset, zero)) in enumerate(zip(self.rows, self.places, self.offsets(theta).tolist(),
+                                                               strict=True)):
+            shifted = i in self.shifted
+            force[rows], rates[rows, :free], contact = self.tests[t].evaluate(answers[t], r, offset, shifted)
+            if shifted:
+                column = free + 2 * self.shifted.index(i)
+                force[rows] += zero
+                rates[rows, column], rates[rows, column + 1] = contact, 1.0
         unit = self.area * self.noise
         return (force - self.data) / unit, rates / unit[:, None], np.zeros((self.samples, 0)), np.zeros(0), force
 

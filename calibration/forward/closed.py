@@ -115,12 +115,14 @@ class ClosedTest:
         return ClosedAnswer(space, law, np.array([numbers[name] for name in law.parameters]), free, values, recording,
                             material if material is not None and material.remembers else None)
 
-    def evaluate(self, answers: list[ClosedAnswer], recording: int, offset: float):
-        """As `ForwardTest.evaluate`."""
+    def evaluate(self, answers: list[ClosedAnswer], recording: int, offset: float, contact: bool = True):
+        """As `ForwardTest.evaluate`; without `contact` the derivative with the offset is None."""
         answer = answers[recording]
-        if answer.material is None:
-            return self._finite(answer, *self._elastic(answer, self.measured[recording].displacement - offset))
-        return self._finite(answer, *self._remembering(answer, answer.material, recording, offset))
+        force, rates, rate = self._elastic(answer, self.measured[recording].displacement - offset, contact) \
+            if answer.material is None else self._remembering(answer, answer.material, recording, offset, contact)
+        if not (np.isfinite(force).all() and np.isfinite(rates).all()):
+            raise InfeasibleError(f"{self.name}: {answer.law.name} gives no finite stress")
+        return force, rates, rate
 
     def differences(self, answers: list[ClosedAnswer]) -> frozenset[str]:
         """As `ForwardTest.differences`."""
@@ -131,29 +133,7 @@ class ClosedTest:
                 names |= {name for name in answer.space.free if name not in exact or name.endswith(".tau")}
         return frozenset(names)
 
-    def evaluate_all(self, answers: list[ClosedAnswer], offsets: np.ndarray, contact: bool):
-        """As `evaluate`, of all recordings behind one another with one material, shapes (n,), (n, p), (n,).
-
-        Args:
-            answers: of `solve`. offsets: of the contact of each recording, m, shape (recordings,).
-            contact: whether the derivative with the offset is asked for; None where it is not.
-        """
-        answer = answers[0]
-        if answer.material is None:
-            moved = [curve.displacement - offset for curve, offset in zip(self.measured, offsets, strict=True)]
-            return self._finite(answer, *self._elastic(answer, np.concatenate(moved), contact))
-        parts = [self._remembering(answer, answer.material, i, offset, contact)
-                 for i, offset in enumerate(offsets.tolist())]
-        force, rates, rate = zip(*parts, strict=True)
-        return self._finite(answer, np.concatenate(force), np.concatenate(rates),
-                            np.concatenate(rate) if contact else None)
-
-    def _finite(self, answer: ClosedAnswer, force: np.ndarray, rates: np.ndarray, rate: np.ndarray | None):
-        if not (np.isfinite(force).all() and np.isfinite(rates).all()):
-            raise InfeasibleError(f"{self.name}: {answer.law.name} gives no finite stress")
-        return force, rates, rate
-
-    def _elastic(self, answer: ClosedAnswer, displacement: np.ndarray, contact: bool = True):
+    def _elastic(self, answer: ClosedAnswer, displacement: np.ndarray, contact: bool):
         """Force, its derivatives with the free parameters, and with the contact offset."""
         law, values, closed_form = answer.law, answer.values, self.closed_form
         strain = self.strain(displacement)
@@ -179,7 +159,7 @@ class ClosedTest:
         return factor * stress, factor * rates, None if slope is None else factor * slope
 
     def _remembering(self, answer: ClosedAnswer, material: Material, recording: int, offset: float,
-                     contact: bool = True):
+                     contact: bool):
         """As `_elastic`, of a history."""
         try:
             force = self._history_force(material, recording, offset)

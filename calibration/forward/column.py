@@ -37,7 +37,7 @@ class ColumnTest(ClosedTest):
     def weightless(self) -> ClosedTest:
         return ClosedTest(self.name, self.kind, self.height, self.area, self.measured)
 
-    def _elastic(self, answer: ClosedAnswer, displacement: np.ndarray, contact: bool = True):
+    def _elastic(self, answer: ClosedAnswer, displacement: np.ndarray, contact: bool):
         column, law, values = Column(self.specimen), answer.law, answer.values
         deepest = max(float(curve.displacement.max()) for curve in self.measured) + self.reserve
         # The deepest point stays, so that the curve is sampled alike.
