@@ -87,11 +87,6 @@ class ClosedTest:
     def closed_form(self) -> ClosedForm:
         return self.kind.require_closed_form()
 
-    @property
-    def sign(self) -> float:
-        """Of strain and nominal stress under load."""
-        return self.kind.sign
-
     def solve(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> list[ClosedAnswer]:
         """As `ForwardTest.solve`; nothing is computed yet."""
         values, answers = space.values(theta), {}
@@ -141,7 +136,7 @@ class ClosedTest:
         with np.errstate(all="ignore"):
             stress = closed_form.stress(law, strain, values)
             derivatives = closed_form.derivatives(law, strain, values)
-            slope = -self.sign * closed_form.slope(law, strain, values) / self.height if contact else None
+            slope = -self.kind.sign * closed_form.slope(law, strain, values) / self.height if contact else None
         if not self.kind.gripped:
             apart = self.kind.strain(strain) < 0.0
             stress[apart], derivatives[apart] = 0.0, 0.0
@@ -155,7 +150,7 @@ class ClosedTest:
         if answer.free:
             ours, theirs = zip(*answer.free, strict=True)
             rates[:, theirs] = derivatives[:, ours]
-        factor = self.sign * self.area
+        factor = self.kind.sign * self.area
         return factor * stress, factor * rates, None if slope is None else factor * slope
 
     def _remembering(self, answer: ClosedAnswer, material: Material, recording: int, offset: float,
@@ -188,7 +183,7 @@ class ClosedTest:
                 material.instantaneous_factor != 1.0):
             return {}
         law, history = answer.law, self.history(recording, offset)
-        count, factor = prony.tau.size, self.sign * self.area
+        count, factor = prony.tau.size, self.kind.sign * self.area
         step = _RATE_WIDTH * prony.tau
         rates = {}
         with np.errstate(all="ignore"):
@@ -223,7 +218,7 @@ class ClosedTest:
         return (more - less) / (high - low) if high > low else np.full(force.size, np.nan)
 
     def _history_force(self, material: Material, recording: int, offset: float) -> np.ndarray:
-        measured, factor = self.measured[recording], self.sign * self.area
+        measured, factor = self.measured[recording], self.kind.sign * self.area
         with np.errstate(all="ignore"):
             if not self._divides or material.effects:
                 strain = self.strain(measured.displacement - offset)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import typing
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -23,28 +22,11 @@ SLIDING_STEPS, SLIDING_POWER = 20, 1.5
 TIMED_STEPS = 20
 #: Of a hold: the first step as a part of it, and how much longer each step is than the one before.
 _HOLD_FIRST, _HOLD_GROWTH = 0.01, 1.6
-
-
 #: Rounding of the corner of the force at the touch, as a part of the depth: it raises the force there by what it is
 #: after a quarter of this.
 _TOUCH_WIDTH = 1e-3
 #: Width of a difference with the contact offset, as a part of the travel.
 _OFFSET_WIDTH = 1e-3
-
-
-class Course(typing.Protocol):
-    """Force, and what else belongs to it, along a motion."""
-
-    def __call__(self, time: np.ndarray | None, displacement: np.ndarray,
-                 offset: float) -> tuple[np.ndarray, np.ndarray]:
-        """Columns at samples, shape (n, m), and the derivative of the first with the contact offset, shape (n,).
-
-        Args:
-            time: s, displacement: m, of the samples, shape (n,). offset: m.
-        """
-
-    def forces(self, time: np.ndarray | None, displacement: np.ndarray, offsets: np.ndarray) -> np.ndarray:
-        """The first column at these contact offsets, m, shape (n, offsets)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +72,7 @@ class Loading:
 
 
 class _LoadingCourse:
-    """See `Course`. Nothing is felt before the touch.
+    """Force, and what else belongs to it, along a loading. Nothing is felt before the touch.
 
     The corner there is rounded, so that an offset which lets a sample pass it to and fro still has a best value.
     """
@@ -101,13 +83,20 @@ class _LoadingCourse:
         self._slope = self._spline.derivative()
         self._force = _spline(depth, columns[:, 0])
 
-    def __call__(self, time, displacement, offset):
+    def __call__(self, time: np.ndarray | None, displacement: np.ndarray,
+                 offset: float) -> tuple[np.ndarray, np.ndarray]:
+        """Columns at samples, shape (n, m), and the derivative of the first with the contact offset, shape (n,).
+
+        Args:
+            time: s, displacement: m, of the samples, shape (n,). offset: m.
+        """
         inside, known, share = self._inside(displacement - offset)
         rate = self._slope(known)
         # Beyond what was simulated the curve goes on straight.
         return self._spline(known) + rate * (inside - known)[:, None], -rate[:, 0] * share
 
-    def forces(self, time, displacement, offsets):
+    def forces(self, time: np.ndarray | None, displacement: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+        """The first column at these contact offsets, m, shape (n, offsets)."""
         inside, known, _ = self._inside(displacement[:, None] - offsets)
         return self._force(known) + self._force(self._end, 1) * (inside - known)
 
@@ -193,7 +182,7 @@ class Timed:
 
 
 class _TimedCourse:
-    """See `Course`; the last column is the derivative of the force with the offset."""
+    """As `_LoadingCourse`, along a motion in time; the last column is the derivative of the force with the offset."""
 
     def __init__(self, motion: Timed, columns: np.ndarray):
         self._motion, self._size = motion, columns.shape[1]
@@ -220,6 +209,9 @@ class _TimedCourse:
 
     def forces(self, time, displacement, offsets):
         return np.column_stack([self(time, displacement, offset)[0][:, 0] for offset in offsets])
+
+
+Course = _LoadingCourse | _TimedCourse
 
 
 def offset_rate(recording: Recording) -> np.ndarray:
