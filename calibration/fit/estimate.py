@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from calibration.campaign.campaign import Noise
 from calibration.fit.fit import Iteration, Minimum
 from calibration.fit.levenberg_marquardt import Listener, descend
 from calibration.fit.problem import Problem
@@ -22,14 +23,6 @@ SETTLED, SAFETY = 5e-4, 5.0
 #: The same for a change of the jitter, relative.
 JITTER_SETTLED = 0.05
 MOST_REFRESHES = 8
-
-
-@dataclass(frozen=True, eq=False)
-class Stated:
-    """Jitter that the campaign states, m and N; None: to be estimated."""
-
-    contact: float | None
-    zero: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,18 +53,19 @@ class Estimate:
     minima: tuple[Minimum, ...] = ()
 
 
-def settle(problem: Problem, theta: np.ndarray, stated: Stated, start: int = 1, past: int = 0,
+def settle(problem: Problem, theta: np.ndarray, stated: Noise, start: int = 1, past: int = 0,
            listen: Listener | None = None) -> Estimate:
     """Refresh the difference of the meshes and the jitter until neither moves the parameters.
 
     Args:
-        problem: uncorrected. theta: its minimum. stated: jitter. start, past, listen: as in `descend`.
+        problem: uncorrected. theta: its minimum. stated: jitter; None of it: to be estimated.
+        start, past, listen: as in `descend`.
     """
     began, counted = time.process_time(), Counter(problem.solves.counts)
     history: list[Iteration] = []
     differences: tuple[float, ...] = ()
     warnings: list[str] = []
-    if None in (stated.contact, stated.zero):
+    if None in (stated.contact_jitter, stated.zero_jitter):
         _estimate_jitter(problem, theta, stated)
         descent = descend(problem, theta, start=start, listen=listen, past=past)
         history += descent.history
@@ -81,7 +75,7 @@ def settle(problem: Problem, theta: np.ndarray, stated: Stated, start: int = 1, 
         differences = _refine(problem, theta, warnings)
         refreshes += 1
         jitter = problem.jitter
-        if None in (stated.contact, stated.zero):
+        if None in (stated.contact_jitter, stated.zero_jitter):
             _estimate_jitter(problem, theta, stated)
         problem.forget()
         descent = descend(problem, theta, start=start, corrected=True, listen=listen,
@@ -121,12 +115,12 @@ def _refine(problem: Problem, theta: np.ndarray, warnings: list[str]) -> tuple[f
     return tuple(found)
 
 
-def _estimate_jitter(problem: Problem, theta: np.ndarray, stated: Stated) -> None:
+def _estimate_jitter(problem: Problem, theta: np.ndarray, stated: Noise) -> None:
     """New jitter; where no test has two recordings the first guess stays, with freedom 0."""
     if all(len(test.measured) < 2 for test in problem.tests):
         return
     replicates = problem.replicates(problem.evaluate(theta))
-    problem.jitter = estimate_jitter(replicates, contact=stated.contact, zero=stated.zero)
+    problem.jitter = estimate_jitter(replicates, contact=stated.contact_jitter, zero=stated.zero_jitter)
     problem.forget()
 
 

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from calibration.campaign.campaign import Test
+from calibration.campaign.campaign import Noise, Test
 from calibration.fit.campaign_problem import build_problem
 from calibration.fit.checks import check_start
-from calibration.fit.estimate import Estimate, Stated, settle
+from calibration.fit.estimate import Estimate, settle
 from calibration.fit.estimator import Estimator, Findings
 from calibration.fit.fit import Fit, JitterStatement, MeshCorrection, Minimum, Nuisance, Prediction
 from calibration.fit.identifiability import condition, suggest_tests, weak_directions
-from calibration.fit.levenberg_marquardt import ENOUGH_OF_A_START, Descent, Listener, descend
+from calibration.fit.levenberg_marquardt import ENOUGH_OF_A_START, Descent, Listener, descend, distinct
 from calibration.fit.problem import Evaluation, Problem
 from calibration.fit.ranking import prediction_message
 from calibration.fit.regions import judge_regions, name_misfits
@@ -71,11 +71,11 @@ class Generalised(Estimator):
             found[law] = descents[law], estimate if np.isfinite(estimate.error) else estimate.failure
         return found
 
-    def _stated(self, problem: Problem) -> Stated:
+    def _stated(self, problem: Problem) -> Noise:
         """The jitter that is not to be estimated: fitted offsets have their priors."""
         if self.campaign.fit.offset == "fit":
-            return Stated(problem.jitter.contact, problem.jitter.zero)
-        return Stated(self.campaign.noise.contact_jitter, self.campaign.noise.zero_jitter)
+            return Noise(contact_jitter=problem.jitter.contact, zero_jitter=problem.jitter.zero)
+        return self.campaign.noise
 
     def uncertainty(self, estimate: Estimate, evaluation: Evaluation) -> Uncertainty:
         """That of the parameters, with the nuisances marginalised."""
@@ -151,7 +151,7 @@ def run_start(problem: Problem, number: int, theta: np.ndarray, listen: Listener
     return descend(problem, theta, start=number, enough=ENOUGH_OF_A_START, listen=listen)
 
 
-def run_settle(problem: Problem, best: Descent, stated: Stated, listen: Listener | None = None) -> Estimate:
+def run_settle(problem: Problem, best: Descent, stated: Noise, listen: Listener | None = None) -> Estimate:
     """From the best minimum to the estimate."""
     return settle(problem, best.theta, stated, start=best.start, past=len(best.history), listen=listen)
 
@@ -209,15 +209,8 @@ def _nuisances(problem: Problem, evaluation: Evaluation) -> list[Nuisance]:
 def _minima(descents: Sequence[Descent], problem: Problem) -> list[Minimum]:
     """Distinct ends of the starts, before the mesh difference was in."""
     total = float(np.sum((problem.data - problem.data.mean())**2))
-    kept: list[list] = []
-    for descent in sorted((d for d in descents if d.history and np.isfinite(d.error)), key=lambda d: d.error):
-        size = problem.sizes(descent.theta)
-        for other in kept:
-            if (np.abs(descent.theta - other[0].theta) <= _SAME * size).all():
-                other[1] += 1
-                break
-        else:
-            kept.append([descent, 1])
+    kept = distinct([(d, 1) for d in descents if d.history and np.isfinite(d.error)],
+                    lambda one, other: np.abs(one - other) <= _SAME * problem.sizes(one))
     return [Minimum(parameters=problem.space.values(descent.theta),
                     R2=1.0 - descent.history[-1].RMSE_N**2 * problem.data.size / total, starts=count)
             for descent, count in kept]

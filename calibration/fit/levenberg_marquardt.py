@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import cast
 
@@ -154,6 +154,23 @@ def descend(problem: LeastSquares, theta: np.ndarray, *, start: int = 1, correct
 def rmse(problem: LeastSquares, evaluation: Evaluation) -> float:
     """Root mean square of model minus data, with offsets and zeros, N."""
     return float(np.sqrt(np.mean((evaluation.force - problem.data)**2)))
+
+
+def distinct(ends: Iterable[tuple[Descent, int]],
+             near: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> list[tuple[Descent, int]]:
+    """Minima that differ, best first, with how many starts fell into each.
+
+    Args:
+        ends: with how many starts each stands for. near: which parameters of two ends are alike.
+    """
+    kept: list[tuple[Descent, int]] = []
+    for end, count in sorted(ends, key=lambda item: item[0].error):
+        same = next((i for i, (other, _) in enumerate(kept) if near(end.theta, other.theta).all()), None)
+        if same is None:
+            kept.append((end, count))
+        else:
+            kept[same] = kept[same][0], kept[same][1] + count
+    return kept
 
 
 def _rescaled(problem: LeastSquares, theta: np.ndarray) -> np.ndarray:

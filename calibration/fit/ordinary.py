@@ -16,7 +16,7 @@ from calibration.fit.closed_starts import closed_starts
 from calibration.fit.estimate import Estimate
 from calibration.fit.estimator import Estimator, Findings
 from calibration.fit.fit import Fit, Minimum, Nuisance, Prediction
-from calibration.fit.levenberg_marquardt import Descent, descend
+from calibration.fit.levenberg_marquardt import Descent, descend, distinct
 from calibration.fit.ordinary_problem import OrdinaryProblem
 from calibration.fit.problem import Evaluation
 from calibration.fit.ranking import bic_message
@@ -166,9 +166,12 @@ def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
         return descend(target, start, start=number, enough=0.0, tolerance=tolerance, gradient=tolerance,
                        most_solves=most)
 
+    def near(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        return (np.abs(one - other) <= _SAME * np.abs(other) + 1e-9)[: len(problem.space.free)]
+
     most = RELAXING_SOLVES if problem.relaxing else THINNED_SOLVES
     descents = [end_of(thin, start, number, most) for number, start in enumerate(closed_starts(thin), 1)]
-    ends = _distinct([(d, 1) for d in descents if np.isfinite(d.error)], problem)
+    ends = distinct([(d, 1) for d in descents if np.isfinite(d.error)], near)
     refined = ends if problem.relaxing else [(end_of(problem, end.theta, end.start, SOLVES), count)
                                              for end, count in ends[:MAX_MINIMA]]
     refined = sorted((item for item in refined if np.isfinite(item[0].error)), key=lambda item: item[0].error)
@@ -180,7 +183,7 @@ def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
     stress = problem.data / problem.area
     total = float(np.sum((stress - stress.mean())**2))
     minima = []
-    for descent, count in _distinct(refined, problem):
+    for descent, count in distinct(refined, near):
         residual = problem.evaluate(descent.theta).residual * problem.noise
         minima.append(Minimum(parameters=problem.space.values(descent.theta[: len(problem.space.free)]),
                               R2=1.0 - float(residual @ residual) / total, starts=count))
@@ -188,21 +191,6 @@ def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
     return descents, Estimate(problem, best.theta, best.error, best.converged, "", (), 0, (),
                               tuple(step for descent, _ in refined for step in descent.history), {},
                               time.process_time() - began, tuple(minima))
-
-
-def _distinct(ends: Sequence[tuple[Descent, int]], problem: OrdinaryProblem) -> list[tuple[Descent, int]]:
-    """Minima that differ in the parameters, best first, with how many starts fell into each."""
-    size = len(problem.space.free)
-    kept: list[list] = []
-    for descent, count in sorted(ends, key=lambda item: item[0].error):
-        for other in kept:
-            there = other[0].theta[:size]
-            if (np.abs(descent.theta[:size] - there) <= _SAME * np.abs(there) + 1e-9).all():
-                other[1] += count
-                break
-        else:
-            kept.append([descent, count])
-    return [tuple(item) for item in kept]
 
 
 def neighbour_correlation(problem: OrdinaryProblem, evaluation: Evaluation) -> float:

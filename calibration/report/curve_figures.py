@@ -259,6 +259,13 @@ def size_of(force: float, test: Test) -> str:
     return f"{float(f'{force / size:.2g}'):g} {unit}"
 
 
+def place_of(region: Region, test: Test) -> str:
+    """``ramp, 3.3 to 6.7 mm``."""
+    start, end = f"{region.start:.3g}", f"{region.end:.3g}"
+    span = f"{start if start == end else f'{start} to {end}'}{' mm' if test.specimen is not None else ''}"
+    return f"{region.segment}, {span}" if region.segment else span
+
+
 def probability(p: float) -> str:
     """``p = 0.031``, ``p < 1e-6``."""
     return "p < 1e-6" if p < 1e-6 else f"p = {p:.2g}"
