@@ -57,8 +57,8 @@ def draw_regions(fits: Sequence[Fit], tests: Sequence[Test]) -> bytes:
             font = 9.0 * min(1.0, 7 / len(named))
             axes.text(-0.008, top - 0.34, test.name, fontweight="bold", va="center", ha="right")
             for j, region in enumerate(named):
-                axes.text((j + 0.5) / len(named), top - 0.34, place_of(region, test).replace(", ", " "), va="center", ha="center",
-                          fontsize=font, color="0.3")
+                axes.text((j + 0.5) / len(named), top - 0.34, place_of(region, test).replace(", ", " "), va="center",
+                          ha="center", fontsize=font, color="0.3")
             for fit, row in zip(fits, rows, strict=True):
                 for j, region in enumerate(row):
                     deviate = min(float(stats.norm.isf(region.p / 2)), _DEEPEST)
