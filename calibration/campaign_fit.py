@@ -114,8 +114,7 @@ class CampaignFit:
         ends = self.estimator.estimate(laws, self.steps)
         estimates = {law: estimate for law, (_, estimate) in ends.items() if isinstance(estimate, Estimate)}
         failures = {law: estimate for law, (_, estimate) in ends.items() if not isinstance(estimate, Estimate)}
-        spreads = {law: self.estimator.uncertainty(estimate, estimate.problem.evaluate(estimate.theta))
-                   for law, estimate in estimates.items()}
+        spreads = {law: self.estimator.uncertainty(estimate) for law, estimate in estimates.items()}
         sides_of, left_of = self._explore(estimates, spreads)
         answers: list[Fitted] = []
         for law, estimate in estimates.items():

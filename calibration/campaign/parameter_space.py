@@ -169,13 +169,9 @@ class ParameterSpace:
                        if name in self.free and self.is_exponent(name) and abs(known[name]) < SMALLEST_EXPONENT
                        else known[name]) for name in self.names}
 
-    def of_law(self, values: Mapping[str, float], test: str | None = None) -> dict[str, float]:
-        """Parameters of the law in a test (None: the first that there are), by their names in the law."""
-        chosen: dict[str, float] = {}
-        for each in self.unknowns:
-            if each.of_law and each.acts_in(test, None):
-                chosen.setdefault(each.path, values[each.name])
-        return chosen
+    def of_law(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Parameters of the law, by their names in the law; the first of those that differ between tests."""
+        return {path: values[each.name] for path, each in self._acting(None, None).items() if each.of_law}
 
     def material(self, values: Mapping[str, float], density: float | None = None, name: str = "", *,
                  test: str | None = None, recording: str | None = None) -> Material:

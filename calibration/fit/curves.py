@@ -54,8 +54,8 @@ def draw_curves(estimate: Estimate, spread: Uncertainty, tests: Sequence[tuple[F
         scatter: between recordings; None where nobody says.
     """
     problem, found = estimate.problem, []
-    evaluation = problem.evaluate(estimate.theta)
-    fitted = {curve.name: evaluation.force[rows] for curve, rows in zip(problem.measured, problem.rows, strict=True)}
+    along = estimate.evaluation.force
+    fitted = {curve.name: along[rows] for curve, rows in zip(problem.measured, problem.rows, strict=True)}
     for test, mesh_error in tests:
         path = _path(test)
         time = path.time if test.timed else None

@@ -12,7 +12,7 @@ import numpy as np
 from calibration.campaign.campaign import Noise
 from calibration.fit.fit import Iteration, Minimum
 from calibration.fit.levenberg_marquardt import Listener, descend
-from calibration.fit.problem import Problem
+from calibration.fit.problem import Evaluation, Problem
 from calibration.forward.contract import InfeasibleError
 from calibration.forward.forms import FAST_REMAINDERS, REMAINDERS, remainder
 from calibration.statistics.jitter import Jitter, estimate_jitter
@@ -51,6 +51,11 @@ class Estimate:
     simulations: dict[tuple[str, str], int]
     cpu_s: float
     minima: tuple[Minimum, ...] = ()
+
+    @property
+    def evaluation(self) -> Evaluation:
+        """Everything at the minimum."""
+        return self.problem.evaluate(self.theta)
 
 
 def settle(problem: Problem, theta: np.ndarray, stated: Noise, start: int = 1, past: int = 0,

@@ -12,7 +12,6 @@ from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.estimate import Estimate
 from calibration.fit.fit import Fit, Prediction
 from calibration.fit.levenberg_marquardt import Descent
-from calibration.fit.problem import Evaluation
 from calibration.fit.steps import Steps
 from calibration.forward.contract import ForwardTest, Reached
 from calibration.forward.solves import Solves
@@ -25,13 +24,12 @@ class Findings:
     """What is known of an estimate before anybody has put it into words.
 
     Attributes:
-        estimate, evaluation, spread: the minimum. descents: of all starts.
+        estimate, spread: the minimum. descents: of all starts.
         values: all parameters. loose: names that the data do not determine.
         status, unusable: the verdict. lost: warnings of stability in loading that was not measured.
     """
 
     estimate: Estimate
-    evaluation: Evaluation
     spread: Uncertainty
     descents: Sequence[Descent]
     values: Mapping[str, float]
@@ -73,7 +71,7 @@ class Estimator(ABC):
         """Law -> its descents and its estimate, or why it has none."""
 
     @abstractmethod
-    def uncertainty(self, estimate: Estimate, evaluation: Evaluation) -> Uncertainty:
+    def uncertainty(self, estimate: Estimate) -> Uncertainty:
         """Of the unknowns at the estimate."""
 
     @abstractmethod

@@ -77,9 +77,9 @@ class Generalised(Estimator):
             return Noise(contact_jitter=problem.jitter.contact, zero_jitter=problem.jitter.zero)
         return self.campaign.noise
 
-    def uncertainty(self, estimate: Estimate, evaluation: Evaluation) -> Uncertainty:
+    def uncertainty(self, estimate: Estimate) -> Uncertainty:
         """That of the parameters, with the nuisances marginalised."""
-        return assess_uncertainty(estimate.problem, evaluation)
+        return assess_uncertainty(estimate.problem, estimate.evaluation)
 
     def stretch_range(self, reached: Sequence[Reached]) -> tuple[float, float]:
         """Of all principal stretches."""
@@ -87,7 +87,7 @@ class Generalised(Estimator):
 
     def describe(self, found: Findings) -> dict[str, Any]:
         """As `Estimator.describe`."""
-        estimate, spread, evaluation = found.estimate, found.spread, found.evaluation
+        estimate, spread, evaluation = found.estimate, found.spread, found.estimate.evaluation
         problem, space = estimate.problem, estimate.problem.space
         on_bound = [name for name, hit in zip(space.free, spread.on_bound, strict=True) if hit]
         regions = judge_regions(problem, evaluation)

@@ -86,9 +86,9 @@ class Ordinary(Estimator):
             found[law] = fit_law(self.problem(law))
         return found
 
-    def uncertainty(self, estimate: Estimate, evaluation: Evaluation) -> Uncertainty:
+    def uncertainty(self, estimate: Estimate) -> Uncertainty:
         """The sandwich of the unknowns: parameters first, then offsets and zeros."""
-        problem, theta = estimate.problem, estimate.theta
+        problem, theta, evaluation = estimate.problem, estimate.theta, estimate.evaluation
         on_bound = problem.on_bound(theta)
         noise = np.array([curve.noise.deviation / problem.tests[t].area
                           for (t, _), curve in zip(problem.places, problem.measured, strict=True)])
@@ -116,7 +116,7 @@ class Ordinary(Estimator):
             *((problem.space.symbols[name], found.values[name]) for name in on_bound), *held.items())]
         if found.status != "not_physical":
             warnings += found.lost
-        stress = (found.evaluation.force - problem.data) / problem.area
+        stress = (found.estimate.evaluation.force - problem.data) / problem.area
         recorded = [curve.test.specimen is not None for curve in problem.measured]
         measured = problem.data / problem.area
         return {
@@ -208,7 +208,7 @@ def _relaxation(problem: OrdinaryProblem, found: Findings) -> list[str]:
     times = [] if problem.relaxing is None else found.estimate.theta[problem.relaxing.tau]
     notes = [f"tau {tau:.3g} s is {'shorter than the steps' if tau < shortest else 'longer than the record'} "
              f"({shortest:.3g} to {longest:.3g} s)" for tau in times if not shortest <= tau <= longest]
-    correlation = neighbour_correlation(problem, found.evaluation)
+    correlation = neighbour_correlation(problem, found.estimate.evaluation)
     if correlation > CORRELATED:
         notes.append(f"the residuals are smooth (neighbours correlate by {correlation:.2f}): they are a model error, "
                      "not noise, and the criteria favour too many terms")

@@ -210,7 +210,7 @@ class SimulatedTest:
         curve = solves.find(key)
         if curve is None:
             curve = _simulate(model, topology, list(acting.values()), resolution)
-            solves.count(self.name, resolution)
+            solves.counts[self.name, resolution] += 1
             solves.keep(key, curve)
         if curve.problem:
             raise InfeasibleError(f"{self.name}: {curve.problem}")

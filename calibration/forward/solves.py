@@ -73,10 +73,6 @@ class Solves:
         if self.folder is not None:
             write_bytes(self.folder / f"{key}.msgpack", msgspec.msgpack.encode(curve))
 
-    def count(self, test: str, resolution: str) -> None:
-        """Note a simulation that was done."""
-        self.counts[test, resolution] += 1
-
     def read_from(self, folder: Path) -> None:
         """Look for curves in a folder, without keeping any there yet."""
         self._shelf = folder
