@@ -50,6 +50,10 @@ DEFAULT_STARTS = 3
 MOST_STARTS = 1000
 
 
+def _read_only(values: Mapping | None = None) -> Mapping:
+    return read_only(values or {})
+
+
 @dataclass(frozen=True)
 class Test:
     """One test and its replicates.
@@ -71,16 +75,12 @@ class Test:
     kind: TestKind
     specimen: Specimen | None
     recordings: tuple[Path, ...]
-    reading: Mapping[str, Any] = field(default_factory=lambda: _read_only())
+    reading: Mapping[str, Any] = field(default_factory=_read_only)
     max_strain: float | None = None
     hold_out: bool = False
     place: str = "test"
     experiment: Experiment | None = None
     rig: Rig = field(default_factory=Rig)
-
-
-def _read_only(values: Mapping | None = None) -> Mapping:
-    return read_only(values or {})
 
 
 @dataclass(frozen=True)

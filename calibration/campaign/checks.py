@@ -33,7 +33,7 @@ def check_bulk_ratio(ratio: float | None) -> None:
 
 
 def check_available(entry: TestTable, field: str) -> None:
-    """Keys of later versions, and keys that contradict a plate on a homogeneous test."""
+    """Refuse kinds, tools and keys that the analytical method does not take."""
     kind = KINDS[entry.kind]
     if kind.closed_form is None:
         known = ", ".join(name for name, other in KINDS.items() if other.closed_form is not None)
@@ -73,7 +73,7 @@ def find_recordings(patterns: list[str], folder: Path, field: str) -> tuple[Path
             raise InputError(f"{pattern!r} names no file; give a path or a pattern such as 'run_*.csv'", field=place)
         # A plain path wins over its reading as a pattern: file names may hold brackets.
         plain = base / relative
-        matches = [plain] if plain.exists() else sorted(base.glob(str(relative))) if _is_pattern(pattern) else []
+        matches = [plain] if plain.exists() else sorted(base.glob(str(relative))) if set("*?[") & set(pattern) else []
         if not matches:
             raise InputError(f"no file matches {pattern!r} in {base}; paths are relative to the campaign file",
                              field=place)
@@ -82,10 +82,6 @@ def find_recordings(patterns: list[str], folder: Path, field: str) -> tuple[Path
                 raise InputError(f"{match.name} is listed twice; a replicate counts once", field=place)
             found.append(match)
     return tuple(sorted(found))
-
-
-def _is_pattern(text: str) -> bool:
-    return any(character in text for character in "*?[")
 
 
 def check_unused(table: FitTable, noise: NoiseTable) -> None:

@@ -110,7 +110,9 @@ def read_measured(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:
             names.add(curve.name)
         if not analytical:
             _check_replicates(curves, test, campaign)
-            noise = _noise(curves, test, campaign)
+            noise = estimate_shared_noise([(curve.force, curve.time, curve.segment) for curve in curves],
+                                          deviation=_stated_noise(curves[0], campaign),
+                                          correlation_time=campaign.noise.correlation_time)
             curves = [replace(curve, noise=noise) for curve in curves]
         found[test.name] = tuple(curves)
     fitted = [curve for test in campaign.tests if not test.hold_out for curve in found[test.name]]
@@ -319,13 +321,6 @@ def _check_replicates(curves: list[MeasuredCurve], test: Test, campaign: Campaig
             raise InputError(f"{first.file.name} goes {what} {pair[0] * 1e3:.4g} {unit} and {other.file.name} {what} "
                              f"{pair[1] * 1e3:.4g} {unit}, so they are not replicates; give one of them a [[test]] of "
                              "its own", file=campaign.path, field=f"{test.place}.recordings")
-
-
-def _noise(curves: list[MeasuredCurve], test: Test, campaign: Campaign) -> SensorNoise:
-    """One noise for the recordings of a test."""
-    return estimate_shared_noise([(curve.force, curve.time, curve.segment) for curve in curves],
-                                 deviation=_stated_noise(curves[0], campaign),
-                                 correlation_time=campaign.noise.correlation_time)
 
 
 def _stated_noise(curve: MeasuredCurve, campaign: Campaign) -> float | None:

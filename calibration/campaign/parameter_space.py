@@ -124,11 +124,6 @@ class ParameterSpace:
         """Symbols of parameters, such as ``C10, g1``."""
         return ", ".join(self.symbols[name] for name in names)
 
-    @property
-    def moduli(self) -> tuple[str, ...]:
-        """Names of the parameters that have the unit of a pressure."""
-        return tuple(each.name for each in self.unknowns if each.is_modulus)
-
     @cached_property
     def of_material_alone(self) -> bool:
         """Whether all of them are the material's, the same in all tests."""
@@ -210,8 +205,8 @@ class ParameterSpace:
 
     def normalised(self, values: Mapping[str, float]) -> tuple[dict[str, float], float]:
         """Values with moduli that add up to `REFERENCE_MODULUS`, and the factor that was taken out of them."""
-        moduli = set(self.moduli)
-        factor = sum(abs(values[name]) for name in self.moduli) / REFERENCE_MODULUS
+        moduli = [each.name for each in self.unknowns if each.is_modulus]
+        factor = sum(abs(values[name]) for name in moduli) / REFERENCE_MODULUS
         if not (np.isfinite(factor) and factor > 0):
             return dict(values), 1.0
         return {name: float(f"{value / factor:.{_DIGITS}e}") if name in moduli else value

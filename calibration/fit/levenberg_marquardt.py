@@ -115,8 +115,9 @@ def descend(problem: LeastSquares, theta: np.ndarray, *, start: int = 1, correct
     def note(evaluation: Evaluation) -> None:
         if history and history[-1].parameters == named(evaluation):
             return
+        rmse = float(np.sqrt(np.mean((evaluation.force - problem.data)**2)))
         history.append(Iteration(start=start, run=past + len(history) + 1, parameters=named(evaluation),
-                                 error=evaluation.error, RMSE_N=rmse(problem, evaluation), corrected=corrected))
+                                 error=evaluation.error, RMSE_N=rmse, corrected=corrected))
         if listen is not None:
             listen(history[-1])
 
@@ -149,11 +150,6 @@ def descend(problem: LeastSquares, theta: np.ndarray, *, start: int = 1, correct
     failure = "" if result.status > 0 else \
         f"no minimum after {most_solves} solves{f'; {outer.failure}' if outer.failure else ''}"
     return done(theta, float(2 * result.cost), result.status > 0, failure)
-
-
-def rmse(problem: LeastSquares, evaluation: Evaluation) -> float:
-    """Root mean square of model minus data, with offsets and zeros, N."""
-    return float(np.sqrt(np.mean((evaluation.force - problem.data)**2)))
 
 
 def distinct(ends: Iterable[tuple[Descent, int]],

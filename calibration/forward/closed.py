@@ -50,7 +50,7 @@ class ClosedTest:
     Attributes:
         name: of the test. kind: what it is; a plate feels nothing before it has arrived.
         height, area: m and m2. measured: the recordings.
-        largest_step: of divided histories, see `HomogeneousHistory`.
+        largest_step: of divided histories, see `HomogeneousHistory`. specimen: that weighs; None here.
     """
 
     name: str
@@ -59,6 +59,7 @@ class ClosedTest:
     area: float
     measured: tuple[MeasuredCurve, ...]
     largest_step: float = LARGEST_STEP
+    specimen: Specimen | None = None
     _histories: dict[int, HomogeneousHistory] = field(default_factory=dict, repr=False, init=False)
 
     proportional: ClassVar[bool] = True
@@ -77,11 +78,6 @@ class ClosedTest:
     def weightless(self) -> ClosedTest:
         """The test without self-weight."""
         return self
-
-    @property
-    def specimen(self) -> Specimen | None:
-        """What weighs; None here."""
-        return None
 
     @property
     def closed_form(self) -> ClosedForm:

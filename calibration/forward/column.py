@@ -20,18 +20,14 @@ class ColumnTest(ClosedTest):
     """The displacement counts from the settled state, the height is the stated one.
 
     Attributes:
-        weighing: the specimen. reserve: the curve is solved that much beyond the deepest sample, m: as far as a contact
+        specimen: that weighs. reserve: the curve is solved that much beyond the deepest sample, m: as far as a contact
             offset may move it, so that the curve is the same for all recordings and offsets.
     """
 
-    weighing: Specimen = field(kw_only=True)
+    specimen: Specimen = field(kw_only=True)
     reserve: float = 0.0
 
     proportional: ClassVar[bool] = False
-
-    @property
-    def specimen(self) -> Specimen:
-        return self.weighing
 
     @property
     def weightless(self) -> ClosedTest:
