@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.interpolate import CubicSpline, PchipInterpolator, make_interp_spline
 
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.recording.recording import Recording
@@ -191,7 +192,7 @@ class _TimedCourse:
         for first, last in motion.legs:
             part = slice(first, last + 1)
             moving = abs(motion.displacement[last] - motion.displacement[first]) > 2 * STRAIGHT * travel
-            self._parts.append((_spline if moving else _monotone)(motion.time[part], columns[part]))
+            self._parts.append((_spline if moving else PchipInterpolator)(motion.time[part], columns[part]))
         self._ends = motion.time[[last for _, last in motion.legs[:-1]]]
 
     def __call__(self, time, displacement, offset):
@@ -223,12 +224,4 @@ def offset_rate(recording: Recording) -> np.ndarray:
 
 
 def _spline(knots: np.ndarray, values: np.ndarray):
-    from scipy.interpolate import CubicSpline, make_interp_spline
-
     return CubicSpline(knots, values) if knots.size > 3 else make_interp_spline(knots, values, k=1)
-
-
-def _monotone(knots: np.ndarray, values: np.ndarray):
-    from scipy.interpolate import PchipInterpolator
-
-    return PchipInterpolator(knots, values)

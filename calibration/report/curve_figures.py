@@ -5,19 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from calibration.campaign.campaign import Test
+from calibration.campaign.measured import MeasuredCurve
+from calibration.fit.curves import TestCurves
 from calibration.fit.fit import Fit, Region
 from calibration.report.drawing import STYLE, cloud, counted, line_styles, new_figure, thinned, to_png
 from calibration.report.pressure import pressure_unit
 from tissue_sim.laws import find_law
-
-if TYPE_CHECKING:
-    from calibration.campaign.campaign import Test
-    from calibration.campaign.measured import MeasuredCurve
-    from calibration.fit.curves import TestCurves
 
 _BINS = 60
 #: Of a panel; room for a line of legend below it.

@@ -7,18 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from textwrap import shorten
-from typing import TYPE_CHECKING
 
 from scipy import stats
 
+from calibration.campaign.campaign import Test
 from calibration.fit.fit import Fit, Prediction
 from calibration.report.curve_figures import place_of, probability, size_of
 from calibration.report.drawing import COLOURS, STYLE, line_styles, new_figure, to_png
 from calibration.report.pressure import format_pressure
 from tissue_sim.laws import find_law
-
-if TYPE_CHECKING:
-    from calibration.campaign.campaign import Test
 
 #: Inches.
 WIDTH = 12.0

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
 from html import escape
-from typing import TYPE_CHECKING
 
+from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.fit import Fit
 from calibration.report.drawing import as_data_uri, draw_formula, natural_width
 from tissue_sim.laws import find_law
-
-if TYPE_CHECKING:
-    from calibration.campaign.measured import MeasuredCurve
 
 _STYLE = """
 :root { color-scheme: light; }

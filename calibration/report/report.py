@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from calibration.campaign.campaign import Campaign, Test
+from calibration.fit.curves import TestCurves
 from calibration.fit.fit import Fit, Prediction
+from calibration.fit.result import CalibrationResult
 from calibration.report.assumptions import assumptions
 from calibration.report.curve_figures import draw_test, place_of, probability, size_of
 from calibration.report.drawing import counted
@@ -37,11 +39,6 @@ from calibration.report.report_tables import (
     suggestion_in_words,
 )
 from tissue_sim.atomic_write import write_text
-
-if TYPE_CHECKING:
-    from calibration.campaign.campaign import Campaign, Test
-    from calibration.fit.curves import TestCurves
-    from calibration.fit.result import CalibrationResult
 
 
 def write_report(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurves]], path: Path, *,

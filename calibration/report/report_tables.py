@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
-from typing import TYPE_CHECKING
 
+from calibration.campaign.campaign import Test
 from calibration.fit.fit import Direction, Fit, Prediction, Suggestion
 from calibration.report.curve_figures import place_of, probability, size_of
 from calibration.report.estimate_figures import NOT_TOLD
 from calibration.report.figures import percent
 from calibration.report.page import html_table, number, plus_minus, stable_stretches, symbol_of, title_of
 from calibration.report.pressure import pressure_unit
-
-if TYPE_CHECKING:
-    from calibration.campaign.campaign import Test
 
 
 def ranking_table(fits: Sequence[Fit]) -> str:
