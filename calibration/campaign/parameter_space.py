@@ -64,6 +64,11 @@ class Unknown:
         """Whether it is a pressure, to which all forces are proportional together with the others."""
         return self.of_material and self.declaration.unit == "Pa"
 
+    @property
+    def is_exponent(self) -> bool:
+        """Whether it is a number of the law without unit."""
+        return self.of_law and self.declaration.unit == "1"
+
 
 @dataclass(frozen=True, eq=False)
 class ParameterSpace:
@@ -136,8 +141,7 @@ class ParameterSpace:
 
     def shapes_mesh(self, test: str) -> bool:
         """Whether a free number of a test moves the nodes of its mesh."""
-        return any(each.declaration.shapes_mesh and each.name in self.free and each.acts_in(test, None)
-                   for each in self.unknowns)
+        return any(each.declaration.shapes_mesh and each.acts_in(test, None) for each in self.varied)
 
     def before_moving(self, values: Mapping[str, float]) -> dict[str, float]:
         """Values with the geometry that the fit begins with, whose mesh is moved."""
@@ -148,21 +152,19 @@ class ParameterSpace:
         """The number of that name."""
         return next(each for each in self.unknowns if each.name == name)
 
-    def is_modulus(self, name: str) -> bool:
-        """Whether a parameter is a pressure, to which all forces are proportional together with the others."""
-        return self.unknown(name).is_modulus
-
-    def is_exponent(self, name: str) -> bool:
-        """Whether a parameter is a number of the law without unit."""
-        return self.unknown(name).of_law and self.unknown(name).declaration.unit == "1"
+    @cached_property
+    def varied(self) -> tuple[Unknown, ...]:
+        """The free numbers."""
+        return tuple(map(self.unknown, self.free))
 
     def values(self, theta: np.ndarray) -> dict[str, float]:
         """All parameters by name; `theta` are the free ones, shape (p,)."""
         known = self.fixed | dict(zip(self.free, np.asarray(theta).tolist(), strict=True))
-        # Formulas divide by an exponent, and their limit is reached long before.
-        return {name: (float(np.copysign(SMALLEST_EXPONENT, known[name]))
-                       if name in self.free and self.is_exponent(name) and abs(known[name]) < SMALLEST_EXPONENT
-                       else known[name]) for name in self.names}
+        for name in (each.name for each in self.varied if each.is_exponent):
+            # Formulas divide by an exponent, and their limit is reached long before.
+            if abs(known[name]) < SMALLEST_EXPONENT:
+                known[name] = float(np.copysign(SMALLEST_EXPONENT, known[name]))
+        return {name: known[name] for name in self.names}
 
     def of_law(self, values: Mapping[str, float]) -> dict[str, float]:
         """Parameters of the law, by their names in the law; the first of those that differ between tests."""
@@ -216,8 +218,7 @@ class ParameterSpace:
         """How large a change of each free parameter is a whole one, shape (p,): a modulus that happens to be small
         counts as a tenth of the shear modulus, another small number as a tenth of the unit of files."""
         stiffness = abs(find_law(self.law).mu0(self.of_law(values)))
-        free = [self.unknown(name) for name in self.free]
-        floor = [_LEAST * (stiffness if each.is_modulus else each.declaration.factor) for each in free]
+        floor = [_LEAST * (stiffness if each.is_modulus else each.declaration.factor) for each in self.varied]
         return np.maximum([abs(values[name]) for name in self.free], floor)
 
 

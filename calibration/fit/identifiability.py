@@ -122,9 +122,9 @@ def _information(problem: Problem, theta: np.ndarray, experiment: Experiment, sp
     """Scaled information of three recordings with the jitter marginalised; None where it stops."""
     space = problem.space
     try:
-        own = [i for i, name in enumerate(space.free) if space.unknown(name).of_material]
+        own = [i for i, each in enumerate(space.varied) if each.of_material]
         answer = sensitivities(Model(experiment, space.material(space.values(theta))),
-                               [space.unknown(space.free[i]).path for i in own])
+                               [space.varied[i].path for i in own])
     except (ConvergenceError, InputError):
         return None
     recording = answer.recording

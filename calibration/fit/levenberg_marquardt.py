@@ -172,8 +172,8 @@ def distinct(ends: Iterable[tuple[Descent, int]],
 def _rescaled(problem: LeastSquares, theta: np.ndarray) -> np.ndarray:
     """The same ratios of moduli, with the factor that fits best."""
     space = problem.space
-    moduli = np.array([space.is_modulus(name) for name in space.free])
-    fixed = any(space.is_modulus(name) for name in space.fixed)
+    moduli = np.array([each.is_modulus for each in space.varied])
+    fixed = any(space.unknown(name).is_modulus for name in space.fixed)
     if fixed or not moduli.any() or not space.of_material_alone or not all(test.proportional for test in problem.tests):
         return theta
     # Without offsets and zeros, which far from the minimum would make up for a wrong size.

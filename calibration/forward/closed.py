@@ -94,7 +94,7 @@ class ClosedTest:
 
     def _answer(self, space: ParameterSpace, values: dict[str, float], recording: str | None) -> ClosedAnswer:
         law = find_law(space.law)
-        free = [(law.parameters.index(each.path), place) for place, each in enumerate(map(space.unknown, space.free))
+        free = [(law.parameters.index(each.path), place) for place, each in enumerate(space.varied)
                 if each.of_law and each.acts_in(self.name, recording)]
         material = None
         if len(space.names) > len(law.parameters):
@@ -185,7 +185,7 @@ class ClosedTest:
         with np.errstate(all="ignore"):
             elastic, relaxing = history.parts(law, answer.values, np.concatenate([prony.tau, prony.tau + step,
                                                                                   prony.tau - step]))
-            for unknown in map(answer.space.unknown, answer.space.free):
+            for unknown in answer.space.varied:
                 name, path = unknown.name, tokens(unknown.path)
                 if unknown.of_law and law.units[unknown.path] != "1":
                     alone = [float(other == unknown.path) if law.units[other] != "1" else value

@@ -143,7 +143,7 @@ class SimulatedTest:
                     force = force + self.correction[number]
                 courses[key] = motion.through(np.column_stack([force, rates]))
             chosen.append(courses[key])
-        differences |= {each.name for each in map(space.unknown, space.free) if self._reads(each, values)}
+        differences |= {each.name for each in space.varied if self._reads(each, values)}
         rigs = [self._usual] * len(chosen) if space.of_material_alone else [
             Reading(self._model(space, values, self.motions[number], measured.name, whole=True).rig)
             for measured, number in zip(self.measured, self.motion_of, strict=False)]
@@ -204,7 +204,7 @@ class SimulatedTest:
         except InputError as error:
             raise InfeasibleError(f"{self.name}: {error}") from None
         acting = {} if resolution == "accurate" else {
-            place: each.path for place, each in enumerate(map(space.unknown, space.free))
+            place: each.path for place, each in enumerate(space.varied)
             if each.acts_in(self.name, recording) and not self._reads(each, values)}
         key = content_key(model, topology, list(acting.values()), resolution)
         curve = solves.find(key)
@@ -217,8 +217,7 @@ class SimulatedTest:
         force = factor * np.array(curve.force)
         rates = np.zeros((force.size, 0 if resolution == "accurate" else len(space.free)))
         if acting:
-            scale = [1.0 if proportional and space.unknown(space.free[place]).is_modulus else factor
-                     for place in acting]
+            scale = [1.0 if proportional and space.varied[place].is_modulus else factor for place in acting]
             rates[:, list(acting)] = np.array(curve.rates).reshape(force.size, len(acting)) * scale
         return force, rates, {space.free[place] for place, exact in zip(acting, curve.exact, strict=False) if not exact}
 
@@ -250,10 +249,9 @@ class SimulatedTest:
             values, rate = late[:, :-1], late[:, -1]
         force = reading.read(measured, simulated)
         rates, rate = reading.through(measured, simulated, force, values[:, 1:], rate)
-        for place, name in enumerate(() if answer.space.of_material_alone else answer.space.free):
-            unknown = answer.space.unknown(name)
+        for place, unknown in enumerate(() if answer.space.of_material_alone else answer.space.varied):
             if unknown.acts_in(self.name, measured.name) and self._reads(unknown, answer.values):
-                path, value = unknown.path.removeprefix("rig."), answer.values[name]
+                path, value = unknown.path.removeprefix("rig."), answer.values[unknown.name]
                 width = _away(value)
                 # One-sided: many faults cannot be less than absent.
                 more = Reading(with_values(rig, {path: value + width})).read(measured, simulated)
