@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -120,7 +119,7 @@ class CampaignFit:
         for law, estimate in estimates.items():
             if self.estimator.explores:
                 self.steps.say(f"what {law} tells")
-            began, counted = time.process_time(), self.solves.counts.copy()
+            spent = self.solves.meter()
             (descents, _), sides, left, spread = ends[law], sides_of[law], left_of[law], spreads[law]
             fit = assess(self.estimator, estimate, spread, descents, sides, campaign)
             fitted = zip(estimate.problem.tests, estimate.problem.mesh_error, strict=True)
@@ -131,11 +130,10 @@ class CampaignFit:
                 tests, campaign.tests, strict=True) if asked.hold_out]
             curves = draw_curves(estimate, spread, tests, scatter)
             parts: list[Any] = [*descents, estimate, *sides, *left]
-            simulations = sum(sum(part.simulations.values()) for part in parts)
-            simulations += (self.solves.counts - counted).total() + self.checked.get(law, 0)
-            spent = sum(part.cpu_s for part in parts) + time.process_time() - began
+            costs = [spent(), *((part.simulations, part.cpu_s) for part in parts)]
             best = min(descents, key=lambda end: end.error)
-            fit = replace(fit, fem_solves=simulations, cpu_s=spent,
+            fit = replace(fit, fem_solves=sum(sum(done.values()) for done, _ in costs) + self.checked.get(law, 0),
+                          cpu_s=sum(seconds for _, seconds in costs),
                           estimate_cpu_s=best.cpu_s + estimate.cpu_s if self.estimator.explores else 0.0)
             answers.append((fit, [*(one.prediction for one in left), *held_out], curves))
         return answers, failures

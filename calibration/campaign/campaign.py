@@ -350,9 +350,8 @@ def _noise(table: NoiseTable, method: str) -> Noise:
     for key in ("force_N", "nominal_stress_Pa"):
         value = getattr(table, key)
         require_positive(None if value == "estimate" else value, f"noise.{key}")
-    # What an inverse fit estimates unless it is stated.
     known: dict[str, float | None] = {}
-    for key, default in (("contact_jitter_mm", 0.0), ("zero_jitter_N", 0.0), ("correlation_time_s", 0.0)):
+    for key in ("contact_jitter_mm", "zero_jitter_N", "correlation_time_s"):
         value = getattr(table, key)
         if method == "analytical":
             if value == "estimate":
@@ -360,13 +359,11 @@ def _noise(table: NoiseTable, method: str) -> Noise:
                                  "out", field=f"noise.{key}")
             if key == "correlation_time_s" and value:
                 raise InputError('coloured noise needs fit.method = "inverse_fem"; leave it out', field=f"noise.{key}")
-            value = default if value is None else value
-        if value in (None, "estimate"):
-            known[key] = None
-            continue
-        if not (np.isfinite(value) and value >= 0):
+            value = value or 0.0
+        # What an inverse fit estimates unless it is stated.
+        known[key] = None if value in (None, "estimate") else float(value)
+        if value not in (None, "estimate") and not (np.isfinite(value) and value >= 0):
             raise InputError(f"{value:g} is negative; give 0 or more", field=f"noise.{key}")
-        known[key] = float(value)
     contact = known["contact_jitter_mm"]
     return Noise(
         force=None if table.force_N == "estimate" else table.force_N,

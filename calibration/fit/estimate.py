@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
@@ -66,7 +64,7 @@ def settle(problem: Problem, theta: np.ndarray, stated: Noise, start: int = 1, p
         problem: uncorrected. theta: its minimum. stated: jitter; None of it: to be estimated.
         start, past, listen: as in `descend`.
     """
-    began, counted = time.process_time(), Counter(problem.solves.counts)
+    spent = problem.solves.meter()
     history: list[Iteration] = []
     differences: tuple[float, ...] = ()
     warnings: list[str] = []
@@ -98,8 +96,7 @@ def settle(problem: Problem, theta: np.ndarray, stated: Noise, start: int = 1, p
             warnings.append(f"the parameters still moved after {MOST_REFRESHES} refreshes of the mesh difference")
             break
     return Estimate(problem, theta, descent.error, descent.converged, descent.problem, differences, refreshes,
-                    tuple(warnings), tuple(history), dict(problem.solves.counts - counted),
-                    time.process_time() - began)
+                    tuple(warnings), tuple(history), *spent())
 
 
 def _refine(problem: Problem, theta: np.ndarray, warnings: list[str]) -> tuple[float, ...]:

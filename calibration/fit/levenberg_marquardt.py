@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import cast
@@ -109,7 +107,7 @@ def descend(problem: LeastSquares, theta: np.ndarray, *, start: int = 1, correct
     (1978) 105.
     """
     space = problem.space
-    began, counted = time.process_time(), Counter(problem.solves.counts)
+    spent = problem.solves.meter()
     history: list[Iteration] = []
 
     def note(evaluation: Evaluation) -> None:
@@ -125,8 +123,7 @@ def descend(problem: LeastSquares, theta: np.ndarray, *, start: int = 1, correct
         return dict(zip(space.free, evaluation.theta.tolist(), strict=False))
 
     def done(theta: np.ndarray, error: float, converged: bool, failure: str) -> Descent:
-        return Descent(start, theta, error, converged, failure, tuple(history),
-                       dict(problem.solves.counts - counted), time.process_time() - began)
+        return Descent(start, theta, error, converged, failure, tuple(history), *spent())
 
     theta = np.clip(theta, *problem.bounds)
     try:

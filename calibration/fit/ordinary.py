@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -155,7 +154,7 @@ class Ordinary(Estimator):
 
 def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
     """The descents of all starts of one law and its estimate, or why there is none."""
-    began, law = time.process_time(), problem.space.law
+    spent, law = problem.solves.meter(), problem.space.law
     # The force of a history needs all of its motion.
     stride = 1 if problem.remembers else -(-problem.samples // THINNED_POINTS)
     thin = problem if stride == 1 else problem.thinned(stride)
@@ -189,8 +188,8 @@ def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
                               R2=1.0 - float(residual @ residual) / total, starts=count))
     minima.sort(key=lambda minimum: -minimum.R2)
     return descents, Estimate(problem, best.theta, best.error, best.converged, "", (), 0, (),
-                              tuple(step for descent, _ in refined for step in descent.history), {},
-                              time.process_time() - began, tuple(minima))
+                              tuple(step for descent, _ in refined for step in descent.history), *spent(),
+                              tuple(minima))
 
 
 def neighbour_correlation(problem: OrdinaryProblem, evaluation: Evaluation) -> float:

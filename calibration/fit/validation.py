@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,7 +37,7 @@ def leave_out(problem: Problem, theta: np.ndarray, number: int) -> LeftOut:
     Args:
         problem: at its minimum, corrected. theta: there, shape (p,). number: of the test.
     """
-    began, counted = time.process_time(), Counter(problem.solves.counts)
+    spent = problem.solves.meter()
     test, rest = problem.tests[number], problem.with_tests([i for i in range(len(problem.tests)) if i != number])
     names = [other.name for other in rest.tests]
     descent = descend(rest, theta, corrected=True)
@@ -51,7 +49,7 @@ def leave_out(problem: Problem, theta: np.ndarray, number: int) -> LeftOut:
         note = f"the other tests do not determine {problem.space.in_symbols(open_names)}" if open_names else ""
     answer = unpredicted(problem, test, names, note) if note else \
         predict(problem, test, descent.theta, spread.covariance, names, problem.jitter)
-    return LeftOut(answer, dict(problem.solves.counts - counted), time.process_time() - began)
+    return LeftOut(answer, *spent())
 
 
 def predict_held_out(test: ForwardTest, estimate: Estimate, spread: Uncertainty, scatter: Jitter | None) -> Prediction:
