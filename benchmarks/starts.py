@@ -142,7 +142,7 @@ def run_start(scenes: Sequence[str], start: np.ndarray, settled: bool) -> dict:
     problem = build_problem(LAW, campaign, reference_recordings(campaign), Solves())
     descent = descend(problem, np.array(start), enough=ENOUGH_OF_A_START)
     found = {"start": list(start), "end": descent.theta.tolist(), "error": descent.error,
-             "converged": descent.converged, "problem": descent.problem, "cpu_s": descent.cpu_s,
+             "converged": descent.converged, "problem": descent.failure, "cpu_s": descent.cpu_s,
              "solves": [descent.simulations.get((name, "fast"), 0) for name in scenes]}
     if settled and descent.converged:
         estimate = settle(problem, descent.theta, Noise(contact_jitter=None, zero_jitter=None))

@@ -9,7 +9,7 @@ import numpy as np
 
 from calibration.campaign.campaign import Noise
 from calibration.fit.fit import Iteration, Minimum
-from calibration.fit.levenberg_marquardt import Listener, descend
+from calibration.fit.levenberg_marquardt import Descent, Listener, descend
 from calibration.fit.problem import Evaluation, Problem
 from calibration.forward.contract import InfeasibleError
 from calibration.forward.forms import FAST_REMAINDERS, REMAINDERS, remainder
@@ -23,31 +23,21 @@ JITTER_SETTLED = 0.05
 MOST_REFRESHES = 8
 
 
-@dataclass(frozen=True, eq=False)
-class Estimate:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Estimate(Descent):
     """The minimum of the corrected problem.
 
     Attributes:
         problem: `Problem` with its corrections and jitter, or `OrdinaryProblem`.
-        theta: SI, shape (p,). error: sum of squares.
-        converged: whether the optimiser said so. failure: why not.
         differences: accurate against fast mesh for each test, relative to the largest force; NaN where the accurate
             mesh did not get through. refreshes: how often they were computed.
-        history, simulations, cpu_s: as in `Descent`.
         minima: distinct ends of the starts, best first.
     """
 
     problem: Any
-    theta: np.ndarray
-    error: float
-    converged: bool
-    failure: str
-    differences: tuple[float, ...]
-    refreshes: int
-    warnings: tuple[str, ...]
-    history: tuple[Iteration, ...]
-    simulations: dict[tuple[str, str], int]
-    cpu_s: float
+    differences: tuple[float, ...] = ()
+    refreshes: int = 0
+    warnings: tuple[str, ...] = ()
     minima: tuple[Minimum, ...] = ()
 
     @property
@@ -95,8 +85,8 @@ def settle(problem: Problem, theta: np.ndarray, stated: Noise, start: int = 1, p
         if refreshes == MOST_REFRESHES:
             warnings.append(f"the parameters still moved after {MOST_REFRESHES} refreshes of the mesh difference")
             break
-    return Estimate(problem, theta, descent.error, descent.converged, descent.problem, differences, refreshes,
-                    tuple(warnings), tuple(history), *spent())
+    return Estimate(start, theta, descent.error, descent.converged, descent.failure, tuple(history), *spent(),
+                    problem=problem, differences=differences, refreshes=refreshes, warnings=tuple(warnings))
 
 
 def _refine(problem: Problem, theta: np.ndarray, warnings: list[str]) -> tuple[float, ...]:

@@ -65,7 +65,7 @@ class Generalised(Estimator):
         settled = steps.descents(run_settle, usable, [(problems[law], best[law], self._stated(problems[law]))
                                                       for law in usable], "the difference of the accurate mesh")
         found: dict[str, tuple[list[Descent], Estimate | str]] = {
-            law: (descents[law], best[law].problem) for law in laws}
+            law: (descents[law], best[law].failure) for law in laws}
         for law, estimate in zip(usable, settled, strict=True):
             estimate.problem.solves = self.solves
             found[law] = descents[law], estimate if np.isfinite(estimate.error) else estimate.failure

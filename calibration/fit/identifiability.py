@@ -101,9 +101,8 @@ def _candidates(problem: Problem, theta: np.ndarray) -> Sequence[tuple[str, Expe
                 (f"lubricated compression to {millimetres}", Plate(), "frictionless"),
                 (f"bonded compression to {millimetres}", Plate(), "bonded"),
                 (f"needle indentation (flat, radius {needle.radius * 1e3:.3g} mm) to {millimetres}", needle, "bonded")):
-            base = "frictionless" if friction == "frictionless" else "bonded"
             for ending, protocol in _protocols(depth, ageing):
-                found.append((words + ending, Experiment(specimen, protocol, tool, friction, base)))
+                found.append((words + ending, Experiment(specimen, protocol, tool, friction, friction)))
     return found
 
 

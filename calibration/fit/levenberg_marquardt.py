@@ -31,7 +31,7 @@ class Descent:
 
     Attributes:
         start: its number, from 1. theta: the end, SI, shape (p,). error: sum of squares there, inf where the start has
-            no force. converged: whether the optimiser said so. problem: why not.
+            no force. converged: whether the optimiser said so. failure: why not.
         history: every solve. simulations: (test, resolution) -> simulations that were done. cpu_s: processor seconds.
     """
 
@@ -39,7 +39,7 @@ class Descent:
     theta: np.ndarray
     error: float
     converged: bool
-    problem: str
+    failure: str
     history: tuple[Iteration, ...]
     simulations: dict[tuple[str, str], int]
     cpu_s: float

@@ -187,9 +187,9 @@ def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
         minima.append(Minimum(parameters=problem.space.values(descent.theta[: len(problem.space.free)]),
                               R2=1.0 - float(residual @ residual) / total, starts=count))
     minima.sort(key=lambda minimum: -minimum.R2)
-    return descents, Estimate(problem, best.theta, best.error, best.converged, "", (), 0, (),
-                              tuple(step for descent, _ in refined for step in descent.history), *spent(),
-                              tuple(minima))
+    history = tuple(step for descent, _ in refined for step in descent.history)
+    return descents, Estimate(best.start, best.theta, best.error, best.converged, "", history, *spent(),
+                              problem=problem, minima=tuple(minima))
 
 
 def neighbour_correlation(problem: OrdinaryProblem, evaluation: Evaluation) -> float:

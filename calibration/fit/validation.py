@@ -41,7 +41,7 @@ def leave_out(problem: Problem, theta: np.ndarray, number: int) -> LeftOut:
     test, rest = problem.tests[number], problem.with_tests([i for i in range(len(problem.tests)) if i != number])
     names = [other.name for other in rest.tests]
     descent = descend(rest, theta, corrected=True)
-    note = f"no fit to the others: {descent.problem}"
+    note = f"no fit to the others: {descent.failure}"
     if np.isfinite(descent.error):
         spread = assess_uncertainty(rest, rest.evaluate(descent.theta))
         # What the others do not tell would stay where this test has put it.

@@ -144,15 +144,10 @@ class SimulatedTest:
                 courses[key] = motion.through(np.column_stack([force, rates]))
             chosen.append(courses[key])
         differences |= {each.name for each in space.varied if self._reads(each, values)}
-        rigs = [self._usual] * len(chosen) if space.of_material_alone else [
+        rigs = [Reading(self.rig)] * len(chosen) if space.of_material_alone else [
             Reading(self._model(space, values, self.motions[number], measured.name, whole=True).rig)
             for measured, number in zip(self.measured, self.motion_of, strict=False)]
         return SimulatedAnswer(chosen, rigs, space, values, frozenset(differences))
-
-    @cached_property
-    def _usual(self) -> Reading:
-        """The rig as the campaign states it."""
-        return Reading(self.rig)
 
     def refine(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> float:
         """Compute what the accurate mesh has more at these parameters, and keep it as the correction.
