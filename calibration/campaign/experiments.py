@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from calibration.campaign.schema import TestTable
-from tissue_sim.errors import InputError
+from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.contact_law import CONTACT_LAWS
 from tissue_sim.experiment.experiment import Experiment
+from tissue_sim.experiment.interfaces import INTERFACES
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.experiment.tools.tool import (
@@ -66,6 +67,9 @@ def read_experiment(entry: TestTable, specimen: Specimen | None, folder: Path, p
 
 def _interface(entry: TestTable, kind: TestKind, key: str, place: str) -> str | float:
     face, value = kind.faces[key], getattr(entry, key)
+    if isinstance(value, str) and value not in INTERFACES:
+        raise InputError(f"unknown friction {value!r}{nearest(value, INTERFACES)}; or give a coefficient",
+                         field=f"{place}.{key}")
     if face.fixed and value is not None and (value or "frictionless") != face.usual:
         other = " or ".join(repr(name) for name, one in KINDS.items()
                             if one.faces[key].stated and one.fits(kind.require_tool()))

@@ -20,7 +20,7 @@ Pair = tuple[float, float]
 #: JSON's words in TOML.
 _WORDS = {"object": "a table, written [name] or { ... }", "array": "a list, written [...]"}
 #: What the tables of ``[fit]`` hold for each parameter.
-_BY_PARAMETER = {"start": "a number", "fixed": "a number", "prior": "[mean, standard deviation]",
+BY_PARAMETER = {"start": "a number", "fixed": "a number", "prior": "[mean, standard deviation]",
                  "bounds": "[low, high]"}
 
 
@@ -151,7 +151,7 @@ def decode_campaign(path: Path) -> tuple[CampaignTable, bytes]:
 
 def _check_by_parameter(fit: Any) -> None:
     """Types in the tables whose keys are parameters, which the decoder does not name."""
-    for key, expected in _BY_PARAMETER.items():
+    for key, expected in BY_PARAMETER.items():
         table = fit.get(key) if isinstance(fit, dict) else None
         for name, value in table.items() if isinstance(table, dict) else ():
             numbers = value if expected.startswith("[") else [value]

@@ -30,7 +30,7 @@ def assess(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descen
         sides: of the profiles. campaign: what was asked.
     """
     problem, space = estimate.problem, estimate.problem.space
-    law, evaluation = find_law(space.law), problem.evaluate(estimate.theta)
+    law = find_law(space.law)
     theta = estimate.theta[: len(space.free)]
     values = space.values(theta)
     moduli = space.of_law(values)
@@ -64,7 +64,7 @@ def assess(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descen
         "iterations": sum(len(descent.history) for descent in descents) + len(estimate.history),
         "material_file": f"{law.name}.material.json" if mu0 > 0 else None}
     lost = _other_losses(stability, reached, stretches)
-    found = Findings(estimate, evaluation, spread, descents, values, loose, status, unusable, lost)
+    found = Findings(estimate, spread, descents, values, loose, status, unusable, lost)
     return Fit(**shared | estimator.describe(found))
 
 

@@ -95,7 +95,7 @@ class _Relaxing:
         self.law = find_law(problem.space.law)
         self.moduli = np.array([self.law.units[name] != "1" for name in self.law.parameters])
         self.data = problem.data / problem.area
-        self.histories = [(problem.tests[t].sign, problem.tests[t].history(r)) for t, r in problem.places]
+        self.histories = [(problem.tests[t].kind.sign, problem.tests[t].history(r)) for t, r in problem.places]
 
     def parts(self, values: np.ndarray, tau: np.ndarray) -> np.ndarray:
         """Elastic and relaxing stresses, positive under load, shape (n, 1 + terms)."""

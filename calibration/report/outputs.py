@@ -12,9 +12,9 @@ import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace
+from calibration.fit.curves import TestCurves
 from calibration.fit.fit import Fit
 from calibration.fit.result import CalibrationResult, to_json
-from calibration.fit.results import TestCurves
 from calibration.fit.self_weight import statement
 from calibration.output_folder import FIT_FILE
 from calibration.report.report import write_report

@@ -12,8 +12,6 @@ from scipy import stats
 ABSORBED = 1e-3
 #: Directions with less than this share of the largest singular value are the others again.
 INDEPENDENT = 1e-10
-#: Cosines of a region.
-MODES = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +60,7 @@ def misfit(residual: np.ndarray, design: np.ndarray, modes: np.ndarray) -> Misfi
     return Misfit(statistic, freedom, p, -right.T @ ((axes @ (score / shares)) / sizes))
 
 
-def cosine_modes(position: np.ndarray, count: int = MODES) -> np.ndarray:
+def cosine_modes(position: np.ndarray, count: int) -> np.ndarray:
     """Cosines from the constant up: cos(k pi position), k = 0 to count - 1, shape (n, count).
 
     Args:

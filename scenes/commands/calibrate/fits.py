@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 from rich.text import Text
 
 from calibration.fit.self_weight import statement
-from calibration.report.curve_figures import probability, size_of
+from calibration.report.curve_figures import place_of, probability, size_of
 from calibration.report.drawing import counted
 from calibration.report.page import number, stable_stretches
 from calibration.report.pressure import pressure_unit
-from calibration.report.report_tables import direction_in_words, place_of, suggestion_in_words
+from calibration.report.report_tables import direction_in_words, suggestion_in_words
 from scenes.commands.shared.text_table import print_sentence, text_table
 
 if TYPE_CHECKING:
