@@ -38,7 +38,7 @@ def assess(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descen
     errors |= {name: float(e) if np.isfinite(e) else None
                for name, e in zip(space.free, spread.standard_errors, strict=False)}
     reached = {test.name: test.reached(space, theta) for test in problem.tests}
-    stretches = estimator.stretch_range(list(reached.values()))
+    stretches = (min(one.principal[0] for one in reached.values()), max(one.principal[1] for one in reached.values()))
     stability = check_stability(law, law.as_array(moduli), (min(STRETCH_RANGE[0], stretches[0]),
                                                             max(STRETCH_RANGE[1], stretches[1])))
     mu0 = law.mu0(moduli)

@@ -13,7 +13,7 @@ from calibration.fit.estimate import Estimate
 from calibration.fit.fit import Fit, Prediction
 from calibration.fit.levenberg_marquardt import Descent
 from calibration.fit.steps import Steps
-from calibration.forward.contract import ForwardTest, Reached
+from calibration.forward.contract import ForwardTest
 from calibration.forward.solves import Solves
 from calibration.statistics.jitter import Jitter
 from calibration.statistics.uncertainty import Uncertainty
@@ -73,10 +73,6 @@ class Estimator(ABC):
     @abstractmethod
     def uncertainty(self, estimate: Estimate) -> Uncertainty:
         """Of the unknowns at the estimate."""
-
-    @abstractmethod
-    def stretch_range(self, reached: Sequence[Reached]) -> tuple[float, float]:
-        """What counts as the range of the data."""
 
     @abstractmethod
     def describe(self, found: Findings) -> dict[str, Any]:

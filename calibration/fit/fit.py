@@ -216,7 +216,7 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
         AIC, BIC: with the noise taken as known and priors as penalties, up to a constant that all laws share.
         E0, mu0: initial Young's and shear modulus of the incompressible law, Pa.
         stable_from, stable_to: stretches that are Drucker-stable in all three modes of loading; stability: the same
-            in words; stretch_range: of the data.
+            in words; stretch_range: of all principal stretches of the data.
         sag_mm: specimen that weighs -> by how much it sags with this law.
         nuisances: of the replicates when offsets are fitted or their jitter is marginalised.
         minima: best first. starts: how many were tried.

@@ -21,7 +21,7 @@ from calibration.fit.regions import judge_regions, name_misfits
 from calibration.fit.starts import starts
 from calibration.fit.steps import Steps
 from calibration.fit.uncertainty import assess_uncertainty
-from calibration.forward.contract import ForwardTest, InfeasibleError, Reached
+from calibration.forward.contract import ForwardTest, InfeasibleError
 from calibration.forward.forms import FAST_REMAINDERS, REMAINDERS, build_test, remainder
 from calibration.statistics.jitter import Jitter
 from calibration.statistics.statistics import MODEL_ERROR_RATIO, r_squared
@@ -80,10 +80,6 @@ class Generalised(Estimator):
     def uncertainty(self, estimate: Estimate) -> Uncertainty:
         """That of the parameters, with the nuisances marginalised."""
         return assess_uncertainty(estimate.problem, estimate.evaluation)
-
-    def stretch_range(self, reached: Sequence[Reached]) -> tuple[float, float]:
-        """Of all principal stretches."""
-        return min(one.principal[0] for one in reached), max(one.principal[1] for one in reached)
 
     def describe(self, found: Findings) -> dict[str, Any]:
         """As `Estimator.describe`."""

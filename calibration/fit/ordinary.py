@@ -21,7 +21,7 @@ from calibration.fit.problem import Evaluation
 from calibration.fit.ranking import bic_message
 from calibration.fit.steps import Steps
 from calibration.forward.closed import ClosedTest
-from calibration.forward.contract import ForwardTest, Reached
+from calibration.forward.contract import ForwardTest
 from calibration.forward.forms import analytical_test
 from calibration.forward.solves import Solves
 from calibration.statistics.statistics import CURVATURE_RATIO, MODEL_ERROR_RATIO, r_squared
@@ -100,10 +100,6 @@ class Ordinary(Estimator):
         squares, samples = spread.criteria
         priors = float(evaluation.prior_residual @ evaluation.prior_residual)
         return replace(spread, sizes=np.abs(theta), criteria=(squares + priors, samples))
-
-    def stretch_range(self, reached: Sequence[Reached]) -> tuple[float, float]:
-        """Along the load."""
-        return min(one.low for one in reached), max(one.high for one in reached)
 
     def describe(self, found: Findings) -> dict[str, Any]:
         """As `Estimator.describe`."""

@@ -27,8 +27,6 @@ from tissue_sim.rig.rig import Rig
 from tissue_sim.simulation import simulate
 from tissue_sim.specimen import Specimen
 
-#: Shares of the volume that are stretched less, or more, than what counts as the range of the data.
-_TAIL = 0.01
 #: Width of a difference with what a rig does to readings, relative.
 _READING_WIDTH = 1e-6
 
@@ -283,11 +281,7 @@ class SimulatedTest:
             fields = simulate(replace(model, rig=Rig()), fields=True).fields
         except (ConvergenceError, InputError):
             return _of_volume(1 - deepest / self.specimen.height, 1.0)
-        F = fields.deformation_gradient()
-        plane = np.linalg.svd(F[..., :4].reshape(*F.shape[:-1], 2, 2), compute_uv=False)
-        principal = np.concatenate([plane, F[..., 4:]], axis=-1)
-        return _of_volume(_quantile(principal.min(axis=-1), fields.weights, _TAIL),
-                          _quantile(principal.max(axis=-1), fields.weights, 1 - _TAIL))
+        return _of_volume(*fields.stretch_range())
 
     def _experiment(self, motion: Loading | Timed) -> Experiment:
         return replace(self.experiment, protocol=motion.protocol)
@@ -314,9 +308,3 @@ def _away(value: float) -> float:
 
 def _of_volume(low: float, high: float) -> Reached:
     return Reached(None, low, high, (low, high))
-
-
-def _quantile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
-    order = np.argsort(values, axis=None)
-    total = np.cumsum(weights.ravel()[order])
-    return float(values.ravel()[order][np.searchsorted(total, share * total[-1])])
