@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from calibration.campaign.parameters import SHARED, Named
+from calibration.campaign.parameters import Named
 from calibration.campaign.schema import BY_PARAMETER, FitTable, NoiseTable, TestTable
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS
@@ -114,9 +114,9 @@ def check_closed(table: FitTable, named: Mapping[str, Named]) -> None:
         raise InputError(f"points at even strains have no history, and {others[0]} needs one; leave it out",
                          field="fit.strain_points")
     for name, what in named.items():
-        if not what.of_material or what.scope != SHARED:
+        if not what.of_material:
             key = next(key for key in ("scope", *BY_PARAMETER) if name in getattr(table, key))
-            raise InputError("the analytical method fits one material to all tests; leave it out, or set fit.method = "
+            raise InputError("the analytical method fits material alone; leave it out, or set fit.method = "
                              "'inverse_fem'", field=f"fit.{key}.{name}")
 
 

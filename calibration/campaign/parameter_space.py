@@ -38,6 +38,7 @@ class Unknown:
         path: see `calibration.campaign.parameters.Named`. declaration: what it is. of_law: whether it is the law's.
         of_material: whether it is the material's, its law's included.
         tests: names of the tests in which it acts; None: all. recording: the one in which it acts; None: all.
+        specimen: whose it is; None: of no single one.
     """
 
     name: str
@@ -47,6 +48,7 @@ class Unknown:
     of_material: bool
     tests: tuple[str, ...] | None = None
     recording: str | None = None
+    specimen: str | None = None
 
     def acts_in(self, test: str | None, recording: str | None) -> bool:
         """Whether it acts in a recording of a test; None stands for any of them."""
@@ -224,9 +226,10 @@ class ParameterSpace:
 
 def _spread(named: Named, tests: Sequence[Test], recordings: Mapping[str, Sequence[str]]) -> list[Unknown]:
     """The numbers that a named parameter stands for: one, or one for each specimen, test or recording."""
-    def one(mark: str = "", where: tuple[str, ...] | None = None, recording: str | None = None) -> Unknown:
+    def one(mark: str = "", where: tuple[str, ...] | None = None, recording: str | None = None,
+            specimen: str | None = None) -> Unknown:
         name = f"{named.path}@{mark}" if mark else named.path
-        return Unknown(name, named.path, named.declaration, named.of_law, named.of_material, where, recording)
+        return Unknown(name, named.path, named.declaration, named.of_law, named.of_material, where, recording, specimen)
 
     own = [test for test in tests if test.name in named.tests and not test.hold_out]
     if named.scope == PER_TEST:
@@ -236,7 +239,7 @@ def _spread(named: Named, tests: Sequence[Test], recordings: Mapping[str, Sequen
     if named.scope == PER_SPECIMEN:
         specimens = dict.fromkeys(test.specimen.name for test in own if test.specimen is not None)
         return [one(specimen, tuple(test.name for test in tests
-                                    if test.specimen is not None and test.specimen.name == specimen))
+                                    if test.specimen is not None and test.specimen.name == specimen), specimen=specimen)
                 for specimen in specimens]
     shared = named.scope if isinstance(named.scope, tuple) else None if named.of_material else named.tests
     return [one(where=shared)]

@@ -57,14 +57,17 @@ class Ordinary(Estimator):
 
     def problem(self, law: str) -> OrdinaryProblem:
         """The least-squares problem of one law over all tests that are not held out."""
-        space = ParameterSpace.of(law, self.campaign)
         tests = [self._test(test) for test in self.campaign.tests if not test.hold_out]
-        return OrdinaryProblem.of(space, tests, self.campaign.fit, self.solves)
+        return OrdinaryProblem.of(self._space(law), tests, self.campaign.fit, self.solves)
 
     @property
     def pooled_noise(self) -> float | None:
         """Of the nominal stress, over all samples, Pa."""
         return self.problem(self.campaign.fit.laws[0]).noise
+
+    def _space(self, law: str) -> ParameterSpace:
+        return ParameterSpace.of(law, self.campaign, {name: [curve.name for curve in curves]
+                                                      for name, curves in self.measured.items()})
 
     def _test(self, test: Test) -> ClosedTest:
         return analytical_test(test, self.measured[test.name], self.campaign.fit)
@@ -72,7 +75,7 @@ class Ordinary(Estimator):
     def check(self, law: str, number: int) -> None:
         """Refuse laws with more parameters than the tests have samples."""
         samples = sum(curve.force.size for curve in self.fitted)
-        unknowns = len(ParameterSpace.of(law, self.campaign).names)
+        unknowns = len(self._space(law).names)
         if samples <= unknowns:
             raise InputError(f"{law} has {unknowns} parameters and the tests only {samples} points; widen max_strain "
                              "or take a simpler law", file=self.campaign.path, field=f"fit.laws[{number}]")

@@ -68,7 +68,8 @@ def _freedom(problem: Problem, evaluation: Evaluation, sizes: np.ndarray, inside
         columns[:, kind:own:len(problem.kinds)] *= np.sqrt(factor)
         cross = columns.T @ rates
         taken = cross.T @ np.linalg.solve(np.eye(columns.shape[1]) + columns.T @ columns, cross)
-        return np.diag(np.linalg.pinv(rates.T @ rates - taken + priors.T @ priors, hermitian=True))
+        # A direction that nothing determines has no variance here, and no freedom to be asked for.
+        return np.maximum(np.diag(np.linalg.pinv(rates.T @ rates - taken + priors.T @ priors, hermitian=True)), 1e-300)
 
     squares = sum(((np.log(variances(kind, _MORE)) - np.log(variances(kind, 1 / _MORE))) / (2 * np.log(_MORE)))**2
                   for kind in range(len(problem.kinds)))

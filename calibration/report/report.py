@@ -29,6 +29,7 @@ from calibration.report.page import (
     symbol_of,
     title_of,
 )
+from calibration.report.population import populations
 from calibration.report.pressure import format_pressure
 from calibration.report.report_tables import (
     history_table,
@@ -163,6 +164,7 @@ def _pictures(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurve
             name = title_of(fit.law)
             yield f"<h2>How well {name} is determined</h2>{inside}" if fit is fits[0] else \
                 f"<details><summary>How well {name} is determined</summary>{inside}</details>"
+    yield from populations(fits)
     if any(fit.history for fit in fits):
         yield "<h2>Convergence</h2>"
         yield html_figure(draw_history(fits), "Error and parameters at every solve of every start",

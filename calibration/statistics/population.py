@@ -29,7 +29,7 @@ class Population:
     Attributes:
         order: names of the parameters. specimens: names of the specimens.
         estimates, errors: of each specimen alone, and their standard errors, shape (n, p).
-        mean: of the population, shape (p,). mean_errors: standard errors, shape (p,). mean_intervals: 95 %, shape
+        mean: of the population, shape (p,). mean_covariance: of its estimate, shape (p, p). mean_intervals: 95 %, shape
             (p, 2).
         between: covariance between specimens, shape (p, p). spread: its standard deviations, shape (p,).
         spread_intervals: 95 %, shape (p, 2).
@@ -42,7 +42,7 @@ class Population:
     estimates: np.ndarray
     errors: np.ndarray
     mean: np.ndarray
-    mean_errors: np.ndarray
+    mean_covariance: np.ndarray
     mean_intervals: np.ndarray
     between: np.ndarray
     spread: np.ndarray
@@ -50,6 +50,11 @@ class Population:
     next_specimen: np.ndarray
     shrunken: np.ndarray
     shrunken_errors: np.ndarray
+
+    @property
+    def mean_errors(self) -> np.ndarray:
+        """Standard errors of the mean, shape (p,)."""
+        return np.sqrt(np.diag(self.mean_covariance))
 
 
 def estimate_population(order: Sequence[str], specimens: Sequence[str], estimates: np.ndarray,
@@ -97,7 +102,7 @@ def estimate_population(order: Sequence[str], specimens: Sequence[str], estimate
     both = scale[:, None]
     return Population(
         tuple(order), tuple(specimens), x * scale, np.sqrt(variances) * scale, mean * scale,
-        np.sqrt(np.diag(mean_covariance)) * scale,
+        mean_covariance * np.outer(scale, scale),
         mean_intervals * both, W * np.outer(scale, scale), spread * scale, spread_intervals * both,
         next_specimen * both, shrunken * scale, np.sqrt(np.maximum(shrunken_variances, 0.0)) * scale)
 

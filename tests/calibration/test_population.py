@@ -1,10 +1,15 @@
 """Specimens as a population: against closed forms, a published analysis by another program, and simulated ones."""
 
+import json
+
 import numpy as np
 import pytest
 from scipy import stats
 
+import calibration
+import tissue_sim as ts
 from calibration.statistics.population import estimate_population
+from scenes.cli import main
 from tissue_sim.errors import InputError
 
 
@@ -93,3 +98,95 @@ def test_what_tells_nothing_is_refused():
         alone([1.0, 2.0], [1.0, np.inf])
     with pytest.raises(InputError, match="expected"):
         estimate_population(["a"], ["x", "y"], np.zeros((2, 2)), np.zeros((2, 2, 2)))
+
+
+LAW, RADIUS, HEIGHT = "reduced_polynomial_2", 0.015, 0.020
+MEAN, SPREAD = np.array([1400.0, 700.0]), np.array([200.0, 90.0])
+
+
+@pytest.fixture(scope="module")
+def animals(tmp_path_factory):
+    """Five specimens of a population, each compressed twice; their campaign with and without numbers of their own."""
+    folder, rng, law = tmp_path_factory.mktemp("animals"), np.random.default_rng(2), ts.find_law(LAW)
+    truth = rng.normal(MEAN, SPREAD, (5, 2))
+    specimens = tests = ""
+    for k, (C10, C20) in enumerate(truth, 1):
+        for j in range(2):
+            displacement = np.linspace(0.0, 6e-3, 61)
+            stretch = 1 - displacement / HEIGHT
+            force = -law.nominal_stress(stretch, {"C10": C10, "C20": C20}) * np.pi * RADIUS**2
+            ts.write_recording(ts.Recording({"displacement": displacement,
+                                             "force": force + rng.normal(0.0, 0.01, 61)}), folder / f"a{k}_{j}.csv")
+        specimens += f'[[specimen]]\nname = "animal_{k}"\nradius_mm = 15.0\nheight_mm = 20.0\n'
+        tests += (f'[[test]]\nname = "plates_{k}"\nspecimen = "animal_{k}"\nkind = "lubricated_compression"\n'
+                  f'recordings = ["a{k}_*.csv"]\n')
+    (folder / "pooled.toml").write_text(f'{specimens}{tests}[fit]\nlaws = ["{LAW}"]\nbulk_ratio = 1000.0\n')
+    (folder / "each.toml").write_text((folder / "pooled.toml").read_text()
+                                      + '[fit.scope]\nC10 = "per_specimen"\nC20 = "per_specimen"\n')
+    return folder, truth
+
+
+def test_pooled_specimens_are_said_to_differ(animals, tmp_path):
+    folder, _ = animals
+    result, = calibration.calibrate([folder / "pooled.toml"], tmp_path / "out", figures=False)
+    assert result.best.population is None
+    warning, = (each for each in result.best.warnings if "the specimens differ" in each)
+    assert "its own C10, C20" in warning and "'per_specimen'" in warning
+
+
+def test_one_material_in_all_specimens_differs_in_nothing(animals, tmp_path):
+    """The same campaign with five times the recordings of the first animal."""
+    folder, _ = animals
+    for path in folder.glob("a*.csv*"):
+        tmp_path.joinpath(path.name).write_bytes((folder / f"a1_{path.name[3:]}").read_bytes())
+    (tmp_path / "same.toml").write_text((folder / "pooled.toml").read_text())
+    result, = calibration.calibrate([tmp_path / "same.toml"], tmp_path / "out", figures=False)
+    assert not any("the specimens differ" in each for each in result.best.warnings)
+
+
+def test_a_campaign_finds_the_population(animals, tmp_path, capsys):
+    """From recordings to the material file: each specimen its own numbers, the material their mean."""
+    folder, truth = animals
+    assert main(["calibrate", str(folder / "each.toml"), "-o", str(tmp_path / "out")]) == 0
+    assert "between specimens" in capsys.readouterr().out
+    fit, = json.loads((tmp_path / "out" / "fit.json").read_text(encoding="utf-8"))["fits"]
+    found = fit["population"]
+    assert found["order"] == ["C10", "C20"] and found["specimens"] == [f"animal_{k}" for k in range(1, 6)]
+    np.testing.assert_allclose(found["estimates"], truth, rtol=0.02)
+    ordinary = [truth.mean(axis=0), truth.std(axis=0, ddof=1)]
+    np.testing.assert_allclose([found["mean"], found["spread"]], ordinary, rtol=0.03)
+    for (low, high), value in zip(found["mean_intervals"] + found["spread_intervals"], [*MEAN, *SPREAD], strict=True):
+        assert low < value < high
+    file = ts.read_material_file(tmp_path / "out" / fit["material_file"])
+    assert file.material.parameters == pytest.approx(dict(zip(found["order"], found["mean"], strict=True)))
+    assert file.population.spread == pytest.approx(found["spread"])
+    assert file.population.specimens["animal_3"] == pytest.approx(found["estimates"][2])
+    assert file.standard_errors["C10"] == pytest.approx(found["mean_errors"][0])
+    np.testing.assert_allclose(file.covariance_SI[1], found["mean_covariance"])
+    report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "Specimens as a population" in report
+
+
+def test_a_file_states_a_population_in_its_units(animals, tmp_path):
+    folder, _ = animals
+    calibration.calibrate([folder / "each.toml"], tmp_path / "out", figures=False)
+    path = tmp_path / "out" / f"{LAW}.material.json"
+    content, before = json.loads(path.read_text(encoding="utf-8")), ts.read_material_file(path).population
+    for entry in content["parameters"].values():
+        entry.update(value=entry["value"] / 1e3, unit="kPa", standard_error=entry["standard_error"] / 1e3)
+    stated = content["population"]
+    for key in ("mean", "spread", "mean_interval95", "spread_interval95"):
+        stated[key] = (np.array(stated[key]) / 1e3).tolist()
+    stated["between_specimens"] = (np.array(stated["between_specimens"]) / 1e6).tolist()
+    stated["specimens"] = {name: (np.array(values) / 1e3).tolist() for name, values in stated["specimens"].items()}
+    del content["covariance"]
+    path.write_text(json.dumps(content), encoding="utf-8")
+    after = ts.read_material_file(path).population
+    np.testing.assert_allclose(after.between_specimens, before.between_specimens)
+    assert after.specimens["animal_2"] == pytest.approx(before.specimens["animal_2"])
+    for key, value, message in (("order", ["C10", "C30"], "no parameter 'C30'"), ("mean", [1.0], "1 entries for the 2"),
+                                ("between_specimens", [[1.0, 2.0], [2.0, 1.0]], "not positive semi-definite")):
+        path.write_text(json.dumps(content | {"population": stated | {key: value}}), encoding="utf-8")
+        with pytest.raises(InputError, match=message) as caught:
+            ts.read_material_file(path)
+        assert caught.value.field.startswith("population")

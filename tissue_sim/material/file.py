@@ -19,6 +19,7 @@ from tissue_sim.decode import as_json_types, decode, read_json, require_schema, 
 from tissue_sim.errors import InputError, located, nearest
 from tissue_sim.laws import Law, check_stability, find_law
 from tissue_sim.material.material import Bulk, Material
+from tissue_sim.material.population import PopulationEntry, checked_population, population_entry
 from tissue_sim.material.schema import (
     BulkEntry,
     CovarianceEntry,
@@ -32,6 +33,7 @@ from tissue_sim.material.schema import (
     StabilityEntry,
     ValidRange,
     ViscoelasticEntry,
+    check_covariance,
     entries_of,
     parts_of,
 )
@@ -65,6 +67,7 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
     poroelasticity: PoroelasticityEntry | None = None
     puncture: PunctureEntry | None = None
     effects: dict[str, dict[str, Any]] | None = None
+    population: PopulationEntry | None = None
     density_kg_m3: float | None = None
     valid_range: ValidRange | None = None
     stability: StabilityEntry | None = None
@@ -72,7 +75,8 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
 
     @classmethod
     def of(cls, material: Material, *, standard_errors: Mapping[str, float] | None = None, covariance=None,
-           others: Sequence[str] = (), valid_range: ValidRange | Mapping[str, Any] | None = None,
+           others: Sequence[str] = (), population: Mapping[str, Any] | None = None,
+           valid_range: ValidRange | Mapping[str, Any] | None = None,
            provenance: Provenance | Mapping[str, Any] | None = None) -> MaterialFile:
         """The file of a material, with its stability looked at.
 
@@ -82,6 +86,7 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
                 ``viscoelastic.terms[0].tau``; from the covariance where that is given and this is not.
             covariance: shape (m, m), of the law's parameters in its order, SI.
             others: paths of the parameters that the covariance holds after those of the law; it is then larger.
+            population: what `PopulationEntry` holds, in SI and by path.
             valid_range: for example ``{"stretch": [0.8, 1.0]}``.
             provenance: software, version and date are filled in where they are missing.
 
@@ -98,12 +103,13 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
         if covariance is not None:
             matrix = np.asarray(covariance, dtype=float)
             order = (*law.parameters, *others)
-            _check_matrix(matrix, len(order))
+            check_covariance(matrix, len(order))
             errors = errors or dict(zip(order, np.sqrt(np.diag(matrix)).tolist(), strict=True))
             factors = np.array([known[name].declaration.factor for name in order])
             stated = CovarianceEntry(order=tuple(known[name].file_path for name in order),
                                      matrix=_rows(matrix / np.outer(factors, factors)))
         stability = check_stability(law, material.values)
+        specimens = None if population is None else population_entry(population, known)
         given = as_json_types(provenance or {})
         history = {"software": "tissue-sim", "version": __version__,
                    "date": datetime.now(UTC).isoformat(timespec="seconds"), **given}
@@ -113,7 +119,7 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
             parameters={name: ParameterEntry(value=value, unit=law.units[name],
                                              standard_error=float(errors[name]) if name in errors else None)
                         for name, value in material.parameters.items()},
-            covariance=stated, bulk=BulkEntry(**bulk), **entries_of(material, errors),
+            covariance=stated, population=specimens, bulk=BulkEntry(**bulk), **entries_of(material, errors),
             density_kg_m3=material.density,
             valid_range=decode(as_json_types(valid_range), ValidRange | None, "valid_range"),
             stability=StabilityEntry(stable_from=stability.stable_from, stable_to=stability.stable_to,
@@ -244,8 +250,11 @@ def checked(file: MaterialFile) -> MaterialFile:
             raise InputError(f"has rows of length {lengths}, expected {len(order)} rows of {len(order)}",
                              field="covariance.matrix")
         matrix = np.outer(scale, scale) * np.array(file.covariance.matrix, dtype=float)
-        _check_matrix(matrix, len(order))
+        check_covariance(matrix, len(order))
         file = msgspec.structs.replace(file, covariance=CovarianceEntry(order=order, matrix=_rows(matrix)))
+    if file.population is not None:
+        known = {each.file_path: factors.get(each.file_path, 1.0) for each in _with_errors(file.material).values()}
+        file = msgspec.structs.replace(file, population=checked_population(file.population, known))
     require_writable(msgspec.to_builtins(file))  # a number near 1e308 MPa does not fit in Pa
     return file
 
@@ -267,24 +276,6 @@ def _check_order(order: Sequence[str], law: Law, known: Sequence[str]) -> None:
 
 def _rows(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
     return tuple(map(tuple, matrix.tolist()))
-
-
-def _check_matrix(matrix: np.ndarray, m: int) -> None:
-    if matrix.shape != (m, m):
-        raise InputError(f"has the shape {matrix.shape}, expected {m} rows of {m}", field="covariance.matrix")
-    if not np.isfinite(matrix).all():
-        raise InputError("holds a number that is not finite", field="covariance.matrix")
-    variances = np.diag(matrix)
-    if (variances < 0).any():
-        raise InputError(f"variance {variances.min():g} on the diagonal is negative", field="covariance.matrix")
-    # A fixed parameter has a row of zeros. Rounding of a fit is far below 1e-9 of a correlation.
-    scale = np.sqrt(np.where(variances > 0, variances, 1.0))
-    correlation = matrix / scale[:, None] / scale[None, :]
-    if np.abs(correlation - correlation.T).max() > 1e-9:
-        raise InputError("is not symmetric", field="covariance.matrix")
-    if np.linalg.eigvalsh(correlation).min() < -1e-9:
-        raise InputError("is not positive semi-definite: some combination of the parameters has a negative variance",
-                         field="covariance.matrix")
 
 
 def _check_ranges(file: MaterialFile) -> None:

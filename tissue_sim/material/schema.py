@@ -11,6 +11,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, cast
 
 import msgspec
+import numpy as np
 
 from tissue_sim.decode import decode
 from tissue_sim.errors import InputError, located
@@ -208,3 +209,26 @@ def _effect(name: str, content: Any) -> PartEntry:
                          "or register the package that brings it", field=f"effects.{name}")
     kind: type = EFFECTS[name]
     return decode(content, entry_of(kind), f"effects.{name}")
+
+
+def check_covariance(matrix: np.ndarray, m: int, field: str = "covariance.matrix") -> None:
+    """Refuse what is no covariance of m numbers; with the field.
+
+    Raises:
+        InputError: another shape, a number that is not finite, not symmetric, or not positive semi-definite.
+    """
+    if matrix.shape != (m, m):
+        raise InputError(f"has the shape {matrix.shape}, expected {m} rows of {m}", field=field)
+    if not np.isfinite(matrix).all():
+        raise InputError("holds a number that is not finite", field=field)
+    variances = np.diag(matrix)
+    if (variances < 0).any():
+        raise InputError(f"variance {variances.min():g} on the diagonal is negative", field=field)
+    # A fixed parameter has a row of zeros. Rounding of a fit is far below 1e-9 of a correlation.
+    scale = np.sqrt(np.where(variances > 0, variances, 1.0))
+    correlation = matrix / scale[:, None] / scale[None, :]
+    if np.abs(correlation - correlation.T).max() > 1e-9:
+        raise InputError("is not symmetric", field=field)
+    if np.linalg.eigvalsh(correlation).min() < -1e-9:
+        raise InputError("is not positive semi-definite: some combination of the parameters has a negative variance",
+                         field=field)
