@@ -107,10 +107,11 @@ class TestKind:
         """Whether the specimen may be loaded to either side, as in shear."""
         return self.closed_form is not None and self.closed_form.rest == 0
 
-    @property
-    def interfaces(self) -> dict[str, str | float]:
-        """Field of `Experiment` -> interface, where nothing is said."""
-        return {field: face.usual for field, face in self.faces.items()}
+    def interfaces(self, tool: Tool) -> dict[str, str | float]:
+        """Field of `Experiment` -> interface with this tool, where nothing is said: a tip without a flat face cannot be
+        bonded to tissue that comes to lie on it, and holds it without slip instead."""
+        usual = {field: face.usual for field, face in self.faces.items()}
+        return usual | {"friction": "stick"} if usual["friction"] == "bonded" and tool.face_radius == 0 else usual
 
     @property
     def faces(self) -> dict[str, Face]:
@@ -181,7 +182,9 @@ class TestKind:
         """
         from tissue_sim.experiment.experiment import Experiment
 
-        return Experiment(specimen, protocol, **({"tool": self.require_tool(), **self.interfaces} | overrides))
+        tool = overrides.get("tool") or self.require_tool()
+        stated: dict[str, Any] = {"tool": tool, **self.interfaces(tool)} | overrides
+        return Experiment(specimen, protocol, **stated)
 
 
 #: Name -> kind of test.
