@@ -13,6 +13,7 @@ from msgspec.structs import replace
 import tissue_sim
 from calibration.campaign.campaign import Campaign
 from calibration.campaign.measured import MeasuredCurve, read_measured
+from calibration.campaign.segmented import notes_in_short
 from calibration.fit.assess import assess
 from calibration.fit.curves import draw_curves
 from calibration.fit.estimate import Estimate
@@ -93,6 +94,7 @@ class CampaignFit:
         message = self.estimator.rank_message(fits, predictions)
         for law, failure in failures.items():
             message += f" {law} has no fit: {failure}."
+        message += notes_in_short((curve.test.name, curve.name, curve.notes) for curve in self.recordings)
         noises = {name: several[0].noise for name, several in self.measured.items()}
         noise = tuple(SensorStatement(test=name, deviation_N=one.deviation, correlation_time_s=one.correlation_time,
                                       source=one.source) for name, one in noises.items())

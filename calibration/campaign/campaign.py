@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -69,6 +69,8 @@ class Test:
         place: where it stands in the campaign file, such as ``test[0]``.
         experiment: everything but the motion, which is a short one here; None of a gripped specimen.
         rig: what stands between the tissue and the recordings; without noise and resolution.
+        contact: displacement at which it touches, m; ``"recorded"``: the recording's own zero; ``"find"``: found.
+        failure: what becomes of a recording from its failure on: ``"cut"``, ``"keep"`` or ``"refuse"``.
     """
 
     name: str
@@ -81,6 +83,8 @@ class Test:
     place: str = "test"
     experiment: Experiment | None = None
     rig: Rig = field(default_factory=Rig)
+    contact: float | Literal["recorded", "find"] = "recorded"
+    failure: Literal["cut", "keep", "refuse"] = "cut"
 
 
 @dataclass(frozen=True)
@@ -180,14 +184,14 @@ def load_campaign(path: str | Path) -> Campaign:
         InputError: anything wrong in the file, with the file and the dotted field.
     """
     path = Path(path)
-    table, data = decode_campaign(path)
+    table, data, defaults = decode_campaign(path)
     try:
         specimens = _specimens(table)
         tests = _tests(table, specimens, path.parent)
         return Campaign(path, _read_only(specimens), tests, _fit_settings(table.fit, table.noise, tests),
                         _noise(table.noise, table.fit.method), hashlib.sha256(data).hexdigest(), _density(tests))
     except InputError as error:
-        raise error.located(file=path) from None
+        raise defaults.located(error, path) from None
 
 
 def _specimens(table: CampaignTable) -> dict[str, Specimen]:
@@ -262,7 +266,8 @@ def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path
         tests[name] = Test(
             name, kind, specimen, find_recordings(entry.recordings, folder, f"{field}.recordings"),
             _reading(entry, columns), entry.max_strain, entry.hold_out, field,
-            read_experiment(entry, specimen, folder, field), read_rig(entry, folder, field))
+            read_experiment(entry, specimen, folder, field), read_rig(entry, folder, field),
+            entry.contact if isinstance(entry.contact, str) else 1e-3 * entry.contact, entry.failure)
     if all(test.hold_out for test in tests.values()):
         raise InputError("every test is held out, so there is nothing to fit; set hold_out = false on one",
                          field="test[0].hold_out")

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from scipy.sparse import csr_array
 
 from calibration.campaign.campaign import Campaign, Test
+from calibration.campaign.segmented import SegmentedRecording, segment_recording, with_air_noted
 from calibration.statistics.sensor_noise import SensorNoise, estimate_shared_noise, spread_stamps
 from calibration.statistics.statistics import estimate_noise, resolution
 from tissue_sim.errors import InputError
@@ -42,6 +43,8 @@ class MeasuredCurve:
         later: samples after the loading (holds, returns) that are left out, because the model does not remember.
         noise: of the sensor; None only while its test is read.
         interpolation: what takes the samples of the file to these points, shape (n, samples); None: they are samples.
+        whole: all of the recording, with its segments; None of one that is made up.
+        notes: subject -> what a user has to know of it.
     """
 
     name: str
@@ -56,6 +59,8 @@ class MeasuredCurve:
     later: int = 0
     noise: SensorNoise = None  # type: ignore[assignment]  # until all recordings of the test are read
     interpolation: csr_array | None = None
+    whole: SegmentedRecording | None = None
+    notes: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def clock(self) -> np.ndarray:
@@ -148,11 +153,12 @@ def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Ca
                          "a time column, or speed_mm_s", field="recordings")
     remembering, height = remembers(test, material), 1.0 if test.specimen is None else test.specimen.height
     labels = np.char.lower(recording.labels["segment"].astype(str)) if "segment" in recording.labels else None
-    keep = np.ones(displacement.size, bool)
+    whole = segment_recording(test, displacement, force, time, labels, stressed=stressed, remembering=remembering,
+                              path=path)
+    displacement, force, keep = whole.displacement, whole.force, whole.used
     if labels is not None:
-        away = ("approach",) if remembering else NOT_LOADING
-        keep = ~np.isin(labels, away)
-        keep = keep if keep.any() else np.ones(displacement.size, bool)
+        inside = keep & ~np.isin(labels, ("approach",) if remembering else NOT_LOADING)
+        keep = inside if inside.any() else keep
     _check_way(displacement[keep], height, test, path)
     places, later = np.flatnonzero(keep), 0
     if remembering:
@@ -176,7 +182,7 @@ def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Ca
         places = places[: last + 1]
         later = displacement.size - 1 - int(places[-1]) if time is not None else 0
     loading = places
-    inside: np.ndarray = np.ones(places.size, bool)
+    inside = np.ones(places.size, bool)
     if test.max_strain is not None:
         reached = np.abs(displacement) if test.kind.both_ways else displacement
         inside = reached[places] <= test.max_strain * height * (1 + 1e-9)
@@ -198,8 +204,11 @@ def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Ca
             # A clock that is coarser than the sampling.
             time = spread_stamps(time, time.size)
         labels = number_runs(label_motion(time, displacement[places]) if labels is None else labels[places])
+    used = np.isin(np.arange(displacement.size), places)
     curve = MeasuredCurve(name, test, time, displacement[places], force[places], labels if remembering else None, path,
-                          str(recording.metadata.get("sha256", "")), stressed, later)
+                          str(recording.metadata.get("sha256", "")), stressed, later,
+                          whole=replace(whole, used=used),
+                          notes=with_air_noted(whole, int(places.min()), stressed=stressed))
     if campaign.fit.method == "analytical":
         curve = with_noise(replace(curve, displacement=displacement[loading], force=force[loading]), campaign,
                            curve)

@@ -82,7 +82,8 @@ def _elastic_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
             solved = tried[-1].copy()
             solved[moduli] = np.clip(solved[moduli] + step, low[moduli], high[moduli])
             tried.append(solved)
-        evaluations = [(feasible(problem, trial), trial) for trial in tried]
+        # Where an exponent leaves the moduli nothing, they come out as zero, and a law without them is no start.
+        evaluations = [(feasible(problem, trial), trial) for trial in tried if not moduli or trial[moduli].any()]
         candidates += sorted(((e.error, i, trial) for i, (e, trial) in enumerate(evaluations) if e is not None),
                              key=lambda item: item[:2])[:1]
     candidates.sort(key=lambda item: item[0])

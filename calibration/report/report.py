@@ -39,6 +39,7 @@ from calibration.report.report_tables import (
     region_table,
     suggestion_in_words,
 )
+from calibration.report.segment_figures import segment_section
 from tissue_sim.atomic_write import write_text
 
 
@@ -74,6 +75,7 @@ def write_report(result: CalibrationResult, curves: Mapping[str, Sequence[TestCu
         parts += ["<h2>Every solve</h2>", *(
             f"<details><summary>{title_of(fit.law)}: {_effort(fit)}</summary>{history_table(fit)}</details>"
             for fit in result.fits if fit.history)]
+    parts += segment_section(recordings, figures=figures)
     parts += ["<h2>What was assumed</h2>", html_list(map(escape, assumptions(result))),
               "<h2>Recordings</h2>",
               recording_list(curve for several in recordings.values() for curve in several)]

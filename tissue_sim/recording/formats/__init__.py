@@ -11,6 +11,9 @@ from tissue_sim.registry import Registry
 
 #: Name -> function (path, **options) -> `Recording`, or a tuple of them.
 FORMATS: Registry[Callable[..., Any]] = Registry("format", "tissue_sim.formats", {
-    name: f"tissue_sim.recording.formats.{name}:read_{name}"
-    for name in ("native", "instron", "soft_robotics", "xlsx", "afm")},
+    **{name: f"tissue_sim.recording.formats.{name}:read_{name}"
+       for name in ("native", "instron", "soft_robotics", "xlsx", "afm")},
+    **dict.fromkeys(("jpk", "bruker"), "tissue_sim.recording.formats.afm:read_afm"),
+    **{name: f"tissue_sim.recording.formats.machines:read_{name}"
+       for name in ("table", "mts", "bluehill", "zwick", "exponent", "mach1", "mecmesin", "trios")}},
     accepts=callable, expected="a function of a path")

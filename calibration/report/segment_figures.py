@@ -1,0 +1,167 @@
+"""Pictures of the segments of recordings, and the part of a report that shows them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from html import escape
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from calibration.report.drawing import STYLE, new_figure, to_png
+from calibration.report.page import html_figure, html_list
+from tissue_sim.recording.contact import Contact
+
+if TYPE_CHECKING:
+    from calibration.campaign.measured import MeasuredCurve
+    from tissue_sim.recording.segments import Segmentation
+
+#: Segment -> colour of its span; others are grey.
+SPANS = {"approach": "#56B4E9", "preload": "#CC79A7", "preconditioning": "#E69F00", "ramp": "#009E73",
+         "load": "#009E73", "hold": "#7F3C8D", "unload": "#999999", "retract": "#999999", "reload": "#0072B2",
+         "failure": "#D55E00"}
+#: Width of the close view of the contact: samples of air before it, and share of the way to the largest force after.
+_CLOSE_AIR, _CLOSE_LOADING = 80, 0.12
+
+
+def draw_segments(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None, segmentation: Segmentation,
+                  used: np.ndarray | None = None) -> bytes:
+    """The segments of a recording over time, and its contact from near.
+
+    Args:
+        displacement, force: in which the segments were found, m and N (strain and Pa where it is stressed), shape (n,).
+        time: s; None: the number of the sample.
+        used: samples that are fitted; None: nothing is marked.
+
+    Returns:
+        A PNG.
+    """
+    import matplotlib
+
+    stressed = segmentation.stressed
+    way, load = (displacement, 1e-3 * force) if stressed else (1e3 * displacement, force)
+    words = ("strain", "stress [kPa]") if stressed else ("displacement [mm]", "force [N]")
+    clock = np.arange(force.size) if time is None else time
+    contact = segmentation.contact
+    near = contact is not None and np.isfinite(contact.interval[1])
+    with matplotlib.rc_context(STYLE):
+        figure = new_figure(12.0, 4.2)
+        over_time, close = figure.subplots(1, 2, width_ratios=(1.6, 1)) if near else (figure.subplots(), None)
+        _draw_spans(over_time, clock, segmentation)
+        line, = over_time.plot(clock, load, color="0.15", lw=1.1, label=words[1])
+        if used is not None and not used.all():
+            over_time.plot(np.where(used, clock, np.nan), load, color="#0072B2", lw=3.2, alpha=0.55,
+                           label="fitted", zorder=1.9)
+        _mark_failure(over_time, clock, load, segmentation)
+        beside = over_time.twinx()
+        beside.plot(clock, way, color="0.45", lw=1.0, ls=(0, (4, 2)), label=words[0])
+        beside.set_ylabel(f"{words[0]} (dashed)", color="0.4")
+        beside.grid(visible=False)
+        beside.spines["right"].set_visible(True)
+        over_time.set(xlabel="sample" if time is None else "time [s]", ylabel=words[1],
+                      xlim=(clock[0], max(clock[-1], clock[0] + 1e-9)))
+        over_time.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=6, fontsize=8.5, borderaxespad=0.2)
+        line.set_zorder(3)
+        if close is not None and contact is not None:
+            _draw_contact(close, way, load, clock, contact, words, stressed)
+        return to_png(figure)
+
+
+def _draw_spans(axes, clock: np.ndarray, segmentation: Segmentation) -> None:
+    named: set[str] = set()
+    for name, first, end in segmentation.runs():
+        last = min(end, clock.size - 1)
+        axes.axvspan(clock[first], clock[last], color=SPANS.get(name, "0.8"), alpha=0.22, lw=0, zorder=0,
+                     label=None if name in named else name)
+        named.add(name)
+
+
+def _mark_failure(axes, clock: np.ndarray, load: np.ndarray, segmentation: Segmentation) -> None:
+    failure = segmentation.failure
+    if failure is not None:
+        axes.plot(clock[failure.index], load[failure.index], "v", color=SPANS["failure"], ms=9, zorder=4,
+                  label=failure.mode)
+
+
+def _draw_contact(axes, way: np.ndarray, load: np.ndarray, clock: np.ndarray, contact: Contact,
+                  words: tuple[str, str], stressed: bool) -> None:
+    scale, factor = (1.0, 1e-3) if stressed else (1e3, 1.0)
+    place = scale * contact.displacement
+    low, high = (scale * end for end in contact.interval)
+    end = int(np.argmax(way >= place + max(_CLOSE_LOADING * (way.max() - place), 2 * (high - place)))) or way.size
+    first = max(contact.index - _CLOSE_AIR, 0)
+    seen = slice(first, end)
+    axes.plot(way[seen], load[seen], ".", ms=3.5, color="0.25", zorder=3)
+    base = factor * (contact.force_zero + contact.drift * (clock[seen] - clock[0]))
+    axes.plot(way[seen], base, color=SPANS["approach"], lw=1.6, label="zero and drift")
+    left = low if np.isfinite(low) else float(way[seen].min())
+    axes.axvspan(left, high, color=SPANS["failure"], alpha=0.2, lw=0, label="95 %")
+    if contact.found:
+        axes.axvline(place, color=SPANS["failure"], lw=1.2, label="contact")
+    titles = {"found": "contact", "before": "no air before contact", "unclear": "contact cannot be told",
+              "none": "no contact"}
+    axes.set(xlabel=words[0], ylabel=words[1])
+    axes.set_title(titles[contact.status], loc="left", fontsize=10, fontweight="bold")
+    axes.legend(loc="upper left", fontsize=8.5)
+
+
+def segment_section(recordings: Mapping[str, Sequence[MeasuredCurve]], *, figures: bool) -> Iterator[str]:
+    """HTML: of each test the segments that were found, what of them is fitted, and a picture of one recording.
+
+    The recording that is drawn is the first with a note, or the first.
+    """
+    known = {test: [curve for curve in curves if curve.whole is not None] for test, curves in recordings.items()}
+    if not any(known.values()):
+        return
+    yield "<h2>Segments</h2>"
+    yield ('<p class="quiet">By the labels of the file where it has any, else by the motion, the first rise of the '
+           "force over its zero and drift, and the first loss of force on the way in.</p>")
+    for test, curves in known.items():
+        if not curves:
+            continue
+        yield f"<h3>{escape(test)}</h3>"
+        yield html_list(_in_words(curve) for curve in curves)
+        if figures:
+            drawn = next((curve for curve in curves if curve.notes), curves[0])
+            assert drawn.whole is not None
+            whole = drawn.whole
+            yield html_figure(_draw_whole(whole.displacement + whole.shift, drawn), f"Segments of {drawn.name}",
+                              f"{drawn.name}: as it was recorded; what is fitted is drawn blue where not all of it is.")
+
+
+def _draw_whole(displacement: np.ndarray, curve: MeasuredCurve) -> bytes:
+    whole = curve.whole
+    assert whole is not None
+    return draw_segments(displacement, whole.recorded_force, whole.time, whole.segmentation, whole.used)
+
+
+def _in_words(curve: MeasuredCurve) -> str:
+    whole = curve.whole
+    assert whole is not None
+    found = whole.segmentation
+    runs = [name for name, _, _ in found.runs()]
+    parts = [f"{'stated' if found.stated else 'found'}: {_counted_runs(runs)}",
+             f"{int(whole.used.sum())} of {whole.used.size} samples fitted"]
+    if found.contact is not None:
+        parts.append(found.contact.in_words(stressed=found.stressed))
+    if whole.shift:
+        parts.append(f"displacement counted from {1e3 * whole.shift:.4g} mm")
+    notes = "".join(f'<br><span class="bad">{escape(note)}</span>' for note in curve.notes.values())
+    return f"<b>{escape(curve.name)}</b>: {escape('; '.join(parts))}{notes}"
+
+
+def _counted_runs(runs: Sequence[str]) -> str:
+    """``approach, ramp, 3 × (unload, reload)``: equal pairs counted."""
+    parts: list[str] = []
+    k = 0
+    while k < len(runs):
+        pair, count = list(runs[k:k + 2]), 1
+        while len(pair) == 2 and list(runs[k + 2 * count:k + 2 * count + 2]) == pair:
+            count += 1
+        if count > 1:
+            parts.append(f"{count} × ({', '.join(pair)})")
+            k += 2 * count
+        else:
+            parts.append(runs[k])
+            k += 1
+    return ", ".join(parts)
