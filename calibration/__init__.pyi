@@ -15,6 +15,9 @@ from calibration.fit.hold import HoldFit as HoldFit
 from calibration.fit.hold import fit_hold as fit_hold
 from calibration.fit.result import CalibrationResult as CalibrationResult
 from calibration.fit.result import to_json as to_json
+from calibration.importing.files import import_files as import_files
+from calibration.importing.imported import Imported as Imported
+from calibration.importing.imported import Wishes as Wishes
 from calibration.pipeline import calibrate as calibrate
 from calibration.tasks.errors import WorkerError as WorkerError
 from calibration.tasks.executors import Workers as Workers

@@ -1,8 +1,13 @@
-"""Draw every picture of README and docs again: python docs/draw_pictures.py"""
+"""Draw every picture of README and docs again: python docs/draw_pictures.py
+
+``imports`` as a word behind it draws those of measured sets; the variable TISSUE_SIM_DATA names their folder.
+"""
 
 import base64
+import os
 import re
 import shutil
+import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -11,9 +16,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import tissue_sim as ts
-from calibration import calibrate
+from calibration import Wishes, calibrate, import_files
 from scenes import SCENES, draw_simulation, run_demo
 from scenes.figures import save
+from tissue_sim.recording.formats.guesses import Stated
 
 PICTURES = Path(__file__).parent / "pictures"
 CURVES = Path(__file__).parents[1] / "tests" / "reference"
@@ -102,5 +108,31 @@ def draw_inverse_calibration(material: ts.Material) -> None:
     (PICTURES / "inverse_calibration.png").write_bytes(base64.b64decode(found[1]))
 
 
+#: Picture -> files of a measured set, and what only a person knows of them.
+IMPORTS = {
+    "ecoflex": ("ecoflex_compression/EF10_0T_A?.csv", Stated()),
+    "brain": ("brain_tension_damage/brain_gm1.csv", Stated()),
+    "acrylic": ("oca_vhb_viscoelastic/uniaxial*loading_2d0_unloading_0d01.xlsx", Stated(
+        columns={"time": "A", "stretch": "B", "nominal stress": "C"}, units={"time": "s", "nominal stress": "kPa"}))}
+
+
+def draw_imports(data: Path) -> None:
+    """Measured sets from raw files to the figure of their report; `data` is the folder of the sets."""
+    for name, (pattern, stated) in IMPORTS.items():
+        with tempfile.TemporaryDirectory() as place:
+            campaign = Path(place, f"{name}.toml")
+            imported = import_files(sorted(data.glob(pattern)), campaign,
+                                    Wishes(stated, laws=("neo_hooke", "ogden_1")))
+            if name == "ecoflex":
+                shutil.copyfile(imported.picture, PICTURES / f"import_{name}.png")
+            calibrate([campaign], Path(place, "out"))
+            page = Path(place, "out", "report.html").read_text(encoding="utf-8")
+        found = re.search(r'<img[^>]*src="data:image/png;base64,([^"]+)"[^>]*residuals of', page)
+        (PICTURES / f"import_{name}_fit.png").write_bytes(base64.b64decode(found[1]))
+
+
 if __name__ == "__main__":
-    main()
+    if "imports" in sys.argv[1:]:
+        draw_imports(Path(os.environ["TISSUE_SIM_DATA"]))
+    else:
+        main()

@@ -11,7 +11,7 @@ import sys
 from collections.abc import Sequence
 
 from calibration.tasks.errors import WorkerError
-from scenes.commands import calibrate, demo, doctor, loop, material, serve, simulate, view
+from scenes.commands import calibrate, demo, doctor, import_files, loop, material, serve, simulate, view
 from scenes.commands.shared.parsing import Parser, later_answer
 from tissue_sim import __version__
 from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError, nearest
@@ -19,6 +19,7 @@ from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError,
 COMMANDS = {
     "demo": demo,
     "doctor": doctor,
+    "import": import_files,
     "material": material,
     "simulate": simulate,
     "calibrate": calibrate,

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import codecs
 from pathlib import Path
 
 from tissue_sim.errors import InputError
 
 #: Spreadsheets and many AFM files are zip archives.
 ZIP_MAGIC = b"PK\x03\x04"
+#: Byte order marks, the longer first.
+_MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF32_LE, "utf-32"), (codecs.BOM_UTF32_BE, "utf-32"),
+          (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
+#: What no text holds: control characters but for tab, line ends, form feed and the end-of-file sign of DOS.
+_CONTROL = bytes(set(range(32)) - {9, 10, 11, 12, 13, 26})
 
 
 def read_bytes(path: str | Path, expected: str) -> bytes:
@@ -60,3 +66,38 @@ def read_text(path: str | Path, expected: str) -> str:
     if not text.strip():
         raise InputError(f"is empty, expected {expected}", file=path)
     return text
+
+
+def decode_text(data: bytes, path: str | Path, expected: str) -> tuple[str, str]:
+    """The text in the bytes of a file, as any program of a laboratory may have written it.
+
+    By its byte order mark; else UTF-16 where every other byte is NUL; else UTF-8; else the western code page of
+    Windows, cp1252, and latin-1 where it has bytes that cp1252 lacks.
+
+    Returns:
+        The text, and the name of its encoding in Python.
+
+    Raises:
+        InputError: empty or binary.
+    """
+    encoding = next((name for mark, name in _MARKS if data.startswith(mark)), None)
+    if encoding is None and b"\0" in data[:4096]:
+        head = data[:4096]
+        odd, even = head[1::2].count(0) / (len(head) // 2 or 1), head[::2].count(0) / (len(head) // 2 or 1)
+        encoding = "utf-16-le" if odd > 0.5 > even else "utf-16-be" if even > 0.5 > odd else None
+        if encoding is None:
+            raise InputError(f"is a binary file (NUL at byte {data.index(0)}), expected {expected}", file=path)
+    for name in ([encoding] if encoding else ["utf-8", "cp1252", "latin-1"]):
+        try:
+            text = data.decode(name)
+            break
+        except UnicodeDecodeError:
+            continue
+    else:
+        raise InputError(f"has the byte order mark of {encoding} and is none, expected {expected}; save it as UTF-8 "
+                         "text", file=path)
+    if encoding is None and any(byte in data for byte in _CONTROL):
+        raise InputError(f"is a binary file (it has control characters), expected {expected}", file=path)
+    if not text.strip():
+        raise InputError(f"is empty, expected {expected}", file=path)
+    return text, {"utf-8-sig": "utf-8"}.get(name, name)

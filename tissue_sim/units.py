@@ -7,21 +7,41 @@ import re
 
 from tissue_sim.errors import InputError, nearest
 
+#: Standard gravity, m/s2, of forces in grams; the pound, kg, and the inch, m (BIPM, SI brochure; NIST SP 811).
+_G, _LB, _IN = 9.80665, 0.45359237, 0.0254
+_FACTORS: dict[str, dict[str, float]] = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0},
+    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "in": _IN, "mil": 1e-3 * _IN},
+    # In the column of a force, grams are those that a balance shows.
+    "force": {"N": 1.0, "kN": 1e3, "mN": 1e-3, "uN": 1e-6, "nN": 1e-9, "pN": 1e-12, "cN": 1e-2, "dyn": 1e-5,
+              "g": 1e-3 * _G, "gf": 1e-3 * _G, "mg": 1e-6 * _G, "kg": _G, "kgf": _G, "lb": _LB * _G, "lbf": _LB * _G,
+              "ozf": _LB * _G / 16},
+    "torque": {"Nm": 1.0, "mNm": 1e-3, "uNm": 1e-6, "Nmm": 1e-3},
+    "stress": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "N/mm^2": 1e6, "N/mm2": 1e6, "N/cm2": 1e4, "N/m2": 1.0,
+               "bar": 1e5, "psi": _LB * _G / _IN**2, "ksi": 1e3 * _LB * _G / _IN**2, "g/mm2": 1e3 * _G,
+               "kgf/cm2": 1e4 * _G},
+    "ratio": {"-": 1.0, "1": 1.0, "%": 1e-2, "mm/mm": 1.0, "m/m": 1.0, "in/in": 1.0},
+    # What a converter gives: only whoever knows the sensor can say how much of what that is.
+    "signal": {"V": 1.0, "mV": 1.0, "mV/V": 1.0, "counts": 1.0},
+}
 # unit -> (quantity, factor to SI, offset added after the factor)
 UNITS: dict[str, tuple[str, float, float]] = {
-    "s": ("time", 1.0, 0.0), "ms": ("time", 1e-3, 0.0), "us": ("time", 1e-6, 0.0), "min": ("time", 60.0, 0.0),
-    "m": ("length", 1.0, 0.0), "cm": ("length", 1e-2, 0.0), "mm": ("length", 1e-3, 0.0), "um": ("length", 1e-6, 0.0),
-    "nm": ("length", 1e-9, 0.0),
-    "N": ("force", 1.0, 0.0), "kN": ("force", 1e3, 0.0), "mN": ("force", 1e-3, 0.0), "uN": ("force", 1e-6, 0.0),
-    "nN": ("force", 1e-9, 0.0),
-    "Nm": ("torque", 1.0, 0.0), "mNm": ("torque", 1e-3, 0.0), "Nmm": ("torque", 1e-3, 0.0),
-    "Pa": ("stress", 1.0, 0.0), "kPa": ("stress", 1e3, 0.0), "MPa": ("stress", 1e6, 0.0), "GPa": ("stress", 1e9, 0.0),
-    "N/mm^2": ("stress", 1e6, 0.0), "N/mm2": ("stress", 1e6, 0.0),
-    "-": ("ratio", 1.0, 0.0), "1": ("ratio", 1.0, 0.0), "%": ("ratio", 1e-2, 0.0),
+    **{unit: (quantity, factor, 0.0) for quantity, units in _FACTORS.items() for unit, factor in units.items()},
     "degC": ("temperature", 1.0, 273.15), "K": ("temperature", 1.0, 0.0),
 }
-_SPELLINGS = {"µm": "um", "μm": "um", "µN": "uN", "μN": "uN", "°C": "degC", "sec": "s", "N.mm": "Nmm",
-              "N/mm²": "N/mm^2"}
+_SPELLINGS = {"µm": "um", "μm": "um", "µN": "uN", "μN": "uN", "°C": "degC", "sec": "s", "N.mm": "Nmm", "N·mm": "Nmm",
+              "N·m": "Nm", "N.m": "Nm", "µN.m": "uNm", "µNm": "uNm",
+              "N/mm²": "N/mm^2", "N/cm²": "N/cm2", "N/m²": "N/m2", "kgf/cm²": "kgf/cm2",
+              "S": "s", "Sec": "s", "SEC": "s", "secs": "s",
+              "second": "s", "seconds": "s", "Seconds": "s", "msec": "ms",
+              "minutes": "min", "µs": "us", "μs": "us", "hr": "h", "hours": "h",
+              "micron": "um", "microns": "um", "inch": "in", "inches": "in", "Newton": "N", "Newtons": "N",
+              "grams": "g", "gram": "g", "Gms": "g", "gr": "g", "gmf": "gf", "lbs": "lb", "pound": "lb",
+              "percent": "%", "volt": "V", "Volt": "V", "volts": "V", "Volts": "V", "count": "counts",
+              "Counts": "counts", "cts": "counts", "digits": "counts", "bits": "counts"}
+#: The looser ways in which foreign headers state a unit: ``Fz, N``, ``Kraft / N``, ``Force_N``, ``Kraft in N``.
+_LOOSE = (re.compile(r"^(?P<name>.*\S)\s*,\s*(?P<unit>\S+)$"), re.compile(r"^(?P<name>.*\S)\s*/\s*(?P<unit>\S+)$"),
+          re.compile(r"^(?P<name>.*\S)_(?P<unit>[^_\s]+)$"), re.compile(r"^(?P<name>.*\S)\s+in\s+(?P<unit>\S+)$"))
 #: SI unit -> unit in which people are shown a value, and that many of them in one SI unit; any other as it is.
 _SHOWN = {"Pa": ("kPa", 1e-3), "1/Pa": ("1/MPa", 1e6), "m": ("mm", 1e3), "m2/s": ("mm²/s", 1e6), "m/N": ("mm/N", 1e3),
           "rad": ("deg", 180.0 / math.pi), "1": ("", 1.0)}
@@ -38,7 +58,7 @@ def to_si(unit: str, quantity: str | None = None) -> tuple[float, float]:
     Raises:
         InputError: unknown unit, or a unit of another quantity.
     """
-    unit = _SPELLINGS.get(unit.strip(), unit.strip())
+    unit = known_unit(unit) or unit.strip()
     if unit not in UNITS:
         raise InputError(f"unknown unit {unit!r}{nearest(unit, UNITS)}")
     found, factor, offset = UNITS[unit]
@@ -46,6 +66,21 @@ def to_si(unit: str, quantity: str | None = None) -> tuple[float, float]:
         wanted = ", ".join(name for name, entry in UNITS.items() if entry[0] == quantity)
         raise InputError(f"unit {unit!r} is a {found}, expected a {quantity} ({wanted})")
     return factor, offset
+
+
+def known_unit(text: str) -> str | None:
+    """The name in `UNITS` of a unit as somebody spells it, brackets or not: ``(sec)`` is ``s``; None: it is none."""
+    text = text.strip()
+    if text[:1] in ("[", "(") and text[-1:] in ("]", ")"):
+        text = text[1:-1].strip()
+    text = _SPELLINGS.get(text, text)
+    return text if text in UNITS else None
+
+
+def quantity_of(unit: str | None) -> str | None:
+    """What is measured in a unit, such as ``force``; ``signal`` of volts and counts; None: no known unit."""
+    name = None if unit is None else known_unit(unit)
+    return None if name is None else UNITS[name][0]
 
 
 def shown(unit: str) -> tuple[str, float]:
@@ -59,3 +94,18 @@ def split_header(header: str) -> tuple[str, str | None]:
     if not match:
         return header.strip(), None
     return match["name"].strip(), match["unit"].strip()
+
+
+def loose_header(header: str) -> tuple[str, str | None]:
+    """As `split_header`, of headers of any machine: ``'Fz, gf'`` -> ``('Fz', 'gf')``; so ``'Force_N'``, ``'Weg / mm'``.
+
+    The unit must be a known one, so that ``Run_2`` and ``Position (z)`` stay names.
+    """
+    name, unit = split_header(header)
+    if unit is not None:
+        return (name, unit) if known_unit(unit) else (header.strip(), None)
+    for pattern in _LOOSE:
+        match = pattern.match(name)
+        if match and known_unit(match["unit"]) not in (None, "1"):
+            return match["name"].strip(), match["unit"]
+    return name, None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from dataclasses import dataclass
 from pathlib import Path
 from types import GenericAlias
 from typing import Any, Literal, cast
@@ -19,8 +20,9 @@ from tissue_sim.files import read_text
 Pair = tuple[float, float]
 #: JSON's words in TOML.
 _WORDS = {"object": "a table, written [name] or { ... }", "array": "a list, written [...]"}
+_PLACE_IN_TEST = re.compile(r"^test\[(?P<number>\d+)\]\.(?P<key>\w+)(?P<rest>.*)$")
 #: What the tables of ``[fit]`` hold for each parameter.
-_BY_PARAMETER = {"start": "a number", "fixed": "a number", "prior": "[mean, standard deviation]",
+BY_PARAMETER = {"start": "a number", "fixed": "a number", "prior": "[mean, standard deviation]",
                  "bounds": "[low, high]"}
 
 
@@ -52,7 +54,7 @@ class TestTable(_Table, frozen=True, kw_only=True):
     columns: dict[str, Any] | None = None
     skip_lines: int | None = None
     delimiter: str | None = None
-    sheet: str | int | None = None
+    sheet: str | int | list[str | int] | None = None
     curve: int | None = None
     tool: str | None = None
     friction: str | float | None = None
@@ -123,8 +125,45 @@ def campaign_table() -> type[CampaignTable]:
     return cast(type[CampaignTable], table)
 
 
-def decode_campaign(path: Path) -> tuple[CampaignTable, bytes]:
-    """The file's tables with types checked, and its bytes.
+@dataclass(frozen=True)
+class Defaults:
+    """``[defaults]``: keys that every ``[[test]]`` has that does not state them itself.
+
+    Attributes:
+        keys: that it states.
+        own: of each test, the keys that it states itself.
+    """
+
+    keys: frozenset[str]
+    own: tuple[frozenset[str], ...]
+
+    def located(self, error: InputError, path: Path) -> InputError:
+        """The error with the file and, where a default is at fault, with its place there: ``defaults.columns``."""
+        match = _PLACE_IN_TEST.match(error.field or "")
+        place = error.field
+        if match and match["key"] in self.keys and match["key"] not in self.own[int(match["number"])]:
+            place = f"defaults.{match['key']}{match['rest']}"
+        return InputError(error.problem, file=error.file if error.file is not None else path, line=error.line,
+                          field=place)
+
+
+def _take_defaults(content: dict[str, Any], path: Path) -> Defaults:
+    """Move ``[defaults]`` into the tests of `content`. A test that states a format does without default columns, and
+    one that states columns without a default format."""
+    defaults = content.pop("defaults", {})
+    if not isinstance(defaults, dict):
+        raise InputError("expected a table, written [defaults]", file=path, field="defaults")
+    tests = [test for test in content.get("test", []) if isinstance(test, dict)]
+    own = tuple(frozenset(test) for test in tests)
+    for test in tests:
+        instead = {"format": "columns", "columns": "format"}
+        left = {instead[key] for key in instead if key in test}
+        test.update({key: value for key, value in defaults.items() if key not in test and key not in left})
+    return Defaults(frozenset(defaults), own)
+
+
+def decode_campaign(path: Path) -> tuple[CampaignTable, bytes, Defaults]:
+    """The file's tables with types checked, its bytes, and what its tests have from ``[defaults]``.
 
     Raises:
         InputError: missing or unreadable file, not TOML (line), unknown key (names the nearest), missing key, wrong
@@ -142,18 +181,19 @@ def decode_campaign(path: Path) -> tuple[CampaignTable, bytes]:
     for key in ("specimen", "test"):
         if not isinstance(content.get(key, []), list):
             raise InputError(f"expected a list of tables, written [[{key}]]", file=path, field=key)
+    defaults = _take_defaults(content, path)
     try:
         _check_by_parameter(content.get("fit"))
-        return decode(content, campaign_table(), words=_WORDS), path.read_bytes()
+        return decode(content, campaign_table(), words=_WORDS), path.read_bytes(), defaults
     except InputError as error:
         # TOML has no null: what may be left out is not written.
         problem = error.problem.replace(" or null", "")
-        raise InputError(problem, file=path, field=error.field) from None
+        raise defaults.located(InputError(problem, field=error.field), path) from None
 
 
 def _check_by_parameter(fit: Any) -> None:
     """Types in the tables whose keys are parameters, which the decoder does not name."""
-    for key, expected in _BY_PARAMETER.items():
+    for key, expected in BY_PARAMETER.items():
         table = fit.get(key) if isinstance(fit, dict) else None
         for name, value in table.items() if isinstance(table, dict) else ():
             numbers = value if expected.startswith("[") else [value]

@@ -89,3 +89,56 @@ def test_every_curve_of_an_afm_file_is_a_replicate(folder):
                         encoding="utf-8")
         found = read(path)
         assert [replicate.name for replicate in found] == [f"lubricated_compression/{name}" for name in names]
+DEFAULTS = """
+[defaults]
+kind = "lubricated_compression"
+{reading}
+
+[[test]]
+name = "first"
+recordings = ["run_1.xlsx"]
+
+[[test]]
+name = "second"
+recordings = ["run_2.xlsx"]
+max_strain = 0.1
+"""
+
+
+def test_defaults_are_shared_by_all_tests(folder):
+    def write(defaults, before="[[specimen]]\nradius_mm = 40.0\nheight_mm = 70.0\n"):
+        path = folder / "study.toml"
+        path.write_text(before + defaults + '\n[fit]\nlaws = ["neo_hooke"]\n', encoding="utf-8")
+        return path
+
+    found = read(write(DEFAULTS.format(reading=COLUMNS)))
+    assert [replicate.name for replicate in found] == ["first/run_1", "second/run_2"]
+    tests = calibration.load_campaign(write(DEFAULTS.format(reading=f"max_strain = 0.2\n{COLUMNS}"))).tests
+    assert [test.max_strain for test in tests] == [0.2, 0.1], "what a test states itself wins"
+    # A fault in the defaults is named there, one in a test there.
+    for text, field in ((DEFAULTS.format(reading=COLUMNS.replace("mm", "ell").replace("columns", "column")),
+                         "defaults.column"),
+                        (DEFAULTS.format(reading="columns = { force = 3 }"), "defaults.columns.force"),
+                        (DEFAULTS.format(reading="max_strain = -1.0"), "defaults.max_strain"),
+                        (DEFAULTS.format(reading=COLUMNS).replace("0.1\n", "-0.1\n"), "test[1].max_strain"),
+                        (DEFAULTS.format(reading=COLUMNS).replace("max_strain", "max_strian"), "test[1].max_strian"),
+                        ("defaults = 3\n", "defaults")):
+        with pytest.raises(ts.InputError) as caught:
+            calibration.load_campaign(write(text, "") if text.startswith("defaults") else write(text))
+        assert caught.value.field == field and caught.value.file == folder / "study.toml"
+
+
+def test_a_test_with_columns_takes_no_default_format(folder):
+    path = folder / "study.toml"
+    path.write_text('[defaults]\nformat = "instron"\n' + CAMPAIGN.format(reading=COLUMNS), encoding="utf-8")
+    assert len(read(path)) == 2
+
+
+def test_a_list_of_sheets_is_replicates(folder):
+    book = openpyxl.load_workbook(folder / "run_1.xlsx")
+    copy = book.copy_worksheet(book.active)
+    copy.title = "again"
+    book.save(folder / "run_1.xlsx")
+    (folder / "run_2.xlsx").unlink()
+    found = replicates(folder, COLUMNS + '\nsheet = ["Sheet", "again"]')
+    assert [curve.name for curve in found] == ["lubricated_compression/run_1_1", "lubricated_compression/run_1_2"]

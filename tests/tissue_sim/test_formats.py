@@ -5,7 +5,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tissue_sim import InputError, read_recording
+from tissue_sim import InputError, read_recording, read_recordings
 from tissue_sim.recording.formats import FORMATS
 
 COLUMNS = {"displacement": "Compression (mm)", "force": "Load (N)"}
@@ -75,10 +75,13 @@ def test_a_stated_unit_wins_over_the_header(tmp_path):
 
 
 def test_skipped_lines_are_not_looked_at(tmp_path):
-    # A summary table with the same header stands above the data.
+    # A summary table with the same header stands above the data: it has too few points to be a test.
     path = write(tmp_path, "Compression (mm),Load (N),Name\n1,mean,A\n" + table())
-    assert refusal(path, columns=COLUMNS).line == 2
-    recording = read_recording(path, columns=COLUMNS, skip_lines=2)
+    assert len(read_recording(path, columns=COLUMNS)) == 6
+    # Another test that stands above the data.
+    path = write(tmp_path, "Compression (mm),Load (N)\n" + "1,2\n" * 7 + table())
+    assert [len(each) for each in read_recordings(path, columns=COLUMNS)] == [7, 6]
+    recording = read_recording(path, columns=COLUMNS, skip_lines=8)
     assert len(recording) == 6
     error = refusal(write(tmp_path, "Compression (mm),Load (N)\n" + table().replace("0.50", "x")), columns=COLUMNS,
                     skip_lines=1)
@@ -152,8 +155,11 @@ def test_bad_tables_are_refused(tmp_path, text, line, message):
     ({"force": {"name": "Load", "sign": 2}}, "columns.force.sign", "1 or -1"),
     ({"force": {"name": "Load", "sign": True}}, "columns.force.sign", "1 or -1"),
     ({"force": {"name": "Load", "unit": 3}}, "columns.force.unit", "not text"),
+    ({"force": {"name": "Load", "scale": -2.0}}, "columns.force.scale", "said by sign"),
+    ({"force": {"name": "Load", "offset": "1"}}, "columns.force.offset", "no number"),
+    ({"force": {"name": "Load", "unit": "V"}}, "columns.force", "give scale, the N in 1 V"),
     ({"cycle": {"name": "Load", "unit": "N"}}, "columns.cycle", "neither unit nor sign"),
-    ({"force": {"name": "Load", "unit": "lbf"}}, "columns.force", "unknown unit 'lbf'"),
+    ({"force": {"name": "Load", "unit": "lbx"}}, "columns.force", "unknown unit 'lbx'"),
     ({"force": "Load", "displacement": {"name": "Load", "unit": "mm"}}, "columns.displacement", "two channels"),
 ])
 def test_bad_maps_are_refused_by_field(tmp_path, columns, field, message):

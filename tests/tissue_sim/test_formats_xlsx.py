@@ -110,8 +110,9 @@ def test_which_sheet(tmp_path):
     ("bad", "sheet 'Data': column 'force [N]' holds 'bad', expected a finite number"),
     (None, "column 'force [N]' is empty"),
     (True, "holds 'True'"),
-    ("=1+1", "holds '=1+1'"),
-    ("#DIV/0!", "holds '#DIV/0!'"),
+    # A formula that was never calculated, and one that failed, have no value.
+    ("=1+1", "column 'force [N]' is empty"),
+    ("#DIV/0!", "column 'force [N]' is empty"),
     (datetime.time(0, 0, 1), "holds '00:00:01'"),
 ])
 def test_a_bad_cell_is_named_by_sheet_column_and_row(tmp_path, cell, message):
@@ -172,7 +173,7 @@ def test_no_spreadsheet(tmp_path):
     path = tmp_path / "run.xlsx"
     assert "no such file" in refusal(read_xlsx, path).problem
     path.write_bytes(b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1")
-    assert "old spreadsheet (.xls)" in refusal(read_xlsx, path).problem
+    assert "cannot be read as a spreadsheet" in refusal(read_xlsx, path).problem
     path.write_bytes(b"time [s],force [N]\n")
     assert "cannot be read as a spreadsheet" in refusal(read_xlsx, path).problem
     assert "cannot be read as a spreadsheet" in refusal(read_recording, path, columns=BY_PLACE).problem
@@ -182,9 +183,10 @@ def test_no_spreadsheet(tmp_path):
 
 
 def test_without_the_extra_the_answer_names_it(tmp_path, monkeypatch):
-    path = write(tmp_path, ("Data", NUMBERS))
-    monkeypatch.setitem(sys.modules, "openpyxl", None)
-    assert "pip install 'tissue-sim[formats]'" in refusal(read_xlsx, path, columns=BY_PLACE).problem
+    path = tmp_path / "run.h5"
+    path.write_bytes(b"\x89HDF\r\n\x1a\n")
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    assert "pip install 'tissue-sim[formats]'" in refusal(read_recording, path, columns=BY_PLACE).problem
 
 
 numbers = st.floats(-1e6, 1e6, allow_subnormal=False)
@@ -279,3 +281,13 @@ def test_foam_set_by_name(data_folder):
                                columns={"stretch": "leap-comten-stretch", "nominal stress": "leap-comten-stress"})
     assert len(recording) == 201
     assert recording.channel("nominal stress")[0] == pytest.approx(-241599.6066768916)
+
+
+def test_a_cell_far_away_is_refused(tmp_path):
+    """It would take the memory of the whole rectangle."""
+    book = openpyxl.Workbook()
+    for row in NUMBERS:
+        book.active.append(row)
+    book.active["XFD1048576"] = 3
+    book.save(tmp_path / "far.xlsx")
+    assert "reaches to cell XFD1048576" in refusal(read_xlsx, tmp_path / "far.xlsx", columns=BY_PLACE).problem

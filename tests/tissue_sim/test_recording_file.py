@@ -102,7 +102,7 @@ def test_metadata_of_a_bare_file(tmp_path):
 
 BAD = {
     "unknown column": ([HEADER.replace("displacement", "displacment"), *ROWS], 1, "did you mean 'displacement'"),
-    "unknown unit": ([HEADER.replace("mm", "inch"), *ROWS], 1, "unknown unit 'inch'"),
+    "unknown unit": ([HEADER.replace("mm", "ell"), *ROWS], 1, "unknown unit 'ell'"),
     "unit of another quantity": ([HEADER.replace("mm", "kPa"), *ROWS], 1, "expected a length"),
     "missing unit": ([HEADER.replace(" [N]", ""), *ROWS], 1, r"unit is missing, expected a force such as \[N\]"),
     "not a number": ([HEADER, *ROWS[:2], "2,abc,0.2", *ROWS[3:]], 4, r"'displacement \[mm\]' holds 'abc'"),

@@ -20,8 +20,9 @@ def test_si(unit, quantity, value, si):
 
 
 @pytest.mark.parametrize(("unit", "quantity", "message"), [
-    ("mmm", None, "did you mean 'mm'"), ("lbf", "force", "unknown unit 'lbf'"), ("", None, "unknown unit ''"),
-    ("mm", "force", "unit 'mm' is a length, expected a force (N, kN, mN, uN, nN)"),
+    ("mmm", None, "did you mean 'mm'"), ("lbx", "force", "unknown unit 'lbx'"), ("", None, "unknown unit ''"),
+    ("mm", "force", "unit 'mm' is a length, expected a force (N, kN, mN, uN, nN, pN, cN, "
+     "dyn, g, gf, mg, kg, kgf, lb, lbf, ozf)"),
     ("n", "force", "unknown unit 'n'"), ("MM", "length", "unknown unit 'MM'")])
 def test_what_is_no_unit_here(unit, quantity, message):
     with pytest.raises(InputError) as caught:

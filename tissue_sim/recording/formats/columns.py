@@ -1,51 +1,72 @@
-"""Foreign tables, text or spreadsheet, by a map of channels to columns: by name under a header, or by place."""
+"""Foreign tables, text, spreadsheet or container, by a map of channels to columns: by name under a header, or by place.
+"""
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tissue_sim.errors import InputError, nearest
-from tissue_sim.files import read_text
-from tissue_sim.recording.formats.header import (
-    DELIMITERS,
-    DELIMITERS_OF_NUMBERS,
-    find_header,
-    find_numbers,
-    matches,
-    text_tables,
-)
-from tissue_sim.recording.formats.table import Column, Row, conversion, read_recording_table
-from tissue_sim.recording.formats.workbook import is_workbook, read_sheet
-from tissue_sim.recording.recording import CHANNELS, LABELS, Recording
-from tissue_sim.units import split_header
+import numpy as np
 
-_KEYS = ("name", "column", "unit", "sign")
+from tissue_sim.errors import InputError, nearest
+from tissue_sim.files import decode_text, read_bytes
+from tissue_sim.recording.formats.blocks import Block, named_blocks, placed_blocks
+from tissue_sim.recording.formats.containers import is_container, read_container
+from tissue_sim.recording.formats.header import DELIMITERS, DELIMITERS_OF_NUMBERS, text_tables
+from tissue_sim.recording.formats.table import Column, Row, Table, conversion, narrow, read_recording_table
+from tissue_sim.recording.formats.workbook import Sheet, is_workbook, read_sheet, read_sheets
+from tissue_sim.recording.formats.zeroing import CONTACT, START, zeroed
+from tissue_sim.recording.recording import CHANNELS, LABELS, MIN_POINTS, Recording
+from tissue_sim.units import loose_header, split_header
+
+_KEYS = ("name", "column", "unit", "sign", "scale", "offset")
 #: The last column of a spreadsheet is XFD.
 _LETTERS = re.compile(r"[A-Za-z]{1,3}")
+Sheets = str | int | Sequence[str | int]
 
 
 def read_columns(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int = 0, delimiter: str | None = None,
-                 sheet: str | int | None = None, metadata: Mapping[str, Any] | None = None) -> Recording:
-    """A recording from chosen columns of any delimited text file or xlsx spreadsheet.
+                 sheet: Sheets | None = None, metadata: Mapping[str, Any] | None = None) -> Recording:
+    """The only recording that `read_blocks` finds.
+
+    Raises:
+        InputError: there are several; and as there.
+    """
+    found = read_blocks(path, columns, skip_lines=skip_lines, delimiter=delimiter, sheet=sheet, metadata=metadata)
+    if len(found) > 1:
+        raise InputError(f"holds {len(found)} tables with these columns, expected one", file=path, field="columns")
+    return found[0]
+
+
+def read_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int = 0, delimiter: str | None = None,
+                sheet: Sheets | None = None, curve: int | None = None,
+                metadata: Mapping[str, Any] | None = None) -> tuple[Recording, ...]:
+    """Recordings from chosen columns of any delimited text file, spreadsheet or container of arrays.
 
     Columns by name: the header is the first row that contains every named column. A column matches by its whole header
-    (``"Load (N)"``) or by the part before the unit (``"Load"``), whatever the case. Columns by place only: the table
-    begins with the first row that has a number in each of them.
+    (``"Load (N)"``) or by the part before the unit (``"Load"``), whatever the case. A header that comes again, below or
+    in the same row, begins another recording; one below it whose time goes on is the same one. Columns by place only:
+    the table begins with the first row that has a number in each of them.
 
     Delimiter of a text: comma, semicolon or tab, whichever has such a row, unless it is stated; with any but the comma,
     decimal commas are read too. In a spreadsheet the rows end with the last one that has a cell in these columns.
 
     Args:
-        path: the file.
+        path: the file: text in any usual encoding, xlsx, xls, ods, mat, tdms, h5.
         columns: channel -> header, or a mapping with ``name`` or ``column`` (a number from 1, or a letter) and, where
-            wanted, ``unit`` (in place of the one in the header's brackets) and ``sign`` (1 or -1).
+            wanted, ``unit`` (in place of the one in the header's brackets or below it), ``sign`` (1 or -1), ``scale``
+            (units in one of the file, SI where the unit is that of a signal) and ``offset`` (units, added last):
+            the value is (sign * scale * cell + offset) units. An offset ``"start"`` counts from the first sample,
+            ``"contact"`` (displacement and force) from there, see `tissue_sim.recording.formats.zeroing`.
         skip_lines: lines (rows) at the top of the file that are not looked at.
         delimiter: one character; a blank stands for any number of blanks. None: found. Text only.
-        sheet: name or number (from 1) of a spreadsheet's sheet. None: the only one that holds anything.
-        metadata: goes into the recording.
+        sheet: name or number (from 1) of a spreadsheet's sheet, or of a container's table, or a list of them, which
+            are replicates. None: the only one that holds anything.
+        curve: number from 1 of the only recording wanted. None: all.
+        metadata: goes into the recordings.
 
     Raises:
         InputError: a bad map (by field), a column that the file lacks, or a bad cell (by file and line), or a
@@ -55,40 +76,90 @@ def read_columns(path: str | Path, columns: Mapping[str, Any], *, skip_lines: in
     wanted = check_columns(columns)
     if isinstance(skip_lines, bool) or not isinstance(skip_lines, int) or skip_lines < 0:
         raise InputError(f"{skip_lines!r} is not a number of lines; give 0 or more", field="skip_lines")
+    if curve is not None and (isinstance(curve, bool) or not isinstance(curve, int) or curve < 1):
+        raise InputError(f"{curve!r} is not the number of a curve; give a whole number from 1", file=path,
+                         field="curve")
+    found: list[Recording] = []
+    if is_container(path) or is_workbook(path):
+        if delimiter is not None:
+            raise InputError("only text has a delimiter; leave it out", file=path, field="delimiter")
+        for each in _sheets(path, sheet):
+            with each.located():
+                found += _recordings([each.table(skip_lines)], wanted, path, metadata, alone=True)
+    else:
+        if sheet is not None:
+            raise InputError("this file is no spreadsheet (xlsx, xls, ods), so it has no sheets; leave it out",
+                             file=path, field="sheet")
+        names = [entry["name"] for entry in wanted.values() if "name" in entry]
+        expected = "a table with the columns " + ", ".join(map(repr, names)) if names else "a table of numbers"
+        text, _ = decode_text(read_bytes(path, expected), path, expected)
+        delimiters = ((DELIMITERS if names else DELIMITERS_OF_NUMBERS) if delimiter is None
+                      else (check_delimiter(delimiter),))
+        tables = text_tables(text, file=path, skip_lines=skip_lines, delimiters=delimiters)
+        found += _recordings(tables, wanted, path, metadata)
+    if curve is not None:
+        if curve > len(found):
+            raise InputError(f"there is no curve {curve}; the file has {len(found)}", file=path, field="curve")
+        found = found[curve - 1:curve]
+    return tuple(found)
+
+
+def _sheets(path: Path, sheet: Sheets | None) -> Sequence[Sheet]:
+    if is_container(path):
+        return read_container(path, sheet)
+    return read_sheets(path, sheet) if isinstance(sheet, Sequence) and not isinstance(sheet, str) else [
+        read_sheet(path, sheet)]
+
+
+def _recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path, metadata: Mapping[str, Any] | None, *,
+                alone: bool = False) -> list[Recording]:
+    """The recordings of the first of the tables that has the columns."""
     names = [entry["name"] for entry in wanted.values() if "name" in entry]
     places = [entry["column"] - 1 for entry in wanted.values() if "column" in entry]
-    if is_workbook(path):
-        if delimiter is not None:
-            raise InputError("a spreadsheet has no delimiter; leave it out", file=path, field="delimiter")
-        found = read_sheet(path, sheet)
-        with found.located():
-            _, header, rows = _begin([found.table(skip_lines)], names, places, path)
-            chosen = _choose(wanted, header, bool(names), path)
-            narrow, chosen = _narrow(rows, chosen)
+    table: Table
+    blocks: list[Block]
+    table, blocks = (named_blocks(tables, names, also=places, file=path) if names
+                     else placed_blocks(tables, places, file=path))
+    # A summary has the names of its table, too.
+    blocks = [block for block in blocks if len(block.rows) >= MIN_POINTS] or blocks
+    found: list[Recording] = []
+    for block in blocks:
+        order = iter(block.places[:len(names)]), iter(block.places[len(names):])
+        chosen = _choose(wanted, {channel: next(order["column" in entry]) for channel, entry in wanted.items()}, block,
+                         bool(names), path)
+        header, rows = block.header, list(block.rows)
+        if alone or len(blocks) > 1:
+            rows, chosen = _narrow(rows, chosen)
             header = Row(header.line, tuple(column.header for column in chosen))
-            return read_recording_table(header, narrow, chosen, file=path, delimiter=";", metadata=metadata)
-    if sheet is not None:
-        raise InputError("this file is no spreadsheet (xlsx), so it has no sheets; leave it out", file=path,
-                         field="sheet")
-    text = read_text(path, "a table with the columns " + ", ".join(map(repr, names)) if names else "a table of numbers")
-    delimiters = ((DELIMITERS if names else DELIMITERS_OF_NUMBERS) if delimiter is None
-                  else (check_delimiter(delimiter),))
-    tables = text_tables(text, file=path, skip_lines=skip_lines, delimiters=delimiters)
-    table, header, rows = _begin(tables, names, places, path)
-    chosen = _choose(wanted, header, bool(names), path)
-    return read_recording_table(header, rows, chosen, file=path, delimiter=table.delimiter, metadata=metadata)
+        recording = read_recording_table(header, rows, chosen, file=path,
+                                         delimiter=table.delimiter or ";", metadata=metadata)
+        if block.below and found and _goes_on(found[-1], recording):
+            found[-1] = _joined(found[-1], recording)
+        else:
+            found.append(recording)
+    words = {channel: entry["offset"] for channel, entry in wanted.items() if isinstance(entry.get("offset"), str)}
+    return [zeroed(each, words, path) for each in found] if words else found
 
 
-def _begin(tables, names, places, path):
-    return find_header(tables, names, file=path) if names else find_numbers(tables, places, file=path)
+def _goes_on(first: Recording, second: Recording) -> bool:
+    """Whether the second is a later part of the same test: its clock goes on."""
+    return ("time" in first and "time" in second and first.labels.keys() == second.labels.keys()
+            and second.time[0] >= first.time[-1] > first.time[0])
 
 
-def _choose(wanted: Mapping[str, Mapping[str, Any]], header: Row, named: bool, path: Path) -> list[Column]:
+def _joined(first: Recording, second: Recording) -> Recording:
+    return Recording({name: np.concatenate([first.channel(name), second.channel(name)]) for name in first.channels},
+                     {name: np.concatenate([first.labels[name], second.labels[name]]) for name in first.labels},
+                     first.metadata)
+
+
+def _choose(wanted: Mapping[str, Mapping[str, Any]], places: Mapping[str, int], block: Block, named: bool,
+            path: Path) -> list[Column]:
     """Where each channel stands under the header (the first row of numbers where nothing is named)."""
     chosen: list[Column] = []
+    header = block.header
     for channel, entry in wanted.items():
-        field = f"columns.{channel}"
-        index = matches(header.cells, entry["name"])[0] if "name" in entry else entry["column"] - 1
+        field, index = f"columns.{channel}", places[channel]
         if index >= len(header.cells):
             raise InputError(f"there is no column {entry['column']}; the table has {len(header.cells)}", file=path,
                              line=header.line, field=field)
@@ -99,22 +170,23 @@ def _choose(wanted: Mapping[str, Mapping[str, Any]], header: Row, named: bool, p
         if channel in LABELS:
             chosen.append(Column(channel, index, cell))
             continue
+        unit = entry.get("unit", loose_header(cell)[1] or block.unit(index) or split_header(cell)[1])
         try:
-            factor, offset = conversion(channel, entry.get("unit", split_header(cell)[1]))
+            factor, offset = conversion(channel, unit, entry.get("scale"))
         except InputError as error:
             key, value = ("name", f'"{entry["name"]}"') if "name" in entry else ("column", entry["column"])
             raise InputError(f'column {cell!r}: {error.problem}; or give it as {{ {key} = {value}, unit = "..." }}',
                              file=path, line=header.line, field=field) from None
         sign = entry.get("sign", 1)
-        chosen.append(Column(channel, index, cell, sign * factor, sign * offset))
+        stated = entry.get("offset", 0.0)
+        added = 0.0 if isinstance(stated, str) else stated * factor / entry.get("scale", 1.0)
+        chosen.append(Column(channel, index, cell, sign * factor, sign * offset + added))
     return chosen
 
 
 def _narrow(rows: Sequence[Row], chosen: Sequence[Column]) -> tuple[list[Row], list[Column]]:
     """The chosen columns alone, and the rows that have something in them: a sheet holds other things beside a table."""
-    narrow = [Row(row.line, tuple(row.cells[column.index] if column.index < len(row.cells) else ""
-                                  for column in chosen)) for row in rows]
-    return ([row for row in narrow if not row.blank],
+    return (narrow(rows, [column.index for column in chosen]),
             [Column(column.channel, i, column.header, column.factor, column.offset)
              for i, column in enumerate(chosen)])
 
@@ -132,7 +204,7 @@ def check_delimiter(delimiter: Any, field: str = "delimiter") -> str:
 
 
 def check_columns(columns: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """The map with every entry as a mapping with ``name`` or ``column`` (from 1); unit and sign only where given.
+    """The map with every entry as a mapping with ``name`` or ``column`` (from 1); the other keys only where given.
 
     Raises:
         InputError: unknown channel or key, wrong type; with the field, such as ``columns.force.sign``.
@@ -154,13 +226,20 @@ def check_columns(columns: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
                 raise InputError(f"{value!r} is not a sign; give 1 or -1", field=f"{field}.sign")
             if key in ("name", "unit") and not isinstance(value, str):
                 raise InputError(f"{value!r} is not text in quotation marks", field=f"{field}.{key}")
+            number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+            if key == "scale" and not (number and value > 0):
+                raise InputError(f"{value!r} is no positive number; the direction is said by sign",
+                                 field=f"{field}.scale")
+            if key == "offset" and not number and value not in (START, CONTACT):
+                raise InputError(f'{value!r} is no number; or give "{START}", which counts from the first sample, or '
+                                 f'"{CONTACT}", from where it touches', field=f"{field}.offset")
         if "column" in entry:
             if "name" in entry:
                 raise InputError("give either the name of the column or its place, not both", field=f"{field}.column")
             entry = {**entry, "column": column_number(entry["column"], f"{field}.column")}
         elif not entry.get("name", "").strip():
             raise InputError("the name of the column is missing", field=f"{field}.name")
-        if channel in LABELS and set(entry) & {"unit", "sign"}:
+        if channel in LABELS and set(entry) & {"unit", "sign", "scale", "offset"}:
             raise InputError("a label has neither unit nor sign; give its name only", field=field)
         checked[channel] = dict(entry)
     return checked

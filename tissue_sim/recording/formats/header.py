@@ -5,24 +5,15 @@ from __future__ import annotations
 import difflib
 import io
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from tissue_sim.errors import InputError, nearest
-from tissue_sim.recording.formats.table import Row, is_number, split_rows
-from tissue_sim.units import split_header
+from tissue_sim.recording.formats.table import Row, Table, is_number, split_rows
+from tissue_sim.units import loose_header, split_header
 
 DELIMITERS = (",", ";", "\t")
 #: Without names a comma may be a decimal comma, so it is tried last.
 DELIMITERS_OF_NUMBERS = ("\t", ";", ",")
-
-
-@dataclass(frozen=True)
-class Table:
-    """Rows that are not blank: of a text split at `delimiter`, or of a sheet (None)."""
-
-    rows: Sequence[Row]
-    delimiter: str | None = None
 
 
 def text_tables(text: str, *, file: Path, skip_lines: int = 0,
@@ -48,10 +39,7 @@ def find_header(tables: Iterable[Table], names: Sequence[str], *, file: Path) ->
             row = Row(row.line, (row.cells[0].lstrip("# "), *row.cells[1:]))
             found = [matches(row.cells, name) for name in names]
             if all(found):
-                for name, places in zip(names, found, strict=True):
-                    if len(places) > 1:
-                        raise InputError(f"column {name!r} appears twice; remove or rename one, or give its number as "
-                                         "column", file=file, line=row.line)
+                places_of(row, names, file=file)
                 return table, Row(row.line, without_empty_end(row.cells)), _data(table.rows[i + 1:])
             # The row that comes closest is the one to talk about: most matches, then a header right above numbers.
             above_numbers = (i + 1 < len(table.rows) and _looks_like_data(table.rows[i + 1])
@@ -77,13 +65,29 @@ def find_numbers(tables: Iterable[Table], places: Sequence[int], *, file: Path) 
                      file=file)
 
 
+def places_of(row: Row, names: Sequence[str], *, file: Path) -> list[list[int]]:
+    """Places of each name in a row that has them all, as many of each: those of replicates beside each other.
+
+    Raises:
+        InputError: one of them stands there more often than another.
+    """
+    found = [matches(row.cells, name) for name in names]
+    for name, places in zip(names, found, strict=True):
+        if len(places) != min(map(len, found)):
+            raise InputError(f"column {name!r} appears twice; remove or rename one, or give its number as column",
+                             file=file, line=row.line)
+    return found
+
+
 def matches(cells: Sequence[str], name: str) -> list[int]:
     """Places of the cells that are `name`, or else of those that are `name` without their unit."""
     def plain(text):
         return " ".join(text.casefold().split())
 
-    exact = [i for i, cell in enumerate(cells) if plain(cell) == plain(name)]
-    return exact or [i for i, cell in enumerate(cells) if cell and plain(split_header(cell)[0]) == plain(name)]
+    wanted = plain(name)
+    exact = [i for i, cell in enumerate(cells) if plain(cell) == wanted]
+    return exact or [i for i, cell in enumerate(cells)
+                     if cell and wanted in (plain(split_header(cell)[0]), plain(loose_header(cell)[0]))]
 
 
 def without_empty_end(cells: tuple[str, ...]) -> tuple[str, ...]:

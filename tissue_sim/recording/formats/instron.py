@@ -52,7 +52,7 @@ def _metadata(lines: list[str]) -> dict:
     for key, value in pairs.items():
         name, unit = split_header(key)
         if name == "speed" and unit == "mm/min" and is_number(value):
-            metadata["speed_mm_s"] = float(value) / 60.0
+            metadata["speed_mm_s"] = float(value.replace(",", ".")) / 60.0
         elif name in ("machine", "load cell"):
             metadata[name.replace(" ", "_")] = value
     return metadata

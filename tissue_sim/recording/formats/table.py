@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,11 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.recording.recording import CHANNELS, LABELS, MIN_POINTS, Recording
-from tissue_sim.units import to_si
+from tissue_sim.units import quantity_of, to_si
+
+#: SI units in words of the messages.
+_SI = {"time": "s", "length": "m", "force": "N", "torque": "Nm", "stress": "Pa", "ratio": "units",
+       "temperature": "K"}
 
 
 @dataclass(frozen=True)
@@ -27,6 +31,15 @@ class Row:
     @property
     def blank(self) -> bool:
         return not any(self.cells)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows that are not blank: of a text split at `delimiter`, or of the sheet or group `name`."""
+
+    rows: Sequence[Row]
+    delimiter: str | None = None
+    name: str = ""
 
 
 @dataclass(frozen=True)
@@ -69,6 +82,12 @@ def split_rows(text: str, delimiter: str, *, file: Path) -> list[Row]:
             rows.append(row)
 
 
+def narrow(rows: Iterable[Row], places: Sequence[int]) -> list[Row]:
+    """The cells at these places (from 0) alone, in rows that have something in them."""
+    chosen = (Row(row.line, tuple(row.cells[i] if i < len(row.cells) else "" for i in places)) for row in rows)
+    return [row for row in chosen if not row.blank]
+
+
 def is_number(cell: str) -> bool:
     """Whether a cell is a number, with a decimal point or a decimal comma."""
     try:
@@ -98,7 +117,7 @@ def read_recording_table(header: Row, rows: Sequence[Row], columns: Sequence[Col
         raise InputError(f"{_count(len(rows), 'point')} in the table on line {header.line}, expected at least "
                          f"{MIN_POINTS}", file=file)
     numeric = [column for column in columns if column.channel not in LABELS]
-    decimal_comma = delimiter != "," and _decimal_comma(rows, numeric, file)
+    decimal_comma = (delimiter != "," or _quoted_commas(rows, numeric)) and _decimal_comma(rows, numeric, file)
     values = _numbers(rows, numeric, decimal_comma, file)
     channels = {column.channel: values[:, i] * column.factor + column.offset for i, column in enumerate(numeric)}
     if "time" in channels:
@@ -131,6 +150,15 @@ def _decimal_comma(rows, columns, file) -> bool:
             raise InputError(f"{later!r} after {earlier!r} mixes decimal points and decimal commas, expected one of "
                              "them", file=file, line=line)
     return "," in first
+
+
+def _quoted_commas(rows, columns) -> bool:
+    """Whether cells between commas hold decimal commas, in quotation marks: no cell in use has a point, and some comma
+    cannot part thousands."""
+    cells = [row.cells[column.index] for row in rows for column in columns]
+    commas = [cell for cell in cells if "," in cell]
+    return bool(commas) and not any("." in cell for cell in cells) and any(
+        len(cell.lstrip("+-").partition(",")[2]) != 3 for cell in commas)
 
 
 def _number(cell: str, decimal_comma: bool) -> float:
@@ -168,15 +196,27 @@ def _labels(rows, column, file) -> np.ndarray:
     return np.array([int(cell) for cell in cells], dtype=np.int64)
 
 
-def conversion(channel: str, unit: str | None) -> tuple[float, float]:
+def conversion(channel: str, unit: str | None, scale: float | None = None) -> tuple[float, float]:
     """Factor and offset to SI for a channel; a ratio may stand without a unit.
 
+    Args:
+        channel: a name in `CHANNELS`.
+        unit: of the values. scale: that many units in one of the file; SI units where the unit is that of a signal
+            (V, counts) or none is stated.
+
     Raises:
-        InputError: no unit, an unknown one, or one of another quantity.
+        InputError: no unit, an unknown one, or one of another quantity; a signal without a scale.
     """
     quantity = CHANNELS[channel]
     if unit is None and quantity == "ratio":
         unit = "-"
+    if scale is not None and (unit is None or quantity_of(unit) == "signal"):
+        return scale, 0.0
+    if scale is not None:
+        factor, offset = to_si(unit or "-", quantity)
+        return scale * factor, offset
+    if unit is not None and quantity_of(unit) == "signal":
+        raise InputError(f"{unit} is the signal of a sensor; give scale, the {_SI[quantity]} in 1 {unit}")
     if unit is None:
         example = {"time": "s", "length": "mm", "force": "N", "torque": "Nm", "stress": "kPa", "temperature": "degC"}
         raise InputError(f"the unit is missing, expected a {quantity} such as [{example[quantity]}]")

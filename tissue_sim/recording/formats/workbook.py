@@ -1,26 +1,29 @@
-"""Sheets of xlsx spreadsheets as rows of text, so that they are read as any other table."""
+"""Sheets of spreadsheets (xlsx, xls, ods) as rows of text, so that they are read as any other table."""
 
 from __future__ import annotations
 
 import io
-import warnings
+import re
 import zipfile
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
-from tissue_sim.errors import InputError, nearest
-from tissue_sim.files import ZIP_MAGIC, read_bytes
-from tissue_sim.recording.formats.extra import require
-from tissue_sim.recording.formats.header import Table
-from tissue_sim.recording.formats.table import Row
+import python_calamine as calamine
+import xlrd
 
-EXPECTED = "a spreadsheet (xlsx)"
+from tissue_sim.errors import InputError, located, nearest
+from tissue_sim.files import ZIP_MAGIC, read_bytes
+from tissue_sim.recording.formats.table import Row, Table
+
+EXPECTED = "a spreadsheet (xlsx, xls, ods)"
 #: How an .xls of Excel 97 to 2003 begins, and an xlsx with a password.
-_OLE_MAGIC = b"\xd0\xcf\x11\xe0"
+OLE_MAGIC = b"\xd0\xcf\x11\xe0"
+#: Cells of the rectangle of a sheet.
+_MOST_CELLS = 50_000_000
+SUFFIXES = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 
 
 @dataclass(frozen=True)
@@ -33,92 +36,120 @@ class Sheet:
 
     def table(self, skip_rows: int = 0) -> Table:
         """The rows below the first `skip_rows`."""
-        return Table([row for row in self.rows if row.line > skip_rows])
+        return Table([row for row in self.rows if row.line > skip_rows], name=self.name)
 
-    @contextmanager
-    def located(self) -> Iterator[None]:
+    def located(self) -> AbstractContextManager[None]:
         """Errors of the work inside name the sheet."""
-        try:
-            yield
-        except InputError as error:
-            raise InputError(f"sheet {self.name!r}: {error.problem}", file=self.file, line=error.line,
-                             field=error.field) from None
+        return located(file=self.file, part=f"sheet {self.name!r}")
 
 
 def is_workbook(path: Path) -> bool:
     """Whether the file is meant as a spreadsheet: by its first bytes or, failing these, by its name."""
-    with_name = path.suffix.lower() in (".xlsx", ".xlsm")
+    with_name = path.suffix.lower() in SUFFIXES
     try:
         with path.open("rb") as file:
-            return file.read(len(ZIP_MAGIC)) == ZIP_MAGIC or with_name
+            return file.read(len(ZIP_MAGIC)) in (ZIP_MAGIC, OLE_MAGIC) or with_name
     except (OSError, ValueError):
         return with_name
 
 
-def read_sheet(path: Path, sheet: str | int | None = None) -> Sheet:
-    """A sheet of an xlsx file with the values that are stored; a formula without one stays text, as dates do.
+def read_sheets(path: Path, sheet: str | int | Sequence[str | int] | None = None) -> tuple[Sheet, ...]:
+    """Sheets of a spreadsheet that hold anything, with the values that are stored; dates stay text.
 
     Args:
         path: the file.
-        sheet: name, or number from 1. None: the only sheet that holds anything.
+        sheet: name, or number from 1, or a list of them. None: all that hold anything.
 
     Raises:
-        InputError: no spreadsheet, no such sheet, none or several that hold anything, or openpyxl is not installed.
+        InputError: no spreadsheet, no such sheet, or none that holds anything.
     """
-    if sheet is not None and (isinstance(sheet, bool) or not isinstance(sheet, str | int)):
-        raise InputError(f"{sheet!r} is not a sheet; give its name or its number from 1", file=path, field="sheet")
+    wanted = sheet if isinstance(sheet, list | tuple) else () if sheet is None else (sheet,)
+    for each in wanted:
+        if isinstance(each, bool) or not isinstance(each, str | int):
+            raise InputError(f"{each!r} is not a sheet; give its name or its number from 1, or a list of them",
+                             file=path, field="sheet")
     data = read_bytes(path, EXPECTED)
-    if data.startswith(_OLE_MAGIC):
-        raise InputError(f"is an old spreadsheet (.xls) or one with a password, expected {EXPECTED}; save it as .xlsx "
-                         "without a password", file=path)
-    openpyxl = require("openpyxl", path)
     try:
-        sheets = _sheets(openpyxl, data, path, sheet)
+        found = list((_old_sheets if data.startswith(OLE_MAGIC) else _sheets)(data, path, wanted))
     except InputError:
         raise
-    except Exception as error:  # whatever a damaged archive makes of openpyxl and its XML parser
+    # A damaged archive may end the parser, too: its panics derive from BaseException.
+    except BaseException as error:
+        if isinstance(error, KeyboardInterrupt | SystemExit | GeneratorExit | MemoryError):
+            raise
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"cannot be read as {EXPECTED}: {reason}; open it in a spreadsheet program and save it again",
                          file=path) from None
-    filled = [each for each in sheets if each.rows]
+    filled = tuple(each for each in found if each.rows)
     if not filled:
         raise InputError(f"is empty, expected {EXPECTED} with a table", file=path,
                          field=None if sheet is None else "sheet")
+    return filled
+
+
+def read_sheet(path: Path, sheet: str | int | None = None) -> Sheet:
+    """One sheet; None: the only one that holds anything. Otherwise as `read_sheets`.
+
+    Raises:
+        InputError: several that hold anything.
+    """
+    filled = read_sheets(path, sheet)
     if len(filled) > 1:
         raise InputError(f"{len(filled)} sheets hold something; choose one with sheet = "
                          f"{' or '.join(repr(each.name) for each in filled)}", file=path, field="sheet")
     return filled[0]
 
 
-def _sheets(openpyxl: Any, data: bytes, path: Path, sheet: str | int | None) -> list[Sheet]:
-    """The sheet asked for, or all of them."""
-    values = _rows(openpyxl, data, path, sheet, stored=True)
-    if _has_formulas(data):
-        formulas = _rows(openpyxl, data, path, sheet, stored=False)
-        values = {name: [tuple(cell or text for cell, text in zip_longest(*pair, fillvalue=""))
-                         for pair in zip_longest(rows, formulas[name], fillvalue=())]
-                  for name, rows in values.items()}
-    found = []
-    for name, rows in values.items():
-        numbered = (Row(number, cells) for number, cells in enumerate(rows, start=1))
-        found.append(Sheet(path, name, tuple(row for row in numbered if not row.blank)))
-    return found
+def _sheets(data: bytes, path: Path, wanted: Sequence[str | int]) -> Iterator[Sheet]:
+    """Of an xlsx or ods."""
+    _check_extent(data, path)
+    with calamine.load_workbook(io.BytesIO(data)) as book:
+        for name in _chosen(path, wanted, book.sheet_names):
+            yield Sheet(path, name, _rows(book.get_sheet_by_name(name).to_python(skip_empty_area=False)))
 
 
-def _rows(openpyxl: Any, data: bytes, path: Path, sheet: str | int | None, *,
-          stored: bool) -> dict[str, list[tuple[str, ...]]]:
-    """Cells as text, of stored values or of formulas: name of the sheet -> rows."""
-    with warnings.catch_warnings():
-        # openpyxl warns of drawings, validation lists and styles that it leaves out.
-        warnings.simplefilter("ignore", UserWarning)
-        with closing(openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=stored)) as book:
-            names = [each.title for each in book.worksheets]
-            chosen = {}
-            for name in names if sheet is None else [_find(path, sheet, names)]:
-                # Some programs write a wrong size of the sheet, at which openpyxl would stop.
-                book[name].reset_dimensions()
-                chosen[name] = [tuple(map(_text, cells)) for cells in book[name].iter_rows(values_only=True)]
-            return chosen
+def _old_sheets(data: bytes, path: Path, wanted: Sequence[str | int]) -> Iterator[Sheet]:
+    """Of an xls."""
+    try:
+        book = xlrd.open_workbook(file_contents=data, logfile=io.StringIO(), ragged_rows=True)
+    except xlrd.XLRDError as error:
+        if "encrypted" in str(error):
+            raise InputError("has a password; save it without one", file=path) from None
+        raise
+    for name in _chosen(path, wanted, book.sheet_names()):
+        sheet = book.sheet_by_name(name)
+        # What a formula makes of a fault has no value.
+        yield Sheet(path, name, _rows([["" if cell.ctype == xlrd.XL_CELL_ERROR else cell.value for cell in sheet.row(i)]
+                                       for i in range(sheet.nrows)]))
+
+
+def _check_extent(data: bytes, path: Path) -> None:
+    """Refuse a sheet that reaches so far that its rectangle does not fit the memory: calamine ends the process there.
+
+    Raises:
+        InputError: such a sheet.
+    """
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        for name in archive.namelist():
+            if not name.startswith("xl/worksheets/") or not name.endswith(".xml"):
+                continue
+            content = archive.read(name)
+            rows = max(map(int, re.findall(rb'<row [^>]*?\br="(\d{1,9})"', content)), default=0)
+            letters = {match.decode() for match in re.findall(rb'<c [^>]*?\br="([A-Z]{1,9})', content)}
+            columns = max(letters, key=lambda each: (len(each), each), default="A")
+            width = sum(26**i * (ord(letter) - 64) for i, letter in enumerate(reversed(columns)))
+            if rows * width > _MOST_CELLS:
+                raise InputError(f"a sheet ({Path(name).stem}) reaches to cell {columns}{rows}; clear what stands far "
+                                 "from the table", file=path)
+
+
+def _rows(cells: Iterable[Iterable[Any]]) -> tuple[Row, ...]:
+    numbered = (Row(number, tuple(map(_text, row))) for number, row in enumerate(cells, start=1))
+    return tuple(row for row in numbered if not row.blank)
+
+
+def _chosen(path: Path, wanted: Sequence[str | int], names: list[str]) -> Iterable[str]:
+    return dict.fromkeys(_find(path, each, names) for each in wanted) if wanted else names
 
 
 def _find(path: Path, sheet: str | int, names: list[str]) -> str:
@@ -131,14 +162,7 @@ def _find(path: Path, sheet: str | int, names: list[str]) -> str:
     return sheet
 
 
-def _has_formulas(data: bytes) -> bool:
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        return any(b"<f" in archive.read(name) for name in archive.namelist() if name.startswith("xl/worksheets/"))
-
-
 def _text(value: Any) -> str:
-    if value is None:
-        return ""
     if isinstance(value, int | float) and not isinstance(value, bool):
         return repr(value)
     return " ".join(str(value).split())

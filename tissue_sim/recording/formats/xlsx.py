@@ -1,27 +1,27 @@
-"""Spreadsheets: a sheet with the native header, or with chosen columns."""
+"""Spreadsheets (xlsx, xls, ods): a sheet with the native header, or with chosen columns."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tissue_sim.recording.formats.columns import read_columns
+from tissue_sim.recording.formats.columns import Sheets, read_blocks
 from tissue_sim.recording.formats.native import native_recording
-from tissue_sim.recording.formats.table import Row
-from tissue_sim.recording.formats.workbook import read_sheet
+from tissue_sim.recording.formats.table import narrow
+from tissue_sim.recording.formats.workbook import Sheet, read_sheet, read_sheets
 from tissue_sim.recording.recording import Recording
 
 
-def read_xlsx(path: str | Path, *, columns: Mapping[str, Any] | None = None, sheet: str | int | None = None,
-              skip_lines: int = 0) -> Recording:
-    """A recording from a sheet of an xlsx file.
+def read_xlsx(path: str | Path, *, columns: Mapping[str, Any] | None = None, sheet: Sheets | None = None,
+              skip_lines: int = 0) -> Recording | tuple[Recording, ...]:
+    """A recording from a sheet of a spreadsheet.
 
     Args:
         path: the file.
-        columns: as in `tissue_sim.recording.formats.columns.read_columns`. None: the sheet's first row is a native
+        columns: as in `tissue_sim.recording.formats.columns.read_blocks`. None: the sheet's first row is a native
             header, such as ``time [s]``, ``displacement [mm]``, ``force [N]``, each in a cell.
-        sheet: name or number (from 1). None: the only sheet that holds anything.
+        sheet: name or number (from 1), or a list of them. None: the only sheet that holds anything.
         skip_lines: rows at the top that are not looked at; with `columns` only.
 
     Raises:
@@ -29,11 +29,16 @@ def read_xlsx(path: str | Path, *, columns: Mapping[str, Any] | None = None, she
             ``formats`` is not installed.
     """
     if columns is not None:
-        return read_columns(path, columns, sheet=sheet, skip_lines=skip_lines)
-    found = read_sheet(Path(path), sheet)
+        found = read_blocks(path, columns, sheet=sheet, skip_lines=skip_lines)
+        return found if len(found) > 1 else found[0]
+    if isinstance(sheet, Sequence) and not isinstance(sheet, str):
+        return tuple(_native(each) for each in read_sheets(Path(path), sheet))
+    return _native(read_sheet(Path(path), sheet))
+
+
+def _native(found: Sheet) -> Recording:
     with found.located():
         rows = [row for row in found.rows if not row.cells[0].startswith("#")]
         # Cells beside the table, in columns without a name, are not part of it.
         named = [i for i, cell in enumerate(rows[0].cells) if cell] if rows else []
-        table = [Row(row.line, tuple(row.cells[i] if i < len(row.cells) else "" for i in named)) for row in rows]
-        return native_recording([row for row in table if not row.blank], found.file)
+        return native_recording(narrow(rows, named), found.file)

@@ -1,0 +1,48 @@
+"""Files of atomic force microscopes and nanoindenters: their curves are replicates of an indentation."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+from tissue_sim.files import ZIP_MAGIC, read_bytes
+from tissue_sim.frozen_mapping import read_only
+from tissue_sim.recording.file import read_recordings
+from tissue_sim.recording.formats.guesses import KindGuess, Reading, Understanding
+
+_SUFFIXES = (".jpk-force", ".jpk-force-map", ".jpk-qi-data", ".jpk-qi-series", ".ibw", ".spm")
+#: How the texts of AFM Workshop and of afmformats begin.
+_HEADS = (b"Force-Distance Curve", b"# afmformats")
+
+
+def is_afm(path: Path) -> bool:
+    """Whether a file holds force curves: by its name, by how it begins, or as an archive that is no spreadsheet."""
+    if path.suffix.lower() in _SUFFIXES:
+        return True
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        head = file.read(64)
+    if head.startswith(_HEADS):
+        return True
+    if not head.startswith(ZIP_MAGIC):
+        return False
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = archive.namelist()
+    except (zipfile.BadZipFile, OSError, NotImplementedError):
+        return False
+    return not any(name in ("[Content_Types].xml", "content.xml") or name.startswith("xl/") for name in names)
+
+
+def understand_afm(path: Path) -> Understanding:
+    """The curves of such a file.
+
+    Raises:
+        InputError: as `tissue_sim.recording.formats.afm.read_afm`.
+    """
+    read_bytes(path, "force curves of an AFM")
+    recordings = read_recordings(path, format="afm")
+    kind = KindGuess("needle_indentation", "force curves of an AFM press a tip into the specimen")
+    reading = Reading("", (), (), read_only({"format": "afm"}), recordings, kind, 1)
+    return Understanding(path, "afm", "afm", None, None, None, (reading,))

@@ -1,0 +1,88 @@
+"""Which files are replicates of a test, and which are tests of their own."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from calibration.campaign.measured import REPLICATE_TOLERANCE
+from calibration.importing.imported import Part
+from tissue_sim.experiment.kinds.kind import KINDS
+
+#: The number at the end of a name: ``EF10_A3``, ``Specimen_RawData_1``, ``gel (2)``.
+_NUMBER = re.compile(r"[ _.\-]*\(?\d+\)?$")
+
+
+def group(parts: Sequence[Part]) -> list[tuple[str, tuple[Part, ...], str]]:
+    """(name, replicates, reason) of each test: files whose names differ in the number at their end only, with the same
+    columns, the same kind of test, and a motion alike within `REPLICATE_TOLERANCE`.
+
+    A gripped specimen is pulled as far as it holds: there the speed alone tells tests apart.
+    """
+    alike: dict[tuple, list[list[Part]]] = {}
+    counted = _numbered(list(dict.fromkeys(part.file for part in parts)))
+    for part in parts:
+        reading = part.reading
+        stem = counted[part.file]
+        key = (stem, reading.name, reading.kind.kind, repr(sorted(reading.options.items(), key=str)),
+               tuple((column.channel, column.header, column.unit) for column in reading.columns))
+        clusters = alike.setdefault(key, [])
+        cluster = next((each for each in clusters if same_motion(each[0], part)), None)
+        if cluster is None:
+            clusters.append([part])
+        else:
+            cluster.append(part)
+    groups: list[tuple[str, tuple[Part, ...], str]] = []
+    for (stem, name, *_), clusters in alike.items():
+        for cluster in clusters:
+            one = len(cluster) == 1
+            parts_of_name = [cluster[0].file.stem if one else stem, name]
+            title = _unique("_".join(filter(None, parts_of_name)), [each for each, *_ in groups])
+            groups.append((title, tuple(cluster), _reason(cluster, len(clusters))))
+    return groups
+
+
+def _numbered(files: Sequence[Path]) -> dict[Path, str]:
+    """File -> its name without the number of the replicate, where it is one: numbers that are far apart, such as those
+    of ``gel_10`` and ``gel_50``, say what was tested."""
+    bases: dict[str, list[Path]] = {}
+    for file in files:
+        bases.setdefault(_NUMBER.sub("", file.stem), []).append(file)
+    found: dict[Path, str] = {}
+    for base, alike in bases.items():
+        numbers = [int(match[1]) for file in alike if (match := re.search(r"(\d+)\)?$", file.stem))]
+        close = bool(numbers) and max(numbers) - min(numbers) <= 2 * len(numbers) + 2
+        found |= {file: base if base and close else file.stem for file in alike}
+    return found
+
+
+def same_motion(first: Part, second: Part) -> bool:
+    """Whether two files move alike, within `REPLICATE_TOLERANCE`."""
+    kind = KINDS[first.reading.kind.kind] if first.reading.kind.kind else None
+    pairs = []
+    a, b = first.motions[0], second.motions[0]
+    if a.speed and b.speed:
+        pairs.append((a.speed, b.speed))
+    if kind is None or not kind.gripped:
+        pairs.append((max(map(abs, a.reach)), max(map(abs, b.reach))))
+    return all(max(pair) <= (1 + REPLICATE_TOLERANCE) * min(pair) for pair in pairs)
+
+
+def _reason(cluster: Sequence[Part], clusters: int) -> str:
+    replicates = sum(len(part.motions) for part in cluster)
+    apart = "; files of the same name that move otherwise are tests of their own" if clusters > 1 else ""
+    if len(cluster) > 1:
+        return (f"replicates: {len(cluster)} files whose names differ in their number only, alike in columns and "
+                f"motion{apart}")
+    if replicates > 1:
+        return f"replicates: {replicates} tables of one file with the same columns{apart}"
+    return f"one recording{apart}"
+
+
+def _unique(name: str, taken: Sequence[str]) -> str:
+    number = 2
+    found = name
+    while found in taken:
+        found, number = f"{name}_{number}", number + 1
+    return found

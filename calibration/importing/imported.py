@@ -1,0 +1,149 @@
+"""What an import makes of files: tests with their replicates, lines of a campaign, and what is missing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from calibration.importing.motion import Motion
+from tissue_sim.frozen_mapping import read_only
+from tissue_sim.recording.formats.guesses import Reading, Stated, Understanding
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What a person states of all the files, over what they show.
+
+    Attributes:
+        stated: of the columns and the kind of test.
+        specimen: key of ``[[specimen]]`` -> value: ``radius_mm``, ``area_mm2``, ``height_mm``.
+        test: further keys of ``[[test]]`` -> value: ``tool``, ``tool_radius_mm``, ``friction``, ``speed_mm_s``, ...
+        laws: to fit. None: a few that suit most soft materials.
+    """
+
+    stated: Stated = field(default_factory=Stated)
+    specimen: Mapping[str, float] = field(default_factory=lambda: read_only({}))
+    test: Mapping[str, Any] = field(default_factory=lambda: read_only({}))
+    laws: tuple[str, ...] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One file, or those of its tables that are read alike, as replicates of a test.
+
+    Attributes:
+        understanding: of the file. reading: of the tables. motions: of their recordings, in order.
+    """
+
+    understanding: Understanding
+    reading: Reading
+    motions: tuple[Motion, ...]
+
+    @property
+    def file(self) -> Path:
+        return self.understanding.file
+
+
+@dataclass(frozen=True)
+class Line:
+    """A key of a campaign, its value, and why; a value of None is to be filled in."""
+
+    key: str
+    value: Any
+    reason: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class ImportedTest:
+    """A ``[[test]]``.
+
+    Attributes:
+        name: unique. kind: of test, None: to be stated. parts: its replicates.
+        specimen: name, None: it needs none.
+        lines: its keys but for name, recordings and columns. columns: channel -> entry.
+        reason: why its files are replicates.
+    """
+
+    name: str
+    kind: str | None
+    parts: tuple[Part, ...]
+    specimen: str | None
+    lines: tuple[Line, ...]
+    columns: tuple[Line, ...]
+    reason: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Imported:
+    """Files, understood.
+
+    Attributes:
+        files: what each is taken for, in the order in which they were given.
+        tests: of the campaign. specimens: name -> lines.
+        text: the campaign (TOML).
+        missing: what only a person can say, in words; empty: the campaign runs.
+        problem: why the campaign does not run as it stands, though nothing is missing; None: it does, or something is.
+        warnings: sentences.
+        output, picture: files that were written; None: none.
+    """
+
+    files: tuple[Understanding, ...]
+    tests: tuple[ImportedTest, ...]
+    specimens: Mapping[str, tuple[Line, ...]]
+    text: str
+    missing: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
+    problem: str | None = None
+    output: Path | None = None
+    picture: Path | None = None
+
+    @property
+    def complete(self) -> bool:
+        """Whether `calibration.calibrate` takes the campaign as it stands."""
+        return not self.missing and self.problem is None
+
+
+def to_json(imported: Imported) -> dict[str, Any]:
+    """``{"files": [...], "tests": [...], "missing": [...], "campaign": ...}`` of JSON types, lengths in mm."""
+    return {
+        "campaign": None if imported.output is None else str(imported.output),
+        "picture": None if imported.picture is None else str(imported.picture),
+        "files": [_file(each, imported) for each in imported.files],
+        "tests": [{"name": test.name, "kind": test.kind, "recordings": [str(part.file) for part in test.parts],
+                   "replicates": sum(len(part.motions) for part in test.parts), "reason": test.reason}
+                  for test in imported.tests],
+        "missing": list(imported.missing), "problem": imported.problem, "warnings": list(imported.warnings)}
+
+
+def _file(understanding: Understanding, imported: Imported) -> dict[str, Any]:
+    parts = [part for test in imported.tests for part in test.parts if part.understanding is understanding]
+    recordings = [_recording(motion, recording.name or part.reading.name, len(recording))
+                  for part in parts for motion, recording in zip(part.motions, part.reading.recordings, strict=True)]
+    first = recordings[0]
+    return {"file": str(understanding.file), "format": understanding.format, "delimiter": understanding.delimiter,
+            "decimal_mark": understanding.decimal_mark, "encoding": understanding.encoding,
+            "units": {column.channel: column.unit for part in parts for column in part.reading.columns},
+            "columns": {column.channel: column.entry() for part in parts[:1] for column in part.reading.columns},
+            "kind": parts[0].reading.kind.kind,
+            **{key: first[key] for key in ("contact_mm", "contact_interval_mm", "segments", "cycles", "failure")},
+            "recordings": recordings,
+            "warnings": [*understanding.warnings, *(remark for part in parts for remark in part.reading.remarks),
+                         *(warning for part in parts for motion in part.motions for warning in motion.warnings)]}
+
+
+def _recording(motion: Motion, name: str, points: int) -> dict[str, Any]:
+    contact = motion.contact
+    channel, in_mm = ("displacement_mm", 1e3) if motion.channel == "displacement" else ("strain", 1.0)
+    return {"name": name, "points": points, "rate_Hz": motion.rate, "duration_s": motion.duration,
+            "contact_mm": contact.displacement * 1e3 if contact is not None and contact.found else None,
+            "contact_interval_mm": None if contact is None or contact.status == "none"
+            else [end * 1e3 if math.isfinite(end) else None for end in contact.interval],
+            "contact": None if contact is None else contact.status,
+            "segments": [{"name": each.name, "first": each.first, "last": each.last} for each in motion.segments],
+            "cycles": motion.cycles,
+            "failure": None if motion.failure is None else {
+                "mode": motion.failure.mode, f"at_{channel}": motion.failure.displacement * in_mm,
+                "lost": motion.failure.lost, "recovered": motion.failure.recovered}}

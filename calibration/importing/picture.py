@@ -1,0 +1,81 @@
+"""A picture of what an import understood: the way of each test against time, and its load against the way."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calibration.importing.imported import Imported, ImportedTest
+from calibration.report.drawing import COLOURS, STYLE, new_figure, thinned, to_png
+from tissue_sim.recording.recording import Recording
+
+#: Tests that are drawn, and recordings of a test that are named in its legend.
+_MOST_TESTS, _MOST_NAMES = 12, 8
+_SHOWN = {"displacement": ("displacement, mm", 1e3), "stretch": ("stretch", 1.0), "shear strain": ("shear strain", 1.0),
+          "force": ("force, N", 1.0), "nominal stress": ("nominal stress, kPa", 1e-3)}
+_SHADES = {"hold": "0.85", "unload": "#fde3d0", "reload": "#dcebf7"}
+
+
+def draw_imported(imported: Imported) -> bytes:
+    """The picture as a PNG; recordings whose unit is missing are drawn in the numbers of their file."""
+    import matplotlib
+
+    tests = imported.tests[:_MOST_TESTS]
+    with matplotlib.rc_context(STYLE):
+        figure = new_figure(10.0, 3.0 * len(tests))
+        axes = np.atleast_2d(figure.subplots(len(tests), 2))
+        for row, test in zip(axes, tests, strict=True):
+            _draw(row[0], row[1], test)
+        if len(imported.tests) > len(tests):
+            figure.supxlabel(f"the first {len(tests)} of {len(imported.tests)} tests", fontsize=9)
+        return to_png(figure, 110)
+
+
+def _draw(left, right, test: ImportedTest) -> None:
+    number = 0
+    for part in test.parts:
+        raw = {column.channel for column in part.reading.columns if column.missing}
+        for recording, motion in zip(part.reading.recordings, part.motions, strict=True):
+            load = "force" if "force" in recording else "nominal stress"
+            style = {"color": COLOURS[number % len(COLOURS)], "lw": 1.0}
+            name = part.file.name if len(part.motions) == 1 else f"{part.file.name} {number + 1}"
+            every = thinned(len(recording))
+            way, value = (_values(recording, channel, raw)[every] for channel in (motion.channel, load))
+            clock = recording.time[every] if motion.rate is not None else np.arange(len(recording))[every]
+            left.plot(clock, way, **style)
+            right.plot(way, value, **style, label=name if number < _MOST_NAMES else None)
+            if motion.failure is not None:
+                at = motion.failure.index
+                right.plot(*(_values(recording, channel, raw)[at] for channel in (motion.channel, load)), "x",
+                           color="k", ms=7, label="failure" if number == 0 else None)
+            if number == 0:
+                _label(left, right, motion.channel, load, raw, timed=motion.rate is not None)
+                _shade(left, recording, motion)
+            number += 1
+    kind = test.kind.replace("_", " ") if test.kind else "kind not known"
+    left.set_title(f"{test.name}: {kind}", loc="left", fontsize=10)
+    more = f"and {number - _MOST_NAMES} more" if number > _MOST_NAMES else None
+    if number > 1 or any(motion.failure for part in test.parts for motion in part.motions):
+        right.legend(fontsize=7, title=more, title_fontsize=7)
+
+
+def _values(recording: Recording, channel: str, raw: set[str]) -> np.ndarray:
+    return recording.channel(channel) * (1.0 if channel in raw else _SHOWN[channel][1])
+
+
+def _label(left, right, way: str, load: str, raw: set[str], *, timed: bool) -> None:
+    def words(channel: str) -> str:
+        return f"{channel}, unit not known" if channel in raw else _SHOWN[channel][0]
+
+    left.set_xlabel("time, s" if timed else "sample")
+    left.set_ylabel(words(way))
+    right.set_xlabel(words(way))
+    right.set_ylabel(words(load))
+
+
+def _shade(axes, recording: Recording, motion) -> None:
+    """Segments other than the first loading, behind the curve."""
+    for segment in motion.segments:
+        if segment.name in _SHADES:
+            ends = ((recording.time[segment.first], recording.time[segment.last]) if motion.rate is not None
+                    else (segment.first, segment.last))
+            axes.axvspan(*ends, color=_SHADES[segment.name], lw=0, zorder=0)

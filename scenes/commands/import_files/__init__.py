@@ -1,0 +1,143 @@
+"""`tissue-sim import FILES... -o campaign.toml`: files of a test machine in, a campaign that runs out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from scenes.commands.shared.console import print_json, results_console
+from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, at_least, interface, positive
+from tissue_sim.errors import InputError, nearest
+from tissue_sim.experiment.kinds.kind import KINDS
+
+SUMMARY = "understand files of a test machine and write a campaign of them"
+EXAMPLE = "tissue-sim import gel_1.csv gel_2.csv gel_3.csv -o gel.toml --radius-mm 10 --height-mm 12"
+#: What a person may call a channel, and how recordings do; a strain is read as a stretch.
+_CHANNELS = {"time": "time", "displacement": "displacement", "force": "force", "stretch": "stretch",
+             "strain": "strain", "shear_strain": "shear strain", "shear strain": "shear strain",
+             "stress": "nominal stress", "nominal_stress": "nominal stress", "nominal stress": "nominal stress",
+             "temperature": "temperature"}
+_TEST_KEYS = ("tool", "tool_radius_mm", "friction", "speed_mm_s", "max_strain")
+
+
+def add_arguments(parser: Parser) -> None:
+    parser.add_argument("files", type=Path, nargs="+", metavar="FILE",
+                        help="text in any usual encoding, xlsx, xls, ods, mat, tdms, h5, or a file of an AFM")
+    parser.add_argument("-o", dest="output", type=Path, metavar="CAMPAIGN.toml",
+                        help="campaign to write, with a picture of what was understood beside it; without it "
+                             "nothing is written")
+    test = parser.add_argument_group("what files do not say (where it is missing, the campaign has a line for it)")
+    test.add_argument("--kind", choices=tuple(KINDS), metavar="KIND", help=", ".join(KINDS))
+    test.add_argument("--radius-mm", type=positive, metavar="N", help="of a cylindrical specimen")
+    test.add_argument("--area-mm2", type=positive, metavar="N", help="cross-section of the specimen, in place of it")
+    test.add_argument("--height-mm", type=positive, metavar="N", help="height, gauge length, or thickness if sheared")
+    test.add_argument("--tool", metavar="SHAPE", help="of an indentation: flat, round, cone, sphere")
+    test.add_argument("--tool-radius-mm", type=positive, metavar="N", help="of it")
+    test.add_argument("--friction", type=interface, metavar="HOW", help="of the plates: a coefficient, or stick")
+    test.add_argument("--speed-mm-s", type=positive, metavar="N", help="of a test without a clock")
+    test.add_argument("--max-strain", type=positive, metavar="N", help="largest strain that is fitted")
+    test.add_argument("--laws", metavar="LAW,...", help="to fit (default: a few of one or two parameters)")
+    columns = parser.add_argument_group(
+        "columns, over what is understood (CHANNEL: time, displacement, force, stretch, strain, shear_strain, stress)")
+    for flag, value, text in (
+            ("--column", "CHANNEL=COLUMN", "header, or place as a number or letter; then only what is named is read"),
+            ("--unit", "CHANNEL=UNIT", "mm, um, in, N, mN, gf, lbf, kPa, psi, s, min, %%, ..."),
+            ("--scale", "CHANNEL=N", "units in one of the file; SI units in 1 V or 1 count"),
+            ("--sign", "CHANNEL=1|-1", "-1 turns a column")):
+        columns.add_argument(flag, action="append", default=[], metavar=value, help=f"{text}; once for each")
+    columns.add_argument("--format", metavar="NAME", help="machine: mts, bluehill, zwick, exponent, mach1, mecmesin, "
+                                                          "trios, afm (default: found)")
+    columns.add_argument("--sheet", action="append", metavar="NAME", help="of a spreadsheet; once for each replicate")
+    columns.add_argument("--delimiter", metavar="C", help="between columns of a text (default: found)")
+    columns.add_argument("--skip-lines", type=at_least(0), default=0, metavar="N", help="lines at the top to leave out")
+    add_overwrite(parser)
+    add_json(parser)
+    parser.set_defaults(run=run, resume_hint="nothing was written")
+
+
+def run(arguments) -> int:
+    from calibration.importing.files import import_files
+    from calibration.importing.imported import to_json
+
+    imported = import_files(arguments.files, arguments.output, _wishes(arguments), overwrite=arguments.overwrite)
+    if arguments.json:
+        print_json(to_json(imported))
+    else:
+        from scenes.commands.import_files.results import print_imported
+
+        print_imported(imported, results_console())
+    # The goal is a campaign that runs.
+    return 0 if imported.complete else 1
+
+
+def _wishes(arguments):
+    from calibration.importing.imported import Wishes
+    from tissue_sim.laws import LAWS
+    from tissue_sim.recording.formats import FORMATS
+    from tissue_sim.recording.formats.guesses import Stated
+    from tissue_sim.units import to_si
+
+    units, scales = _pairs(arguments.unit, "--unit"), _pairs(arguments.scale, "--scale")
+    for channel, unit in units.items():
+        try:
+            to_si(unit)
+        except InputError as error:
+            raise InputError(f"{channel}: {error.problem}", field="--unit") from None
+    signs = {channel: _number(text, "--sign") for channel, text in _pairs(arguments.sign, "--sign").items()}
+    for channel, sign in signs.items():
+        if sign not in (1, -1):
+            raise InputError(f"{channel}: {sign:g} is not a sign; give 1 or -1", field="--sign")
+    if arguments.format is not None:
+        FORMATS.find(arguments.format, "--format")
+    laws = None if arguments.laws is None else tuple(name.strip() for name in arguments.laws.split(","))
+    for law in laws or ():
+        LAWS.find(law, "--laws")
+    if arguments.radius_mm is not None and arguments.area_mm2 is not None:
+        raise InputError("a specimen has a radius or a cross-section; give one of --radius-mm and --area-mm2",
+                         field="--area-mm2")
+    stated = Stated(_pairs(arguments.column, "--column"), units,
+                    {channel: _positive(text) for channel, text in scales.items()},
+                    {channel: int(sign) for channel, sign in signs.items()}, arguments.kind, arguments.format,
+                    _sheets(arguments.sheet), arguments.delimiter, arguments.skip_lines)
+    specimen = {key: value for key in ("radius_mm", "area_mm2", "height_mm")
+                if (value := getattr(arguments, key)) is not None}
+    test = {key: value for key in _TEST_KEYS if (value := getattr(arguments, key)) is not None}
+    return Wishes(stated, specimen, test, laws)
+
+
+def _pairs(texts: Sequence[str], flag: str) -> dict[str, str]:
+    """``["force=3"]`` -> ``{"force": "3"}``."""
+    found: dict[str, str] = {}
+    for text in texts:
+        name, equals, value = (part.strip() for part in text.partition("="))
+        if not equals or not value:
+            raise InputError(f"{text!r} is not CHANNEL=...; write it like force=...", field=flag)
+        if name not in _CHANNELS:
+            raise InputError(f"unknown channel {name!r}{nearest(name, _CHANNELS)}", field=flag)
+        if _CHANNELS[name] in found:
+            raise InputError(f"{name} is given twice", field=flag)
+        found[_CHANNELS[name]] = value
+    return found
+
+
+def _number(text: str, flag: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(f"{text!r} is not a number", field=flag) from None
+
+
+def _positive(text: str) -> float:
+    value = _number(text, "--scale")
+    if not 0 < value < float("inf"):
+        raise InputError(f"{text} is not positive; the direction is said by --sign", field="--scale")
+    return value
+
+
+def _sheets(names: list[str] | None) -> Any:
+    """A number counts sheets from 1."""
+    if names is None:
+        return None
+    sheets = [int(name) if name.isdigit() else name for name in names]
+    return sheets[0] if len(sheets) == 1 else sheets

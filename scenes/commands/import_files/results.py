@@ -1,0 +1,102 @@
+"""What an import understood, on the screen."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from scenes.commands.shared.text_table import print_sentence, text_table
+from tissue_sim.units import shown
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from calibration.importing.imported import Imported, Part
+    from calibration.importing.motion import Motion
+    from tissue_sim.recording.formats.guesses import ColumnGuess
+
+_MARKS = {"\t": "tab", " ": "blanks", ",": "comma", ";": "semicolon", "|": "bar", None: ""}
+#: Recordings in a table; all are in the JSON.
+_MOST_ROWS = 40
+
+
+def print_imported(imported: Imported, console: Console) -> None:
+    """A row for each recording, the columns of each test, then what is missing and what was written."""
+    files = text_table("file", "what", "test", "points", "Hz", "reaches", "contact", "cycles", "segments", text=3)
+    for column in (0, 1, 2, 6, 8):
+        files.columns[column].no_wrap, files.columns[column].overflow = False, "fold"
+    files.columns[8].justify = "left"
+    rows = [(test.name, part, number, motion) for test in imported.tests for part in test.parts
+            for number, motion in enumerate(part.motions, start=1)]
+    for name, part, number, motion in rows[:_MOST_ROWS]:
+        several = f" {number}" if len(part.motions) > 1 else ""
+        files.add_row(part.file.name + several, _what(part), name, str(len(part.reading.recordings[number - 1])),
+                      "-" if motion.rate is None else f"{motion.rate:.3g}", _reach(part, motion), _contact(motion),
+                      str(motion.cycles), ", ".join(_runs(motion)))
+    console.print(files)
+    if len(rows) > _MOST_ROWS:
+        print_sentence(console, f"and {len(rows) - _MOST_ROWS} more recordings")
+    console.print()
+    columns = text_table("test", "channel", "column", "unit", "sign", "why", text=6)
+    for column in (0, 2, 5):
+        columns.columns[column].no_wrap, columns.columns[column].overflow = False, "fold"
+    alike: dict[tuple[ColumnGuess, ...], list[str]] = {}
+    for test in imported.tests:
+        alike.setdefault(test.parts[0].reading.columns, []).append(test.name)
+    for guesses, names in alike.items():
+        for i, each in enumerate(guesses):
+            more = f" and {len(names) - 1} more" if len(names) > 1 else ""
+            columns.add_row(names[0] + more if i == 0 else "", each.channel, each.header or str(each.place),
+                            each.unit or ("-" if each.missing is None else "?"), f"{each.sign:+d}", each.reason)
+    if columns.row_count:
+        console.print(columns)
+        console.print()
+    for test in imported.tests:
+        kind = test.kind or "kind not known"
+        print_sentence(console, f"{test.name}: {kind} ({test.parts[0].reading.kind.reason}); {test.reason}")
+    for warning in imported.warnings:
+        print_sentence(console, f"note: {warning}")
+    if imported.output is not None:
+        console.print(f"wrote {imported.output} and {imported.picture}", markup=False, emoji=False, soft_wrap=True)
+    if imported.missing:
+        fill = "" if imported.output is None else f": give the flags, or fill in the lines in {imported.output}"
+        print_sentence(console, f"missing, and only you know it: {'; '.join(imported.missing)}{fill}")
+    elif imported.problem:
+        print_sentence(console, f"the campaign does not run as it stands: {imported.problem}")
+    elif imported.output is not None:
+        print_sentence(console, f"next: tissue-sim calibrate {imported.output} -o results")
+
+
+def _what(part: Part) -> str:
+    """``bluehill, comma``."""
+    understood = part.understanding
+    mark = _MARKS.get(understood.delimiter, str(understood.delimiter))
+    comma = "decimal comma" if understood.decimal_mark == "," else ""
+    encoding = understood.encoding if understood.encoding not in (None, "utf-8") else ""
+    return ", ".join(filter(None, (understood.format, mark, comma, encoding)))
+
+
+def _reach(part: Part, motion: Motion) -> str:
+    """The far end of the way, in the unit of people."""
+    if any(column.missing for column in part.reading.columns if column.channel == motion.channel):
+        return f"{max(motion.reach, key=abs):.4g} ?"
+    unit, factor = shown("m") if motion.channel == "displacement" else ("", 1.0)
+    return f"{max(motion.reach, key=abs) * factor:.4g} {unit}".strip()
+
+
+def _contact(motion: Motion) -> str:
+    """Where it touched, in the file's own displacement, and the 95 % interval."""
+    contact = motion.contact
+    if contact is None or contact.status == "none":
+        return "-"
+    if not contact.found:
+        return "?" if any(contact.in_words() == warning for warning in motion.warnings) else "no air"
+    low, high = (1e3 * end for end in contact.interval)
+    return f"{1e3 * contact.displacement:.3g} ({low:.3g} to {high:.3g}) mm"
+
+
+def _runs(motion: Motion) -> list[str]:
+    """Names of the segments, ``8 x`` where one comes as often."""
+    names = [segment.name for segment in motion.segments]
+    if len(names) <= 4:
+        return names
+    return [f"{names.count(name)} {name}" for name in dict.fromkeys(names)]

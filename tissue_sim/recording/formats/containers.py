@@ -1,0 +1,153 @@
+"""Arrays in files of other programs as tables: MATLAB (.mat), LabVIEW (.tdms), HDF5 (.h5).
+
+What stands together, the vectors of one length in a struct or group, is a table with their names above; a matrix is a
+table without names. So they are read as the sheets of a spreadsheet.
+"""
+
+from __future__ import annotations
+
+import io
+import logging
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tissue_sim.errors import InputError, nearest
+from tissue_sim.files import read_bytes
+from tissue_sim.recording.formats.extra import require
+from tissue_sim.recording.formats.table import Row
+from tissue_sim.recording.formats.workbook import Sheet
+from tissue_sim.recording.recording import MIN_POINTS
+
+EXPECTED = "arrays of MATLAB, LabVIEW or HDF5 (.mat, .tdms, .h5)"
+_HDF5, _MATLAB, _TDMS = b"\x89HDF", b"MATL", b"TDSm"
+_SUFFIXES = (".mat", ".tdms", ".h5", ".hdf5", ".hdf")
+#: A matrix with more columns than this is a picture.
+_WIDEST = 64
+#: Numbers of a dataset.
+_MOST_NUMBERS = 50_000_000
+
+
+def is_container(path: Path) -> bool:
+    """Whether the file is meant as one: by its first bytes or, failing these, by its name."""
+    try:
+        with path.open("rb") as file:
+            return file.read(4) in (_HDF5, _MATLAB, _TDMS) or path.suffix.lower() in _SUFFIXES
+    except (OSError, ValueError):
+        return path.suffix.lower() in _SUFFIXES
+
+
+def read_container(path: Path, table: str | int | Sequence[str | int] | None = None) -> tuple[Sheet, ...]:
+    """The tables in a file, each as a sheet with its place (``run.force``) as its name.
+
+    Args:
+        path: the file.
+        table: name, or number from 1, or a list of them. None: all.
+
+    Raises:
+        InputError: a file that cannot be read, no such table or none at all, or the extra ``formats`` is not
+            installed.
+    """
+    data = read_bytes(path, EXPECTED)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            tree = _read(data, path)
+            sheets = [Sheet(path, name, rows) for name, rows in _tables(tree, "")]
+    except InputError:
+        raise
+    except Exception as error:  # whatever a damaged file makes of the three libraries, memory that it asks for included
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise InputError(f"cannot be read as {EXPECTED}: {reason}", file=path) from None
+    if not sheets:
+        raise InputError(f"holds no vectors of numbers, expected {EXPECTED}", file=path)
+    wanted = table if isinstance(table, list | tuple) else () if table is None else (table,)
+    names = [sheet.name for sheet in sheets]
+    chosen = []
+    for each in wanted:
+        place = names.index(each) if each in names else each - 1 if isinstance(each, int) else -1
+        if not 0 <= place < len(sheets):
+            raise InputError(f"there is no table {each!r}{nearest(str(each), names)}", file=path, field="sheet")
+        chosen.append(sheets[place])
+    return tuple(chosen) if wanted else tuple(sheets)
+
+
+def _read(data: bytes, path: Path) -> Mapping[str, Any]:
+    if data[:4] == _TDMS:
+        nptdms = require("nptdms", path)
+        logging.getLogger("nptdms").setLevel(logging.CRITICAL)
+        return _tdms(nptdms.TdmsFile.read(io.BytesIO(data)))
+    if data[:4] == _HDF5:
+        with require("h5py", path).File(io.BytesIO(data), "r") as file:
+            return _hdf5(file)
+    from scipy.io import loadmat
+
+    return loadmat(io.BytesIO(data), simplify_cells=True)
+
+
+def _hdf5(group: Any) -> dict[str, Any]:
+    """Groups as maps, datasets as arrays; a unit in the attributes goes into the name."""
+    tree: dict[str, Any] = {}
+    for name, item in group.items():
+        if hasattr(item, "items"):
+            tree[name] = _hdf5(item)
+            continue
+        unit = item.attrs.get("units", item.attrs.get("unit"))
+        unit = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else unit
+        if item.size is not None and item.size > _MOST_NUMBERS:
+            raise ValueError(f"{name} has {item.size:g} numbers")
+        value = item[()]
+        if getattr(value, "dtype", None) is not None and value.dtype.names:
+            tree[name] = {column: value[column] for column in value.dtype.names}
+        else:
+            # MATLAB writes its vectors as matrices of one column.
+            tree[f"{name} [{unit}]" if isinstance(unit, str) else name] = np.squeeze(np.asarray(value))
+    return tree
+
+
+def _tdms(file: Any) -> dict[str, Any]:
+    tree: dict[str, Any] = {}
+    for group in file.groups():
+        channels: dict[str, Any] = {}
+        for channel in group.channels():
+            unit = channel.properties.get("unit_string")
+            channels[f"{channel.name} [{unit}]" if unit else channel.name] = channel[:]
+            step = channel.properties.get("wf_increment")
+            if isinstance(step, float) and step > 0:
+                channels.setdefault("time [s]", step * np.arange(len(channel)))
+        tree[group.name] = channels
+    return tree
+
+
+def _tables(tree: Mapping[str, Any], place: str) -> Iterator[tuple[str, tuple[Row, ...]]]:
+    """(name, rows) of every table at and below a place."""
+    vectors: dict[int, dict[str, np.ndarray]] = {}
+    for name, value in tree.items():
+        if str(name).startswith(("__", "#")):
+            continue
+        below = f"{place}.{name}" if place else str(name)
+        if isinstance(value, Mapping):
+            yield from _tables(value, below)
+            continue
+        if isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype == object):
+            yield from _tables({str(i): each for i, each in enumerate(value, start=1) if isinstance(each, Mapping)},
+                               below)
+            continue
+        array = np.asarray(value)
+        if array.dtype.kind not in "fiub":
+            continue
+        if array.ndim == 1 and array.size >= MIN_POINTS:
+            vectors.setdefault(array.size, {})[str(name)] = array
+        elif array.ndim == 2 and max(array.shape) >= MIN_POINTS and min(array.shape) <= _WIDEST:
+            yield below, _rows([], array if array.shape[0] >= array.shape[1] else array.T)
+    for size, columns in vectors.items():
+        suffix = "" if len(vectors) == 1 else f" ({size})"
+        yield (place or "arrays") + suffix, _rows(list(columns), np.column_stack(list(columns.values())))
+
+
+def _rows(names: list[str], values: np.ndarray) -> tuple[Row, ...]:
+    header = [Row(1, tuple(names))] if names else []
+    return (*header, *(Row(line, tuple(map(repr, numbers))) for line, numbers in enumerate(values.tolist(), start=2)))

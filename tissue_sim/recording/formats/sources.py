@@ -1,0 +1,197 @@
+"""What stands in a file of whatever kind, before anybody knows what it means: tables of cells, and numbers in them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from tissue_sim.errors import InputError
+from tissue_sim.files import decode_text, read_bytes
+from tissue_sim.recording.formats.blocks import is_unit_row
+from tissue_sim.recording.formats.columns import Sheets, check_delimiter
+from tissue_sim.recording.formats.containers import is_container, read_container
+from tissue_sim.recording.formats.table import Row, Table, is_number, split_rows
+from tissue_sim.recording.formats.workbook import is_workbook, read_sheets
+from tissue_sim.recording.recording import MIN_POINTS
+from tissue_sim.units import known_unit, loose_header, split_header
+
+EXPECTED = "a recording (text, spreadsheet, MATLAB, LabVIEW, HDF5 or AFM)"
+#: The first of those that give equally many numbers is taken: a comma may be a decimal comma.
+_DELIMITERS = ("\t", ";", ",", "|", " ")
+#: Lines by which the delimiter is found.
+_SAMPLE = 2000
+_PAIR = re.compile(r"^(?P<key>[^:=]{1,80}?)\s*[:=]\s*(?P<value>.*?)\s*[;,]*$")
+_QUANTITY = re.compile(r"^(?P<number>[-+]?\d+([.,]\d*)?([eE][-+]?\d+)?)\s*(?P<unit>[^\d\s]\S*)?$")
+
+
+@dataclass(frozen=True)
+class Source:
+    """The content of a file.
+
+    Attributes:
+        kind: ``text``, ``workbook`` or ``container``.
+        tables: of a text one; of the others one for each sheet.
+        encoding: of a text.
+    """
+
+    file: Path
+    kind: str
+    tables: tuple[Table, ...]
+    encoding: str | None = None
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """Rows of numbers below each other, and what stands above them.
+
+    Attributes:
+        table: in which they stand.
+        rows: consecutive ones.
+        columns: places from 0 with numbers in them.
+        header: the row of names, None: there is none. units: the row of units, above or below the names.
+        above: rows from the numbers before, or the beginning, to the names.
+    """
+
+    table: Table
+    rows: tuple[Row, ...]
+    columns: tuple[int, ...]
+    header: Row | None
+    units: Row | None
+    above: tuple[Row, ...] = field(repr=False)
+
+    def name(self, place: int) -> str:
+        """The whole header of a column; empty: it has none."""
+        return self.header.cells[place].lstrip("# ") if self.header and place < len(self.header.cells) else ""
+
+    def bare_name(self, place: int) -> str:
+        """The header without its unit."""
+        return loose_header(self.name(place))[0]
+
+    def unit(self, place: int) -> str | None:
+        """In the header, or in the row of units; one that nobody knows as it stands."""
+        header = self.name(place)
+        loose = loose_header(header)[1]
+        below = self.units.cells[place].strip("[]() ") if self.units and place < len(self.units.cells) else None
+        return known_unit(loose or "") or known_unit(below or "") or split_header(header)[1] or below or None
+
+
+def open_source(path: Path, *, delimiter: str | None = None, sheet: Sheets | None = None,
+                skip_lines: int = 0) -> Source:
+    """The tables of a file.
+
+    Args:
+        path: the file. delimiter: of a text; None: found. sheet: name, number, or a list of them; None: all.
+        skip_lines: lines at the top that are not looked at.
+
+    Raises:
+        InputError: no such file, not one that can be read, a text without numbers in columns.
+    """
+    if is_container(path) or is_workbook(path):
+        kind = "container" if is_container(path) else "workbook"
+        sheets = read_container(path, sheet) if kind == "container" else read_sheets(path, sheet)
+        return Source(path, kind, tuple(each.table(skip_lines) for each in sheets))
+    text, encoding = decode_text(read_bytes(path, EXPECTED), path, EXPECTED)
+    lines = text.splitlines()
+    lines[:skip_lines] = [""] * min(skip_lines, len(lines))
+    found = check_delimiter(delimiter) if delimiter is not None else _find_delimiter(lines, path)
+    return Source(path, "text", (Table(split_rows("\n".join(lines), found, file=path), found),), encoding)
+
+
+def _find_delimiter(lines: list[str], path: Path) -> str:
+    """The delimiter that makes most numbers in columns of the text.
+
+    Raises:
+        InputError: none makes any.
+    """
+    for sample in (lines[:_SAMPLE], lines) if len(lines) > _SAMPLE else (lines,):
+        scores = {}
+        for delimiter in _DELIMITERS:
+            try:
+                table = Table(split_rows("\n".join(sample), delimiter, file=path), delimiter)
+            except InputError:
+                continue
+            scores[delimiter] = sum(len(run) * len(columns) for run, columns in _runs(table))
+        best = max(scores, key=lambda each: scores[each], default=None)
+        if best is not None and scores[best]:
+            return best
+    raise InputError(f"holds no table of numbers: no {MIN_POINTS} lines in a row have two numbers or more, separated "
+                     "by tabs, semicolons, commas, bars or blanks", file=path)
+
+
+def find_numbers(source: Source) -> list[Numbers]:
+    """All runs of rows of numbers in a file."""
+    return [numbers for table in source.tables for numbers in _of_table(table)]
+
+
+def _of_table(table: Table) -> Iterator[Numbers]:
+    begin = 0
+    place = {id(row): i for i, row in enumerate(table.rows)}
+    for run, columns in _runs(table):
+        first = place[id(run[0])]
+        above = [row for row in table.rows[begin:first] if re.search(r"\w", "".join(row.cells))]
+        begin = place[id(run[-1])] + 1
+        header, units, rest = _names(above, columns)
+        yield Numbers(table, tuple(run), columns, header, units, tuple(above[:rest]))
+
+
+def _names(above: list[Row], columns: Sequence[int]) -> tuple[Row | None, Row | None, int]:
+    """Rows of names and units right above the numbers, and how many rows stand above both."""
+    header, units, rest = None, None, len(above)
+    for row in reversed(above[-3:]):
+        named = [i for i in columns if i < len(row.cells) and row.cells[i] and not is_number(row.cells[i])]
+        if units is None and named and is_unit_row(row, columns):
+            units = row
+        elif header is None and 2 * len(named) >= len(columns) and len(named) >= 2:
+            header = row
+        else:
+            break
+        rest -= 1
+        if header is not None and units is not None:
+            break
+    return header, units, rest
+
+
+def _runs(table: Table) -> Iterator[tuple[list[Row], tuple[int, ...]]]:
+    """Rows that hold two numbers or more and little else, at least `MIN_POINTS` in a row, and their columns."""
+    run: list[Row] = []
+    counts: dict[int, int] = {}
+    for row in (*table.rows, Row(0, ())):
+        numeric = [i for i, cell in enumerate(row.cells) if cell and is_number(cell)]
+        if len(numeric) >= 2 and 2 * len(numeric) >= sum(map(bool, row.cells)):
+            run.append(row)
+            for i in numeric:
+                counts[i] = counts.get(i, 0) + 1
+            continue
+        # A column that begins late, or ends early, is one too: replicates beside each other differ in length.
+        columns = tuple(sorted(i for i, count in counts.items() if count >= MIN_POINTS))
+        if len(run) >= MIN_POINTS and len(columns) >= 2:
+            yield run, columns
+        run, counts = [], {}
+
+
+def stated_values(rows: Sequence[Row]) -> dict[str, str]:
+    """What stands above a table as ``key: value``, ``key;value`` or ``key (unit);value``: key -> text with unit."""
+    found: dict[str, str] = {}
+    for row in rows:
+        cells = [cell for cell in row.cells if cell]
+        if not cells:
+            continue
+        match = _PAIR.match(cells[0])
+        if match and match["value"]:
+            key, value = match["key"], match["value"]
+        elif len(cells) >= 2:
+            key, value = cells[0].rstrip(" :="), " ".join(cells[1:3] if known_unit(cells[-1]) or len(cells) == 2
+                                                          else cells[1:2])
+        else:
+            continue
+        name, unit = loose_header(key)
+        found.setdefault(name, f"{value} {unit}" if unit else value)
+    return found
+
+
+def quantity_in(text: str) -> tuple[float, str | None] | None:
+    """A number and its unit, ``50mm`` or ``12,5 mm``; None: the text is no such thing."""
+    match = _QUANTITY.match(text.strip())
+    return None if match is None else (float(match["number"].replace(",", ".")), match["unit"])
