@@ -6,23 +6,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissue_sim.recording.contact import Contact, find_contact
-from tissue_sim.recording.failure import Failure, find_failure
+from tissue_sim.recording.contact import Contact
+from tissue_sim.recording.failure import Failure
 from tissue_sim.recording.recording import Recording
-from tissue_sim.recording.segmentation import count_cycles, label_motion
+from tissue_sim.recording.segments import segments_of
 
 #: Channels that say how far a test has come, the first of which is taken, and where they rest.
 MOTIONS = {"displacement": 0.0, "stretch": 1.0, "shear strain": 0.0}
 #: A first force of more than this share of the range is no zero of the sensor.
 _PRELOAD = 0.05
 _AT_ONCE = 0.01
-#: Samples from which a contact can be looked for.
-_FEWEST = 12
 
 
 @dataclass(frozen=True)
 class Segment:
-    """A part of the way: ``ramp``, ``hold``, ``unload``, ``reload``, from sample `first` to `last`."""
+    """A part of the way, as `tissue_sim.recording.segments` names them, from sample `first` to `last`."""
 
     name: str
     first: int
@@ -61,18 +59,13 @@ def describe_motion(recording: Recording) -> Motion:
     # Compression is recorded as a stretch below 1, and a table may begin at its far end.
     turned = -way if channel != "displacement" and abs(way.max()) < abs(way.min()) else way
     time = recording.time if "time" in recording and np.ptp(recording.time) > 0 else None
-    clock = np.arange(way.size, dtype=float) if time is None else time
-    labels, cycles = count_cycles(label_motion(clock, turned))
-    if "segment" in recording.labels:
-        labels = recording.labels["segment"]
-    edges = np.flatnonzero(np.append(True, labels[1:] != labels[:-1]))
-    segments = tuple(Segment(str(labels[first]), int(first), int(last))
-                     for first, last in zip(edges, np.append(edges[1:], labels.size) - 1, strict=True))
-    contact = None
+    stressed = channel != "displacement" or "force" not in recording
+    load = recording.force if "force" in recording else recording.channel("nominal stress")
+    found = segments_of(turned, load if turned is way else -load, time, recording.labels.get("segment"),
+                        stressed=stressed)
+    segments = tuple(Segment(name, first, end - 1) for name, first, end in found.runs())
     # Force curves of an AFM come counted from their contact.
-    if channel == "displacement" and "force" in recording and way.size >= _FEWEST and \
-            "zeroing" not in recording.metadata:
-        contact = find_contact(way, recording.force, time)
+    contact = None if stressed or "zeroing" in recording.metadata else found.contact
     rate = duration = speed = None
     if time is not None:
         duration = float(time[-1] - time[0])
@@ -80,10 +73,10 @@ def describe_motion(recording: Recording) -> Motion:
         rate = float(1.0 / np.median(steps[steps > 0]))
         peak = int(np.argmax(turned))
         speed = abs(float((turned[peak] - turned[0]) / (time[peak] - time[0]))) if time[peak] > time[0] else None
-    load = recording.force if "force" in recording else recording.channel("nominal stress")
-    failure = find_failure(turned, load if turned is way else -load, time)
-    return Motion(channel, (float(way.max()), float(way.min())), rate, duration, speed, segments, int(cycles[-1]),
-                  contact, failure, _warnings(recording, turned, contact, failure))
+    warnings = _warnings(recording, turned, contact, found.failure)
+    warnings += tuple(line for line in found.warnings if "preconditioning" in line)
+    return Motion(channel, (float(way.max()), float(way.min())), rate, duration, speed, segments,
+                  int(found.cycles[-1]), contact, found.failure, warnings)
 
 
 def touches_at_once(contact: Contact, way: np.ndarray) -> bool:

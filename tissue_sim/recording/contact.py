@@ -94,7 +94,7 @@ class Contact:
         scale, unit, load, of = (1.0, "", 1e-3, "kPa") if stressed else (1e3, " mm", 1.0, "N")
         low, high = (scale * end for end in self.interval)
         if self.status == "none":
-            return "no contact: the force does not clearly leave its zero"
+            return "no contact: the force never leaves its zero by more than its noise"
         if self.status == "before":
             return ("no air is seen: contact was with the first motion or before it, at "
                     f"{high:.4g}{unit} at the latest")
