@@ -129,7 +129,7 @@ def parts_of_an_iteration(repeats: int) -> list[dict]:
     for name, mesh in meshes.items():
         solver = build_solver(MODEL, mesh)
         solver.step(5e-3)
-        compared = against_lapack(name, solver.tangent(), repeats, solve=True)
+        compared = against_lapack(name, solver.equations.tangent(), repeats, solve=True)
         elements, launch = element_work(solver, repeats)
         rows.append({"mesh": name, "elements": len(mesh.connectivity), **compared, "element_work_ms": elements,
                      "launch_ms": launch})

@@ -47,7 +47,7 @@ from starts import (
 import tissue_sim as ts
 from calibration.campaign.campaign import Noise
 from calibration.fit.campaign_problem import build_problem
-from calibration.fit.estimate import Stated, settle
+from calibration.fit.estimate import settle
 from calibration.fit.levenberg_marquardt import descend
 from calibration.fit.problem import Problem
 from calibration.fit.profiles import profile_side
@@ -69,7 +69,8 @@ DATA = ("accurate", "drawn", "reference")
 #: Relative error of the accurate mesh in each test, as the calibration has it.
 MESH_ERROR = {"lubricated": 0.0, "bonded": REMAINDERS["plate"], "needle": REMAINDERS["flat"]}
 #: Jitter that is stated, m and N; None: estimated.
-STATED = {"jitter stated": Stated(CONTACT, ZERO), "jitter estimated": Stated(None, None)}
+STATED = {"jitter stated": Noise(NOISE, contact_jitter=CONTACT, zero_jitter=ZERO, correlation_time=0.0),
+          "jitter estimated": Noise(NOISE, contact_jitter=None, zero_jitter=None, correlation_time=0.0)}
 NO_MESH_ERROR = ", no mesh error"
 ORDINARY = "ordinary least squares"
 METHODS = (*(f"{method}{carried}" for method in STATED for carried in ("", NO_MESH_ERROR)), ORDINARY)
@@ -110,8 +111,7 @@ def run_campaign(number: int, seed: int, truth: Truth, drawn: bool, profiled: bo
         constant, linear = shapes[name]
         return curves[name](depth) * (1.0 + constant + linear * (2.0 * depth / DEPTH - 1.0))
 
-    campaigns = {method: make_campaign(tuple(truth), Noise(NOISE, contact_jitter=stated.contact,
-                                                           zero_jitter=stated.zero, correlation_time=0.0))
+    campaigns = {method: make_campaign(tuple(truth), stated)
                  for method, stated in STATED.items() if method in methods}
     measured = make_recordings(next(iter(campaigns.values())), force, generator, CONTACT, ZERO)
     solves, found = Solves(), {}

@@ -20,7 +20,7 @@ from scipy.linalg import lapack
 
 import tissue_sim as ts
 from tissue_sim.fem.linear import band
-from tissue_sim.fem.linear.cholesky import BAND_CHOLESKY
+from tissue_sim.fem.linear.cholesky import cholesky_functions
 from tissue_sim.fem.taichi.runtime import initialise
 
 
@@ -42,7 +42,7 @@ def summary(spent: list[float]) -> dict:
 def band_kernels() -> tuple[Callable, Callable]:
     """Kernels that factorise a band matrix, and solve with the factor, a number of times each."""
     ti = initialise()
-    init, solve = BAND_CHOLESKY.functions()
+    init, solve = cholesky_functions()
     block = ti.types.vector(band.BLOCK, ti.f64)
     one, three = ti.types.ndarray(dtype=block, ndim=1), ti.types.ndarray(dtype=block, ndim=3)
     reals = ti.types.ndarray(dtype=ti.f64, ndim=1)

@@ -60,7 +60,7 @@ def factorisation(repeats: int) -> list[dict]:
         for depth in MODEL.experiment.protocol.displacement[1:11]:
             if solver.step(depth).status is not StepStatus.CONVERGED:
                 raise SystemExit(f"{name}: no convergence at {depth * 1e3:g} mm")
-        rows.append({"mesh": name, **against_lapack(name, solver.tangent(), repeats, solve=False)})
+        rows.append({"mesh": name, **against_lapack(name, solver.equations.tangent(), repeats, solve=False)})
     return rows
 
 

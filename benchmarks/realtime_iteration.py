@@ -47,7 +47,7 @@ def parts(name: str, mesh: Mesh, repeats: int) -> dict:
     of what was eliminated.
     """
     solver = brought_to(DEPTH, name, mesh)
-    lower, counts = solver.tangent(), solver.equations.counts
+    lower, counts = solver.equations.tangent(), solver.equations.counts
     contacts = int(counts[newton.CONTACTS])
     # (passes, linear solves, contact edges); at a tolerance that nothing meets the state stays as it was.
     kinds = {"iteration": (1, 1, contacts), "tangent": (1, 0, contacts), "bare": (1, 0, 0), "launch": (0, 0, contacts)}

@@ -30,7 +30,7 @@ import tissue_sim as ts
 from calibration.campaign.campaign import Campaign, FitSettings, Noise, Test
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.campaign_problem import build_problem
-from calibration.fit.estimate import Stated, settle
+from calibration.fit.estimate import settle
 from calibration.fit.levenberg_marquardt import ENOUGH_OF_A_START, descend
 from calibration.fit.uncertainty import assess_uncertainty
 from calibration.forward.solves import Solves
@@ -142,10 +142,10 @@ def run_start(scenes: Sequence[str], start: np.ndarray, settled: bool) -> dict:
     problem = build_problem(LAW, campaign, reference_recordings(campaign), Solves())
     descent = descend(problem, np.array(start), enough=ENOUGH_OF_A_START)
     found = {"start": list(start), "end": descent.theta.tolist(), "error": descent.error,
-             "converged": descent.converged, "problem": descent.problem, "cpu_s": descent.cpu_s,
+             "converged": descent.converged, "problem": descent.failure, "cpu_s": descent.cpu_s,
              "solves": [descent.simulations.get((name, "fast"), 0) for name in scenes]}
     if settled and descent.converged:
-        estimate = settle(problem, descent.theta, Stated(None, None))
+        estimate = settle(problem, descent.theta, Noise(contact_jitter=None, zero_jitter=None))
         spread = assess_uncertainty(problem, problem.evaluate(estimate.theta))
         simulated = Counter(descent.simulations) + Counter(estimate.simulations)
         found["estimate"] = {

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
-import tissue_sim
 from calibration.campaign.campaign import load_campaign
 from calibration.campaign_fit import CampaignFit
-from calibration.fit.context import Context, IterationListener, Progress
 from calibration.fit.result import CalibrationResult, read_back
+from calibration.fit.steps import IterationListener, Progress, Steps
 from calibration.output_folder import SUMMARY_FILE, claim
 from calibration.report.outputs import write_summary
 from calibration.tasks.executors import Workers, open_tasks
@@ -52,22 +50,19 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
             raise InputError(f"two campaign files are called {campaign.name!r}; results go into a folder of that name, "
                              "so rename one", file=campaign.path)
     with open_tasks(workers or Workers()) as tasks:
-        quiet = Context(tasks, figures=figures)
-        context = Context(tasks, progress or quiet.say, listen or quiet.listen, figures)
-        fits = [CampaignFit(campaign) for campaign in campaigns]
-        digests = {fit.campaign.name: _digest(fit) for fit in fits}
-        folders = {campaign.name: output / campaign.name if len(campaigns) > 1 else output for campaign in campaigns}
-        finished = {campaign.name: None if overwrite else
-                    read_back(campaign, folders[campaign.name], digests[campaign.name]) for campaign in campaigns}
-        for fit in fits:
-            if finished[fit.campaign.name] is None:
-                fit.check(folders[fit.campaign.name], context)
-        claim(output, folders, campaigns, [r for fit in fits for r in fit.recordings], digests, overwrite)
+        fits = [CampaignFit(campaign, output / campaign.name if len(campaigns) > 1 else output,
+                            Steps(campaign.name, tasks, progress, listen)) for campaign in campaigns]
+        finished = [None if overwrite else read_back(fit.campaign, fit.folder, fit.digest) for fit in fits]
+        for fit, result in zip(fits, finished, strict=True):
+            if result is None:
+                fit.check()
+        claim(output, {fit.campaign.name: fit.folder for fit in fits}, campaigns,
+              [recording for fit in fits for recording in fit.recordings],
+              {fit.campaign.name: fit.digest for fit in fits}, overwrite)
         results, failures = [], []
-        for fit in fits:
-            name = fit.campaign.name
+        for fit, result in zip(fits, finished, strict=True):
             try:
-                results.append(finished[name] or fit.run(folders[name], digests[name], context))
+                results.append(result or fit.run(figures=figures))
             except ConvergenceError as failure:
                 # The others are not to wait for it.
                 failures.append(str(failure))
@@ -76,10 +71,3 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
     if failures:
         raise ConvergenceError("; ".join(failures))
     return results
-
-
-def _digest(fit: CampaignFit) -> str:
-    """Of everything that the results of a campaign depend on."""
-    content = [fit.campaign.sha256, *(f"{r.name} {r.sha256}" for r in fit.recordings), *fit.extra,
-               tissue_sim.__version__]
-    return hashlib.sha256("\n".join(content).encode()).hexdigest()

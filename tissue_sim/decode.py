@@ -77,6 +77,29 @@ def decode(value: Any, kind: Any, field: str = "", words: Mapping[str, str] | No
     raise InputError(sentence[0].lower() + sentence[1:], field=path or None)
 
 
+def require_schema(data: Any, kind: str, newest: int) -> None:
+    """Refuse decoded JSON whose ``schema`` is not that of a kind of file, ``tissue_sim/KIND/VERSION``.
+
+    Args:
+        data: decoded JSON.
+        kind: ``"rig"``.
+        newest: version that is known here.
+
+    Raises:
+        InputError: no object, no schema or another one, or a newer version.
+    """
+    if not isinstance(data, dict):
+        raise InputError('expected an object { "schema": ... }, found something else')
+    schema, expected = data.get("schema"), f"tissue_sim/{kind}/{newest}"
+    version = re.fullmatch(rf"tissue_sim/{kind}/([0-9]{{1,9}})", schema) if isinstance(schema, str) else None
+    if not version or int(version[1]) < 1:
+        found = "the schema is missing" if schema is None else f"{schema!r} is not a {kind} schema"
+        raise InputError(f"{found}, expected {expected!r}", field="schema")
+    if int(version[1]) > newest:
+        raise InputError(f"{schema!r} was written by a newer version, expected {expected!r}; update tissue-sim",
+                         field="schema")
+
+
 def as_json_types(value: Any) -> Any:
     """Maps, lists, text and numbers of Python for structs, read-only maps, tuples, numpy numbers and paths.
 

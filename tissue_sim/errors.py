@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -29,10 +30,20 @@ class InputError(ValueError):
             place.append(field)
         super().__init__(": ".join([*place, problem]))
 
-    def located(self, *, file: str | Path | None = None, field: str | None = None) -> InputError:
-        """The same error with the file, or an outer field, that only the caller knows."""
-        joined = ".".join(part for part in (field, self.field) if part) or None
-        return InputError(self.problem, file=self.file if self.file is not None else file, line=self.line, field=joined)
+    def located(self, *, file: str | Path | None = None, field: str | None = None, part: str = "") -> InputError:
+        """The same error with the file, an outer field, or a part of the file in words, that only the caller knows."""
+        joined = ".".join(place for place in (field, self.field) if place) or None
+        problem = f"{part}: {self.problem}" if part else self.problem
+        return InputError(problem, file=self.file if self.file is not None else file, line=self.line, field=joined)
+
+
+@contextmanager
+def located(*, file: str | Path | None = None, field: str | None = None, part: str = "") -> Iterator[None]:
+    """Input errors of the work inside are `InputError.located`."""
+    try:
+        yield
+    except InputError as error:
+        raise error.located(file=file, field=field, part=part) from None
 
 
 class ConvergenceError(RuntimeError):

@@ -9,7 +9,7 @@ at any part: ``viscoelastic.terms[0].g`` is one of a `Material`.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
 from math import inf
 from numbers import Real
@@ -109,6 +109,12 @@ def declared(kind: type) -> dict[str, Declaration]:
     return {entry.name: what for entry in fields(kind) if (what := declaration(entry)) is not None}
 
 
+def declaring(base: type) -> Callable[[Any], bool]:
+    """Whether a thing is a dataclass that derives from `base` and declares parameters: a check for registries."""
+    return lambda kind: (isinstance(kind, type) and issubclass(kind, base) and is_dataclass(kind)
+                         and bool(declared(kind)))
+
+
 def parameters(part: Any) -> dict[str, Parameter]:
     """Path -> parameter, of everything in a part: a `Model`, a `Material`, an `Experiment`, a `Rig`."""
     return {each.path: each for each in _walk(part, "")}
@@ -185,13 +191,14 @@ def to_keys(part: Any) -> dict[str, float]:
             if (number := getattr(part, name)) is not None}
 
 
-def from_keys(kind: type[Part], content: Mapping[str, float], field: str) -> Part:
+def from_keys(kind: type[Part], content: Mapping[str, float], field: str, **others: Any) -> Part:
     """A part from the keys of a file.
 
     Args:
         kind: its class.
         content: key -> value in its unit.
         field: where they stand, for messages.
+        others: what it takes beside them.
 
     Raises:
         InputError: an unknown key (names the nearest), a missing one, or a value that the part refuses; with the field.
@@ -205,9 +212,11 @@ def from_keys(kind: type[Part], content: Mapping[str, float], field: str) -> Par
     if missing := [key for key, (name, _) in names.items() if name in needed and key not in content]:
         raise InputError(f"needs {', '.join(missing)}", field=field)
     try:
-        return kind(**{names[key][0]: names[key][1] * value for key, value in content.items()})
-    except InputError as error:
-        raise error.located(field=field) from None
+        return kind(**{names[key][0]: names[key][1] * value for key, value in content.items()}, **others)
+    except InputError as refused:
+        last = (refused.field or "").rpartition(".")[2]
+        named = next((key for key, (name, _) in names.items() if name == last), last)
+        raise InputError(refused.problem, field=".".join(filter(None, (field, named)))) from None
 
 
 def _at(part: Any, path: str) -> Any:

@@ -31,12 +31,13 @@ class Registry(Mapping[str, T], Generic[T]):
         what: a thing is, in messages: ``"law"``.
         group: of the entry points that add some, such as ``"tissue_sim.laws"``.
         built_in: name -> the thing, or where it is, ``"package.module:attribute"``, which is imported on first use.
-        check: called with the name and a thing that somebody adds; raises `InputError` where it is none.
+        accepts: whether a thing that somebody adds is one.
+        expected: what to give where it is none, in messages.
     """
 
     def __init__(self, what: str, group: str, built_in: Mapping[str, T | str], *,
-                 check: Callable[[str, Any], None] | None = None):
-        self.what, self.group, self._check = what, group, check
+                 accepts: Callable[[Any], bool] = lambda _: True, expected: str = ""):
+        self.what, self.group, self._accepts, self._expected = what, group, accepts, expected
         self._things: dict[str, T | str] = dict(built_in)
         self._built_in = frozenset(built_in)
         self._added: dict[str, T] = {}
@@ -61,10 +62,12 @@ class Registry(Mapping[str, T], Generic[T]):
                 module, _, attribute = thing.partition(":")
                 thing = self._things[name] = getattr(import_module(module), attribute)
             return thing
-        thing = self._installed[name].load()
-        if self._check is not None:
-            self._check(name, thing)
-        self._things[name] = thing
+        thing = self._things[name] = self._checked(name, self._installed[name].load())
+        return thing
+
+    def _checked(self, name: str, thing: T) -> T:
+        if not self._accepts(thing):
+            raise InputError(f"{name!r} is no {self.what}; give {self._expected}", field=self.group)
         return thing
 
     def __iter__(self) -> Iterator[str]:
@@ -109,9 +112,7 @@ class Registry(Mapping[str, T], Generic[T]):
                 return thing
             raise InputError(f"the name {name!r} is taken by another {self.what}; give yours another name",
                              field=self.group)
-        if self._check is not None:
-            self._check(name, thing)
-        self._things[name] = self._added[name] = thing
+        self._things[name] = self._added[name] = self._checked(name, thing)
         return thing
 
     def unregister(self, name: str) -> None:

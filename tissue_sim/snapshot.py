@@ -26,14 +26,6 @@ class Skin:
     vertices: np.ndarray
     triangles: np.ndarray
 
-    def arrays(self) -> tuple[np.ndarray, ...]:
-        """What differs from snapshot to snapshot."""
-        return (self.vertices,)
-
-    def with_arrays(self, arrays: Sequence[np.ndarray]) -> Skin:
-        """The surface of another snapshot."""
-        return replace(self, vertices=arrays[0])
-
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
@@ -71,14 +63,15 @@ class Snapshot:
 
     def arrays(self) -> tuple[np.ndarray, ...]:
         """What is another one in another snapshot of this tissue, beside pose and datum; empty where nothing is."""
-        shown = self._shown
-        return () if shown is None else shown.arrays()
+        if self.skin is not None:
+            return (self.skin.vertices,)
+        return self.fields.arrays() if isinstance(self.fields, SharedFields) else ()
 
     def at(self, pose: Pose, datum: float, arrays: Sequence[np.ndarray]) -> Snapshot:
         """Another snapshot of this tissue, with its `arrays`."""
         fields, skin = self.fields, self.skin
         if skin is not None:
-            skin = skin.with_arrays(arrays)
+            skin = replace(skin, vertices=arrays[0])
         elif isinstance(fields, SharedFields):
             fields = fields.with_arrays(arrays)
         return Snapshot(pose, datum, fields, skin)
@@ -91,10 +84,6 @@ class Snapshot:
         """This snapshot with what `of_the_material` of another material gave."""
         fields = self.fields
         return replace(self, fields=fields.with_material(changed)) if isinstance(fields, SharedFields) else self
-
-    @property
-    def _shown(self) -> Skin | SharedFields | None:
-        return self.skin or (self.fields if isinstance(self.fields, SharedFields) else None)
 
 
 @runtime_checkable

@@ -21,8 +21,16 @@ from calibration.campaign.checks import (
     require_positive,
 )
 from calibration.campaign.experiments import read_experiment, read_rig
-from calibration.campaign.parameters import Named, Surroundings, check_values, find_named, stated_material
-from calibration.campaign.schema import CampaignTable, FitTable, NoiseTable, SpecimenTable, TestTable, decode_campaign
+from calibration.campaign.parameters import Named, check_values, declared_around, find_named, stated_material
+from calibration.campaign.schema import (
+    BY_PARAMETER,
+    CampaignTable,
+    FitTable,
+    NoiseTable,
+    SpecimenTable,
+    TestTable,
+    decode_campaign,
+)
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
@@ -40,6 +48,10 @@ DEFAULT_OFFSET_BOUND = 0.5e-3
 #: Starts of an inverse fit where the campaign does not say.
 DEFAULT_STARTS = 3
 MOST_STARTS = 1000
+
+
+def _read_only(values: Mapping | None = None) -> Mapping:
+    return read_only(values or {})
 
 
 @dataclass(frozen=True)
@@ -65,7 +77,7 @@ class Test:
     kind: TestKind
     specimen: Specimen | None
     recordings: tuple[Path, ...]
-    reading: Mapping[str, Any] = field(default_factory=lambda: _read_only())
+    reading: Mapping[str, Any] = field(default_factory=_read_only)
     max_strain: float | None = None
     hold_out: bool = False
     place: str = "test"
@@ -73,10 +85,6 @@ class Test:
     rig: Rig = field(default_factory=Rig)
     contact: float | Literal["recorded", "find"] = "recorded"
     failure: Literal["cut", "keep", "refuse"] = "cut"
-
-
-def _read_only(values: Mapping | None = None) -> Mapping:
-    return read_only(values or {})
 
 
 @dataclass(frozen=True)
@@ -319,15 +327,15 @@ def _fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ...]) -
         raise InputError(f"{table.starts} starts; give 1 to {MOST_STARTS}", field="fit.starts")
     check_unused(table, noise)
     check_parameters(table)
-    named = find_named(table, [
-        Surroundings(test.name, None if test.specimen is None else test.experiment, test.rig) for test in tests])
+    named = find_named(table, {test.name: declared_around(None if test.specimen is None else test.experiment, test.rig)
+                               for test in tests})
     check_values(table, named)
     if table.method == "analytical":
         check_closed(table, named)
     by_path = {what.path: what for what in named.values()}
     start, fixed, prior, bounds = (
         {named[name].path: _in_SI(value, named[name].declaration.factor) for name, value in getattr(table, key).items()}
-        for key in ("start", "fixed", "prior", "bounds"))
+        for key in BY_PARAMETER)
     offset_prior = next((value * 1e-3 for value in (table.offset_prior_mm, noise.contact_jitter_mm)
                          if isinstance(value, float | int) and value > 0), DEFAULT_OFFSET_PRIOR)
     zero_prior = next((float(value) for value in (table.zero_prior_N, noise.zero_jitter_N)
@@ -350,9 +358,8 @@ def _noise(table: NoiseTable, method: str) -> Noise:
     for key in ("force_N", "nominal_stress_Pa"):
         value = getattr(table, key)
         require_positive(None if value == "estimate" else value, f"noise.{key}")
-    # What an inverse fit estimates unless it is stated.
     known: dict[str, float | None] = {}
-    for key, default in (("contact_jitter_mm", 0.0), ("zero_jitter_N", 0.0), ("correlation_time_s", 0.0)):
+    for key in ("contact_jitter_mm", "zero_jitter_N", "correlation_time_s"):
         value = getattr(table, key)
         if method == "analytical":
             if value == "estimate":
@@ -360,13 +367,11 @@ def _noise(table: NoiseTable, method: str) -> Noise:
                                  "out", field=f"noise.{key}")
             if key == "correlation_time_s" and value:
                 raise InputError('coloured noise needs fit.method = "inverse_fem"; leave it out', field=f"noise.{key}")
-            value = default if value is None else value
-        if value in (None, "estimate"):
-            known[key] = None
-            continue
-        if not (np.isfinite(value) and value >= 0):
+            value = value or 0.0
+        # What an inverse fit estimates unless it is stated.
+        known[key] = None if value in (None, "estimate") else float(value)
+        if value not in (None, "estimate") and not (np.isfinite(value) and value >= 0):
             raise InputError(f"{value:g} is negative; give 0 or more", field=f"noise.{key}")
-        known[key] = float(value)
     contact = known["contact_jitter_mm"]
     return Noise(
         force=None if table.force_N == "estimate" else table.force_N,

@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from calibration.campaign.parameters import SHARED, Named, is_of_material
-from calibration.campaign.schema import FitTable, NoiseTable, TestTable
-from tissue_sim.errors import InputError, nearest
-from tissue_sim.experiment.interfaces import INTERFACES
+from calibration.campaign.parameters import Named
+from calibration.campaign.schema import BY_PARAMETER, FitTable, NoiseTable, TestTable
+from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.experiment.tools.tool import TOOLS, read_shape
 from tissue_sim.frozen_mapping import read_only
@@ -34,7 +33,7 @@ def check_bulk_ratio(ratio: float | None) -> None:
 
 
 def check_available(entry: TestTable, field: str) -> None:
-    """Keys of later versions, and keys that contradict a plate on a homogeneous test."""
+    """Refuse kinds, tools and keys that the analytical method does not take."""
     kind = KINDS[entry.kind]
     if kind.closed_form is None:
         known = ", ".join(name for name, other in KINDS.items() if other.closed_form is not None)
@@ -47,17 +46,6 @@ def check_available(entry: TestTable, field: str) -> None:
         if getattr(entry, key) is not None:
             raise InputError("does not belong to the analytical method; leave it out, or set fit.method = "
                              "'inverse_fem'", field=f"{field}.{key}")
-    for key, value in {**entry.tool_sizes, "friction_wall": entry.friction_wall}.items():
-        if value:
-            raise InputError(f"a plate that covers the specimen has no {key}; leave it out", field=f"{field}.{key}")
-    for key, face in kind.faces.items():
-        value = getattr(entry, key)
-        if isinstance(value, str) and value not in INTERFACES:
-            raise InputError(f"unknown friction {value!r}{nearest(value, INTERFACES)}; or give a coefficient",
-                             field=f"{field}.{key}")
-        if face.fixed and value is not None and (value or "frictionless") != face.usual:
-            raise InputError(f"{value!r} contradicts kind = {entry.kind!r}, whose faces are {face.usual}; leave it "
-                             "out", field=f"{field}.{key}")
 
 
 def read_columns_key(entry: TestTable, field: str) -> Mapping[str, Any] | None:
@@ -85,7 +73,7 @@ def find_recordings(patterns: list[str], folder: Path, field: str) -> tuple[Path
             raise InputError(f"{pattern!r} names no file; give a path or a pattern such as 'run_*.csv'", field=place)
         # A plain path wins over its reading as a pattern: file names may hold brackets.
         plain = base / relative
-        matches = [plain] if plain.exists() else sorted(base.glob(str(relative))) if _is_pattern(pattern) else []
+        matches = [plain] if plain.exists() else sorted(base.glob(str(relative))) if set("*?[") & set(pattern) else []
         if not matches:
             raise InputError(f"no file matches {pattern!r} in {base}; paths are relative to the campaign file",
                              field=place)
@@ -94,10 +82,6 @@ def find_recordings(patterns: list[str], folder: Path, field: str) -> tuple[Path
                 raise InputError(f"{match.name} is listed twice; a replicate counts once", field=place)
             found.append(match)
     return tuple(sorted(found))
-
-
-def _is_pattern(text: str) -> bool:
-    return any(character in text for character in "*?[")
 
 
 def check_unused(table: FitTable, noise: NoiseTable) -> None:
@@ -130,25 +114,21 @@ def check_closed(table: FitTable, named: Mapping[str, Named]) -> None:
         raise InputError(f"points at even strains have no history, and {others[0]} needs one; leave it out",
                          field="fit.strain_points")
     for name, what in named.items():
-        if not is_of_material(name, named) or what.scope != SHARED:
-            key = next(key for key in ("scope", "start", "fixed", "prior", "bounds") if name in getattr(table, key))
-            raise InputError("the analytical method fits one material to all tests; leave it out, or set fit.method = "
+        if not what.of_material:
+            key = next(key for key in ("scope", *BY_PARAMETER) if name in getattr(table, key))
+            raise InputError("the analytical method fits material alone; leave it out, or set fit.method = "
                              "'inverse_fem'", field=f"fit.{key}.{name}")
 
 
 def check_parameters(table: FitTable) -> None:
     """Refuse numbers of start, fixed, prior and bounds that contradict each other or are none."""
-    for key in ("start", "fixed", "prior", "bounds"):
+    for key in BY_PARAMETER:
         for name, value in getattr(table, key).items():
             if np.isnan(value).any() or (key != "bounds" and not np.isfinite(value).all()):
                 raise InputError(f"{value} is not finite; give a number", field=f"fit.{key}.{name}")
     for name, (low, high) in table.bounds.items():
         if not low < high:
             raise InputError(f"[{low:g}, {high:g}] is empty; give the lower bound first", field=f"fit.bounds.{name}")
-        for key in ("start", "fixed"):
-            value = getattr(table, key).get(name)
-            if value is not None and not low <= value <= high:
-                raise InputError(f"{value:g} is outside its bounds [{low:g}, {high:g}]", field=f"fit.{key}.{name}")
     for name, (_, deviation) in table.prior.items():
         if deviation <= 0:
             raise InputError(f"the standard deviation {deviation:g} is not positive; a prior is [mean, standard "

@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from calibration.campaign.schema import TestTable
-from tissue_sim.errors import InputError
+from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.contact_law import CONTACT_LAWS
 from tissue_sim.experiment.experiment import Experiment
+from tissue_sim.experiment.interfaces import INTERFACES
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.experiment.tools.tool import (
@@ -49,7 +50,7 @@ def read_experiment(entry: TestTable, specimen: Specimen | None, folder: Path, p
             raise InputError(f"a test of kind {entry.kind!r} has no tool; leave it out", field=f"{place}.tool")
         return None
     specimen = Specimen(1.0, 1.0) if specimen is None else specimen
-    interfaces = {key: _interface(entry, kind, key, place) for key in kind.faces}
+    interfaces = {key: value for key in kind.faces if (value := _interface(entry, kind, key, place)) is not None}
     laws = [from_keys(CONTACT_LAWS.find(name, f"{place}.contact_laws.{name}"), content, f"{place}.contact_laws.{name}")
             for name, content in (entry.contact_laws or {}).items()]
     try:
@@ -64,8 +65,12 @@ def read_experiment(entry: TestTable, specimen: Specimen | None, folder: Path, p
                          field=f"{place}.{keys[error.field]}") from None
 
 
-def _interface(entry: TestTable, kind: TestKind, key: str, place: str) -> str | float:
+def _interface(entry: TestTable, kind: TestKind, key: str, place: str) -> str | float | None:
+    """What the campaign says of a face, if anything."""
     face, value = kind.faces[key], getattr(entry, key)
+    if isinstance(value, str) and value not in INTERFACES:
+        raise InputError(f"unknown friction {value!r}{nearest(value, INTERFACES)}; or give a coefficient",
+                         field=f"{place}.{key}")
     if face.fixed and value is not None and (value or "frictionless") != face.usual:
         other = " or ".join(repr(name) for name, one in KINDS.items()
                             if one.faces[key].stated and one.fits(kind.require_tool()))
@@ -74,7 +79,7 @@ def _interface(entry: TestTable, kind: TestKind, key: str, place: str) -> str | 
     if value is None and face.stated:
         raise InputError(f"{entry.kind} needs the interface of both plates; give a coefficient of friction, "
                          "'stick', 'frictionless' or 'bonded'", field=f"{place}.{key}")
-    return face.usual if value is None else value
+    return value
 
 
 def _tool(entry: TestTable, kind: TestKind, folder: Path, place: str) -> Tool:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from calibration.campaign.campaign import Campaign, Test
 from calibration.campaign.segmented import SegmentedRecording, segment_recording, with_air_noted
@@ -18,9 +18,6 @@ from tissue_sim.material.material import Material
 from tissue_sim.recording.file import read_recordings
 from tissue_sim.recording.recording import MIN_POINTS, Recording
 from tissue_sim.recording.segmentation import label_motion, number_runs
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
 
 #: Largest difference of a specimen's size between a recording's own word and the campaign's, as a share.
 SIZE_TOLERANCE = 0.02
@@ -115,7 +112,9 @@ def read_measured(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:
             names.add(curve.name)
         if not analytical:
             _check_replicates(curves, test, campaign)
-            noise = _noise(curves, test, campaign)
+            noise = estimate_shared_noise([(curve.force, curve.time, curve.segment) for curve in curves],
+                                          deviation=_stated_noise(curves[0], campaign),
+                                          correlation_time=campaign.noise.correlation_time)
             curves = [replace(curve, noise=noise) for curve in curves]
         found[test.name] = tuple(curves)
     fitted = [curve for test in campaign.tests if not test.hold_out for curve in found[test.name]]
@@ -259,8 +258,6 @@ def with_noise(loading: MeasuredCurve, campaign: Campaign, window: MeasuredCurve
 def _evenly_spaced(displacement: np.ndarray, curve: MeasuredCurve, campaign: Campaign,
                    points: int) -> tuple[np.ndarray, csr_array]:
     """Even displacements from rest to the end of the window, and the linear interpolation onto them."""
-    from scipy.sparse import csr_array
-
     test = curve.test
     height = 1.0 if test.specimen is None else test.specimen.height
     limit = np.inf if test.max_strain is None else test.max_strain * height
@@ -328,13 +325,6 @@ def _check_replicates(curves: list[MeasuredCurve], test: Test, campaign: Campaig
             raise InputError(f"{first.file.name} goes {what} {pair[0] * 1e3:.4g} {unit} and {other.file.name} {what} "
                              f"{pair[1] * 1e3:.4g} {unit}, so they are not replicates; give one of them a [[test]] of "
                              "its own", file=campaign.path, field=f"{test.place}.recordings")
-
-
-def _noise(curves: list[MeasuredCurve], test: Test, campaign: Campaign) -> SensorNoise:
-    """One noise for the recordings of a test."""
-    return estimate_shared_noise([(curve.force, curve.time, curve.segment) for curve in curves],
-                                 deviation=_stated_noise(curves[0], campaign),
-                                 correlation_time=campaign.noise.correlation_time)
 
 
 def _stated_noise(curve: MeasuredCurve, campaign: Campaign) -> float | None:

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from calibration.campaign.campaign import Campaign, Test
-from calibration.campaign.parameters import PER_REPLICATE, PER_SPECIMEN, PER_TEST, SHARED, Named, is_of_material
+from calibration.campaign.parameters import PER_REPLICATE, PER_SPECIMEN, PER_TEST, SHARED, Named
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.laws import find_law
@@ -38,6 +38,7 @@ class Unknown:
         path: see `calibration.campaign.parameters.Named`. declaration: what it is. of_law: whether it is the law's.
         of_material: whether it is the material's, its law's included.
         tests: names of the tests in which it acts; None: all. recording: the one in which it acts; None: all.
+        specimen: whose it is; None: of no single one.
     """
 
     name: str
@@ -47,6 +48,7 @@ class Unknown:
     of_material: bool
     tests: tuple[str, ...] | None = None
     recording: str | None = None
+    specimen: str | None = None
 
     def acts_in(self, test: str | None, recording: str | None) -> bool:
         """Whether it acts in a recording of a test; None stands for any of them."""
@@ -63,6 +65,11 @@ class Unknown:
     def is_modulus(self) -> bool:
         """Whether it is a pressure, to which all forces are proportional together with the others."""
         return self.of_material and self.declaration.unit == "Pa"
+
+    @property
+    def is_exponent(self) -> bool:
+        """Whether it is a number of the law without unit."""
+        return self.of_law and self.declaration.unit == "1"
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,11 +131,6 @@ class ParameterSpace:
         """Symbols of parameters, such as ``C10, g1``."""
         return ", ".join(self.symbols[name] for name in names)
 
-    @property
-    def moduli(self) -> tuple[str, ...]:
-        """Names of the parameters that have the unit of a pressure."""
-        return tuple(each.name for each in self.unknowns if each.is_modulus)
-
     @cached_property
     def of_material_alone(self) -> bool:
         """Whether all of them are the material's, the same in all tests."""
@@ -141,8 +143,7 @@ class ParameterSpace:
 
     def shapes_mesh(self, test: str) -> bool:
         """Whether a free number of a test moves the nodes of its mesh."""
-        return any(each.declaration.shapes_mesh and each.name in self.free and each.acts_in(test, None)
-                   for each in self.unknowns)
+        return any(each.declaration.shapes_mesh and each.acts_in(test, None) for each in self.varied)
 
     def before_moving(self, values: Mapping[str, float]) -> dict[str, float]:
         """Values with the geometry that the fit begins with, whose mesh is moved."""
@@ -153,29 +154,23 @@ class ParameterSpace:
         """The number of that name."""
         return next(each for each in self.unknowns if each.name == name)
 
-    def is_modulus(self, name: str) -> bool:
-        """Whether a parameter is a pressure, to which all forces are proportional together with the others."""
-        return self.unknown(name).is_modulus
-
-    def is_exponent(self, name: str) -> bool:
-        """Whether a parameter is a number of the law without unit."""
-        return self.unknown(name).of_law and self.unknown(name).declaration.unit == "1"
+    @cached_property
+    def varied(self) -> tuple[Unknown, ...]:
+        """The free numbers."""
+        return tuple(map(self.unknown, self.free))
 
     def values(self, theta: np.ndarray) -> dict[str, float]:
         """All parameters by name; `theta` are the free ones, shape (p,)."""
         known = self.fixed | dict(zip(self.free, np.asarray(theta).tolist(), strict=True))
-        # Formulas divide by an exponent, and their limit is reached long before.
-        return {name: (float(np.copysign(SMALLEST_EXPONENT, known[name]))
-                       if name in self.free and self.is_exponent(name) and abs(known[name]) < SMALLEST_EXPONENT
-                       else known[name]) for name in self.names}
+        for name in (each.name for each in self.varied if each.is_exponent):
+            # Formulas divide by an exponent, and their limit is reached long before.
+            if abs(known[name]) < SMALLEST_EXPONENT:
+                known[name] = float(np.copysign(SMALLEST_EXPONENT, known[name]))
+        return {name: known[name] for name in self.names}
 
-    def of_law(self, values: Mapping[str, float], test: str | None = None) -> dict[str, float]:
-        """Parameters of the law in a test (None: the first that there are), by their names in the law."""
-        chosen: dict[str, float] = {}
-        for each in self.unknowns:
-            if each.of_law and each.acts_in(test, None):
-                chosen.setdefault(each.path, values[each.name])
-        return chosen
+    def of_law(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Parameters of the law, by their names in the law; the first of those that differ between tests."""
+        return {path: values[each.name] for path, each in self._acting(None, None).items() if each.of_law}
 
     def material(self, values: Mapping[str, float], density: float | None = None, name: str = "", *,
                  test: str | None = None, recording: str | None = None) -> Material:
@@ -214,8 +209,8 @@ class ParameterSpace:
 
     def normalised(self, values: Mapping[str, float]) -> tuple[dict[str, float], float]:
         """Values with moduli that add up to `REFERENCE_MODULUS`, and the factor that was taken out of them."""
-        moduli = set(self.moduli)
-        factor = sum(abs(values[name]) for name in self.moduli) / REFERENCE_MODULUS
+        moduli = [each.name for each in self.unknowns if each.is_modulus]
+        factor = sum(abs(values[name]) for name in moduli) / REFERENCE_MODULUS
         if not (np.isfinite(factor) and factor > 0):
             return dict(values), 1.0
         return {name: float(f"{value / factor:.{_DIGITS}e}") if name in moduli else value
@@ -225,18 +220,16 @@ class ParameterSpace:
         """How large a change of each free parameter is a whole one, shape (p,): a modulus that happens to be small
         counts as a tenth of the shear modulus, another small number as a tenth of the unit of files."""
         stiffness = abs(find_law(self.law).mu0(self.of_law(values)))
-        free = [self.unknown(name) for name in self.free]
-        floor = [_LEAST * (stiffness if each.is_modulus else each.declaration.factor) for each in free]
+        floor = [_LEAST * (stiffness if each.is_modulus else each.declaration.factor) for each in self.varied]
         return np.maximum([abs(values[name]) for name in self.free], floor)
 
 
 def _spread(named: Named, tests: Sequence[Test], recordings: Mapping[str, Sequence[str]]) -> list[Unknown]:
     """The numbers that a named parameter stands for: one, or one for each specimen, test or recording."""
-    of_material = named.of_law or is_of_material(named.path, {named.path: named})
-
-    def one(mark: str = "", where: tuple[str, ...] | None = None, recording: str | None = None) -> Unknown:
+    def one(mark: str = "", where: tuple[str, ...] | None = None, recording: str | None = None,
+            specimen: str | None = None) -> Unknown:
         name = f"{named.path}@{mark}" if mark else named.path
-        return Unknown(name, named.path, named.declaration, named.of_law, of_material, where, recording)
+        return Unknown(name, named.path, named.declaration, named.of_law, named.of_material, where, recording, specimen)
 
     own = [test for test in tests if test.name in named.tests and not test.hold_out]
     if named.scope == PER_TEST:
@@ -246,7 +239,7 @@ def _spread(named: Named, tests: Sequence[Test], recordings: Mapping[str, Sequen
     if named.scope == PER_SPECIMEN:
         specimens = dict.fromkeys(test.specimen.name for test in own if test.specimen is not None)
         return [one(specimen, tuple(test.name for test in tests
-                                    if test.specimen is not None and test.specimen.name == specimen))
+                                    if test.specimen is not None and test.specimen.name == specimen), specimen=specimen)
                 for specimen in specimens]
-    shared = named.scope if isinstance(named.scope, tuple) else None if of_material else named.tests
+    shared = named.scope if isinstance(named.scope, tuple) else None if named.of_material else named.tests
     return [one(where=shared)]

@@ -10,20 +10,23 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from calibration.campaign.schema import FitTable
+import numpy as np
+
+from calibration.campaign.schema import BY_PARAMETER, FitTable
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.laws import LAWS
 from tissue_sim.material.material import Material, law_declaration
 from tissue_sim.material.parts import find_declaration, make_material
-from tissue_sim.parameters import Declaration, Parameter, parameters
+from tissue_sim.parameters import Declaration, parameters
 from tissue_sim.rig.rig import Rig
 
 #: What a scope says in words: one value for all tests that have the parameter, or one for each specimen, test or
 #: recording.
 SHARED, PER_SPECIMEN, PER_TEST, PER_REPLICATE = "shared", "per_specimen", "per_test", "per_replicate"
 SCOPES = (SHARED, PER_SPECIMEN, PER_TEST, PER_REPLICATE)
-_TABLES = ("start", "fixed", "prior", "bounds")
+#: How paths begin that are no part of the material.
+_AROUND = ("experiment.", "rig.")
 
 
 @dataclass(frozen=True)
@@ -44,26 +47,18 @@ class Named:
     scope: str | tuple[str, ...]
     tests: tuple[str, ...]
 
-
-@dataclass(frozen=True)
-class Surroundings:
-    """What a test's model has beside the material.
-
-    Attributes:
-        test: its name. experiment: None of a test that knows no tool. rig: of the test.
-    """
-
-    test: str
-    experiment: Experiment | None
-    rig: Rig
-
     @property
-    def parameters(self) -> dict[str, Parameter]:
-        """Path in the model -> parameter."""
-        if self.experiment is None:
-            return {}
-        return ({f"experiment.{path}": each for path, each in parameters(self.experiment).items()}
-                | {f"rig.{path}": each for path, each in parameters(self.rig).items()})
+    def of_material(self) -> bool:
+        """Whether it belongs to the material, its law's included."""
+        return not self.path.startswith(_AROUND)
+
+
+def declared_around(experiment: Experiment | None, rig: Rig) -> dict[str, Declaration]:
+    """Path in the model -> what it is, of what a test has beside the material; nothing of one that knows no tool."""
+    if experiment is None:
+        return {}
+    return {f"{part}.{path}": each.declaration for part, whole in (("experiment", experiment), ("rig", rig))
+            for path, each in parameters(whole).items()}
 
 
 def stated_material(values: Mapping[str, float], named: Mapping[str, Named]) -> Material:
@@ -73,26 +68,23 @@ def stated_material(values: Mapping[str, float], named: Mapping[str, Named]) -> 
         InputError: an incomplete part, or numbers that it refuses.
     """
     others = {name: value for name, value in values.items()
-              if name in named and is_of_material(name, named) and not named[name].of_law}
+              if name in named and named[name].of_material and not named[name].of_law}
     return make_material("neo_hooke", {"C10": 1.0}, others)
 
 
-def is_of_material(name: str, named: Mapping[str, Named]) -> bool:
-    """Whether a parameter belongs to the material, its law's included."""
-    return not named[name].path.startswith(("experiment.", "rig."))
-
-
-def find_named(table: FitTable, surroundings: Sequence[Surroundings]) -> dict[str, Named]:
+def find_named(table: FitTable, around: Mapping[str, Mapping[str, Declaration]]) -> dict[str, Named]:
     """Name in the file -> what it names, of everything in start, fixed, prior, bounds and scope.
+
+    Args:
+        table: of the file. around: test -> what its model has beside the material, see `declared_around`.
 
     Raises:
         InputError: a name that no model has, or whose scope is not clear; with the field.
     """
     laws = {parameter: law_declaration(LAWS[law], parameter) for law in table.laws
             for parameter in LAWS[law].parameters}
-    around = {each.test: each.parameters for each in surroundings}
     named: dict[str, Named] = {}
-    for key in (*_TABLES, "scope"):
+    for key in (*BY_PARAMETER, "scope"):
         for name in getattr(table, key):
             if name not in named:
                 named[name] = _named(name, f"fit.{key}.{name}", laws, around, table)
@@ -103,21 +95,20 @@ def find_named(table: FitTable, surroundings: Sequence[Surroundings]) -> dict[st
     return named
 
 
-def _named(name: str, field: str, laws: Mapping[str, Declaration], around: Mapping[str, Mapping[str, Parameter]],
+def _named(name: str, field: str, laws: Mapping[str, Declaration], around: Mapping[str, Mapping[str, Declaration]],
            table: FitTable) -> Named:
     scope = table.scope.get(name)
     everywhere = tuple(around)
     path = name.removeprefix("material.")
     if path in laws:
         return Named(path, laws[path], True, _scope(name, scope, everywhere, SHARED), everywhere)
-    if path.startswith(("experiment.", "rig.")):
+    if path.startswith(_AROUND):
         own = {test: found for test, known in around.items() if (found := _find(path, known)) is not None}
         if not own:
             known = sorted({path for each in around.values() for path in each})
             raise InputError(f"no test has a parameter {name!r} that is a number{nearest(name, known)}", field=field)
-        first = next(iter(own.values()))
-        full = next(full for full, each in around[next(iter(own))].items() if each is first)
-        return Named(full, first.declaration, False, _scope(name, scope, tuple(own), None), tuple(own))
+        first = next(iter(own))
+        return Named(own[first], around[first][own[first]], False, _scope(name, scope, tuple(own), None), tuple(own))
     if "." not in path:
         hint = nearest(name, laws) + '; other parameters of the model are paths in quotes, "viscoelastic.terms[0].g"'
         raise InputError(f"none of the listed laws has a parameter {name!r}{hint}", field=field)
@@ -128,13 +119,12 @@ def _named(name: str, field: str, laws: Mapping[str, Declaration], around: Mappi
     return Named(full, declaration, False, _scope(name, scope, everywhere, SHARED), everywhere)
 
 
-def _find(path: str, known: Mapping[str, Parameter]) -> Parameter | None:
-    """The parameter at a path whose last part is the attribute's or that of files."""
+def _find(path: str, known: Mapping[str, Declaration]) -> str | None:
+    """The known path that is this one, or whose last part files write like this."""
     if path in known:
-        return known[path]
+        return path
     place, _, last = path.rpartition(".")
-    return next((each for full, each in known.items()
-                 if full.rpartition(".")[0] == place and each.declaration.key == last), None)
+    return next((full for full, each in known.items() if full.rpartition(".")[0] == place and each.key == last), None)
 
 
 def _scope(name: str, stated: str | list[str] | None, tests: Sequence[str],
@@ -164,14 +154,13 @@ def check_values(table: FitTable, named: Mapping[str, Named]) -> None:
     stated = {**table.start, **table.fixed}
     for key in ("prior", "bounds"):
         for name in getattr(table, key):
-            if not named[name].of_law and is_of_material(name, named) and name not in stated:
+            if not named[name].of_law and named[name].of_material and name not in stated:
                 raise InputError(f"give {name} a start too (or fix it), so that the material has it",
                                  field=f"fit.{key}.{name}")
     for name, value in stated.items():
-        if named[name].of_law:
-            continue
         what = named[name].declaration
-        widest = tuple(end / what.factor for end in what.bounds)
+        # A law itself says what it takes.
+        widest = (-np.inf, np.inf) if named[name].of_law else tuple(end / what.factor for end in what.bounds)
         low, high = table.bounds.get(name, widest)
         if low < widest[0] - 1e-12 * abs(widest[0]) or high > widest[1] + 1e-12 * abs(widest[1]):
             raise InputError(f"[{low:g}, {high:g}] is wider than what a model may have; give bounds within "

@@ -22,7 +22,7 @@ Pair = tuple[float, float]
 _WORDS = {"object": "a table, written [name] or { ... }", "array": "a list, written [...]"}
 _PLACE_IN_TEST = re.compile(r"^test\[(?P<number>\d+)\]\.(?P<key>\w+)(?P<rest>.*)$")
 #: What the tables of ``[fit]`` hold for each parameter.
-_BY_PARAMETER = {"start": "a number", "fixed": "a number", "prior": "[mean, standard deviation]",
+BY_PARAMETER = {"start": "a number", "fixed": "a number", "prior": "[mean, standard deviation]",
                  "bounds": "[low, high]"}
 
 
@@ -193,7 +193,7 @@ def decode_campaign(path: Path) -> tuple[CampaignTable, bytes, Defaults]:
 
 def _check_by_parameter(fit: Any) -> None:
     """Types in the tables whose keys are parameters, which the decoder does not name."""
-    for key, expected in _BY_PARAMETER.items():
+    for key, expected in BY_PARAMETER.items():
         table = fit.get(key) if isinstance(fit, dict) else None
         for name, value in table.items() if isinstance(table, dict) else ():
             numbers = value if expected.startswith("[") else [value]

@@ -12,6 +12,7 @@ from calibration.fit.estimator import Estimator, Findings
 from calibration.fit.fit import Covariance, Fit, Profile
 from calibration.fit.identifiability import not_identifiable
 from calibration.fit.levenberg_marquardt import Descent
+from calibration.fit.population import differing_specimens, population_of, typical
 from calibration.fit.profiles import ProfileSide
 from calibration.fit.self_weight import sags
 from calibration.forward.contract import Reached
@@ -30,15 +31,16 @@ def assess(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descen
         sides: of the profiles. campaign: what was asked.
     """
     problem, space = estimate.problem, estimate.problem.space
-    law, evaluation = find_law(space.law), problem.evaluate(estimate.theta)
+    law = find_law(space.law)
     theta = estimate.theta[: len(space.free)]
     values = space.values(theta)
-    moduli = space.of_law(values)
+    population = population_of(space, theta, spread.covariance, spread.standard_errors)
+    moduli = space.of_law(typical(space, values, population))
     errors: dict[str, float | None] = dict.fromkeys(space.fixed, 0.0)
     errors |= {name: float(e) if np.isfinite(e) else None
                for name, e in zip(space.free, spread.standard_errors, strict=False)}
     reached = {test.name: test.reached(space, theta) for test in problem.tests}
-    stretches = estimator.stretch_range(list(reached.values()))
+    stretches = (min(one.principal[0] for one in reached.values()), max(one.principal[1] for one in reached.values()))
     stability = check_stability(law, law.as_array(moduli), (min(STRETCH_RANGE[0], stretches[0]),
                                                             max(STRETCH_RANGE[1], stretches[1])))
     mu0 = law.mu0(moduli)
@@ -62,9 +64,9 @@ def assess(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descen
         "sag_mm": sags(law, law.as_array(moduli), campaign), "minima": list(estimate.minima), "starts": len(descents),
         "status": status, "unusable": unusable, "cpu_s": 0.0, "interval_notes": notes, "profiles": profiles,
         "iterations": sum(len(descent.history) for descent in descents) + len(estimate.history),
-        "material_file": f"{law.name}.material.json" if mu0 > 0 else None}
-    lost = _other_losses(stability, reached, stretches)
-    found = Findings(estimate, evaluation, spread, descents, values, loose, status, unusable, lost)
+        "population": population, "material_file": f"{law.name}.material.json" if mu0 > 0 else None}
+    lost = [*_other_losses(stability, reached, stretches), *differing_specimens(estimate)]
+    found = Findings(estimate, spread, descents, values, loose, status, unusable, lost)
     return Fit(**shared | estimator.describe(found))
 
 

@@ -33,8 +33,7 @@ def check_start(problem: Problem, campaign: Campaign, number: int) -> None:
                          field=f"fit.laws[{number}]")
     theta = starts(space, 1)[0]
     values = space.values(theta)
-    own = space.of_law(values)
-    stated = [name for name in own if name in campaign.fit.start or name in campaign.fit.fixed]
+    stated = [name for name in space.of_law(values) if name in campaign.fit.start or name in campaign.fit.fixed]
     key = "start" if any(name in campaign.fit.start for name in stated) else "fixed"
     try:
         space.material(values)
@@ -42,7 +41,7 @@ def check_start(problem: Problem, campaign: Campaign, number: int) -> None:
         raise InputError(f"{law.name} is no material with this start: {error.problem}", file=campaign.path,
                          field=f"fit.{key}") from None
     if stated:
-        _check_stable(problem, campaign, law, own, key)
+        _check_stable(problem, theta, campaign, key)
     try:
         evaluation = problem.evaluate(theta)
     except InfeasibleError as error:
@@ -59,14 +58,16 @@ def check_start(problem: Problem, campaign: Campaign, number: int) -> None:
                              file=campaign.path, field=field)
 
 
-def _check_stable(problem: Problem, campaign: Campaign, law, own: dict[str, float], key: str) -> None:
+def _check_stable(problem: Problem, theta: np.ndarray, campaign: Campaign, key: str) -> None:
     """Refuse a stated law that loses stability in a homogeneous test inside its data."""
+    law, space = find_law(problem.space.law), problem.space
+    own = law.as_array(space.of_law(space.values(theta)))
     for test in problem.tests:
         if not test.homogeneous or not test.closed_form.rest:
             continue
-        strain = max(float(curve.displacement.max()) for curve in test.measured) / test.height
-        low, high = (1 - strain, 1.01) if test.sign < 0 else (0.99, 1 + strain)
-        lower, upper = check_stability(law, law.as_array(own), (min(low, 0.99), high)).limits[test.closed_form.mode]
+        reached = test.reached(space, theta)
+        low, high = reached.low, reached.high
+        lower, upper = check_stability(law, own, (min(low, 0.99), max(high, 1.01))).limits[test.closed_form.mode]
         if lower > low or upper < high:
             limit, end = (lower, low) if lower > low else (upper, high)
             raise InputError(f"{law.name} loses stability at stretch {limit:.3g} with this start, inside the data of "

@@ -52,9 +52,13 @@ def _grids(count: int) -> Iterator[tuple[float, ...]]:
 
 
 def _elastic_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
-    space, law = problem.space, find_law(problem.space.law)
-    moduli = [i for i, name in enumerate(space.free) if law.units.get(name, "1") != "1"]
-    exponents = [i for i, name in enumerate(space.free) if law.units.get(name) == "1"]
+    space = problem.space
+    of_law = [each.of_law for each in space.varied]
+    moduli = [i for i, each in enumerate(space.varied) if each.of_law and each.is_modulus]
+    exponents = [i for i, each in enumerate(space.varied) if each.is_exponent]
+    # One grid for the exponents of the law, whichever specimen they are of.
+    paths = [space.varied[i].path for i in exponents]
+    kinds = list(dict.fromkeys(paths))
     # Stress is linear in the moduli without weight, and bent a little with it: solved for in turn, it starts a fit.
     weightless = problem.weightless
     solves = [weightless] if all(test.proportional for test in problem.tests) else [weightless, problem, problem]
@@ -64,11 +68,11 @@ def _elastic_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
     guess = max(largest / max(strain, 1e-3), 1e-9) / 6.0 / max(len(moduli), 1)
     low, high = problem.bounds
     candidates = []
-    for grid in _grids(len(exponents)):
+    for grid in _grids(len(kinds)):
         unknowns = np.zeros(low.size)
         for place, name in enumerate(space.free):
-            unknowns[place] = space.start.get(name, 0.0) if name not in law.units else guess
-        unknowns[exponents] = grid
+            unknowns[place] = guess if of_law[place] else space.start.get(name, 0.0)
+        unknowns[exponents] = [grid[kinds.index(path)] for path in paths]
         tried = [np.clip(unknowns, low, high)]
         for solved_on in solves if moduli else ():
             evaluation = feasible(solved_on, tried[-1])
@@ -96,7 +100,7 @@ class _Relaxing:
         self.law = find_law(problem.space.law)
         self.moduli = np.array([self.law.units[name] != "1" for name in self.law.parameters])
         self.data = problem.data / problem.area
-        self.histories = [(problem.tests[t].sign, problem.tests[t].history(r)) for t, r in problem.places]
+        self.histories = [(problem.tests[t].kind.sign, problem.tests[t].history(r)) for t, r in problem.places]
 
     def parts(self, values: np.ndarray, tau: np.ndarray) -> np.ndarray:
         """Elastic and relaxing stresses, positive under load, shape (n, 1 + terms)."""

@@ -3,19 +3,46 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
 
+from calibration.campaign.campaign import Test
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.estimate import Estimate
-from calibration.fit.results import TestCurves
 from calibration.forward.contract import ForwardTest, InfeasibleError
 from calibration.statistics.jitter import Jitter
 from calibration.statistics.uncertainty import Uncertainty
 
 POINTS = 101
+
+
+@dataclass(frozen=True, eq=False)
+class TestCurves:
+    """One test as one fitted law sees it.
+
+    Forces in N, displacements in m; Pa and strain where `test.specimen` is None.
+
+    Attributes:
+        test: the test. measured: its recordings.
+        time: of the model's path, s, shape (k,), or None where the rate does not matter.
+        displacement: of the path, shape (k,). force: of the model there, without offset and zero, shape (k,).
+        force_error: standard error of that, from the parameters and the mesh, shape (k,).
+        band: half width of the 95 % band for a new recording: with noise, offset and zero, shape (k,).
+        fitted: of each recording the model's force at its samples, with its own offset and zero.
+        area: cross-section of the nominal stress, m2 (1 where stress was recorded); None where that is not homogeneous.
+    """
+
+    test: Test
+    measured: tuple[MeasuredCurve, ...]
+    time: np.ndarray | None
+    displacement: np.ndarray
+    force: np.ndarray
+    force_error: np.ndarray
+    band: np.ndarray
+    fitted: tuple[np.ndarray, ...]
+    area: float | None = None
 
 
 def draw_curves(estimate: Estimate, spread: Uncertainty, tests: Sequence[tuple[ForwardTest, float]],
@@ -27,8 +54,8 @@ def draw_curves(estimate: Estimate, spread: Uncertainty, tests: Sequence[tuple[F
         scatter: between recordings; None where nobody says.
     """
     problem, found = estimate.problem, []
-    evaluation = problem.evaluate(estimate.theta)
-    fitted = {curve.name: evaluation.force[rows] for curve, rows in zip(problem.measured, problem.rows, strict=True)}
+    along = estimate.evaluation.force
+    fitted = {curve.name: along[rows] for curve, rows in zip(problem.measured, problem.rows, strict=True)}
     for test, mesh_error in tests:
         path = _path(test)
         time = path.time if test.timed else None

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import time
-from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from calibration.campaign.campaign import Noise
 from calibration.fit.fit import Iteration, Minimum
-from calibration.fit.levenberg_marquardt import Listener, descend
-from calibration.fit.problem import Problem
+from calibration.fit.levenberg_marquardt import Descent, Listener, descend
+from calibration.fit.problem import Evaluation, Problem
 from calibration.forward.contract import InfeasibleError
 from calibration.forward.forms import FAST_REMAINDERS, REMAINDERS, remainder
 from calibration.statistics.jitter import Jitter, estimate_jitter
@@ -24,54 +23,42 @@ JITTER_SETTLED = 0.05
 MOST_REFRESHES = 8
 
 
-@dataclass(frozen=True, eq=False)
-class Stated:
-    """Jitter that the campaign states, m and N; None: to be estimated."""
-
-    contact: float | None
-    zero: float | None
-
-
-@dataclass(frozen=True, eq=False)
-class Estimate:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Estimate(Descent):
     """The minimum of the corrected problem.
 
     Attributes:
         problem: `Problem` with its corrections and jitter, or `OrdinaryProblem`.
-        theta: SI, shape (p,). error: sum of squares.
-        converged: whether the optimiser said so. failure: why not.
         differences: accurate against fast mesh for each test, relative to the largest force; NaN where the accurate
             mesh did not get through. refreshes: how often they were computed.
-        history, simulations, cpu_s: as in `Descent`.
         minima: distinct ends of the starts, best first.
     """
 
     problem: Any
-    theta: np.ndarray
-    error: float
-    converged: bool
-    failure: str
-    differences: tuple[float, ...]
-    refreshes: int
-    warnings: tuple[str, ...]
-    history: tuple[Iteration, ...]
-    simulations: dict[tuple[str, str], int]
-    cpu_s: float
+    differences: tuple[float, ...] = ()
+    refreshes: int = 0
+    warnings: tuple[str, ...] = ()
     minima: tuple[Minimum, ...] = ()
 
+    @property
+    def evaluation(self) -> Evaluation:
+        """Everything at the minimum."""
+        return self.problem.evaluate(self.theta)
 
-def settle(problem: Problem, theta: np.ndarray, stated: Stated, start: int = 1, past: int = 0,
+
+def settle(problem: Problem, theta: np.ndarray, stated: Noise, start: int = 1, past: int = 0,
            listen: Listener | None = None) -> Estimate:
     """Refresh the difference of the meshes and the jitter until neither moves the parameters.
 
     Args:
-        problem: uncorrected. theta: its minimum. stated: jitter. start, past, listen: as in `descend`.
+        problem: uncorrected. theta: its minimum. stated: jitter; None of it: to be estimated.
+        start, past, listen: as in `descend`.
     """
-    began, counted = time.process_time(), Counter(problem.solves.counts)
+    spent = problem.solves.meter()
     history: list[Iteration] = []
     differences: tuple[float, ...] = ()
     warnings: list[str] = []
-    if None in (stated.contact, stated.zero):
+    if None in (stated.contact_jitter, stated.zero_jitter):
         _estimate_jitter(problem, theta, stated)
         descent = descend(problem, theta, start=start, listen=listen, past=past)
         history += descent.history
@@ -81,7 +68,7 @@ def settle(problem: Problem, theta: np.ndarray, stated: Stated, start: int = 1, 
         differences = _refine(problem, theta, warnings)
         refreshes += 1
         jitter = problem.jitter
-        if None in (stated.contact, stated.zero):
+        if None in (stated.contact_jitter, stated.zero_jitter):
             _estimate_jitter(problem, theta, stated)
         problem.forget()
         descent = descend(problem, theta, start=start, corrected=True, listen=listen,
@@ -98,9 +85,8 @@ def settle(problem: Problem, theta: np.ndarray, stated: Stated, start: int = 1, 
         if refreshes == MOST_REFRESHES:
             warnings.append(f"the parameters still moved after {MOST_REFRESHES} refreshes of the mesh difference")
             break
-    return Estimate(problem, theta, descent.error, descent.converged, descent.problem, differences, refreshes,
-                    tuple(warnings), tuple(history), dict(problem.solves.counts - counted),
-                    time.process_time() - began)
+    return Estimate(start, theta, descent.error, descent.converged, descent.failure, tuple(history), *spent(),
+                    problem=problem, differences=differences, refreshes=refreshes, warnings=tuple(warnings))
 
 
 def _refine(problem: Problem, theta: np.ndarray, warnings: list[str]) -> tuple[float, ...]:
@@ -121,12 +107,12 @@ def _refine(problem: Problem, theta: np.ndarray, warnings: list[str]) -> tuple[f
     return tuple(found)
 
 
-def _estimate_jitter(problem: Problem, theta: np.ndarray, stated: Stated) -> None:
+def _estimate_jitter(problem: Problem, theta: np.ndarray, stated: Noise) -> None:
     """New jitter; where no test has two recordings the first guess stays, with freedom 0."""
     if all(len(test.measured) < 2 for test in problem.tests):
         return
     replicates = problem.replicates(problem.evaluate(theta))
-    problem.jitter = estimate_jitter(replicates, contact=stated.contact, zero=stated.zero)
+    problem.jitter = estimate_jitter(replicates, contact=stated.contact_jitter, zero=stated.zero_jitter)
     problem.forget()
 
 

@@ -196,6 +196,34 @@ class Covariance(msgspec.Struct, frozen=True, kw_only=True):
     matrix: list[list[float]]
 
 
+class PopulationStatement(msgspec.Struct, frozen=True, kw_only=True):
+    """The population that specimens with numbers of their own come from, SI; see
+    `calibration.statistics.population.Population`.
+
+    Attributes:
+        order: paths of the parameters. specimens: names of those that were measured.
+        mean, mean_errors, mean_intervals, mean_covariance: of the population.
+        between: covariance between specimens. spread, spread_intervals: its standard deviations.
+        next_specimen: 95 % interval for a specimen that was not measured.
+        estimates, errors: of each specimen alone. shrunken, shrunken_errors: of each with what the others tell.
+    """
+
+    order: list[str]
+    specimens: list[str]
+    mean: list[float]
+    mean_errors: list[float]
+    mean_intervals: list[tuple[float, float]]
+    mean_covariance: list[list[float]]
+    between: list[list[float]]
+    spread: list[float]
+    spread_intervals: list[tuple[float, float]]
+    next_specimen: list[tuple[float, float]]
+    estimates: list[list[float]]
+    errors: list[list[float]]
+    shrunken: list[list[float]]
+    shrunken_errors: list[list[float]]
+
+
 class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0": "mu0_Pa"}):
     """A law fitted to a campaign. Encoded, it is an entry of ``fits`` in ``fit.json``.
 
@@ -216,7 +244,7 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
         AIC, BIC: with the noise taken as known and priors as penalties, up to a constant that all laws share.
         E0, mu0: initial Young's and shear modulus of the incompressible law, Pa.
         stable_from, stable_to: stretches that are Drucker-stable in all three modes of loading; stability: the same
-            in words; stretch_range: of the data.
+            in words; stretch_range: of all principal stretches of the data.
         sag_mm: specimen that weighs -> by how much it sags with this law.
         nuisances: of the replicates when offsets are fitted or their jitter is marginalised.
         minima: best first. starts: how many were tried.
@@ -228,6 +256,7 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
         iterations: evaluations of the model. fem_solves: simulated tests; 0 for a closed form. cpu_s: processor
             seconds.
         material_file: name of the file, None where the fit gives no material.
+        population: of the specimens, where each has numbers of its own; the material is then its mean.
 
     Of an inverse fit only:
         interval_notes: name -> what cut its interval. profiles: name -> profile likelihood.
@@ -277,6 +306,7 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
     fem_solves: int = 0
     cpu_s: float
     material_file: str | None = None
+    population: PopulationStatement | None = None
     interval_notes: dict[str, str] = {}
     profiles: dict[str, Profile] = {}
     regions: list[Region] = []

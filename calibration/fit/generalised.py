@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from calibration.campaign.campaign import Campaign, Test
-from calibration.campaign.measured import MeasuredCurve
+from calibration.campaign.campaign import Noise, Test
 from calibration.fit.campaign_problem import build_problem
 from calibration.fit.checks import check_start
-from calibration.fit.estimate import Estimate, Stated, settle
-from calibration.fit.estimator import Findings, Runner
+from calibration.fit.estimate import Estimate, settle
+from calibration.fit.estimator import Estimator, Findings
 from calibration.fit.fit import Fit, JitterStatement, MeshCorrection, Minimum, Nuisance, Prediction
 from calibration.fit.identifiability import condition, suggest_tests, weak_directions
-from calibration.fit.levenberg_marquardt import ENOUGH_OF_A_START, Descent, Listener, descend
+from calibration.fit.levenberg_marquardt import ENOUGH_OF_A_START, Descent, Listener, descend, distinct
 from calibration.fit.problem import Evaluation, Problem
 from calibration.fit.ranking import prediction_message
 from calibration.fit.regions import judge_regions, name_misfits
 from calibration.fit.starts import starts
+from calibration.fit.steps import Steps
 from calibration.fit.uncertainty import assess_uncertainty
-from calibration.forward.contract import ForwardTest, InfeasibleError, Reached
+from calibration.forward.contract import ForwardTest, InfeasibleError
 from calibration.forward.forms import FAST_REMAINDERS, REMAINDERS, build_test, remainder
-from calibration.forward.solves import Solves
 from calibration.statistics.jitter import Jitter
 from calibration.statistics.statistics import MODEL_ERROR_RATIO, r_squared
 from calibration.statistics.uncertainty import Uncertainty
@@ -36,16 +35,11 @@ SUSPECT = 4.0
 FEW = 6
 
 
-class Generalised:
+class Generalised(Estimator):
     """Any test, force, weights from noise, jitter and mesh error; see `calibration.fit.estimator.Estimator`."""
 
     explores = True
-    by_prediction = True
     words = "inverse FEM: generalised least squares on force"
-    pooled_noise: float | None = None
-
-    def __init__(self, campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCurve]], solves: Solves):
-        self.campaign, self.measured, self.solves = campaign, measured, solves
 
     def problem(self, law: str) -> Problem:
         """The least-squares problem of one law over all tests that are not held out."""
@@ -55,45 +49,41 @@ class Generalised:
         """Refuse a start that the law or the tests do not bear, or a parameter that no test can see."""
         check_start(self.problem(law), self.campaign, number)
 
-    def estimate(self, laws: Sequence[str], run: Runner) -> dict[str, tuple[list[Descent], Estimate | str]]:
+    def estimate(self, laws: Sequence[str], steps: Steps) -> dict[str, tuple[list[Descent], Estimate | str]]:
         """As `Estimator.estimate`: all starts of all laws at once, then all mesh differences."""
         problems = {law: self.problem(law) for law in laws}
         keys = [(law, number, theta) for law in laws
                 for number, theta in enumerate(starts(problems[law].space, self.campaign.fit.starts), 1)]
-        ends = run.descents(run_start, [law for law, *_ in keys],
-                            [(problems[law], number, theta) for law, number, theta in keys],
-                            f"{len(keys)} start{'s' if len(keys) > 1 else ''}")
+        ends = steps.descents(run_start, [law for law, *_ in keys],
+                              [(problems[law], number, theta) for law, number, theta in keys],
+                              f"{len(keys)} start{'s' if len(keys) > 1 else ''}")
         descents: dict[str, list[Descent]] = {law: [] for law in laws}
         for (law, *_), end in zip(keys, ends, strict=True):
             descents[law].append(end)
         best = {law: min(descents[law], key=lambda end: end.error) for law in laws}
         usable = [law for law in laws if np.isfinite(best[law].error)]
-        settled = run.descents(run_settle, usable, [(problems[law], best[law], self._stated(problems[law]))
-                                                    for law in usable], "the difference of the accurate mesh")
+        settled = steps.descents(run_settle, usable, [(problems[law], best[law], self._stated(problems[law]))
+                                                      for law in usable], "the difference of the accurate mesh")
         found: dict[str, tuple[list[Descent], Estimate | str]] = {
-            law: (descents[law], best[law].problem) for law in laws}
+            law: (descents[law], best[law].failure) for law in laws}
         for law, estimate in zip(usable, settled, strict=True):
             estimate.problem.solves = self.solves
             found[law] = descents[law], estimate if np.isfinite(estimate.error) else estimate.failure
         return found
 
-    def _stated(self, problem: Problem) -> Stated:
+    def _stated(self, problem: Problem) -> Noise:
         """The jitter that is not to be estimated: fitted offsets have their priors."""
         if self.campaign.fit.offset == "fit":
-            return Stated(problem.jitter.contact, problem.jitter.zero)
-        return Stated(self.campaign.noise.contact_jitter, self.campaign.noise.zero_jitter)
+            return Noise(contact_jitter=problem.jitter.contact, zero_jitter=problem.jitter.zero)
+        return self.campaign.noise
 
-    def uncertainty(self, estimate: Estimate, evaluation: Evaluation) -> Uncertainty:
+    def uncertainty(self, estimate: Estimate) -> Uncertainty:
         """That of the parameters, with the nuisances marginalised."""
-        return assess_uncertainty(estimate.problem, evaluation)
-
-    def stretch_range(self, reached: Sequence[Reached]) -> tuple[float, float]:
-        """Of all principal stretches."""
-        return min(one.principal[0] for one in reached), max(one.principal[1] for one in reached)
+        return assess_uncertainty(estimate.problem, estimate.evaluation)
 
     def describe(self, found: Findings) -> dict[str, Any]:
         """As `Estimator.describe`."""
-        estimate, spread, evaluation = found.estimate, found.spread, found.evaluation
+        estimate, spread, evaluation = found.estimate, found.spread, found.estimate.evaluation
         problem, space = estimate.problem, estimate.problem.space
         on_bound = [name for name, hit in zip(space.free, spread.on_bound, strict=True) if hit]
         regions = judge_regions(problem, evaluation)
@@ -157,7 +147,7 @@ def run_start(problem: Problem, number: int, theta: np.ndarray, listen: Listener
     return descend(problem, theta, start=number, enough=ENOUGH_OF_A_START, listen=listen)
 
 
-def run_settle(problem: Problem, best: Descent, stated: Stated, listen: Listener | None = None) -> Estimate:
+def run_settle(problem: Problem, best: Descent, stated: Noise, listen: Listener | None = None) -> Estimate:
     """From the best minimum to the estimate."""
     return settle(problem, best.theta, stated, start=best.start, past=len(best.history), listen=listen)
 
@@ -215,15 +205,8 @@ def _nuisances(problem: Problem, evaluation: Evaluation) -> list[Nuisance]:
 def _minima(descents: Sequence[Descent], problem: Problem) -> list[Minimum]:
     """Distinct ends of the starts, before the mesh difference was in."""
     total = float(np.sum((problem.data - problem.data.mean())**2))
-    kept: list[list] = []
-    for descent in sorted((d for d in descents if d.history and np.isfinite(d.error)), key=lambda d: d.error):
-        size = problem.sizes(descent.theta)
-        for other in kept:
-            if (np.abs(descent.theta - other[0].theta) <= _SAME * size).all():
-                other[1] += 1
-                break
-        else:
-            kept.append([descent, 1])
+    kept = distinct([(d, 1) for d in descents if d.history and np.isfinite(d.error)],
+                    lambda one, other: np.abs(one - other) <= _SAME * problem.sizes(one))
     return [Minimum(parameters=problem.space.values(descent.theta),
                     R2=1.0 - descent.history[-1].RMSE_N**2 * problem.data.size / total, starts=count)
             for descent, count in kept]

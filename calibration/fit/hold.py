@@ -89,13 +89,13 @@ def fit_hold(recording: Recording, terms: int = 1, ramp: float = 0.0) -> HoldFit
     descents, estimate = fit_law(estimator.problem(_LAW))
     if not isinstance(estimate, Estimate):
         raise ConvergenceError("no start gives a finite force over the hold; check the units of force and time")
-    spread = estimator.uncertainty(estimate, estimate.problem.evaluate(estimate.theta))
+    spread = estimator.uncertainty(estimate)
     fit = assess(estimator, estimate, spread, descents, (), campaign)
     material = estimate.problem.space.material(fit.parameters)
     size = 2.0 * _SMALL
     error = fit.standard_errors["C10"]
     errors = {"force": None if error is None else size * error, **{name: fit.standard_errors[name] for name in start}}
     message = fit.message.replace("C10", "force")
-    residual = estimate.problem.evaluate(estimate.theta).force - estimate.problem.data
+    residual = estimate.evaluation.force - estimate.problem.data
     return HoldFit(size * fit.parameters["C10"], material.viscoelastic, errors,
                    float(np.sqrt(np.mean(residual**2))), fit.status, message)

@@ -101,9 +101,8 @@ def _candidates(problem: Problem, theta: np.ndarray) -> Sequence[tuple[str, Expe
                 (f"lubricated compression to {millimetres}", Plate(), "frictionless"),
                 (f"bonded compression to {millimetres}", Plate(), "bonded"),
                 (f"needle indentation (flat, radius {needle.radius * 1e3:.3g} mm) to {millimetres}", needle, "bonded")):
-            base = "frictionless" if friction == "frictionless" else "bonded"
             for ending, protocol in _protocols(depth, ageing):
-                found.append((words + ending, Experiment(specimen, protocol, tool, friction, base)))
+                found.append((words + ending, Experiment(specimen, protocol, tool, friction, friction)))
     return found
 
 
@@ -122,9 +121,9 @@ def _information(problem: Problem, theta: np.ndarray, experiment: Experiment, sp
     """Scaled information of three recordings with the jitter marginalised; None where it stops."""
     space = problem.space
     try:
-        own = [i for i, name in enumerate(space.free) if space.unknown(name).of_material]
+        own = [i for i, each in enumerate(space.varied) if each.of_material]
         answer = sensitivities(Model(experiment, space.material(space.values(theta))),
-                               [space.unknown(space.free[i]).path for i in own])
+                               [space.varied[i].path for i in own])
     except (ConvergenceError, InputError):
         return None
     recording = answer.recording

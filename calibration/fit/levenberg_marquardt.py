@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import cast
 
@@ -33,7 +31,7 @@ class Descent:
 
     Attributes:
         start: its number, from 1. theta: the end, SI, shape (p,). error: sum of squares there, inf where the start has
-            no force. converged: whether the optimiser said so. problem: why not.
+            no force. converged: whether the optimiser said so. failure: why not.
         history: every solve. simulations: (test, resolution) -> simulations that were done. cpu_s: processor seconds.
     """
 
@@ -41,7 +39,7 @@ class Descent:
     theta: np.ndarray
     error: float
     converged: bool
-    problem: str
+    failure: str
     history: tuple[Iteration, ...]
     simulations: dict[tuple[str, str], int]
     cpu_s: float
@@ -50,20 +48,15 @@ class Descent:
 class _Outer:
     """The problem as scipy sees it."""
 
-    def __init__(self, problem: LeastSquares, base: np.ndarray, free: np.ndarray, note: Callable, enough: float):
-        self.problem, self.free, self.note, self.enough = problem, free, note, enough
-        self.variables = problem.variables(base)
-        self.base = np.clip(self.variables.of(base), self.variables.low, self.variables.high)
+    def __init__(self, problem: LeastSquares, theta: np.ndarray, note: Callable, enough: float):
+        self.problem, self.note, self.enough = problem, note, enough
+        self.variables = problem.variables(theta)
+        self.start = np.clip(self.variables.of(theta), *self.variables.bounds)
         self.failure = ""
-
-    def theta(self, u: np.ndarray) -> np.ndarray:
-        variables = self.base.copy()
-        variables[self.free] = u
-        return self.variables.unknowns(variables)
 
     def residual(self, u: np.ndarray) -> np.ndarray:
         try:
-            evaluation = self.problem.evaluate(self.theta(u))
+            evaluation = self.problem.evaluate(self.variables.unknowns(u))
         except InfeasibleError as error:
             self.failure = str(error)
             return np.full(self.size, np.inf)
@@ -73,16 +66,14 @@ class _Outer:
         return residual
 
     def jacobian(self, u: np.ndarray) -> np.ndarray:
-        theta, variables = self.theta(u), self.base.copy()
-        variables[self.free] = u
-        evaluation = self.problem.evaluate(theta)
+        evaluation = self.problem.evaluate(self.variables.unknowns(u))
         residual, jacobian = evaluation.projected
-        jacobian = self.variables.times(jacobian, variables)[:, self.free]
+        jacobian = self.variables.times(jacobian, u)
         if self.enough:
             # What the best step would still gain; it is not worth a solve when it does not count.
             gain = float(np.sum((jacobian @ np.linalg.lstsq(jacobian, residual, rcond=1e-12)[0])**2))
             if gain < self.enough * max(1.0, evaluation.error / self.problem.samples):
-                raise _SettledError(theta, evaluation.error)
+                raise _SettledError(evaluation.theta, evaluation.error)
         return jacobian
 
     size = 1
@@ -96,8 +87,8 @@ class _SettledError(Exception):
         self.theta, self.error = theta, error
 
 
-def descend(problem: LeastSquares, theta: np.ndarray, *, start: int = 1, held: int | None = None,
-            corrected: bool = False, enough: float = ENOUGH, tolerance: float = TOLERANCE, gradient: float = GRADIENT,
+def descend(problem: LeastSquares, theta: np.ndarray, *, start: int = 1, corrected: bool = False,
+            enough: float = ENOUGH, tolerance: float = TOLERANCE, gradient: float = GRADIENT,
             most_solves: int = MOST_SOLVES, listen: Listener | None = None, past: int = 0) -> Descent:
     """Trust-region Levenberg-Marquardt from `theta`.
 
@@ -106,8 +97,7 @@ def descend(problem: LeastSquares, theta: np.ndarray, *, start: int = 1, held: i
 
     Args:
         problem: what to fit. theta: start, SI, shape (p,).
-        start: number for the history. held: index of a parameter that stays where it is.
-        corrected: whether the difference to the accurate mesh is in.
+        start: number for the history. corrected: whether the difference to the accurate mesh is in.
         enough: gain in the sum of squares, in units of the noise or the residuals, that is not worth a solve; 0: any
             gain is, and the tolerances alone end the descent. tolerance, gradient, most_solves: scipy's.
         listen: called after each solve. past: solves of this start so far.
@@ -117,14 +107,15 @@ def descend(problem: LeastSquares, theta: np.ndarray, *, start: int = 1, held: i
     (1978) 105.
     """
     space = problem.space
-    began, counted = time.process_time(), Counter(problem.solves.counts)
+    spent = problem.solves.meter()
     history: list[Iteration] = []
 
     def note(evaluation: Evaluation) -> None:
         if history and history[-1].parameters == named(evaluation):
             return
+        rmse = float(np.sqrt(np.mean((evaluation.force - problem.data)**2)))
         history.append(Iteration(start=start, run=past + len(history) + 1, parameters=named(evaluation),
-                                 error=evaluation.error, RMSE_N=rmse(problem, evaluation), corrected=corrected))
+                                 error=evaluation.error, RMSE_N=rmse, corrected=corrected))
         if listen is not None:
             listen(history[-1])
 
@@ -132,45 +123,54 @@ def descend(problem: LeastSquares, theta: np.ndarray, *, start: int = 1, held: i
         return dict(zip(space.free, evaluation.theta.tolist(), strict=False))
 
     def done(theta: np.ndarray, error: float, converged: bool, failure: str) -> Descent:
-        return Descent(start, theta, error, converged, failure, tuple(history),
-                       dict(problem.solves.counts - counted), time.process_time() - began)
+        return Descent(start, theta, error, converged, failure, tuple(history), *spent())
 
     theta = np.clip(theta, *problem.bounds)
-    free = np.array([i for i in range(theta.size) if i != held], dtype=int)
     try:
         note(problem.evaluate(theta))
-        if held is None and not corrected and enough:
+        if not corrected and enough:
             theta = _rescaled(problem, theta)
         evaluation = problem.evaluate(theta)
     except InfeasibleError as error:
         return done(theta, np.inf, False, str(error))
-    if not free.size:
+    if not theta.size:
         return done(theta, evaluation.error, True, "")
-    outer = _Outer(problem, theta, free, note, enough)
+    outer = _Outer(problem, theta, note, enough)
     try:
         # Scaled by the columns of the Jacobian: Pa, exponents, metres and newtons stand side by side.
         result = least_squares(
-            outer.residual, outer.base[free], outer.jacobian, x_scale="jac",
-            bounds=(outer.variables.low[free], outer.variables.high[free]), ftol=tolerance, xtol=tolerance,
-            gtol=gradient, max_nfev=most_solves)
+            outer.residual, outer.start, outer.jacobian, x_scale="jac", bounds=outer.variables.bounds,
+            ftol=tolerance, xtol=tolerance, gtol=gradient, max_nfev=most_solves)
     except _SettledError as settled:
         return done(settled.theta, settled.error, True, "")
-    theta = outer.theta(result.x)
+    theta = outer.variables.unknowns(result.x)
     failure = "" if result.status > 0 else \
         f"no minimum after {most_solves} solves{f'; {outer.failure}' if outer.failure else ''}"
     return done(theta, float(2 * result.cost), result.status > 0, failure)
 
 
-def rmse(problem: LeastSquares, evaluation: Evaluation) -> float:
-    """Root mean square of model minus data, with offsets and zeros, N."""
-    return float(np.sqrt(np.mean((evaluation.force - problem.data)**2)))
+def distinct(ends: Iterable[tuple[Descent, int]],
+             near: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> list[tuple[Descent, int]]:
+    """Minima that differ, best first, with how many starts fell into each.
+
+    Args:
+        ends: with how many starts each stands for. near: which parameters of two ends are alike.
+    """
+    kept: list[tuple[Descent, int]] = []
+    for end, count in sorted(ends, key=lambda item: item[0].error):
+        same = next((i for i, (other, _) in enumerate(kept) if near(end.theta, other.theta).all()), None)
+        if same is None:
+            kept.append((end, count))
+        else:
+            kept[same] = kept[same][0], kept[same][1] + count
+    return kept
 
 
 def _rescaled(problem: LeastSquares, theta: np.ndarray) -> np.ndarray:
     """The same ratios of moduli, with the factor that fits best."""
     space = problem.space
-    moduli = np.array([space.is_modulus(name) for name in space.free])
-    fixed = any(space.is_modulus(name) for name in space.fixed)
+    moduli = np.array([each.is_modulus for each in space.varied])
+    fixed = any(space.unknown(name).is_modulus for name in space.fixed)
     if fixed or not moduli.any() or not space.of_material_alone or not all(test.proportional for test in problem.tests):
         return theta
     # Without offsets and zeros, which far from the minimum would make up for a wrong size.

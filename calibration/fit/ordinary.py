@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -14,17 +13,17 @@ from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.closed_starts import closed_starts
 from calibration.fit.estimate import Estimate
-from calibration.fit.estimator import Findings, Runner
+from calibration.fit.estimator import Estimator, Findings
 from calibration.fit.fit import Fit, Minimum, Nuisance, Prediction
-from calibration.fit.levenberg_marquardt import Descent, descend
+from calibration.fit.levenberg_marquardt import Descent, descend, distinct
 from calibration.fit.ordinary_problem import OrdinaryProblem
 from calibration.fit.problem import Evaluation
 from calibration.fit.ranking import bic_message
+from calibration.fit.steps import Steps
 from calibration.forward.closed import ClosedTest
-from calibration.forward.contract import ForwardTest, Reached
+from calibration.forward.contract import ForwardTest
 from calibration.forward.forms import analytical_test
 from calibration.forward.solves import Solves
-from calibration.statistics.jitter import Jitter
 from calibration.statistics.statistics import CURVATURE_RATIO, MODEL_ERROR_RATIO, r_squared
 from calibration.statistics.uncertainty import Uncertainty, sandwich
 from tissue_sim.errors import InputError
@@ -46,27 +45,29 @@ _REMEDIES = {
 }
 
 
-class Ordinary:
+class Ordinary(Estimator):
     """Closed forms, nominal stress, all samples alike; see `calibration.fit.estimator.Estimator`."""
 
     explores = False
-    by_prediction = False
     words = "analytical: least squares on nominal stress"
 
     def __init__(self, campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCurve]], solves: Solves):
-        self.campaign, self.measured, self.solves = campaign, measured, solves
+        super().__init__(campaign, measured, solves)
         self.fitted = [curve for test in campaign.tests if not test.hold_out for curve in measured[test.name]]
 
     def problem(self, law: str) -> OrdinaryProblem:
         """The least-squares problem of one law over all tests that are not held out."""
-        space = ParameterSpace.of(law, self.campaign)
         tests = [self._test(test) for test in self.campaign.tests if not test.hold_out]
-        return OrdinaryProblem.of(space, tests, self.campaign.fit, self.solves)
+        return OrdinaryProblem.of(self._space(law), tests, self.campaign.fit, self.solves)
 
     @property
     def pooled_noise(self) -> float | None:
         """Of the nominal stress, over all samples, Pa."""
         return self.problem(self.campaign.fit.laws[0]).noise
+
+    def _space(self, law: str) -> ParameterSpace:
+        return ParameterSpace.of(law, self.campaign, {name: [curve.name for curve in curves]
+                                                      for name, curves in self.measured.items()})
 
     def _test(self, test: Test) -> ClosedTest:
         return analytical_test(test, self.measured[test.name], self.campaign.fit)
@@ -74,22 +75,22 @@ class Ordinary:
     def check(self, law: str, number: int) -> None:
         """Refuse laws with more parameters than the tests have samples."""
         samples = sum(curve.force.size for curve in self.fitted)
-        unknowns = len(ParameterSpace.of(law, self.campaign).names)
+        unknowns = len(self._space(law).names)
         if samples <= unknowns:
             raise InputError(f"{law} has {unknowns} parameters and the tests only {samples} points; widen max_strain "
                              "or take a simpler law", file=self.campaign.path, field=f"fit.laws[{number}]")
 
-    def estimate(self, laws: Sequence[str], run: Runner) -> dict[str, tuple[list[Descent], Estimate | str]]:
+    def estimate(self, laws: Sequence[str], steps: Steps) -> dict[str, tuple[list[Descent], Estimate | str]]:
         """As `Estimator.estimate`; one law after the other in this process."""
         found: dict[str, tuple[list[Descent], Estimate | str]] = {}
         for law in laws:
-            run.say(f"fitting {law} to {len(self.fitted)} recording{'s' if len(self.fitted) != 1 else ''}")
+            steps.say(f"fitting {law} to {len(self.fitted)} recording{'s' if len(self.fitted) != 1 else ''}")
             found[law] = fit_law(self.problem(law))
         return found
 
-    def uncertainty(self, estimate: Estimate, evaluation: Evaluation) -> Uncertainty:
+    def uncertainty(self, estimate: Estimate) -> Uncertainty:
         """The sandwich of the unknowns: parameters first, then offsets and zeros."""
-        problem, theta = estimate.problem, estimate.theta
+        problem, theta, evaluation = estimate.problem, estimate.theta, estimate.evaluation
         on_bound = problem.on_bound(theta)
         noise = np.array([curve.noise.deviation / problem.tests[t].area
                           for (t, _), curve in zip(problem.places, problem.measured, strict=True)])
@@ -103,10 +104,6 @@ class Ordinary:
         priors = float(evaluation.prior_residual @ evaluation.prior_residual)
         return replace(spread, sizes=np.abs(theta), criteria=(squares + priors, samples))
 
-    def stretch_range(self, reached: Sequence[Reached]) -> tuple[float, float]:
-        """Along the load."""
-        return min(one.low for one in reached), max(one.high for one in reached)
-
     def describe(self, found: Findings) -> dict[str, Any]:
         """As `Estimator.describe`."""
         problem, spread = found.estimate.problem, found.spread
@@ -117,7 +114,7 @@ class Ordinary:
             *((problem.space.symbols[name], found.values[name]) for name in on_bound), *held.items())]
         if found.status != "not_physical":
             warnings += found.lost
-        stress = (found.evaluation.force - problem.data) / problem.area
+        stress = (found.estimate.evaluation.force - problem.data) / problem.area
         recorded = [curve.test.specimen is not None for curve in problem.measured]
         measured = problem.data / problem.area
         return {
@@ -149,10 +146,6 @@ class Ordinary:
         """A closed form is exact."""
         return self._test(test), 0.0
 
-    def scatter(self, estimate: Estimate) -> Jitter | None:
-        """Nobody estimates it here."""
-        return None
-
     def rank_message(self, fits: Sequence[Fit], predictions: Sequence[Prediction]) -> str:
         """As `Estimator.rank_message`."""
         return bic_message(fits, self.fitted)
@@ -160,7 +153,7 @@ class Ordinary:
 
 def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
     """The descents of all starts of one law and its estimate, or why there is none."""
-    began, law = time.process_time(), problem.space.law
+    spent, law = problem.solves.meter(), problem.space.law
     # The force of a history needs all of its motion.
     stride = 1 if problem.remembers else -(-problem.samples // THINNED_POINTS)
     thin = problem if stride == 1 else problem.thinned(stride)
@@ -171,9 +164,12 @@ def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
         return descend(target, start, start=number, enough=0.0, tolerance=tolerance, gradient=tolerance,
                        most_solves=most)
 
+    def near(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        return (np.abs(one - other) <= _SAME * np.abs(other) + 1e-9)[: len(problem.space.free)]
+
     most = RELAXING_SOLVES if problem.relaxing else THINNED_SOLVES
     descents = [end_of(thin, start, number, most) for number, start in enumerate(closed_starts(thin), 1)]
-    ends = _distinct([(d, 1) for d in descents if np.isfinite(d.error)], problem)
+    ends = distinct([(d, 1) for d in descents if np.isfinite(d.error)], near)
     refined = ends if problem.relaxing else [(end_of(problem, end.theta, end.start, SOLVES), count)
                                              for end, count in ends[:MAX_MINIMA]]
     refined = sorted((item for item in refined if np.isfinite(item[0].error)), key=lambda item: item[0].error)
@@ -185,29 +181,14 @@ def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
     stress = problem.data / problem.area
     total = float(np.sum((stress - stress.mean())**2))
     minima = []
-    for descent, count in _distinct(refined, problem):
+    for descent, count in distinct(refined, near):
         residual = problem.evaluate(descent.theta).residual * problem.noise
         minima.append(Minimum(parameters=problem.space.values(descent.theta[: len(problem.space.free)]),
                               R2=1.0 - float(residual @ residual) / total, starts=count))
     minima.sort(key=lambda minimum: -minimum.R2)
-    return descents, Estimate(problem, best.theta, best.error, best.converged, "", (), 0, (),
-                              tuple(step for descent, _ in refined for step in descent.history), {},
-                              time.process_time() - began, tuple(minima))
-
-
-def _distinct(ends: Sequence[tuple[Descent, int]], problem: OrdinaryProblem) -> list[tuple[Descent, int]]:
-    """Minima that differ in the parameters, best first, with how many starts fell into each."""
-    size = len(problem.space.free)
-    kept: list[list] = []
-    for descent, count in sorted(ends, key=lambda item: item[0].error):
-        for other in kept:
-            there = other[0].theta[:size]
-            if (np.abs(descent.theta[:size] - there) <= _SAME * np.abs(there) + 1e-9).all():
-                other[1] += count
-                break
-        else:
-            kept.append([descent, count])
-    return [tuple(item) for item in kept]
+    history = tuple(step for descent, _ in refined for step in descent.history)
+    return descents, Estimate(best.start, best.theta, best.error, best.converged, "", history, *spent(),
+                              problem=problem, minima=tuple(minima))
 
 
 def neighbour_correlation(problem: OrdinaryProblem, evaluation: Evaluation) -> float:
@@ -225,7 +206,7 @@ def _relaxation(problem: OrdinaryProblem, found: Findings) -> list[str]:
     times = [] if problem.relaxing is None else found.estimate.theta[problem.relaxing.tau]
     notes = [f"tau {tau:.3g} s is {'shorter than the steps' if tau < shortest else 'longer than the record'} "
              f"({shortest:.3g} to {longest:.3g} s)" for tau in times if not shortest <= tau <= longest]
-    correlation = neighbour_correlation(problem, found.evaluation)
+    correlation = neighbour_correlation(problem, found.estimate.evaluation)
     if correlation > CORRELATED:
         notes.append(f"the residuals are smooth (neighbours correlate by {correlation:.2f}): they are a model error, "
                      "not noise, and the criteria favour too many terms")

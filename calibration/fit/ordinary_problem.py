@@ -10,8 +10,8 @@ import numpy as np
 from calibration.campaign.campaign import FitSettings, Noise
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace
-from calibration.fit.problem import Evaluation
-from calibration.fit.variables import LongTerm, Scaled, Variables
+from calibration.fit.problem import Evaluation, LeastSquares
+from calibration.fit.variables import LongTerm, Variables
 from calibration.forward.closed import ClosedTest
 from calibration.forward.contract import InfeasibleError
 from calibration.forward.solves import Solves
@@ -26,33 +26,24 @@ ON_BOUND = 1e-6
 
 
 @dataclass(eq=False)
-class OrdinaryProblem:
-    """All fitted tests of a campaign with one law, as `calibration.fit.problem.LeastSquares`.
-
-    Residuals are those of the nominal stress in units of one noise. The unknowns are the free parameters, then contact
-    offset, m, and zero, N, of each recording that has them.
+class OrdinaryProblem(LeastSquares):
+    """Residuals are those of the nominal stress in units of one noise. The unknowns are the free parameters, then
+    contact offset, m, and zero, N, of each recording that has them.
 
     Attributes:
-        space: parameters. tests: those that count. settings: offsets, their bounds and priors.
+        settings: offsets, their bounds and priors.
         noise: of the nominal stress, pooled over all samples, Pa. force_noise: the largest of the recordings', N.
-        shifted: test and number of the recordings that have an offset and a zero. bounds: of the unknowns.
-        prior_mean, prior_deviation: shapes (k,); deviation inf where there is no prior.
+        shifted: numbers of the recordings that have an offset and a zero.
     """
 
-    space: ParameterSpace
     tests: tuple[ClosedTest, ...]
     settings: FitSettings
     noise: float
     force_noise: float
-    solves: Solves
 
     def __post_init__(self):
+        super().__post_init__()
         self.mesh_error = (0.0,) * len(self.tests)
-        self.places = [(t, r) for t, test in enumerate(self.tests) for r in range(len(test.measured))]
-        ends = np.cumsum([0, *(curve.force.size for curve in self.measured)])
-        self.rows = [slice(*pair) for pair in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)]
-        self.samples = int(ends[-1])
-        self.data = np.concatenate([curve.force for curve in self.measured])
         self.area = np.concatenate([np.full(curve.force.size, self.tests[t].area)
                                     for (t, _), curve in zip(self.places, self.measured, strict=True)])
         self.shifted = [i for i, curve in enumerate(self.measured) if self.settings.offset == "fit"
@@ -74,12 +65,7 @@ class OrdinaryProblem:
         index = np.repeat(np.arange(len(pairs)), [curve.force.size for curve, _ in pairs])
         noise = pooled_noise(np.array([curve.noise.deviation / area for curve, area in pairs]), index)
         force_noise = max((curve.noise.deviation for curve, _ in pairs if curve.test.specimen is not None), default=0.0)
-        return cls(space, tuple(tests), settings, noise, force_noise, solves)
-
-    @property
-    def measured(self) -> list[MeasuredCurve]:
-        """The recordings, in the order of the rows."""
-        return [self.tests[t].measured[r] for t, r in self.places]
+        return cls(space, tuple(tests), solves, settings, noise, force_noise)
 
     @property
     def index(self) -> np.ndarray:
@@ -127,16 +113,19 @@ class OrdinaryProblem:
         """The same problem without self-weight."""
         return replace(self, tests=tuple(test.weightless for test in self.tests))
 
+    def sizes(self, theta: np.ndarray) -> np.ndarray:
+        """Of offsets and zeros, their priors."""
+        free = len(self.space.free)
+        return np.append(super().sizes(theta[:free]), self.prior_deviation[free:])
+
     def variables(self, theta: np.ndarray) -> Variables:
         """The unknowns in units of their sizes at `theta`, or those of a material that relaxes."""
-        free = len(self.space.free)
-        sizes = np.append(self.space.sizes(self.space.values(theta[:free])), self.prior_deviation[free:])
-        return self.relaxing or Scaled(sizes, self.bounds)
+        return self.relaxing or super().variables(theta)
 
     def on_bound(self, theta: np.ndarray) -> np.ndarray:
         """Which unknowns a bound holds, bool, shape (k,)."""
         variables = self.relaxing
-        low, high = self.bounds if variables is None else (variables.low, variables.high)
+        low, high = self.bounds if variables is None else variables.bounds
         u = theta if variables is None else variables.of(theta)
         reach = np.where(np.isfinite(high - low), high - low, np.maximum(np.abs(u), 1.0))
         return (u - low <= ON_BOUND * reach) | (high - u <= ON_BOUND * reach)
@@ -147,39 +136,20 @@ class OrdinaryProblem:
         values[self.shifted] = theta[len(self.space.free):].reshape(-1, 2)
         return values
 
-    def evaluate(self, theta: np.ndarray) -> Evaluation:
-        """Everything at these unknowns, shape (k,).
-
-        Raises:
-            InfeasibleError: no such material, or no finite stress.
-        """
-        theta, free = np.array(theta, dtype=float), len(self.space.free)
-        last = self.__dict__.get("_last")
-        if last is not None and np.array_equal(last.theta, theta):
-            return last
+    def _weighted(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
+        free = len(self.space.free)
         force, rates = np.empty(self.samples), np.zeros((self.samples, theta.size))
-        offsets, first = self.offsets(theta), 0
-        for test in self.tests:
-            numbers = range(first, first + len(test.measured))
-            rows = slice(self.rows[first].start, self.rows[numbers[-1]].stop)
-            shifted = [i for i in numbers if i in self.shifted]
-            answer = test.solve(self.space, theta[:free], self.solves)
-            force[rows], rates[rows, :free], contact = test.evaluate_all(answer, offsets[list(numbers), 0],
-                                                                         bool(shifted))
-            for i in shifted:
-                column, mine = free + 2 * self.shifted.index(i), self.rows[i]
-                force[mine] += offsets[i, 1]
-                rates[mine, column] = contact[mine.start - rows.start:mine.stop - rows.start]
-                rates[mine, column + 1] = 1.0
-            first = numbers.stop
+        answers = [test.solve(self.space, theta[:free], self.solves) for test in self.tests]
+        for i, (rows, (t, r), (offset, zero)) in enumerate(zip(self.rows, self.places, self.offsets(theta).tolist(),
+                                                               strict=True)):
+            shifted = i in self.shifted
+            force[rows], rates[rows, :free], contact = self.tests[t].evaluate(answers[t], r, offset, shifted)
+            if shifted:
+                column = free + 2 * self.shifted.index(i)
+                force[rows] += zero
+                rates[rows, column], rates[rows, column + 1] = contact, 1.0
         unit = self.area * self.noise
-        prior = np.flatnonzero(np.isfinite(self.prior_deviation))
-        prior_rates = np.zeros((prior.size, theta.size))
-        prior_rates[np.arange(prior.size), prior] = 1.0 / self.prior_deviation[prior]
-        self._last = Evaluation(theta, (force - self.data) / unit, rates / unit[:, None], np.zeros((self.samples, 0)),
-                                np.zeros(0), (theta[prior] - self.prior_mean[prior]) / self.prior_deviation[prior],
-                                prior_rates, force)
-        return self._last
+        return (force - self.data) / unit, rates / unit[:, None], np.zeros((self.samples, 0)), np.zeros(0), force
 
     def jitter_columns(self, theta: np.ndarray, noise: Noise) -> np.ndarray | None:
         """Nominal stress that one standard deviation of contact and zero jitter makes, Pa, shape (N, 2).

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -94,126 +93,105 @@ class Evaluation:
         return np.concatenate([self.residual, self.nuisances, self.prior_residual]), np.concatenate(rows)
 
 
-class LeastSquares(Protocol):
-    """What a descent needs of a problem; its weights are its own.
-
-    Attributes:
-        space: parameters. tests: those that count. samples: number of them. solves: what has been simulated.
-        data: measured force, N.
-        bounds: lowest and highest values of the unknowns: the free parameters, then others, if any.
-    """
-
-    space: ParameterSpace
-    samples: int
-    solves: Solves
-
-    @property
-    def tests(self) -> Sequence[ForwardTest]: ...
-
-    @property
-    def data(self) -> np.ndarray: ...
-
-    @property
-    def bounds(self) -> tuple[np.ndarray, np.ndarray]: ...
-
-    def variables(self, theta: np.ndarray) -> Variables:
-        """What is varied from `theta` on."""
-
-    def evaluate(self, theta: np.ndarray) -> Evaluation:
-        """Everything at these unknowns."""
-
-
 @dataclass(eq=False)
-class Problem:
-    """All fitted tests of a campaign with one law: generalised least squares, with what differs from recording to
-    recording eliminated.
+class LeastSquares:
+    """All fitted tests of a campaign with one law, as residuals of unknowns: the free parameters, then others, if any.
 
     Attributes:
         space: parameters. tests: those that count. solves: what has been simulated.
-        jitter: standard deviations of contact offset and zero.
-        mesh_error: standard deviation of each test's mesh error, relative to the model's force.
+        places: test and number of each recording. rows: of its samples. data: measured force, N, shape (N,).
+        bounds: lowest and highest values of the unknowns, shapes (k,).
+        prior_mean, prior_deviation: shapes (k,); deviation inf where there is no prior.
     """
 
     space: ParameterSpace
     tests: tuple[ForwardTest, ...]
     solves: Solves
-    jitter: Jitter
-    mesh_error: tuple[float, ...]
-    _last: Evaluation | None = field(default=None, repr=False)
+    _last: Evaluation | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self):
-        self._number()
-
-    def _number(self) -> None:
-        """Rows of each recording, its nuisance columns, and those of its test."""
-        self.rows, self.places, start, column = [], [], 0, 0
-        for t, test in enumerate(self.tests):
-            for r, measured in enumerate(test.measured):
-                self.rows.append(slice(start, start + measured.force.size))
-                self.places.append((t, r))
-                start += measured.force.size
-        kinds = [("contact", self.jitter.contact), ("zero", self.jitter.zero)]
-        self.kinds = [name for name, deviation in kinds if deviation > 0]
-        self.offset_columns = [slice(column + i * len(self.kinds), column + (i + 1) * len(self.kinds))
-                    for i in range(len(self.places))]
-        column = len(self.places) * len(self.kinds)
-        self.shared = []
-        for size in self.mesh_error:
-            modes = MESH_MODES if size > 0 else 0
-            self.shared.append(slice(column, column + modes))
-            column += modes
-        self.samples, self.nuisances = start, column
+        self.places = [(t, r) for t, test in enumerate(self.tests) for r in range(len(test.measured))]
+        ends = np.cumsum([0, *(curve.force.size for curve in self.measured)]).tolist()
+        self.rows = list(map(slice, ends[:-1], ends[1:]))
+        self.samples = ends[-1]
+        self.data = np.concatenate([curve.force for curve in self.measured])
+        self.bounds = self.space.low, self.space.high
+        self.prior_mean, self.prior_deviation = self.space.prior_mean, self.space.prior_deviation
 
     @property
-    def measured(self) -> list:
+    def measured(self) -> list[MeasuredCurve]:
         """The recordings, in the order of the rows."""
         return [self.tests[t].measured[r] for t, r in self.places]
 
-    @property
-    def data(self) -> np.ndarray:
-        """Measured force, N, shape (N,)."""
-        return np.concatenate([curve.force for curve in self.measured])
-
-    @property
-    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lowest and highest values of the unknowns, shapes (p,)."""
-        return self.space.low, self.space.high
-
     def sizes(self, theta: np.ndarray) -> np.ndarray:
-        """How large a change of each unknown is a whole one, shape (p,)."""
+        """How large a change of each unknown is a whole one, shape (k,)."""
         return self.space.sizes(self.space.values(theta))
 
     def variables(self, theta: np.ndarray) -> Variables:
-        """The parameters, in units of their sizes at `theta`."""
-        return Scaled(self.sizes(theta), self.bounds)
+        """What is varied from `theta` on: the unknowns in units of their sizes there."""
+        sizes, (low, high) = self.sizes(theta), self.bounds
+        return Scaled(sizes, (low / sizes, high / sizes))
+
+    def evaluate(self, theta: np.ndarray) -> Evaluation:
+        """Everything at these unknowns, shape (k,); the same ones again cost nothing.
+
+        Raises:
+            InfeasibleError: no such material, no convergence, or no finite force.
+        """
+        theta = np.array(theta, dtype=float)
+        if self._last is None or not np.array_equal(self._last.theta, theta):
+            residual, rates, columns, nuisances, force = self._weighted(theta)
+            prior = np.flatnonzero(np.isfinite(self.prior_deviation))
+            deviation = self.prior_deviation[prior]
+            prior_rates = np.zeros((prior.size, theta.size))
+            prior_rates[np.arange(prior.size), prior] = 1.0 / deviation
+            self._last = Evaluation(theta, residual, rates, columns, nuisances,
+                                    (theta[prior] - self.prior_mean[prior]) / deviation, prior_rates, force)
+        return self._last
+
+    def _weighted(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Residual, rates, columns, nuisances and force of an `Evaluation`."""
+        raise NotImplementedError
+
+
+@dataclass(eq=False)
+class Problem(LeastSquares):
+    """Generalised least squares, with what differs from recording to recording eliminated.
+
+    Attributes:
+        jitter: standard deviations of contact offset and zero.
+        mesh_error: standard deviation of each test's mesh error, relative to the model's force.
+    """
+
+    jitter: Jitter
+    mesh_error: tuple[float, ...]
+
+    def __post_init__(self):
+        super().__post_init__()
+        self.forget()
+
+    def forget(self) -> None:
+        """Count the nuisance columns of each recording and each test again: corrections or jitter are others."""
+        self._last, count = None, len(self.places)
+        self.kinds = [name for name in ("contact", "zero") if getattr(self.jitter, name) > 0]
+        self.offset_columns = [slice(i * len(self.kinds), (i + 1) * len(self.kinds)) for i in range(count)]
+        ends = np.cumsum([count * len(self.kinds), *(MESH_MODES * (size > 0) for size in self.mesh_error)]).tolist()
+        self.shared = list(map(slice, ends[:-1], ends[1:]))
+        self.nuisances = ends[-1]
 
     def with_tests(self, numbers: Sequence[int]) -> Problem:
         """The same problem with some of the tests."""
         return Problem(self.space, tuple(self.tests[i] for i in numbers), self.solves, self.jitter,
                        tuple(self.mesh_error[i] for i in numbers))
 
-    def evaluate(self, theta: np.ndarray) -> Evaluation:
-        """Everything at these parameters; the same ones again cost nothing.
-
-        Raises:
-            InfeasibleError: no such material, or no convergence.
-        """
-        theta = np.array(theta, dtype=float)
-        if self._last is not None and np.array_equal(self._last.theta, theta):
-            return self._last
+    def _weighted(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
         try:
             self.space.material(self.space.values(theta))
         except InputError as error:
             raise InfeasibleError(str(error)) from None
         answers = [test.solve(self.space, theta, self.solves) for test in self.tests]
         nuisances, (residual, rates, columns, force) = self._best_nuisances(answers)
-        prior = np.flatnonzero(np.isfinite(self.space.prior_deviation))
-        deviation = self.space.prior_deviation[prior]
-        prior_rates = np.zeros((prior.size, theta.size))
-        prior_rates[np.arange(prior.size), prior] = 1.0 / deviation
-        self._last = Evaluation(theta, residual, rates, columns, nuisances,
-                                (theta[prior] - self.space.prior_mean[prior]) / deviation, prior_rates, force)
-        return self._last
+        return residual, rates, columns, nuisances, force
 
     def bare(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Whitened residual (N,) and rates (N, p) without any nuisance.
@@ -272,11 +250,6 @@ class Problem:
             found = {"contact": places[best], "zero": zeros[best]}
             trial[columns] = [found[kind] for kind in self.kinds]
         return trial
-
-    def forget(self) -> None:
-        """The model has changed: corrections or jitter."""
-        self._last = None
-        self._number()
 
     def _linearise(self, answers: list, nuisances: np.ndarray):
         """Whitened residual (N,), rates (N, p) and columns (N, m) at these nuisances, and force in N (N,)."""

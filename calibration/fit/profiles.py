@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,7 +51,7 @@ def profile_side(problem: Problem, theta: np.ndarray, error: float, spread: Unce
     Source: Venzon and Moolgavkar, Appl. Statist. 37 (1988) 87; here each point starts from where the quadratic
     approximation puts the others, so that it mostly takes one solve.
     """
-    began, counted = time.process_time(), Counter(problem.solves.counts)
+    spent = problem.solves.meter()
     space, quantile = problem.space, float(spread.quantile[index])
     bound = space.high[index] if side > 0 else space.low[index]
     deviation = spread.standard_errors[index]
@@ -104,8 +102,7 @@ def profile_side(problem: Problem, theta: np.ndarray, error: float, spread: Unce
         end = theta[index] + side * float(ways[-1])
     else:
         end = theta[index] + side * float(np.interp(quantile, rises, ways))
-    return ProfileSide(index, side, theta[index] + side * ways, rises**2, float(end), note,
-                       dict(problem.solves.counts - counted), time.process_time() - began)
+    return ProfileSide(index, side, theta[index] + side * ways, rises**2, float(end), note, *spent())
 
 
 def _crossing(points: list[tuple[float, float]], quantile: float) -> float:

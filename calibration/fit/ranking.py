@@ -8,9 +8,9 @@ import numpy as np
 from msgspec.structs import replace
 
 from calibration.campaign.measured import MeasuredCurve
+from calibration.fit.curves import TestCurves
 from calibration.fit.fit import Fit, Prediction
 from calibration.fit.regions import name_misfits
-from calibration.fit.results import TestCurves
 from calibration.statistics.statistics import CURVATURE_RATIO, MODEL_ERROR_RATIO
 
 #: Laws whose predictions differ by less than this share are not told apart by them.

@@ -27,30 +27,25 @@ def judge_regions(problem: Problem, evaluation: Evaluation) -> list[Region]:
     """
     residual, design = evaluation.design
     found = []
-    for number, segment, modes, place, inside in _regions(problem):
-        columns = np.zeros((residual.size, modes))
-        shapes = np.zeros((problem.samples, modes))
-        for rows, (t, r), mine, along in zip(problem.rows, problem.places, inside, place, strict=True):
-            if t != number or not mine.any():
-                continue
-            measured = problem.tests[t].measured[r]
-            waves = np.zeros((mine.size, modes))
-            waves[mine] = cosine_modes(along[mine], modes)
-            shapes[rows] = waves
-            columns[rows] = whiten(waves, measured.time, measured.noise)
+    for number, segment, modes, parts in _regions(problem):
+        test, columns, shapes = problem.tests[number], np.zeros((residual.size, modes)), []
+        own = [rows for rows, (t, _) in zip(problem.rows, problem.places, strict=True) if t == number]
+        for rows, curve, (inside, along) in zip(own, test.measured, parts, strict=True):
+            waves = np.zeros((inside.size, modes))
+            waves[inside] = cosine_modes(along[inside], modes)
+            shapes.append(waves[inside])
+            columns[rows] = whiten(waves, curve.time, curve.noise)
         answer = misfit(residual, design, columns)
         # Model minus data, of what is smooth.
-        smooth = -shapes @ answer.amplitudes
-        places = np.concatenate([np.arange(rows.start, rows.stop)[mine]
-                                 for rows, mine in zip(problem.rows, inside, strict=True)])
-        displacement = np.concatenate([curve.displacement for curve in problem.measured])[places]
-        worst = int(np.argmax(np.abs(smooth[places])))
-        factor = 1.0 if problem.tests[number].measured[0].test.specimen is None else 1e3
+        smooth = -np.concatenate(shapes) @ answer.amplitudes
+        factor = 1.0 if test.measured[0].test.specimen is None else 1e3
+        displacement = factor * np.concatenate([curve.displacement[inside] for curve, (inside, _) in zip(
+            test.measured, parts, strict=True)])
+        worst = int(np.argmax(np.abs(smooth)))
         found.append(Region(
-            test=problem.tests[number].name, segment=segment, start=float(displacement.min() * factor),
-            end=float(displacement.max() * factor), p=answer.p, statistic=answer.statistic, freedom=answer.freedom,
-            misfit_N=float(np.sqrt(np.mean(smooth[places]**2))), largest_N=float(smooth[places][worst]),
-            at=float(displacement[worst] * factor), adequate=True))
+            test=test.name, segment=segment, start=float(displacement.min()), end=float(displacement.max()), p=answer.p,
+            statistic=answer.statistic, freedom=answer.freedom, misfit_N=float(np.sqrt(np.mean(smooth**2))),
+            largest_N=float(smooth[worst]), at=float(displacement[worst]), adequate=True))
     adjusted = holm(np.array([region.p for region in found]))
     return [replace(region, p=float(p), adequate=bool(p > LEVEL))
             for region, p in zip(found, adjusted, strict=True)]
@@ -67,26 +62,21 @@ def name_misfits(regions: Sequence[Region]) -> str:
     return ", ".join(found)
 
 
-def _regions(problem: Problem) -> Iterator[tuple]:
-    """Test, name, modes, and for each recording of the problem the place (0 to 1) and the samples of a region."""
+def _regions(problem: Problem) -> Iterator[tuple[int, str, int, list[tuple[np.ndarray, np.ndarray]]]]:
+    """Test, name, modes, and for each recording of the test the samples of a region and their place in it, 0 to 1."""
     for number, test in enumerate(problem.tests):
         segments = dict.fromkeys(name for curve in test.measured if curve.segment is not None
                                  for name in curve.segment.tolist())
         if len(segments) > 1:
-            for segment in segments:
-                inside = [curve.segment == segment if t == number else np.zeros(curve.force.size, bool)
-                          for curve, (t, _) in zip(problem.measured, problem.places, strict=True)]
-                place = [_along(curve.time, mine) for curve, mine in zip(problem.measured, inside, strict=True)]
-                if sum(mine.sum() for mine in inside) >= _FEWEST:
-                    yield number, segment, SEGMENT_MODES, place, inside
-            continue
-        deepest = max(curve.displacement.max() for curve in test.measured)
-        for third, name in enumerate(THIRDS):
-            share = [np.clip(curve.displacement / deepest, 0.0, 1.0) * 3 - third for curve in problem.measured]
-            inside = [((s > 0) | (third == 0)) & (s <= 1) if t == number else np.zeros(s.size, bool)
-                      for s, (t, _) in zip(share, problem.places, strict=True)]
-            if sum(mine.sum() for mine in inside) >= _FEWEST:
-                yield number, name, THIRD_MODES, [np.clip(s, 0.0, 1.0) for s in share], inside
+            regions = [(segment, SEGMENT_MODES, [(inside := curve.segment == segment, _along(curve.time, inside))
+                                                 for curve in test.measured]) for segment in segments]
+        else:
+            deepest = max(curve.displacement.max() for curve in test.measured)
+            shares = [np.clip(curve.displacement / deepest, 0.0, 1.0) * 3 for curve in test.measured]
+            regions = [(name, THIRD_MODES, [(((s > third) | (third == 0)) & (s - third <= 1),
+                                             np.clip(s - third, 0.0, 1.0)) for s in shares])
+                       for third, name in enumerate(THIRDS)]
+        yield from ((number, *region) for region in regions if sum(inside.sum() for inside, _ in region[2]) >= _FEWEST)
 
 
 def _along(time: np.ndarray | None, inside: np.ndarray) -> np.ndarray:

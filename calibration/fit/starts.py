@@ -21,14 +21,14 @@ def starts(space: ParameterSpace, count: int) -> list[np.ndarray]:
     Returns:
         Free parameters, SI, each of shape (p,), inside their bounds.
     """
-    exponents = [name for name in space.free if space.is_exponent(name)]
+    exponents = [each.name for each in space.varied if each.is_exponent]
     grids = [grid for grid in combinations_with_replacement(EXPONENTS, len(exponents))
              if len(set(grid)) == len(grid)] or [()]
     # The most different ones first: two terms with one sign each before two with the same.
     grids.sort(key=lambda grid: (len({np.sign(e) for e in grid}) < min(len(grid), 2), sum(EXPONENTS.index(e)
                                                                                          for e in grid)))
     found: list[np.ndarray] = []
-    moduli = [name for name in space.free if space.is_modulus(name)]
+    moduli = [each.name for each in space.varied if each.is_modulus]
     for turns, grid in enumerate(cycle(grids)):
         factors = [1.0] * len(space.free)
         if turns >= len(grids) and len(space.free) > 1:

@@ -6,12 +6,10 @@ import numpy as np
 from scipy import stats
 
 from calibration.fit.problem import Evaluation, Problem
-from calibration.statistics.uncertainty import RESIDUAL_RATIO, Uncertainty
+from calibration.statistics.uncertainty import RESIDUAL_RATIO, Uncertainty, inverse_root
 
 #: A parameter this near to its bound, relative to its size, is on it.
 ON_BOUND = 1e-6
-#: A direction whose scaled information is below this share of the largest is not determined.
-SINGULAR = 1e-14
 #: Factor of a variance of the jitter for a derivative.
 _MORE = 1.2
 
@@ -26,7 +24,7 @@ def assess_uncertainty(problem: Problem, evaluation: Evaluation) -> Uncertainty:
     """
     space = problem.space
     _, jacobian = evaluation.projected
-    sizes = space.sizes(space.values(evaluation.theta))
+    sizes = problem.sizes(evaluation.theta)
     near = ON_BOUND * sizes
     on_bound = (evaluation.theta - space.low <= near) | (space.high - evaluation.theta <= near)
     scaled = jacobian * sizes
@@ -38,16 +36,10 @@ def assess_uncertainty(problem: Problem, evaluation: Evaluation) -> Uncertainty:
         inflation, basis = chi_square / freedom, "residuals"
     inside = np.flatnonzero(~on_bound)
     covariance = np.zeros_like(information)
-    errors = np.where(on_bound, np.nan, 0.0)
-    if inside.size:
-        values, vectors = np.linalg.eigh(information[np.ix_(inside, inside)])
-        flat = values <= SINGULAR * max(values.max(), 1e-300)
-        root = vectors[:, ~flat] / np.sqrt(values[~flat])
-        own = inflation * root @ root.T * np.outer(sizes[inside], sizes[inside])
-        covariance[np.ix_(inside, inside)] = own
-        errors[inside] = np.sqrt(np.diag(own))
-        loose = (np.abs(vectors[:, flat]) > 0.1).any(axis=1) if flat.any() else np.zeros(inside.size, bool)
-        errors[inside[loose]] = np.inf
+    root, loose = inverse_root(information[np.ix_(inside, inside)])
+    covariance[np.ix_(inside, inside)] = inflation * root @ root.T * np.outer(sizes[inside], sizes[inside])
+    errors = np.where(on_bound, np.nan, np.sqrt(np.diag(covariance)))
+    errors[inside[loose]] = np.inf
     if problem.jitter.freedom and inside.size:
         basis = "residuals" if basis == "residuals" else "replicates"
         quantile[inside] = stats.t.ppf(0.975, _freedom(problem, evaluation, sizes, inside))
@@ -76,7 +68,8 @@ def _freedom(problem: Problem, evaluation: Evaluation, sizes: np.ndarray, inside
         columns[:, kind:own:len(problem.kinds)] *= np.sqrt(factor)
         cross = columns.T @ rates
         taken = cross.T @ np.linalg.solve(np.eye(columns.shape[1]) + columns.T @ columns, cross)
-        return np.diag(np.linalg.pinv(rates.T @ rates - taken + priors.T @ priors, hermitian=True))
+        # A direction that nothing determines has no variance here, and no freedom to be asked for.
+        return np.maximum(np.diag(np.linalg.pinv(rates.T @ rates - taken + priors.T @ priors, hermitian=True)), 1e-300)
 
     squares = sum(((np.log(variances(kind, _MORE)) - np.log(variances(kind, 1 / _MORE))) / (2 * np.log(_MORE)))**2
                   for kind in range(len(problem.kinds)))

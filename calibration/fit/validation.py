@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,12 +22,11 @@ class LeftOut:
     """A test predicted by a fit to the others.
 
     Attributes:
-        prediction: errors in N and %. theta: of that fit, SI, shape (p,); NaN where it failed.
+        prediction: errors in N and %.
         simulations: (test, resolution) -> simulations that were done. cpu_s: processor seconds.
     """
 
     prediction: Prediction
-    theta: np.ndarray
     simulations: dict[tuple[str, str], int]
     cpu_s: float
 
@@ -40,35 +37,25 @@ def leave_out(problem: Problem, theta: np.ndarray, number: int) -> LeftOut:
     Args:
         problem: at its minimum, corrected. theta: there, shape (p,). number: of the test.
     """
-    began, counted = time.process_time(), Counter(problem.solves.counts)
-    others = [i for i in range(len(problem.tests)) if i != number]
-    rest, test = problem.with_tests(others), problem.tests[number]
+    spent = problem.solves.meter()
+    test, rest = problem.tests[number], problem.with_tests([i for i in range(len(problem.tests)) if i != number])
     names = [other.name for other in rest.tests]
     descent = descend(rest, theta, corrected=True)
-    law = problem.space.law
-    answer = unpredicted(test.name, law, names, f"no fit to the others: {descent.problem}")
+    note = f"no fit to the others: {descent.failure}"
     if np.isfinite(descent.error):
-        try:
-            spread = assess_uncertainty(rest, rest.evaluate(descent.theta))
-            # What the others do not tell would stay where this test has put it.
-            if open_names := not_identifiable(problem.space, spread):
-                answer = unpredicted(test.name, law, names, "the other tests do not determine "
-                                     f"{problem.space.in_symbols(open_names)}")
-            else:
-                answer = predict(problem, test, descent.theta, spread.covariance, names, problem.jitter)
-        except InfeasibleError as failure:
-            answer = unpredicted(test.name, law, names, str(failure))
-    return LeftOut(answer, descent.theta, dict(problem.solves.counts - counted), time.process_time() - began)
+        spread = assess_uncertainty(rest, rest.evaluate(descent.theta))
+        # What the others do not tell would stay where this test has put it.
+        open_names = not_identifiable(problem.space, spread)
+        note = f"the other tests do not determine {problem.space.in_symbols(open_names)}" if open_names else ""
+    answer = unpredicted(problem, test, names, note) if note else \
+        predict(problem, test, descent.theta, spread.covariance, names, problem.jitter)
+    return LeftOut(answer, *spent())
 
 
 def predict_held_out(test: ForwardTest, estimate: Estimate, spread: Uncertainty, scatter: Jitter | None) -> Prediction:
     """How an estimate predicts a test that the campaign holds out."""
-    space = estimate.problem.space
-    free = len(space.free)
-    try:
-        return predict(estimate.problem, test, estimate.theta[:free], spread.covariance[:free, :free], [], scatter)
-    except InfeasibleError as failure:
-        return unpredicted(test.name, space.law, [], str(failure))
+    free = len(estimate.problem.space.free)
+    return predict(estimate.problem, test, estimate.theta[:free], spread.covariance[:free, :free], [], scatter)
 
 
 def predict(problem: LeastSquares, test: ForwardTest, theta: np.ndarray, covariance: np.ndarray, fitted: list[str],
@@ -78,14 +65,14 @@ def predict(problem: LeastSquares, test: ForwardTest, theta: np.ndarray, covaria
     Args:
         problem: for the parameters and what is simulated. test: with its recordings.
         theta, covariance: SI, shapes (p,) and (p, p). fitted: tests that these come from. scatter: between recordings.
-
-    Raises:
-        InfeasibleError: the test does not get through.
     """
-    answer = test.solve(problem.space, theta, problem.solves)
+    try:
+        answer = test.solve(problem.space, theta, problem.solves)
+        seen = [test.evaluate(answer, recording, 0.0) for recording in range(len(test.measured))]
+    except InfeasibleError as failure:
+        return unpredicted(problem, test, fitted, str(failure))
     squares, expected, largest, samples = 0.0, 0.0, 0.0, 0
-    for recording, measured in enumerate(test.measured):
-        force, rates, contact = test.evaluate(answer, recording, 0.0)
+    for measured, (force, rates, contact) in zip(test.measured, seen, strict=True):
         squares += float(np.sum((force - measured.force)**2))
         if scatter is not None:
             variance = np.einsum("np,pq,nq->n", rates, covariance, rates) + measured.noise.deviation**2
@@ -95,7 +82,7 @@ def predict(problem: LeastSquares, test: ForwardTest, theta: np.ndarray, covaria
     rmse = float(np.sqrt(squares / samples))
     stressed = test.measured[0].test.specimen is None
     if not np.isfinite(rmse):
-        return unpredicted(test.name, problem.space.law, fitted, "the law gives no finite force")
+        return unpredicted(problem, test, fitted, "the law gives no finite force")
     return Prediction(test=test.name, law=problem.space.law, RMSE_N=None if stressed else rmse,
                       RMSE_Pa=None if test.area is None else rmse / test.area, percent=100.0 * rmse / largest,
                       expected_N=None if stressed or scatter is None else float(np.sqrt(expected / samples)),
@@ -104,6 +91,7 @@ def predict(problem: LeastSquares, test: ForwardTest, theta: np.ndarray, covaria
                                                                      strict=True)))
 
 
-def unpredicted(test: str, law: str, fitted: list[str], note: str) -> Prediction:
+def unpredicted(problem: LeastSquares, test: ForwardTest, fitted: list[str], note: str) -> Prediction:
     """A prediction that there is none of, and why."""
-    return Prediction(test=test, law=law, RMSE_N=None, RMSE_Pa=None, percent=None, fitted=fitted, note=note)
+    return Prediction(test=test.name, law=problem.space.law, RMSE_N=None, RMSE_Pa=None, percent=None, fitted=fitted,
+                      note=note)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -13,57 +12,33 @@ LARGEST_SHARE = 1e3
 _EXPONENT, TIME_MARGIN = 50.0, 10.0
 
 
-class Variables(Protocol):
-    """A change of variables.
-
-    Attributes:
-        low, high: bounds of the variables, shape (k,).
-    """
-
-    @property
-    def low(self) -> np.ndarray: ...
-
-    @property
-    def high(self) -> np.ndarray: ...
-
-    def of(self, unknowns: np.ndarray) -> np.ndarray:
-        """Variables of these unknowns, shape (k,)."""
-
-    def unknowns(self, variables: np.ndarray) -> np.ndarray:
-        """Unknowns of these variables, shape (k,)."""
-
-    def times(self, jacobian: np.ndarray, variables: np.ndarray) -> np.ndarray:
-        """A Jacobian with the unknowns, shape (n, k), as one with the variables."""
-
-
 @dataclass(frozen=True, eq=False)
 class Scaled:
-    """Unknowns in units of their sizes; all of shape (k,)."""
+    """Unknowns in units of their sizes; all of shape (k,).
+
+    Attributes:
+        sizes: of the unknowns. bounds: of the variables, low and high.
+    """
 
     sizes: np.ndarray
     bounds: tuple[np.ndarray, np.ndarray]
 
-    @property
-    def low(self) -> np.ndarray:
-        return self.bounds[0] / self.sizes
-
-    @property
-    def high(self) -> np.ndarray:
-        return self.bounds[1] / self.sizes
-
     def of(self, unknowns: np.ndarray) -> np.ndarray:
+        """Variables of these unknowns, shape (k,)."""
         return unknowns / self.sizes
 
     def unknowns(self, variables: np.ndarray) -> np.ndarray:
+        """Unknowns of these variables, shape (k,)."""
         return variables * self.sizes
 
     def times(self, jacobian: np.ndarray, variables: np.ndarray) -> np.ndarray:
+        """A Jacobian with the unknowns, shape (n, k), as one with the variables."""
         return jacobian * self.sizes
 
 
 @dataclass(frozen=True, eq=False)
 class LongTerm:
-    """Long-term moduli, r_i = g_i / (1 - sum g), and logarithms of times: no share of them is out of bounds.
+    """As `Scaled`: long-term moduli, r_i = g_i / (1 - sum g), and logarithms of times: no share is out of bounds.
 
     Attributes:
         moduli, exponents, g, tau: places of these among the unknowns.
@@ -77,22 +52,14 @@ class LongTerm:
     time_range: tuple[float, float]
 
     @property
-    def _count(self) -> int:
-        return self.moduli.size + self.exponents.size + self.g.size + self.tau.size
-
-    @property
-    def low(self) -> np.ndarray:
-        low = np.full(self._count, -np.inf)
-        low[self.exponents], low[self.g] = -_EXPONENT, 0.0
-        low[self.tau] = np.log(self.time_range[0] / TIME_MARGIN)
-        return low
-
-    @property
-    def high(self) -> np.ndarray:
-        high = np.full(self._count, np.inf)
-        high[self.exponents], high[self.g] = _EXPONENT, LARGEST_SHARE
-        high[self.tau] = np.log(self.time_range[1] * TIME_MARGIN)
-        return high
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of the variables, low and high."""
+        low = np.full(self.moduli.size + self.exponents.size + self.g.size + self.tau.size, -np.inf)
+        high = -low
+        low[self.exponents], high[self.exponents] = -_EXPONENT, _EXPONENT
+        low[self.g], high[self.g] = 0.0, LARGEST_SHARE
+        low[self.tau], high[self.tau] = np.log([self.time_range[0] / TIME_MARGIN, self.time_range[1] * TIME_MARGIN])
+        return low, high
 
     def of(self, unknowns: np.ndarray) -> np.ndarray:
         rest, variables = max(1.0 - unknowns[self.g].sum(), 1.0 / LARGEST_SHARE), unknowns.copy()
@@ -116,3 +83,6 @@ class LongTerm:
         shared = jacobian[:, self.moduli] @ variables[self.moduli] - jacobian[:, self.g] @ variables[self.g] / factor**2
         changed[:, self.g] = jacobian[:, self.g] / factor + shared[:, None]
         return changed
+
+
+Variables = Scaled | LongTerm

@@ -12,7 +12,7 @@ from calibration.campaign.parameter_space import ParameterSpace
 from calibration.forward.contract import InfeasibleError, Reached
 from calibration.forward.solves import Solves
 from tissue_sim.closed_form.histories import LARGEST_STEP, HomogeneousHistory
-from tissue_sim.closed_form.homogeneous import ClosedForm, Homogeneous
+from tissue_sim.closed_form.homogeneous import ClosedForm
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import TestKind
 from tissue_sim.laws import Law, find_law
@@ -50,7 +50,7 @@ class ClosedTest:
     Attributes:
         name: of the test. kind: what it is; a plate feels nothing before it has arrived.
         height, area: m and m2. measured: the recordings.
-        largest_step: of divided histories, see `HomogeneousHistory`.
+        largest_step: of divided histories, see `HomogeneousHistory`. specimen: that weighs; None here.
     """
 
     name: str
@@ -59,6 +59,7 @@ class ClosedTest:
     area: float
     measured: tuple[MeasuredCurve, ...]
     largest_step: float = LARGEST_STEP
+    specimen: Specimen | None = None
     _histories: dict[int, HomogeneousHistory] = field(default_factory=dict, repr=False, init=False)
 
     proportional: ClassVar[bool] = True
@@ -79,18 +80,8 @@ class ClosedTest:
         return self
 
     @property
-    def specimen(self) -> Specimen | None:
-        """What weighs; None here."""
-        return None
-
-    @property
     def closed_form(self) -> ClosedForm:
         return self.kind.require_closed_form()
-
-    @property
-    def sign(self) -> float:
-        """Of strain and nominal stress under load."""
-        return self.kind.sign
 
     def solve(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> list[ClosedAnswer]:
         """As `ForwardTest.solve`; nothing is computed yet."""
@@ -103,7 +94,7 @@ class ClosedTest:
 
     def _answer(self, space: ParameterSpace, values: dict[str, float], recording: str | None) -> ClosedAnswer:
         law = find_law(space.law)
-        free = [(law.parameters.index(each.path), place) for place, each in enumerate(map(space.unknown, space.free))
+        free = [(law.parameters.index(each.path), place) for place, each in enumerate(space.varied)
                 if each.of_law and each.acts_in(self.name, recording)]
         material = None
         if len(space.names) > len(law.parameters):
@@ -115,12 +106,14 @@ class ClosedTest:
         return ClosedAnswer(space, law, np.array([numbers[name] for name in law.parameters]), free, values, recording,
                             material if material is not None and material.remembers else None)
 
-    def evaluate(self, answers: list[ClosedAnswer], recording: int, offset: float):
-        """As `ForwardTest.evaluate`."""
+    def evaluate(self, answers: list[ClosedAnswer], recording: int, offset: float, contact: bool = True):
+        """As `ForwardTest.evaluate`; without `contact` the derivative with the offset is None."""
         answer = answers[recording]
-        if answer.material is None:
-            return self._finite(answer, *self._elastic(answer, self.measured[recording].displacement - offset))
-        return self._finite(answer, *self._remembering(answer, answer.material, recording, offset))
+        force, rates, rate = self._elastic(answer, self.measured[recording].displacement - offset, contact) \
+            if answer.material is None else self._remembering(answer, answer.material, recording, offset, contact)
+        if not (np.isfinite(force).all() and np.isfinite(rates).all()):
+            raise InfeasibleError(f"{self.name}: {answer.law.name} gives no finite stress")
+        return force, rates, rate
 
     def differences(self, answers: list[ClosedAnswer]) -> frozenset[str]:
         """As `ForwardTest.differences`."""
@@ -131,29 +124,7 @@ class ClosedTest:
                 names |= {name for name in answer.space.free if name not in exact or name.endswith(".tau")}
         return frozenset(names)
 
-    def evaluate_all(self, answers: list[ClosedAnswer], offsets: np.ndarray, contact: bool):
-        """As `evaluate`, of all recordings behind one another with one material, shapes (n,), (n, p), (n,).
-
-        Args:
-            answers: of `solve`. offsets: of the contact of each recording, m, shape (recordings,).
-            contact: whether the derivative with the offset is asked for; None where it is not.
-        """
-        answer = answers[0]
-        if answer.material is None:
-            moved = [curve.displacement - offset for curve, offset in zip(self.measured, offsets, strict=True)]
-            return self._finite(answer, *self._elastic(answer, np.concatenate(moved), contact))
-        parts = [self._remembering(answer, answer.material, i, offset, contact)
-                 for i, offset in enumerate(offsets.tolist())]
-        force, rates, rate = zip(*parts, strict=True)
-        return self._finite(answer, np.concatenate(force), np.concatenate(rates),
-                            np.concatenate(rate) if contact else None)
-
-    def _finite(self, answer: ClosedAnswer, force: np.ndarray, rates: np.ndarray, rate: np.ndarray | None):
-        if not (np.isfinite(force).all() and np.isfinite(rates).all()):
-            raise InfeasibleError(f"{self.name}: {answer.law.name} gives no finite stress")
-        return force, rates, rate
-
-    def _elastic(self, answer: ClosedAnswer, displacement: np.ndarray, contact: bool = True):
+    def _elastic(self, answer: ClosedAnswer, displacement: np.ndarray, contact: bool):
         """Force, its derivatives with the free parameters, and with the contact offset."""
         law, values, closed_form = answer.law, answer.values, self.closed_form
         strain = self.strain(displacement)
@@ -161,7 +132,7 @@ class ClosedTest:
         with np.errstate(all="ignore"):
             stress = closed_form.stress(law, strain, values)
             derivatives = closed_form.derivatives(law, strain, values)
-            slope = -self.sign * closed_form.slope(law, strain, values) / self.height if contact else None
+            slope = -self.kind.sign * closed_form.slope(law, strain, values) / self.height if contact else None
         if not self.kind.gripped:
             apart = self.kind.strain(strain) < 0.0
             stress[apart], derivatives[apart] = 0.0, 0.0
@@ -175,11 +146,11 @@ class ClosedTest:
         if answer.free:
             ours, theirs = zip(*answer.free, strict=True)
             rates[:, theirs] = derivatives[:, ours]
-        factor = self.sign * self.area
+        factor = self.kind.sign * self.area
         return factor * stress, factor * rates, None if slope is None else factor * slope
 
     def _remembering(self, answer: ClosedAnswer, material: Material, recording: int, offset: float,
-                     contact: bool = True):
+                     contact: bool):
         """As `_elastic`, of a history."""
         try:
             force = self._history_force(material, recording, offset)
@@ -208,13 +179,13 @@ class ClosedTest:
                 material.instantaneous_factor != 1.0):
             return {}
         law, history = answer.law, self.history(recording, offset)
-        count, factor = prony.tau.size, self.sign * self.area
+        count, factor = prony.tau.size, self.kind.sign * self.area
         step = _RATE_WIDTH * prony.tau
         rates = {}
         with np.errstate(all="ignore"):
             elastic, relaxing = history.parts(law, answer.values, np.concatenate([prony.tau, prony.tau + step,
                                                                                   prony.tau - step]))
-            for unknown in map(answer.space.unknown, answer.space.free):
+            for unknown in answer.space.varied:
                 name, path = unknown.name, tokens(unknown.path)
                 if unknown.of_law and law.units[unknown.path] != "1":
                     alone = [float(other == unknown.path) if law.units[other] != "1" else value
@@ -243,7 +214,7 @@ class ClosedTest:
         return (more - less) / (high - low) if high > low else np.full(force.size, np.nan)
 
     def _history_force(self, material: Material, recording: int, offset: float) -> np.ndarray:
-        measured, factor = self.measured[recording], self.sign * self.area
+        measured, factor = self.measured[recording], self.kind.sign * self.area
         with np.errstate(all="ignore"):
             if not self._divides or material.effects:
                 strain = self.strain(measured.displacement - offset)
@@ -255,7 +226,7 @@ class ClosedTest:
     @property
     def _divides(self) -> bool:
         """Whether its histories are those of `HomogeneousHistory`."""
-        return isinstance(self.closed_form, Homogeneous) and self.closed_form.law_mode in ("uniaxial", "simple_shear")
+        return type(self.closed_form) is ClosedForm and self.closed_form.law_mode in ("uniaxial", "simple_shear")
 
     def history(self, recording: int, offset: float = 0.0) -> HomogeneousHistory:
         """How a recording deformed the specimen."""

@@ -20,24 +20,20 @@ class ColumnTest(ClosedTest):
     """The displacement counts from the settled state, the height is the stated one.
 
     Attributes:
-        weighing: the specimen. reserve: the curve is solved that much beyond the deepest sample, m: as far as a contact
+        specimen: that weighs. reserve: the curve is solved that much beyond the deepest sample, m: as far as a contact
             offset may move it, so that the curve is the same for all recordings and offsets.
     """
 
-    weighing: Specimen = field(kw_only=True)
+    specimen: Specimen = field(kw_only=True)
     reserve: float = 0.0
 
     proportional: ClassVar[bool] = False
 
     @property
-    def specimen(self) -> Specimen:
-        return self.weighing
-
-    @property
     def weightless(self) -> ClosedTest:
         return ClosedTest(self.name, self.kind, self.height, self.area, self.measured)
 
-    def _elastic(self, answer: ClosedAnswer, displacement: np.ndarray, contact: bool = True):
+    def _elastic(self, answer: ClosedAnswer, displacement: np.ndarray, contact: bool):
         column, law, values = Column(self.specimen), answer.law, answer.values
         deepest = max(float(curve.displacement.max()) for curve in self.measured) + self.reserve
         # The deepest point stays, so that the curve is sampled alike.

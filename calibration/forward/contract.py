@@ -47,8 +47,7 @@ class ForwardTest(Protocol):
         timed: whether the force depends on the way that led to a displacement.
         area: cross-section that a nominal stress refers to, m2 (1 where stress was recorded); None where the stress
             is not homogeneous.
-        specimen: None of a closed form without weight. height: of the specimen, m.
-        closed_form, sign: of the kind of test, where it is homogeneous.
+        specimen: None of a closed form without weight. closed_form: where it is homogeneous.
     """
 
     #: A test is a dataclass, so that `dataclasses.replace` gives another one.
@@ -76,13 +75,7 @@ class ForwardTest(Protocol):
     def specimen(self) -> Specimen | None: ...
 
     @property
-    def height(self) -> float: ...
-
-    @property
     def closed_form(self) -> ClosedForm: ...
-
-    @property
-    def sign(self) -> float: ...
 
     def solve(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> Any:
         """The answer at the free parameters `theta`, SI, shape (p,), for `evaluate`; `solves` remembers simulations.

@@ -68,7 +68,7 @@ def analytical_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSe
     plain = closed_test(test, curves)
     if test.specimen is not None and test.specimen.specific_weight:
         reserve = settings.offset_bound if settings.offset == "fit" else 0.0
-        return ColumnTest(plain.name, plain.kind, plain.height, plain.area, plain.measured, weighing=test.specimen,
+        return ColumnTest(plain.name, plain.kind, plain.height, plain.area, plain.measured, specimen=test.specimen,
                           reserve=reserve)
     return replace(plain, largest_step=FITTED_STEP)
 

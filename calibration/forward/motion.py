@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import typing
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.interpolate import CubicSpline, PchipInterpolator, make_interp_spline
 
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.recording.recording import Recording
@@ -23,28 +23,11 @@ SLIDING_STEPS, SLIDING_POWER = 20, 1.5
 TIMED_STEPS = 20
 #: Of a hold: the first step as a part of it, and how much longer each step is than the one before.
 _HOLD_FIRST, _HOLD_GROWTH = 0.01, 1.6
-
-
 #: Rounding of the corner of the force at the touch, as a part of the depth: it raises the force there by what it is
 #: after a quarter of this.
 _TOUCH_WIDTH = 1e-3
 #: Width of a difference with the contact offset, as a part of the travel.
 _OFFSET_WIDTH = 1e-3
-
-
-class Course(typing.Protocol):
-    """Force, and what else belongs to it, along a motion."""
-
-    def __call__(self, time: np.ndarray | None, displacement: np.ndarray,
-                 offset: float) -> tuple[np.ndarray, np.ndarray]:
-        """Columns at samples, shape (n, m), and the derivative of the first with the contact offset, shape (n,).
-
-        Args:
-            time: s, displacement: m, of the samples, shape (n,). offset: m.
-        """
-
-    def forces(self, time: np.ndarray | None, displacement: np.ndarray, offsets: np.ndarray) -> np.ndarray:
-        """The first column at these contact offsets, m, shape (n, offsets)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +73,7 @@ class Loading:
 
 
 class _LoadingCourse:
-    """See `Course`. Nothing is felt before the touch.
+    """Force, and what else belongs to it, along a loading. Nothing is felt before the touch.
 
     The corner there is rounded, so that an offset which lets a sample pass it to and fro still has a best value.
     """
@@ -101,13 +84,20 @@ class _LoadingCourse:
         self._slope = self._spline.derivative()
         self._force = _spline(depth, columns[:, 0])
 
-    def __call__(self, time, displacement, offset):
+    def __call__(self, time: np.ndarray | None, displacement: np.ndarray,
+                 offset: float) -> tuple[np.ndarray, np.ndarray]:
+        """Columns at samples, shape (n, m), and the derivative of the first with the contact offset, shape (n,).
+
+        Args:
+            time: s, displacement: m, of the samples, shape (n,). offset: m.
+        """
         inside, known, share = self._inside(displacement - offset)
         rate = self._slope(known)
         # Beyond what was simulated the curve goes on straight.
         return self._spline(known) + rate * (inside - known)[:, None], -rate[:, 0] * share
 
-    def forces(self, time, displacement, offsets):
+    def forces(self, time: np.ndarray | None, displacement: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+        """The first column at these contact offsets, m, shape (n, offsets)."""
         inside, known, _ = self._inside(displacement[:, None] - offsets)
         return self._force(known) + self._force(self._end, 1) * (inside - known)
 
@@ -193,7 +183,7 @@ class Timed:
 
 
 class _TimedCourse:
-    """See `Course`; the last column is the derivative of the force with the offset."""
+    """As `_LoadingCourse`, along a motion in time; the last column is the derivative of the force with the offset."""
 
     def __init__(self, motion: Timed, columns: np.ndarray):
         self._motion, self._size = motion, columns.shape[1]
@@ -202,7 +192,7 @@ class _TimedCourse:
         for first, last in motion.legs:
             part = slice(first, last + 1)
             moving = abs(motion.displacement[last] - motion.displacement[first]) > 2 * STRAIGHT * travel
-            self._parts.append((_spline if moving else _monotone)(motion.time[part], columns[part]))
+            self._parts.append((_spline if moving else PchipInterpolator)(motion.time[part], columns[part]))
         self._ends = motion.time[[last for _, last in motion.legs[:-1]]]
 
     def __call__(self, time, displacement, offset):
@@ -222,6 +212,9 @@ class _TimedCourse:
         return np.column_stack([self(time, displacement, offset)[0][:, 0] for offset in offsets])
 
 
+Course = _LoadingCourse | _TimedCourse
+
+
 def offset_rate(recording: Recording) -> np.ndarray:
     """d(force)/d(contact offset) of a simulated recording, N/m, shape (n,), by its loading curve and what history has
     made of it."""
@@ -231,12 +224,4 @@ def offset_rate(recording: Recording) -> np.ndarray:
 
 
 def _spline(knots: np.ndarray, values: np.ndarray):
-    from scipy.interpolate import CubicSpline, make_interp_spline
-
     return CubicSpline(knots, values) if knots.size > 3 else make_interp_spline(knots, values, k=1)
-
-
-def _monotone(knots: np.ndarray, values: np.ndarray):
-    from scipy.interpolate import PchipInterpolator
-
-    return PchipInterpolator(knots, values)

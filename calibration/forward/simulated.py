@@ -27,24 +27,21 @@ from tissue_sim.rig.rig import Rig
 from tissue_sim.simulation import simulate
 from tissue_sim.specimen import Specimen
 
-#: Shares of the volume that are stretched less, or more, than what counts as the range of the data.
-_TAIL = 0.01
 #: Width of a difference with what a rig does to readings, relative.
 _READING_WIDTH = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """A rig, and what of it reads forces; None where it reads them as they are."""
+    """A rig as it reads forces."""
 
     rig: Rig
-    reading: Rig | None
 
-    @classmethod
-    def of(cls, rig: Rig) -> Reading:
-        """Of a rig."""
-        reading = rig.reading_only
-        return cls(rig, None if reading.ideal else reading)
+    @cached_property
+    def reading(self) -> Rig | None:
+        """What of it reads forces; None where it reads them as they are."""
+        reading = self.rig.reading_only
+        return None if reading.ideal else reading
 
     def read(self, measured: MeasuredCurve, force: np.ndarray) -> np.ndarray:
         """What it makes of forces at the samples of a recording."""
@@ -111,7 +108,6 @@ class SimulatedTest:
 
     #: What it is where it is homogeneous.
     closed_form: ClassVar[ClosedForm] = UNIAXIAL
-    sign: ClassVar[float] = -1.0
     area: ClassVar[float | None] = None
 
     @property
@@ -132,11 +128,6 @@ class SimulatedTest:
         """Whether every mesh is exact."""
         return not self.layered and self._experiment(self.motions[0]).homogeneous
 
-    @property
-    def height(self) -> float:
-        """Of the specimen, m."""
-        return self.specimen.height
-
     def solve(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> SimulatedAnswer:
         """As `ForwardTest.solve`: the course of force and derivatives along each motion, with the correction."""
         values, courses, chosen, differences = space.values(theta), {}, [], set()
@@ -150,16 +141,11 @@ class SimulatedTest:
                     force = force + self.correction[number]
                 courses[key] = motion.through(np.column_stack([force, rates]))
             chosen.append(courses[key])
-        differences |= {each.name for each in map(space.unknown, space.free) if self._reads(each, values)}
-        rigs = [self._usual] * len(chosen) if space.of_material_alone else [
-            Reading.of(self._model(space, values, self.motions[number], measured.name, whole=True).rig)
+        differences |= {each.name for each in space.varied if self._reads(each, values)}
+        rigs = [Reading(self.rig)] * len(chosen) if space.of_material_alone else [
+            Reading(self._model(space, values, self.motions[number], measured.name, whole=True).rig)
             for measured, number in zip(self.measured, self.motion_of, strict=False)]
         return SimulatedAnswer(chosen, rigs, space, values, frozenset(differences))
-
-    @cached_property
-    def _usual(self) -> Reading:
-        """The rig as the campaign states it."""
-        return Reading.of(self.rig)
 
     def refine(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> float:
         """Compute what the accurate mesh has more at these parameters, and keep it as the correction.
@@ -211,21 +197,20 @@ class SimulatedTest:
         except InputError as error:
             raise InfeasibleError(f"{self.name}: {error}") from None
         acting = {} if resolution == "accurate" else {
-            place: each.path for place, each in enumerate(map(space.unknown, space.free))
+            place: each.path for place, each in enumerate(space.varied)
             if each.acts_in(self.name, recording) and not self._reads(each, values)}
         key = content_key(model, topology, list(acting.values()), resolution)
         curve = solves.find(key)
         if curve is None:
             curve = _simulate(model, topology, list(acting.values()), resolution)
-            solves.count(self.name, resolution)
+            solves.counts[self.name, resolution] += 1
             solves.keep(key, curve)
         if curve.problem:
             raise InfeasibleError(f"{self.name}: {curve.problem}")
         force = factor * np.array(curve.force)
         rates = np.zeros((force.size, 0 if resolution == "accurate" else len(space.free)))
         if acting:
-            scale = [1.0 if proportional and space.unknown(space.free[place]).is_modulus else factor
-                     for place in acting]
+            scale = [1.0 if proportional and space.varied[place].is_modulus else factor for place in acting]
             rates[:, list(acting)] = np.array(curve.rates).reshape(force.size, len(acting)) * scale
         return force, rates, {space.free[place] for place, exact in zip(acting, curve.exact, strict=False) if not exact}
 
@@ -257,13 +242,12 @@ class SimulatedTest:
             values, rate = late[:, :-1], late[:, -1]
         force = reading.read(measured, simulated)
         rates, rate = reading.through(measured, simulated, force, values[:, 1:], rate)
-        for place, name in enumerate(() if answer.space.of_material_alone else answer.space.free):
-            unknown = answer.space.unknown(name)
+        for place, unknown in enumerate(() if answer.space.of_material_alone else answer.space.varied):
             if unknown.acts_in(self.name, measured.name) and self._reads(unknown, answer.values):
-                path, value = unknown.path.removeprefix("rig."), answer.values[name]
+                path, value = unknown.path.removeprefix("rig."), answer.values[unknown.name]
                 width = _away(value)
                 # One-sided: many faults cannot be less than absent.
-                more = Reading.of(with_values(rig, {path: value + width})).read(measured, simulated)
+                more = Reading(with_values(rig, {path: value + width})).read(measured, simulated)
                 rates[:, place] = (more - force) / width
         return force, rates, rate
 
@@ -287,7 +271,7 @@ class SimulatedTest:
         """Of the volume, without a hundredth at either end."""
         deepest = max(float(curve.displacement.max()) for curve in self.measured)
         if self.homogeneous:
-            low = 1 - deepest / self.height
+            low = 1 - deepest / self.specimen.height
             return Reached(self.closed_form.mode, low, 1.0, self.closed_form.extremes(low, 1.0))
         points = max(3, self.motions[0].protocol.time.size // 2)
         values = space.values(theta)
@@ -296,12 +280,8 @@ class SimulatedTest:
             model = space.model(values, experiment, self.rig, test=self.name)
             fields = simulate(replace(model, rig=Rig()), fields=True).fields
         except (ConvergenceError, InputError):
-            return _of_volume(1 - deepest / self.height, 1.0)
-        F = fields.deformation_gradient()
-        plane = np.linalg.svd(F[..., :4].reshape(*F.shape[:-1], 2, 2), compute_uv=False)
-        principal = np.concatenate([plane, F[..., 4:]], axis=-1)
-        return _of_volume(_quantile(principal.min(axis=-1), fields.weights, _TAIL),
-                          _quantile(principal.max(axis=-1), fields.weights, 1 - _TAIL))
+            return _of_volume(1 - deepest / self.specimen.height, 1.0)
+        return _of_volume(*fields.stretch_range())
 
     def _experiment(self, motion: Loading | Timed) -> Experiment:
         return replace(self.experiment, protocol=motion.protocol)
@@ -328,9 +308,3 @@ def _away(value: float) -> float:
 
 def _of_volume(low: float, high: float) -> Reached:
     return Reached(None, low, high, (low, high))
-
-
-def _quantile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
-    order = np.argsort(values, axis=None)
-    total = np.cumsum(weights.ravel()[order])
-    return float(values.ravel()[order][np.searchsorted(total, share * total[-1])])

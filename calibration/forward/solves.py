@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
@@ -73,9 +74,10 @@ class Solves:
         if self.folder is not None:
             write_bytes(self.folder / f"{key}.msgpack", msgspec.msgpack.encode(curve))
 
-    def count(self, test: str, resolution: str) -> None:
-        """Note a simulation that was done."""
-        self.counts[test, resolution] += 1
+    def meter(self) -> Callable[[], tuple[dict[tuple[str, str], int], float]]:
+        """What is spent from here on: simulations by (test, resolution), and processor seconds."""
+        began, counted = time.process_time(), self.counts.copy()
+        return lambda: (dict(self.counts - counted), time.process_time() - began)
 
     def read_from(self, folder: Path) -> None:
         """Look for curves in a folder, without keeping any there yet."""

@@ -12,7 +12,8 @@ from tissue_sim.recording.recording import Recording
 _MOST_TESTS, _MOST_NAMES = 12, 8
 _SHOWN = {"displacement": ("displacement, mm", 1e3), "stretch": ("stretch", 1.0), "shear strain": ("shear strain", 1.0),
           "force": ("force, N", 1.0), "nominal stress": ("nominal stress, kPa", 1e-3)}
-_SHADES = {"hold": "0.85", "unload": "#fde3d0", "reload": "#dcebf7"}
+_SHADES = {"hold": "0.85", "unload": "#fde3d0", "reload": "#dcebf7", "approach": "#e8f4fb", "preload": "#f5e4ee",
+           "preconditioning": "#fbefd5", "failure": "#f3c9ad"}
 
 
 def draw_imported(imported: Imported) -> bytes:

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from calibration.fit.result import CalibrationResult
 from calibration.fit.self_weight import statement
 from calibration.report.curve_figures import size_of
 from calibration.report.drawing import counted
 from calibration.report.pressure import format_pressure
-
-if TYPE_CHECKING:
-    from calibration.fit.result import CalibrationResult
 
 
 def assumptions(result: CalibrationResult) -> list[str]:

@@ -5,19 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from calibration.campaign.campaign import Test
+from calibration.campaign.measured import MeasuredCurve
+from calibration.fit.curves import TestCurves
 from calibration.fit.fit import Fit, Region
 from calibration.report.drawing import STYLE, cloud, counted, line_styles, new_figure, thinned, to_png
 from calibration.report.pressure import pressure_unit
 from tissue_sim.laws import find_law
-
-if TYPE_CHECKING:
-    from calibration.campaign.campaign import Test
-    from calibration.campaign.measured import MeasuredCurve
-    from calibration.fit.results import TestCurves
 
 _BINS = 60
 #: Of a panel; room for a line of legend below it.
@@ -257,6 +254,13 @@ def size_of(force: float, test: Test) -> str:
     """A force in N, or a stress where the test has no specimen: two digits."""
     unit, size = pressure_unit(force) if test.specimen is None else ("N", 1.0)
     return f"{float(f'{force / size:.2g}'):g} {unit}"
+
+
+def place_of(region: Region, test: Test) -> str:
+    """``ramp, 3.3 to 6.7 mm``."""
+    start, end = f"{region.start:.3g}", f"{region.end:.3g}"
+    span = f"{start if start == end else f'{start} to {end}'}{' mm' if test.specimen is not None else ''}"
+    return f"{region.segment}, {span}" if region.segment else span
 
 
 def probability(p: float) -> str:

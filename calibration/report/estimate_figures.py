@@ -47,7 +47,7 @@ def draw_profiles(fit: Fit, bounds: Mapping[str, tuple[float, float]]) -> bytes:
 
 def _draw_profile(axes, fit: Fit, name: str, bounds: tuple[float, float] | None) -> None:
     profile: Profile = fit.profiles[name]
-    symbol, (unit, size) = fit.symbols[name], _unit_of(fit, name)
+    symbol, (unit, size) = fit.symbols[name], unit_of(fit, name)
     values, rises = np.array(profile.values) / size, np.array(profile.rises)
     estimate, error = fit.parameters[name] / size, fit.standard_errors[name]
     ends = [end / size for end in fit.intervals95.get(name) or ()]
@@ -91,7 +91,8 @@ def _draw_profile(axes, fit: Fit, name: str, bounds: tuple[float, float] | None)
     axes.legend(loc="upper center", fontsize=8, framealpha=0.9, frameon=True, edgecolor="none")
 
 
-def _unit_of(fit: Fit, name: str) -> tuple[str, float]:
+def unit_of(fit: Fit, name: str) -> tuple[str, float]:
+    """Unit in which a parameter is read and drawn, and its size in SI."""
     unit = fit.unit(name)
     large = unit == "Pa" and abs(fit.parameters[name]) >= _MOST_PA
     return pressure_unit(fit.parameters[name]) if large else (unit, 1.0)
@@ -143,7 +144,7 @@ def _draw_matrix(figure, axes, symbols: Sequence[str], matrix: np.ndarray) -> No
 
 
 def _draw_ellipse(axes, fit: Fit, names: Sequence[str]) -> None:
-    scales = [_unit_of(fit, name) for name in names]
+    scales = [unit_of(fit, name) for name in names]
     place = [fit.covariance.order.index(name) for name in names]
     sizes = np.array([size for _, size in scales])
     centre = np.array([fit.parameters[name] for name in names]) / sizes

@@ -7,19 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from textwrap import shorten
-from typing import TYPE_CHECKING
 
-import numpy as np
 from scipy import stats
 
+from calibration.campaign.campaign import Test
 from calibration.fit.fit import Fit, Prediction
-from calibration.report.curve_figures import probability, size_of
+from calibration.report.curve_figures import place_of, probability, size_of
 from calibration.report.drawing import COLOURS, STYLE, line_styles, new_figure, to_png
 from calibration.report.pressure import format_pressure
 from tissue_sim.laws import find_law
-
-if TYPE_CHECKING:
-    from calibration.campaign.campaign import Test
 
 #: Inches.
 WIDTH = 12.0
@@ -58,8 +54,8 @@ def draw_regions(fits: Sequence[Fit], tests: Sequence[Test]) -> bytes:
             font = 9.0 * min(1.0, 7 / len(named))
             axes.text(-0.008, top - 0.34, test.name, fontweight="bold", va="center", ha="right")
             for j, region in enumerate(named):
-                axes.text((j + 0.5) / len(named), top - 0.34, _where(region, test), va="center", ha="center",
-                          fontsize=font, color="0.3")
+                axes.text((j + 0.5) / len(named), top - 0.34, place_of(region, test).replace(", ", " "), va="center",
+                          ha="center", fontsize=font, color="0.3")
             for fit, row in zip(fits, rows, strict=True):
                 for j, region in enumerate(row):
                     deviate = min(float(stats.norm.isf(region.p / 2)), _DEEPEST)
@@ -82,13 +78,6 @@ def draw_regions(fits: Sequence[Fit], tests: Sequence[Test]) -> bytes:
         bar.set_ticks([0, _CALLED, 4, _DEEPEST], labels=["0", "2", "4", "6 +"])
         bar.outline.set_visible(False)
         return to_png(figure)
-
-
-def _where(region, test: Test) -> str:
-    unit = "mm" if test.specimen is not None else ""
-    span = f"{region.start:.3g}" if np.isclose(region.start, region.end, atol=1e-3 if unit else 1e-6) else \
-        f"{region.start:.3g} to {region.end:.3g}"
-    return f"{region.segment} {span} {unit}".strip()
 
 
 def draw_predictions(predictions: Sequence[Prediction], tests: Sequence[Test]) -> bytes:

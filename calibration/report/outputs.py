@@ -12,9 +12,10 @@ import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace
+from calibration.fit.curves import TestCurves
 from calibration.fit.fit import Fit
+from calibration.fit.population import typical
 from calibration.fit.result import CalibrationResult, to_json
-from calibration.fit.results import TestCurves
 from calibration.fit.self_weight import statement
 from calibration.output_folder import FIT_FILE
 from calibration.report.report import write_report
@@ -56,14 +57,25 @@ def material_file(fit: Fit, result: CalibrationResult, measured: Mapping[str, Se
     order = [fit.covariance.order[i] for i in kept]
     errors = {name: error for name, error in fit.standard_errors.items() if error is not None and name in order}
     # The covariance of the others holds for a parameter that stays on its bound, as it does for a fixed one.
-    complete = all(name in errors or name in fit.on_bound for name in order)
+    complete = set(law.parameters) <= set(order) and all(name in errors or name in fit.on_bound for name in order)
     covariance = np.array(fit.covariance.matrix)[np.ix_(kept, kept)] if complete else None
+    values, population = typical(space, fit.parameters, fit.population), None
+    if fit.population is not None:
+        found = fit.population
+        errors |= dict(zip(found.order, found.mean_errors, strict=True))
+        if tuple(found.order) == law.parameters and not order:
+            order, covariance = found.order, np.array(found.mean_covariance)
+        population = {"order": found.order, "mean": found.mean, "spread": found.spread,
+                      "between_specimens": found.between, "mean_interval95": found.mean_intervals,
+                      "spread_interval95": found.spread_intervals,
+                      "specimens": dict(zip(found.specimens, found.estimates, strict=True))}
     residual = {key: value for key, value in (("RMSE_N", fit.RMSE_N), ("RMSE_Pa", fit.RMSE_Pa), ("R2", fit.R2))
                 if value is not None}
     fitted = [curve for test in campaign.tests if not test.hold_out for curve in measured[test.name]]
     return MaterialFile.of(
-        space.material(fit.parameters, campaign.density, f"{campaign.name} {law.title}"),
+        space.material(values, campaign.density, f"{campaign.name} {law.title}"),
         standard_errors=errors, covariance=covariance, others=[name for name in order if name not in law.parameters],
+        population=population,
         valid_range={"stretch": list(fit.stretch_range)},
         provenance={
             "recordings": [{"file": curve.file.name, "sha256": curve.sha256} for curve in fitted],

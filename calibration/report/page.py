@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Sequence
 from html import escape
 
+from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.fit import Fit
 from calibration.report.drawing import as_data_uri, draw_formula, natural_width
 from tissue_sim.laws import find_law
@@ -168,7 +169,7 @@ def nuisance_table(fit: Fit) -> str:
     return html_table(["Recording", "Contact offset [mm]", "Zero [N]", "On its bound"], rows, text=(3,))
 
 
-def recording_list(recordings: Iterable[tuple[str, str, int]], whole: bool = False) -> str:
-    """Files, SHA-256 (its beginning, or `whole`) and numbers of points."""
-    return html_list(f"{escape(name)} <small>SHA-256 <code>{escape(digest if whole else digest[:16] + '…')}</code>, "
-                     f"{points} points</small>" for name, digest, points in recordings)
+def recording_list(recordings: Iterable[MeasuredCurve]) -> str:
+    """Files, SHA-256 and numbers of points."""
+    return html_list(f"{escape(curve.file.name)} <small>SHA-256 <code>{escape(curve.sha256)}</code>, "
+                     f"{curve.force.size} points</small>" for curve in recordings)

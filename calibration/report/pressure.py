@@ -20,8 +20,7 @@ def pressure_unit(pressure: float) -> tuple[str, float]:
     return "Pa", 1.0
 
 
-def format_pressure(pressure: float, digits: int = 5, error: float | None = None) -> str:
-    """``8429.6`` -> ``'8.4296 kPa'``; with a standard `error` of 12 Pa ``'8.4296 ± 0.012 kPa'``. Both in Pa."""
+def format_pressure(pressure: float, digits: int = 5) -> str:
+    """``8429.6`` Pa -> ``'8.4296 kPa'``."""
     unit, factor = pressure_unit(pressure)
-    spread = "" if error is None else f" ± {error / factor:.2g}"
-    return f"{pressure / factor:.{digits}g}{spread} {unit}"
+    return f"{pressure / factor:.{digits}g} {unit}"

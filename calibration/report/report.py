@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from calibration.campaign.campaign import Campaign, Test
+from calibration.fit.curves import TestCurves
 from calibration.fit.fit import Fit, Prediction
+from calibration.fit.result import CalibrationResult
 from calibration.report.assumptions import assumptions
-from calibration.report.curve_figures import draw_test, probability, size_of
+from calibration.report.curve_figures import draw_test, place_of, probability, size_of
 from calibration.report.drawing import counted
 from calibration.report.estimate_figures import draw_correlation, draw_profiles
 from calibration.report.figures import draw_history, draw_predictions, draw_regions, percent
@@ -27,11 +29,11 @@ from calibration.report.page import (
     symbol_of,
     title_of,
 )
+from calibration.report.population import populations
 from calibration.report.pressure import format_pressure
 from calibration.report.report_tables import (
     history_table,
     identifiability_table,
-    place_of,
     prediction_table,
     ranking_table,
     region_table,
@@ -39,11 +41,6 @@ from calibration.report.report_tables import (
 )
 from calibration.report.segment_figures import segment_section
 from tissue_sim.atomic_write import write_text
-
-if TYPE_CHECKING:
-    from calibration.campaign.campaign import Campaign, Test
-    from calibration.fit.result import CalibrationResult
-    from calibration.fit.results import TestCurves
 
 
 def write_report(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurves]], path: Path, *,
@@ -81,8 +78,7 @@ def write_report(result: CalibrationResult, curves: Mapping[str, Sequence[TestCu
     parts += segment_section(recordings, figures=figures)
     parts += ["<h2>What was assumed</h2>", html_list(map(escape, assumptions(result))),
               "<h2>Recordings</h2>",
-              recording_list(((m.file.name, m.sha256, m.force.size) for several in recordings.values()
-                              for m in several), whole=True)]
+              recording_list(curve for several in recordings.values() for curve in several)]
     write_text(path, html_page(f"Calibration of {campaign.name}", parts))
 
 
@@ -97,11 +93,8 @@ def _verdict(result: CalibrationResult, tests: Mapping[str, Test]) -> str:
         rows.append(("Misses", [*_misfits(best, tests)]
                      or ["In no region of any test is a misfit larger than chance makes."]))
     rows.append(("Cannot tell", [*_untold(result.fits)]))
-    return f'<dl class="verdict">{"".join(f"<dt>{term}</dt><dd>{_lines(lines)}</dd>" for term, lines in rows)}</dl>'
-
-
-def _lines(sentences: Sequence[str]) -> str:
-    return "<br>".join(sentences)
+    items = (f"<dt>{term}</dt><dd>" + "<br>".join(lines) + "</dd>" for term, lines in rows)
+    return f'<dl class="verdict">{"".join(items)}</dl>'
 
 
 def _law_in_words(fit: Fit) -> str:
@@ -173,6 +166,7 @@ def _pictures(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurve
             name = title_of(fit.law)
             yield f"<h2>How well {name} is determined</h2>{inside}" if fit is fits[0] else \
                 f"<details><summary>How well {name} is determined</summary>{inside}</details>"
+    yield from populations(fits)
     if any(fit.history for fit in fits):
         yield "<h2>Convergence</h2>"
         yield html_figure(draw_history(fits), "Error and parameters at every solve of every start",

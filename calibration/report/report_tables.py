@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
-from typing import TYPE_CHECKING
 
-from calibration.fit.fit import Direction, Fit, Prediction, Region, Suggestion
-from calibration.report.curve_figures import probability, size_of
+from calibration.campaign.campaign import Test
+from calibration.fit.fit import Direction, Fit, Prediction, Suggestion
+from calibration.report.curve_figures import place_of, probability, size_of
 from calibration.report.estimate_figures import NOT_TOLD
 from calibration.report.figures import percent
 from calibration.report.page import html_table, number, plus_minus, stable_stretches, symbol_of, title_of
 from calibration.report.pressure import pressure_unit
-
-if TYPE_CHECKING:
-    from calibration.campaign.campaign import Test
 
 
 def ranking_table(fits: Sequence[Fit]) -> str:
@@ -51,23 +48,12 @@ def prediction_table(predictions: Iterable[Prediction], tests: Mapping[str, Test
 def region_table(fits: Sequence[Fit], tests: Mapping[str, Test]) -> str:
     """Residual tests by region."""
     rows = [[title_of(fit.law), escape(r.test), escape(place_of(r, tests[r.test])), size_of(r.misfit_N, tests[r.test]),
-             f"{size_of(r.largest_N, tests[r.test])} at {length_of(r.at, tests[r.test])}",
+             f"{size_of(r.largest_N, tests[r.test])} at " + (
+                 f"strain {r.at:.3g}" if tests[r.test].specimen is None else f"{r.at:.3g} mm"),
              f"{r.statistic:.3g} ({r.freedom})", probability(r.p).replace("<", "&lt;"),
              "as noise" if r.adequate else '<span class="bad">misfit</span>'] for fit in fits for r in fit.regions]
     return html_table(["Law", "Test", "Region", "Misfit (rms)", "Largest model − data", "χ² (freedom)",
                        "p, adjusted", "Residuals"], rows, text=(1, 2))
-
-
-def place_of(region: Region, test: Test) -> str:
-    """``ramp, 3.3 to 6.7 mm``."""
-    start, end = f"{region.start:.3g}", f"{region.end:.3g}"
-    span = f"{start if start == end else f'{start} to {end}'}{' mm' if test.specimen is not None else ''}"
-    return f"{region.segment}, {span}" if region.segment else span
-
-
-def length_of(displacement: float, test: Test) -> str:
-    """A displacement in mm, or a strain where the test has no specimen."""
-    return f"strain {displacement:.3g}" if test.specimen is None else f"{displacement:.3g} mm"
 
 
 def identifiability_table(fits: Sequence[Fit]) -> str:

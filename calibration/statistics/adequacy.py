@@ -12,8 +12,6 @@ from scipy import stats
 ABSORBED = 1e-3
 #: Directions with less than this share of the largest singular value are the others again.
 INDEPENDENT = 1e-10
-#: Cosines of a region.
-MODES = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +48,7 @@ def misfit(residual: np.ndarray, design: np.ndarray, modes: np.ndarray) -> Misfi
     left, sizes, right = np.linalg.svd(modes, full_matrices=False)
     kept = sizes > INDEPENDENT * sizes.max(initial=0.0)
     left, sizes, right = left[:, kept], sizes[kept], right[kept]
-    fitted = _span(design)
+    fitted = span(design)
     free = left - fitted @ (fitted.T @ left)
     shares, axes = np.linalg.eigh(free.T @ free)
     testable = shares > ABSORBED
@@ -62,7 +60,7 @@ def misfit(residual: np.ndarray, design: np.ndarray, modes: np.ndarray) -> Misfi
     return Misfit(statistic, freedom, p, -right.T @ ((axes @ (score / shares)) / sizes))
 
 
-def cosine_modes(position: np.ndarray, count: int = MODES) -> np.ndarray:
+def cosine_modes(position: np.ndarray, count: int) -> np.ndarray:
     """Cosines from the constant up: cos(k pi position), k = 0 to count - 1, shape (n, count).
 
     Args:
@@ -84,7 +82,7 @@ def holm(p_values: Sequence[float] | np.ndarray) -> np.ndarray:
     return adjusted
 
 
-def _span(design: np.ndarray) -> np.ndarray:
+def span(design: np.ndarray) -> np.ndarray:
     """Orthonormal columns that span those of the design, which may be of any scale and dependent."""
     scale = np.sqrt(np.sum(design**2, axis=0))
     left, sizes, _ = np.linalg.svd(design / np.where(scale > 0, scale, 1.0), full_matrices=False)

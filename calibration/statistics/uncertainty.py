@@ -45,11 +45,6 @@ class Uncertainty:
     sizes: np.ndarray
     information: np.ndarray
 
-    @property
-    def singular(self) -> np.ndarray:
-        """Unknowns that take part in a direction which the data do not determine, bool, shape (k,)."""
-        return np.isinf(self.standard_errors)
-
 
 def sandwich(jacobian: np.ndarray, residual: np.ndarray, replicate: np.ndarray, noise: np.ndarray | float,
              prior_precision: np.ndarray, jitter: np.ndarray | None = None,
@@ -103,7 +98,11 @@ def sandwich(jacobian: np.ndarray, residual: np.ndarray, replicate: np.ndarray, 
         spread = spread + gradients.T @ gradients
 
     hessian = jacobian.T @ jacobian + weight * np.diag(prior_precision)
-    root, singular = _inverse_root(hessian)
+    # Scaled to a unit diagonal, so that Pa beside exponents does not look singular.
+    scale = np.sqrt(np.diag(hessian))
+    scale = np.where(scale > 0, scale, 1.0)
+    root, singular = inverse_root(hessian / np.outer(scale, scale))
+    root = root / scale[:, None]
     spread = root.T @ spread @ root
     if jitter is None and count >= FEWEST_REPLICATES and root.shape[1]:
         scores = _own_scores(jacobian, residual, parts) @ root
@@ -122,15 +121,11 @@ def sandwich(jacobian: np.ndarray, residual: np.ndarray, replicate: np.ndarray, 
                        float(np.sqrt(squares / samples)), (squares, samples), np.ones(inside.size), information)
 
 
-def _inverse_root(hessian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """T with T T' the inverse of the Hessian, without the directions that nothing determines, and who is in those."""
-    # Scaled to a unit diagonal, so that Pa beside exponents does not look singular.
-    scale = np.sqrt(np.diag(hessian))
-    scale = np.where(scale > 0, scale, 1.0)
-    values, vectors = np.linalg.eigh(hessian / np.outer(scale, scale))
+def inverse_root(hessian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """T with T T' the inverse of a scaled Hessian, without directions that nothing determines, and who is in those."""
+    values, vectors = np.linalg.eigh(hessian)
     flat = values <= values.max(initial=0.0) / SINGULAR_CONDITION
-    singular = (np.abs(vectors[:, flat]) > 0.1).any(axis=1) if flat.any() else np.zeros(scale.size, bool)
-    return vectors[:, ~flat] / np.sqrt(values[~flat]) / scale[:, None], singular
+    return vectors[:, ~flat] / np.sqrt(values[~flat]), (np.abs(vectors[:, flat]) > 0.1).any(axis=1)
 
 
 def _own_scores(jacobian: np.ndarray, residual: np.ndarray, parts: Sequence[np.ndarray]) -> np.ndarray:

@@ -17,8 +17,8 @@ ANSWER_WITHIN = 10.0
 
 
 class DaskCluster:
-    """A cluster whose scheduler and workers have this package installed; one thread per worker is best, because the
-    finite elements of one process run one after the other.
+    """As `ProcessPool`, on a cluster whose scheduler and workers have this package installed; one thread per worker is
+    best, because the finite elements of one process run one after the other.
 
     Args:
         address: such as ``tcp://127.0.0.1:8786``, or the scheduler file.

@@ -7,10 +7,14 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from calibration.tasks.errors import WorkerError
 from tissue_sim.errors import InputError
+
+if TYPE_CHECKING:
+    from calibration.tasks.dask_cluster import DaskCluster
+    from calibration.tasks.process_pool import ProcessPool
 
 #: Longest wait, s: Windows delivers Ctrl-C only to a wait that comes to an end by itself.
 _LONGEST_WAIT = 0.5
@@ -40,14 +44,14 @@ class Workers:
             raise InputError("a cluster brings its own workers; give either workers or dask", field="dask")
 
 
-class Tasks(Protocol):
-    """Where tasks run.
+class Tasks:
+    """Where tasks run: here in this process, one after the other.
 
     Attributes:
         parallel: whether several may run at a time.
     """
 
-    parallel: bool
+    parallel = False
 
     def run(self, function: Callable[..., Any], arguments: Sequence[tuple], on_done: OnDone | None = None) -> list[Any]:
         """Call the function once for each tuple of arguments.
@@ -68,6 +72,12 @@ class Tasks(Protocol):
                 that run then are finished and told, tasks that have not begun are dropped.
             WorkerError: a task has no result because its worker died each time. All others are finished and told.
         """
+        results = []
+        for index, task in enumerate(arguments):
+            results.append(function(*task))
+            if on_done is not None:
+                on_done(index, results[-1])
+        return results
 
 
 @contextmanager
@@ -78,9 +88,9 @@ def open_tasks(workers: Workers) -> Iterator[Tasks]:
         InputError: the cluster does not answer, or the package for it is missing.
     """
     if workers.dask is None and workers.count == 1:
-        yield _InlineTasks()
+        yield Tasks()
         return
-    executor: TaskExecutor
+    executor: ProcessPool | DaskCluster
     if workers.dask is not None:
         from calibration.tasks.dask_cluster import DaskCluster
         executor = DaskCluster(workers.dask)
@@ -94,50 +104,10 @@ def open_tasks(workers: Workers) -> Iterator[Tasks]:
         executor.close()
 
 
-class TaskExecutor(Protocol):
-    """What parallel tasks need of a pool or a cluster.
-
-    Attributes:
-        capacity: tasks that it takes at a time.
-        death: what the future of a task holds when its worker died.
-        most_deaths: of workers during one task, after which it is given up.
-    """
-
-    @property
-    def capacity(self) -> float: ...
-
-    @property
-    def death(self) -> type[Exception]: ...
-
-    @property
-    def most_deaths(self) -> int: ...
-
-    def submit(self, function: Callable[..., Any], arguments: tuple) -> Future:
-        """Start a task."""
-
-    def stop(self) -> None:
-        """Drop all tasks at once, running ones too."""
-
-    def close(self) -> None:
-        """End all workers."""
-
-
-class _InlineTasks:
-    parallel = False
-
-    def run(self, function: Callable[..., Any], arguments: Sequence[tuple], on_done: OnDone | None = None) -> list[Any]:
-        results = []
-        for index, task in enumerate(arguments):
-            results.append(function(*task))
-            if on_done is not None:
-                on_done(index, results[-1])
-        return results
-
-
-class _ParallelTasks:
+class _ParallelTasks(Tasks):
     parallel = True
 
-    def __init__(self, executor: TaskExecutor):
+    def __init__(self, executor: ProcessPool | DaskCluster):
         self._executor = executor
 
     def run(self, function: Callable[..., Any], arguments: Sequence[tuple], on_done: OnDone | None = None) -> list[Any]:

@@ -23,6 +23,10 @@ class ProcessPool:
     """Processes that are started by the first task, and again by the next one after some have died.
 
     A process that dies takes the tasks with it that run in the others at that moment.
+
+    Attributes:
+        capacity: tasks that it takes at a time. death: what the future of a task holds when its worker died.
+        most_deaths: of workers during one task, after which it is given up.
     """
 
     death = BrokenProcessPool

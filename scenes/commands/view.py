@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from scenes.catalogue import SCENES
@@ -69,6 +70,7 @@ def run(arguments) -> int:
                          "out", field="--tilt-mm")
     check_solver(arguments.solver)
 
+    from scenes.viewer.live_simulation import SETTINGS
     from scenes.viewer.run import run_headless, run_page
     from scenes.viewer.scene import BUILT_IN, Scene, read_measurements
 
@@ -77,7 +79,7 @@ def run(arguments) -> int:
     scene = Scene(SCENES[arguments.scene], experiment, material,
                   BUILT_IN if arguments.material is None else arguments.material.name,
                   read_measurements(arguments.measured, arguments.scene), arguments.solver)
-    options = {"resolution": arguments.resolution, "real_time": not arguments.no_real_time}
+    options = {"resolution": arguments.resolution, "settings": replace(SETTINGS, real_time=not arguments.no_real_time)}
     if arguments.headless:
         answer = run_headless(scene, arguments.seconds, protocol=arguments.protocol,
                               speed=arguments.speed_mm_s * 1e-3, **options)

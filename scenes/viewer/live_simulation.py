@@ -28,6 +28,8 @@ from tissue_sim.tool_force import ForceStatus
 BUDGET = 0.8e-3
 #: Over which time read-outs are taken, and rates are counted, s.
 _LOOK_BACK, _COUNT_OVER = 0.5, 2.0
+#: A tick each millisecond, and the tissue 30 times a second.
+SETTINGS = LoopSettings(snapshot_rate=30.0)
 #: N, and N per tick: limits of the rendered force, which no device takes; what is shown is the force of the tissue.
 _LIMITS = 1e3, 1e3
 
@@ -40,8 +42,7 @@ class LiveSimulation:
         device: gives poses and takes forces, or a motion.
         solver: name in `tissue_sim.fem.solver.SOLVERS`.
         resolution: of the `Simulator`.
-        snapshot_rate: how often the tissue is published, Hz.
-        real_time: ask the system for real-time scheduling.
+        settings: of the loop.
 
     Attributes:
         phase, message: what it does, or why it ended.
@@ -51,11 +52,10 @@ class LiveSimulation:
     """
 
     def __init__(self, model: ts.Model, device: HapticDevice, *, solver: str = "axisymmetric",
-                 resolution: str = "realtime", snapshot_rate: float = 30.0, real_time: bool = True):
+                 resolution: str = "realtime", settings: LoopSettings = SETTINGS):
         self._loop = LoopProcess(
             partial(Simulator, model, solver=solver, resolution=resolution, budget=BUDGET), device,
-            ForceRendering(ForceLimits(*_LIMITS)),
-            LoopSettings(snapshot_rate=snapshot_rate, real_time=real_time))
+            ForceRendering(ForceLimits(*_LIMITS)), settings)
         self._files = ExitStack()
         self._ring: RingReader | None = None
         self._snapshots: SnapshotReader | None = None

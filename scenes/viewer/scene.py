@@ -70,7 +70,7 @@ class Scene:
             tool = before.tool if kind.fits(before.tool) else kind.require_tool()
         if not kind.fits(tool):
             raise ts.InputError(f"{kind.title.lower()} is not done with the tool {tool.shape!r}", field="tool")
-        changes: dict[str, Any] = {**kind.interfaces}
+        changes: dict[str, Any] = kind.interfaces(tool)
         if kind is self.kind:
             changes = {key: getattr(before, key) for key in changes}
         if friction is not None:

@@ -13,8 +13,9 @@ from typing import Any
 import tissue_sim as ts
 from haptics.devices.contracts import HapticDevice
 from haptics.devices.motions import HandMotion, ProtocolMotion
+from haptics.loop.loop import LoopSettings
 from scenes.viewer.frame import Curves, Frame, Phase, Viewer
-from scenes.viewer.live_simulation import LiveSimulation
+from scenes.viewer.live_simulation import SETTINGS, LiveSimulation
 from scenes.viewer.material_files import save_edited
 from scenes.viewer.measurement import Measurement, Residual, motion, residual, typical
 from scenes.viewer.model_curve import ModelCurve
@@ -44,13 +45,13 @@ class Session:
         scene: what to look at first.
         resolution: of the loop's simulator.
         curve_resolution: of the whole test's curve.
-        real_time: ask the system for real-time scheduling of the loop.
+        settings: of the loop.
     """
 
     def __init__(self, scene: Scene, *, resolution: str = "realtime", curve_resolution: str = "fast",
-                 real_time: bool = True):
+                 settings: LoopSettings = SETTINGS):
         self.scene = scene
-        self._resolution, self._real_time = resolution, real_time
+        self._resolution, self._settings = resolution, settings
         self._requests: queue.SimpleQueue[tuple[str, Callable | None, dict[str, Any]]] = queue.SimpleQueue()
         self._curve = ModelCurve(curve_resolution, scene.solver)
         self._curves, self._trace, self._frames = Curves(), Trace(), 0
@@ -274,7 +275,7 @@ class Session:
         self._forget_trace()
         self._material_is_late = False
         simulation = LiveSimulation(self.scene.model, HandMotion(0.0, HAND_SPEED), solver=self.scene.solver,
-                                    resolution=self._resolution, real_time=self._real_time)
+                                    resolution=self._resolution, settings=self._settings)
         self._curve.ask(self._test())
         return simulation
 

@@ -116,11 +116,12 @@ class Shown:
     """
 
     def __init__(self, scene, folder: Path):
+        from haptics.loop.loop import LoopSettings
         from scenes.viewer.page import Page
         from scenes.viewer.session import Session
 
         self.scene, self.folder = scene, folder
-        self.session = Session(scene, real_time=False)
+        self.session = Session(scene, settings=LoopSettings(period=4e-3, snapshot_rate=30.0, real_time=False))
         self.page = None
         try:
             self.frame = self.session.frame()

@@ -27,7 +27,7 @@ def fit(noise, misfit_force=0.0, seed=0, replicates=2):
         force = PARAMETERS @ [6.0, 2.0] + NUISANCES @ rng.normal(size=2) + misfit_force + error
         rows.append(whiten(np.column_stack([PARAMETERS, own]), time, noise))
         data.append(whiten(force, time, noise))
-        modes.append(whiten(cosine_modes(DEPTH), time, noise))
+        modes.append(whiten(cosine_modes(DEPTH, 5), time, noise))
     prior = np.column_stack([np.zeros((2 * replicates, 2)), np.eye(2 * replicates)])
     design = np.vstack([*rows, prior])
     data = np.concatenate([*data, np.zeros(2 * replicates)])
@@ -57,7 +57,7 @@ def test_coloured_noise_taken_as_white_raises_false_alarms():
     for seed in range(100):
         rng_error = sensor_noise(DEPTH.size, 0.02, seed, time=40 * DEPTH, correlation_time=2.0) / 0.02
         answer = np.linalg.lstsq(PARAMETERS, rng_error, rcond=None)[0]
-        alarms += misfit(PARAMETERS @ answer - rng_error, PARAMETERS, cosine_modes(DEPTH)).p < 0.05
+        alarms += misfit(PARAMETERS @ answer - rng_error, PARAMETERS, cosine_modes(DEPTH, 5)).p < 0.05
     assert alarms > 50
 
 
@@ -69,7 +69,7 @@ def test_a_smooth_misfit_below_the_noise_is_found():
 
 
 def test_amplitudes_have_the_sign_and_size_of_what_the_data_have_more():
-    lacking = 0.3 * cosine_modes(DEPTH)[:, 3] - 0.1 * cosine_modes(DEPTH)[:, 4]
+    lacking = 0.3 * cosine_modes(DEPTH, 5)[:, 3] - 0.1 * cosine_modes(DEPTH, 5)[:, 4]
     found = np.mean([misfit(*fit(SensorNoise(0.02), lacking, seed)).amplitudes for seed in range(20)], axis=0)
     residual, design, modes = fit(SensorNoise(0.02), lacking)
     # Only what the fit does not absorb can be compared: project truth and estimate.
@@ -121,7 +121,7 @@ def test_a_region_without_samples_has_no_misfit():
 def test_cosine_modes():
     modes = cosine_modes(np.array([0.0, 0.25, 1.0]), 3)
     assert modes == pytest.approx(np.array([[1, 1, 1], [1, np.sqrt(0.5), 0], [1, -1, 1]]))
-    assert cosine_modes(np.zeros(4)).shape == (4, 5)
+    assert cosine_modes(np.zeros(4), 5).shape == (4, 5)
 
 
 def test_holm():

@@ -85,7 +85,7 @@ def test_bounded_offsets_on_a_short_window(data_folder, tmp_path):
 
 @pytest.mark.parametrize("foam", ["leap", "turbo"])
 @pytest.mark.parametrize(("kind", "suffix", "abscissa", "reached"), [
-    ("lubricated_compression", "UC", "stretch", (0.4, 1.0)), ("simple_shear", "SS", "shear strain", None)])
+    ("lubricated_compression", "UC", "stretch", (0.4, 0.4**-0.5)), ("simple_shear", "SS", "shear strain", None)])
 def test_foam_in_any_order_of_samples(data_folder, tmp_path, foam, kind, suffix, abscissa, reached):
     """Compression listed from the deepest point to rest, shear from one side to the other."""
     file = data_folder / "foam_compressible" / f"foam_{foam}__foam_{suffix}.csv"
@@ -115,7 +115,7 @@ def test_treloar(data_folder, tmp_path):
     assert 0.25e6 < yeoh.mu0 < 0.55e6
     assert ogden.RMSE_N is None
     assert ogden.BIC < yeoh.BIC < fits["neo_hooke"].BIC
-    assert yeoh.stretch_range == pytest.approx((1.0, 7.5), abs=0.2)
+    assert yeoh.stretch_range == pytest.approx((7.5**-0.5, 7.5), abs=0.2)
 
 
 def test_soft_silicone_in_tension(data_folder, tmp_path):

@@ -10,10 +10,11 @@ from scipy.interpolate import CubicSpline
 
 import calibration
 import tissue_sim as ts
+from calibration.campaign.campaign import Noise
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.campaign_problem import build_problem
 from calibration.fit.checks import check_start
-from calibration.fit.estimate import Stated, settle
+from calibration.fit.estimate import settle
 from calibration.fit.levenberg_marquardt import descend
 from calibration.fit.profiles import profile_side
 from calibration.fit.starts import starts
@@ -245,7 +246,7 @@ class TestStudy:
             ends.append(descent.theta)
         spread = assess_uncertainty(problem, problem.evaluate(ends[0]))
         assert np.ptp(ends, axis=0) == pytest.approx([0.0, 0.0], abs=0.2 * spread.standard_errors.max())
-        estimate = settle(problem, ends[0], Stated(0.03e-3, 0.01))
+        estimate = settle(problem, ends[0], Noise(contact_jitter=0.03e-3, zero_jitter=0.01))
         assert estimate.theta[0] == pytest.approx(TRUTH["C10"], rel=0.003)
         assert estimate.theta[1] == pytest.approx(TRUTH["C20"], rel=0.03)
         # The meshes differ by what docs/simulation.md says.

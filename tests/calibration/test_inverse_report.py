@@ -11,6 +11,7 @@ import pytest
 from calibration.campaign.campaign import Campaign, FitSettings, Noise
 from calibration.campaign.campaign import Test as CampaignTest
 from calibration.campaign.measured import MeasuredCurve
+from calibration.fit.curves import TestCurves as CurvesOfTest
 from calibration.fit.fit import (
     Covariance,
     Direction,
@@ -26,7 +27,6 @@ from calibration.fit.fit import (
     Suggestion,
 )
 from calibration.fit.result import CalibrationResult
-from calibration.fit.results import TestCurves as CurvesOfTest
 from calibration.report import curve_figures, estimate_figures, figures
 from calibration.report.report import write_report
 from calibration.statistics.sensor_noise import SensorNoise

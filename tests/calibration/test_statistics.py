@@ -148,10 +148,10 @@ def test_prior_and_singular_direction():
     residual = np.random.default_rng(4).normal(0.0, 0.1, x.size)
     index = np.zeros(x.size, int)
     spread = sandwich(jacobian, residual, index, 0.1, np.zeros(3))
-    assert spread.singular.tolist() == [True, True, False]
+    assert np.isinf(spread.standard_errors).tolist() == [True, True, False]
     assert np.isinf(spread.standard_errors[:2]).all()
     held = sandwich(jacobian, residual, index, 0.1, np.array([1.0, 0.0, 0.0]))
-    assert not held.singular.any()
+    assert not np.isinf(held.standard_errors).any()
     assert held.standard_errors[0] == pytest.approx(1.0, rel=0.05)
 
 

@@ -16,6 +16,7 @@ import tissue_sim as ts
 from haptics.devices.back_ends import MOTIONS, open_motion
 from scenes.cli import main
 from scenes.viewer.frame import NullViewer, Phase
+from scenes.viewer.live_simulation import SETTINGS
 from scenes.viewer.page import Page
 from scenes.viewer.page.readouts import readouts_html, status_html
 from scenes.viewer.scene import Scene
@@ -67,7 +68,8 @@ def shown(scene, spiral, monkeypatch):
     the loop up to then."""
     # No step ends for want of time: the same poses give the same wrenches.
     monkeypatch.setattr("scenes.viewer.live_simulation.BUDGET", None)
-    session, viewer, problems, caught = Session(scene, real_time=False), NullViewer(), [], []
+    session = Session(scene, settings=replace(SETTINGS, real_time=False))
+    viewer, problems, caught = NullViewer(), [], []
     try:
         until(session.frame, lambda frame: frame.phase is not Phase.STARTING)
         ring = session.simulation.process.ring()

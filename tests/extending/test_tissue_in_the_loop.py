@@ -2,6 +2,7 @@
 
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from haptics.server.client import TissueClient
 from haptics.server.server import TissueServer
 from haptics.server.steps import StepService
 from haptics.server.wire import Request, Status, decode_reply, encode_request
-from scenes.viewer.live_simulation import LiveSimulation
+from scenes.viewer.live_simulation import SETTINGS, LiveSimulation
 from tissue_sim.pose import Pose
 from tissue_sim.tool_force import ForceStatus
 
@@ -72,7 +73,8 @@ def test_through_what_the_viewer_sees(toy, motion, monkeypatch):
             super().__init__(toy.ToyTissue, *others)
 
     monkeypatch.setattr("scenes.viewer.live_simulation.LoopProcess", OfToy)
-    simulation, tissue, ticks = LiveSimulation(None, motion, real_time=False), toy.ToyTissue(), 0
+    simulation = LiveSimulation(None, motion, settings=replace(SETTINGS, real_time=False))
+    tissue, ticks = toy.ToyTissue(), 0
     try:
         deadline = time.monotonic() + 300.0
         while ticks < 400:

@@ -137,7 +137,46 @@ def test_material_beyond_its_range_and_stability_is_warned_of(tmp_path, capsys):
                            tmp_path / "m.material.json")
     main(["simulate", "lubricated_compression", "--material", str(tmp_path / "m.material.json"), "--depth-mm", "28"])
     err = capsys.readouterr().err
-    assert "fitted for stretches 0.9 to 1 only" in err and "not stable over the mean stretches" in err
+    assert "fitted for stretches from 0.9 to 1 only" in err and "not stable over the mean stretches" in err
+
+
+def test_the_test_it_was_fitted_to_is_in_its_range(tmp_path, capsys):
+    """A thin needle in a large specimen stretches almost none of it, whatever the mean stretch."""
+    experiment = ts.KINDS["needle_indentation"].experiment(
+        specimen=ts.Specimen(0.04, 0.07), protocol=ts.Protocol.ramp(5e-3, 9), tool=ts.Tool("sphere", radius=4e-3),
+        friction="frictionless")
+    material = ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e4))
+    ts.write_recording(ts.simulate(ts.Model(experiment, material)), tmp_path / "needle.csv")
+    (tmp_path / "c.toml").write_text("""
+[[specimen]]
+radius_mm = 40.0
+height_mm = 70.0
+[[test]]
+kind = "needle_indentation"
+recordings = ["needle.csv"]
+tool = "sphere"
+tool_radius_mm = 4.0
+friction = "frictionless"
+[fit]
+method = "inverse_fem"
+laws = ["neo_hooke"]
+bulk_ratio = 10000.0
+starts = 1
+[noise]
+force_N = 0.001
+contact_jitter_mm = 0.0
+zero_jitter_N = 0.0
+""", encoding="utf-8")
+    assert main(["calibrate", str(tmp_path / "c.toml"), "-o", str(tmp_path / "out")]) == 0
+    capsys.readouterr()
+    words = ["simulate", "needle_indentation", "--material", str(tmp_path / "out" / "neo_hooke.material.json"),
+             "--tool", "sphere", "--tool-radius-mm", "4", "--friction", "frictionless", "--points", "9", "--json",
+             "--depth-mm"]
+    assert main([*words, "5"]) == 0
+    assert json.loads(capsys.readouterr().out)["warnings"] == []
+    assert main([*words, "9"]) == 0
+    warning, = json.loads(capsys.readouterr().out)["warnings"]
+    assert warning.startswith("the tissue is stretched from") and "fitted for stretches from" in warning
 
 
 def test_small_forces_keep_their_digits(material, capsys):

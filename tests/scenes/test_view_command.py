@@ -5,6 +5,7 @@ import multiprocessing
 import os
 import signal
 import socket
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 import tissue_sim as ts
 from scenes.cli import main
 from scenes.viewer.frame import Phase
+from scenes.viewer.live_simulation import SETTINGS
 from scenes.viewer.trace import Trace
 
 KEYS = {"frames", "seconds", "phase", "message", "time_s", "displacement_mm", "force_N", "largest_force_N", "rate_Hz",
@@ -87,7 +89,7 @@ def test_flags_reach_the_session(staged, capsys, tmp_path):
     assert main([*HEADLESS, "--protocol", "ramp 3mm", "--speed-mm-s", "20", "--resolution", "fast", "--no-real-time",
                  "--measured", str(path), "--radius-mm", "30"]) == 0
     session = staged.newest
-    assert session.options == {"resolution": "fast", "real_time": False} and session.closed
+    assert session.options == {"resolution": "fast", "settings": replace(SETTINGS, real_time=False)} and session.closed
     scene = session.scene
     assert (scene.kind.name, scene.source, scene.deepest) == ("needle_indentation", "silicone of the study", 3e-3)
     assert scene.experiment.specimen.radius == pytest.approx(0.03) and scene.measurement is None

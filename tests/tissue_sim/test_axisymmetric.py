@@ -104,7 +104,7 @@ def test_tangent_is_the_derivative_of_the_residual(element, law):
     solver = AxisymmetricSolver(mesh, stuff, {"base": "rz"}, {"top": "rz"})
     depth = 8e-3
     assert solver.step(depth).status is StepStatus.CONVERGED
-    tangent = _full(solver.tangent())
+    tangent = _full(solver.equations.tangent())
 
     state = solver.state[: 2 * len(mesh.nodes)]
     shared = np.unique(mesh.connectivity[:, : element.boundary_nodes])
@@ -177,7 +177,7 @@ class TestStepping:
         flat, tall = (AxisymmetricSolver(cylinder_mesh(0.04, 0.07, counts, Q9P1), material(), {"base": "rz"},
                                          {"top": "rz"}) for counts in ((12, 3), (3, 12)))
         assert flat.equations.half_band < 40 and tall.equations.half_band < 40
-        dense = np.linalg.solve(_full(flat.tangent()), np.ones(flat.equations.free))
+        dense = np.linalg.solve(_full(flat.equations.tangent()), np.ones(flat.equations.free))
         assert np.isfinite(dense).all() and flat.step(3e-3).force == pytest.approx(tall.step(3e-3).force, rel=0.02)
 
 

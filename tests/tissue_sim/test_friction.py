@@ -278,7 +278,7 @@ class TestTangent:
 
 def whole(solver):
     """The condensed tangent as a full matrix: lower blocks, and upper ones where points slip."""
-    solver.tangent()
+    solver.equations.tangent()
     rows, width = solver.equations.entries.shape[:2]
     full = np.zeros((rows * band.BLOCK,) * 2)
     unsymmetric = bool(solver.equations.counts[newton.UNSYMMETRIC])

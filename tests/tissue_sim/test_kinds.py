@@ -27,7 +27,7 @@ def test_a_kind_is_what_its_parts_know(name):
     kind = ts.KINDS[name]
     assert kind.name == name and pickle.loads(pickle.dumps(kind)) == kind
     assert {channel for pair in kind.channels for channel in pair} <= set(CHANNELS)
-    for field, usual in kind.interfaces.items():
+    for field, usual in kind.interfaces(kind.tool or ts.Tool()).items():
         assert checked_interface(usual, field) == usual
 
 
@@ -41,6 +41,14 @@ def test_its_experiment(name):
     experiment = kind.experiment(**setting)
     assert experiment.tool == kind.tool and kind.fits(experiment.tool)
     assert kind.experiment(**setting, friction="stick").friction == "stick"
+
+
+@pytest.mark.parametrize(("tool", "friction"), [
+    (ts.Tool("flat", radius=8e-3), "bonded"), (ts.Tool("sphere", radius=8e-3), "stick"),
+    (ts.Tool("cone", radius=8e-3, half_angle=0.7), "stick")])
+def test_a_needle_without_a_flat_face_is_not_bonded(tool, friction):
+    setting = {"specimen": ts.Specimen(0.04, 0.07), "protocol": ts.Protocol.ramp(5e-3), "tool": tool}
+    assert ts.KINDS["needle_indentation"].experiment(**setting).friction == friction
 
 
 @pytest.mark.parametrize(("name", "abscissa", "strain"), [

@@ -178,9 +178,9 @@ class TestTangent:
         for depth in np.linspace(0, 4e-3, 17):
             *_, step = _approach(solver, ts.Pose.at_depth(float(depth)))
         assert step.status is StepStatus.CONVERGED
-        with_contact = solver.tangent()
+        with_contact = solver.equations.tangent()
         solver.equations.counts[newton.CONTACTS] = 0
-        added = with_contact - solver.tangent()
+        added = with_contact - solver.equations.tangent()
 
         surface, freedoms = solver.equations.surface, 2 * len(solver.mesh.nodes)
         state, centre = solver.state, np.array([RADIUS - edge, edge])

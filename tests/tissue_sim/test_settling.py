@@ -112,3 +112,13 @@ def test_no_moulded_height_fits():
 def test_bad_input(change, words):
     with pytest.raises(ts.InputError, match=words):
         ts.Specimen(0.040, 0.070, **change)
+
+
+@pytest.mark.parametrize("radius", [1e-3, 5e-3, 15e-3])
+def test_a_small_ball_meets_the_sagged_top(radius):
+    """Hertz, F = 16/9 E sqrt(r) d^1.5 of incompressible tissue, a little stiffer at its base for its own weight."""
+    depth = 0.02 * radius
+    tool = ts.Tool("sphere", radius=radius)
+    pressed = ts.simulate(model(tool=tool, height=0.040, friction_base="bonded", depth=depth, points=3)).force[-1]
+    hertz = 16 / 9 * 6 * STUDY["C10"] * np.sqrt(radius) * depth**1.5
+    assert pressed == pytest.approx(hertz, rel=0.12)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import numpy as np
@@ -13,51 +13,15 @@ if TYPE_CHECKING:
     from tissue_sim.material.material import Material
 
 
-class ClosedForm(Protocol):
+@dataclass(frozen=True)
+class ClosedForm:
     """What a kind of test knows of its stress.
 
     Attributes:
+        law_mode: of `Law.nominal_stress`.
         mode: of `tissue_sim.laws.Stability.limits`, the deformation along which a law may lose its stability.
         rest: abscissa of the undeformed specimen: 1 of a stretch, 0 of a shear strain, which may go to either side.
         label: of the abscissa, for tables and axes.
-    """
-
-    @property
-    def mode(self) -> str: ...
-
-    @property
-    def rest(self) -> float: ...
-
-    @property
-    def label(self) -> str: ...
-
-    def stress(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
-        """Nominal stress, Pa, negative in compression, shape of `abscissa`."""
-
-    def slope(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
-        """d(stress)/d(abscissa), Pa, shape of `abscissa`."""
-
-    def derivatives(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
-        """d(stress)/d(parameter), shape (*abscissa.shape, m)."""
-
-    def history(self, material: Material, time: np.ndarray, abscissa: np.ndarray, contact_radius: float) -> np.ndarray:
-        """Nominal stress with what a material remembers, Pa, shape (n,).
-
-        Raises:
-            InputError: no closed form of such a material.
-        """
-
-    def extremes(self, low: float, high: float) -> tuple[float, float]:
-        """Extreme principal stretches between two abscissas, rest included."""
-
-
-@dataclass(frozen=True)
-class Homogeneous:
-    """A closed form by a mode of `Law.nominal_stress`; see `ClosedForm`.
-
-    Attributes:
-        law_mode: of `Law.nominal_stress`.
-        mode, rest, label: see `ClosedForm`.
         lateral: the principal stretch farthest from a stretch l is l^-lateral.
     """
 
@@ -68,20 +32,29 @@ class Homogeneous:
     lateral: float = 0.5
 
     def stress(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
+        """Nominal stress, Pa, negative in compression, shape of `abscissa`."""
         return law.nominal_stress(abscissa, values, self.law_mode)
 
     def slope(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
+        """d(stress)/d(abscissa), Pa, shape of `abscissa`."""
         return law.nominal_stress_slope(abscissa, values, self.law_mode)
 
     def derivatives(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
+        """d(stress)/d(parameter), shape (*abscissa.shape, m)."""
         return law.nominal_stress_derivatives(abscissa, values, self.law_mode)
 
     def history(self, material: Material, time: np.ndarray, abscissa: np.ndarray, contact_radius: float) -> np.ndarray:
+        """Nominal stress with what a material remembers, Pa, shape (n,).
+
+        Raises:
+            InputError: no closed form of such a material.
+        """
         from tissue_sim.closed_form.histories import stress_history
 
         return stress_history(self.law_mode, material, time, abscissa, contact_radius)
 
     def extremes(self, low: float, high: float) -> tuple[float, float]:
+        """Extreme principal stretches between two abscissas, rest included."""
         if self.rest == 0.0:
             # A planar deformation and a rotation, with the principal stretches l - 1/l = gamma.
             shear = max(abs(low), abs(high))
@@ -92,7 +65,7 @@ class Homogeneous:
 
 
 #: Lubricated compression and tension; equations 4 to 7 of the study.
-UNIAXIAL = Homogeneous("uniaxial", "uniaxial")
-SIMPLE_SHEAR = Homogeneous("simple_shear", "planar", rest=0.0, label="shear strain [-]")
+UNIAXIAL = ClosedForm("uniaxial", "uniaxial")
+SIMPLE_SHEAR = ClosedForm("simple_shear", "planar", rest=0.0, label="shear strain [-]")
 #: Tension of a sheet whose width is held.
-PLANAR = Homogeneous("planar", "planar", lateral=1.0)
+PLANAR = ClosedForm("planar", "planar", lateral=1.0)

@@ -8,11 +8,9 @@ constraints.
 
 from __future__ import annotations
 
-from dataclasses import is_dataclass
 from typing import Any, ClassVar, NamedTuple
 
-from tissue_sim.errors import InputError
-from tissue_sim.parameters import declared
+from tissue_sim.parameters import declaring
 from tissue_sim.registry import Registry
 
 
@@ -70,13 +68,8 @@ class ContactLaw:
         raise NotImplementedError
 
 
-def _check(name: str, kind: Any) -> None:
-    if not (isinstance(kind, type) and issubclass(kind, ContactLaw) and is_dataclass(kind) and declared(kind)):
-        raise InputError(f"{name!r} is no law of a contact; register a frozen dataclass that derives from "
-                         "tissue_sim.ContactLaw and declares its parameters", field="tissue_sim.contact_laws")
-
-
 #: Name -> class.
 CONTACT_LAWS: Registry[type[ContactLaw]] = Registry(
     "law of a contact", "tissue_sim.contact_laws", {"adhesion": "tissue_sim.experiment.adhesion:Adhesion"},
-    check=_check)
+    accepts=declaring(ContactLaw),
+    expected="a frozen dataclass that derives from tissue_sim.ContactLaw and declares its parameters")

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from decimal import Decimal
-from typing import TypeVar
+from typing import Any
 
 from tissue_sim.errors import nearest
 from tissue_sim.experiment.segments import KINDS, Repeat, Segment, fault
 
-Step = TypeVar("Step", bound=Segment | Repeat)
 _LENGTHS = {"mm": "0.001", "um": "0.000001", "m": "1"}
 _TIMES = {"s": "1", "ms": "0.001", "min": "60", "h": "3600"}
 #: Quantity -> unit -> (multiplied by, divided by) to SI.
@@ -64,36 +63,32 @@ class _Reader:
         self.text, self.at = text, 0
 
     def read(self) -> tuple[Segment | Repeat, ...]:
-        steps = self.steps(self.step)
+        steps = self.steps()
         if self.at < len(self.text):
             raise self.fault(self.at, "this bracket closes nothing; take it out")
         return steps
 
-    def steps(self, step: Callable[[], Step]) -> tuple[Step, ...]:
+    def steps(self, repeated: bool = False) -> tuple[Any, ...]:
         """Steps up to the end, or to the closing bracket, which is left to the caller."""
-        steps: list[Step] = []
+        steps: list[Segment | Repeat] = []
         while True:
             if steps and self.ended():
                 return tuple(steps)
-            steps.append(step())
+            steps.append(self.step(repeated))
             if self.ended():
                 return tuple(steps)
             if not self.took(";"):
                 raise self.fault(self.at, "expected ';' between two segments")
 
-    def step(self) -> Segment | Repeat:
+    def step(self, repeated: bool) -> Segment | Repeat:
         self.skip_blanks()
         start = self.at
         word = self.take(_WORD)
-        return self.repeat(start) if word == "repeat" else self.segment(start, word)
-
-    def repeated(self) -> Segment:
-        self.skip_blanks()
-        start = self.at
-        word = self.take(_WORD)
-        if word == "repeat":
+        if word != "repeat":
+            return self.segment(start, word)
+        if repeated:
             raise self.fault(start, "a repeat cannot stand inside a repeat; write one of them out")
-        return self.segment(start, word)
+        return self.repeat(start)
 
     def segment(self, start: int, word: str | None) -> Segment:
         if word is None:
@@ -118,7 +113,7 @@ class _Reader:
             raise self.fault(at, "expected how many times, a whole number from 1 on, as in repeat 3 (ramp 5mm; unload)")
         if not self.took("("):
             raise self.fault(self.at, "expected the repeated segments in brackets, as in repeat 3 (ramp 5mm; unload)")
-        segments = self.steps(self.repeated)
+        segments = self.steps(repeated=True)
         if not self.took(")"):
             raise self.fault(start, "the brackets of this repeat are not closed; add ')'")
         return Repeat(int(count), segments)

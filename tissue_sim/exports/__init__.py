@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
-from tissue_sim.errors import InputError
 from tissue_sim.material.material import Material
 from tissue_sim.registry import Registry
 
@@ -14,14 +12,9 @@ from tissue_sim.registry import Registry
 Exporter = Callable[[Material], str]
 
 
-def _check(name: str, exporter: Any) -> None:
-    if not callable(exporter):
-        raise InputError(f"{name!r} is no exporter; register a function from a Material to the text of a file",
-                         field="tissue_sim.exporters")
-
-
 #: Name of the program -> its exporter.
 EXPORTERS: Registry[Exporter] = Registry("target of an export", "tissue_sim.exporters", {
-    "abaqus": "tissue_sim.exports.abaqus:export"}, check=_check)
+    "abaqus": "tissue_sim.exports.abaqus:export"}, accepts=callable,
+    expected="a function from a Material to the text of a file")
 
 __all__ = ["EXPORTERS", "Exporter"]

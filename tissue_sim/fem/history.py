@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from tissue_sim.material.softening import Softening
@@ -11,16 +9,6 @@ from tissue_sim.material.viscoelasticity import Prony
 
 #: Places in `Memory.past`.
 FACTOR, INSTANT, LOSS, LOSS_MODULUS, LOSS_SHARE = range(5)
-
-
-@dataclass(frozen=True, eq=False)
-class SavedMemory:
-    """All that a committed step leaves behind; see the attributes of `Memory`."""
-
-    before: np.ndarray
-    internal: np.ndarray
-    largest: np.ndarray
-    stresses: np.ndarray
 
 
 class Memory:
@@ -97,11 +85,7 @@ class Memory:
             return self.stresses.copy()
         return (1.0 - self._prony.relaxing) * self.before + self.internal.sum(axis=0)
 
-    def save(self) -> SavedMemory:
-        """All that a committed step leaves behind."""
-        return SavedMemory(self.before.copy(), self.internal.copy(), self.largest.copy(), self.stresses.copy())
-
-    def restore(self, saved: SavedMemory) -> None:
-        """Go back to where `save` was called, on this mesh or on the same one."""
-        self.before[:], self.internal[:], self.largest[:], self.stresses[:] = (
-            saved.before, saved.internal, saved.largest, saved.stresses)
+    @property
+    def kept(self) -> tuple[np.ndarray, ...]:
+        """All that a committed step leaves behind; to go back there, fill them with what they were."""
+        return self.before, self.internal, self.largest, self.stresses

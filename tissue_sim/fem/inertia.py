@@ -10,22 +10,10 @@ Source: Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 #: Steps whose ratio to the one before lies here are of second order; the method is stable below 1 + sqrt 2.
 _RATIOS = 0.4, 2.0
-
-
-@dataclass(frozen=True, eq=False)
-class SavedMotion:
-    """All that a committed step leaves behind; see `Motion`."""
-
-    velocity: np.ndarray
-    earlier_place: np.ndarray
-    earlier_velocity: np.ndarray
-    before: float
 
 
 class Motion:
@@ -42,14 +30,15 @@ class Motion:
         self.velocity = np.zeros_like(mass)
         self._earlier_place, self._earlier_velocity = np.zeros_like(mass), np.zeros_like(mass)
         self._scratch = np.zeros_like(mass)
-        #: Length of the step before, s; 0 where there is none to go on from.
-        self.before = 0.0
+        #: Length of the step before, s; 0 where there is none to go on from; shape (1,).
+        self._before = np.zeros(1)
         self._weights = (1.0, -1.0, 0.0)
 
     def prepare(self, state: np.ndarray, dt: float) -> float:
         """Before an inertial step of dt (s) from a state whose first entries are displacements; returns `rate`,
         1/s2."""
-        ratio = dt / self.before if self.before > 0.0 else 0.0
+        before = float(self._before[0])
+        ratio = dt / before if before > 0.0 else 0.0
         if _RATIOS[0] <= ratio <= _RATIOS[1]:
             self._weights = (1.0 + 2.0 * ratio) / (1.0 + ratio), -(1.0 + ratio), ratio * ratio / (1.0 + ratio)
         else:
@@ -67,7 +56,7 @@ class Motion:
         """After a step of dt (s) that converged; without inertia the velocity is that between the two states."""
         velocity, scratch, size = self.velocity, self._scratch, self.velocity.size
         if not inertial:
-            self.before = 0.0
+            self._before[:] = 0.0
             if dt > 0.0:
                 np.subtract(after[:size], before[:size], out=velocity)
                 velocity /= dt
@@ -79,17 +68,13 @@ class Motion:
             np.multiply(values, factor, out=scratch)
             velocity += scratch
         self._earlier_place[:] = before[:size]
-        self.before = dt
+        self._before[:] = dt
 
     def stop(self) -> None:
         """Stand still."""
-        self.velocity[:], self.before = 0.0, 0.0
+        self.velocity[:], self._before[:] = 0.0, 0.0
 
-    def save(self) -> SavedMotion:
-        """All that a committed step leaves behind."""
-        return SavedMotion(self.velocity.copy(), self._earlier_place.copy(), self._earlier_velocity.copy(), self.before)
-
-    def restore(self, saved: SavedMotion) -> None:
-        """Go back to where `save` was called."""
-        self.velocity[:], self._earlier_place[:], self._earlier_velocity[:], self.before = (
-            saved.velocity, saved.earlier_place, saved.earlier_velocity, saved.before)
+    @property
+    def kept(self) -> tuple[np.ndarray, ...]:
+        """All that a committed step leaves behind; to go back there, fill them with what they were."""
+        return self.velocity, self._earlier_place, self._earlier_velocity, self._before

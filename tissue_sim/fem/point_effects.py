@@ -7,7 +7,7 @@ from itertools import chain
 
 import numpy as np
 
-from tissue_sim.errors import InputError
+from tissue_sim.errors import InputError, located
 from tissue_sim.fem.taichi.trace import TRIED, Formula, traced
 from tissue_sim.material.effect import PointEffect, TissueEffect
 
@@ -77,10 +77,8 @@ def _try(formula: Formula[PointEffect]) -> None:
     kind, field = formula.kind, f"effects.{formula.kind.name}"
     parameters = traced([TRIED] * len(formula.parameters), lanes=False)
     C, state, (dt,) = traced([TRIED] * 6, True), traced([TRIED] * len(kind.rest), True), traced([TRIED], False)
-    try:
+    with located(field=field):
         stress, tangent, found = formula.bind(parameters).response(C, state, dt)
-    except InputError as error:
-        raise error.located(field=field) from None
     shape = len(stress), len(tangent), {len(row) for row in tangent}, len(found)
     if shape != (6, 6, {6}, len(kind.rest)):
         raise InputError(f"the response of {kind.__name__} has {len(stress)} stresses, {len(tangent)} rows of tangent "

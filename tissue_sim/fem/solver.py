@@ -104,6 +104,9 @@ class Fields(Protocol):
     def at_nodes(self, name: str, sample: int = -1) -> np.ndarray:
         """A field at the nodes, shape (nodes,)."""
 
+    def stretch_range(self, sample: int = -1) -> tuple[float, float]:
+        """Smallest and largest principal stretch in the tissue, but for a hundredth of its volume at either end."""
+
 
 @runtime_checkable
 class SharedFields(Fields, Protocol):

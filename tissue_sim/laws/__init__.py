@@ -4,7 +4,6 @@ Adding a law: write its class in a file beside these and add one line to `LAWS` 
 one by an entry point of the group ``tissue_sim.laws``, a program by `register`.
 """
 
-from tissue_sim.errors import InputError
 from tissue_sim.laws.law import InvariantLaw, KernelEnergy, Law, StretchLaw
 from tissue_sim.laws.mooney_rivlin import MooneyRivlin
 from tissue_sim.laws.neo_hooke import NeoHooke
@@ -13,20 +12,13 @@ from tissue_sim.laws.reduced_polynomial import ReducedPolynomial
 from tissue_sim.laws.stability import Stability, check_stability
 from tissue_sim.registry import Registry
 
-
-def _check(name: str, thing: object) -> None:
-    if not isinstance(thing, Law):
-        raise InputError(f"{name!r} is no law; give an object of a class derived from InvariantLaw or StretchLaw",
-                         field="tissue_sim.laws")
-
-
 #: Name -> law.
 LAWS: Registry[Law] = Registry("law", "tissue_sim.laws", {law.name: law for law in (
     NeoHooke(),
     MooneyRivlin(),
     ReducedPolynomial(1), ReducedPolynomial(2), ReducedPolynomial(3),
     Ogden(1), Ogden(2), Ogden(3),
-)}, check=_check)
+)}, accepts=lambda law: isinstance(law, Law), expected="an object of a class derived from InvariantLaw or StretchLaw")
 
 
 def register(law: Law) -> Law:

@@ -7,12 +7,11 @@ An effect is a frozen dataclass that derives from one of the classes here and de
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import Field, dataclass, is_dataclass
-from math import inf
+from dataclasses import Field, dataclass
+from math import inf, prod
 from typing import Any, ClassVar
 
-from tissue_sim.errors import InputError
-from tissue_sim.parameters import declared
+from tissue_sim.parameters import declaring
 from tissue_sim.registry import Registry
 
 
@@ -112,31 +111,19 @@ class ReducedForce:
 
     def share(self, depth: float, dt: float = 0.0) -> float:
         """Of the force (or its derivative) at a depth, m, that is tried dt s later."""
-        return self._share(self._at(depth, dt)) if self._effects else 1.0
+        here = self._at(depth, dt)
+        return prod((effect.share(here) for effect in self._effects), start=1.0)
 
     def go(self, depth: float, dt: float = 0.0) -> float:
         """The same at a depth that is final."""
-        self.history = self._at(depth, dt)
-        return self._share(self.history) if self._effects else 1.0
+        share, self.history = self.share(depth, dt), self._at(depth, dt)
+        return share
 
     def _at(self, depth: float, dt: float) -> ToolHistory:
         return ToolHistory(depth, max(self.history.deepest, depth), self.history.time + dt)
 
-    def _share(self, history: ToolHistory) -> float:
-        share = 1.0
-        for effect in self._effects:
-            share *= effect.share(history)
-        return share
-
-
-def _check(name: str, kind: Any) -> None:
-    if not (isinstance(kind, type) and issubclass(kind, TissueEffect) and is_dataclass(kind)):
-        raise InputError(f"{name!r} is no effect of a tissue; register a frozen dataclass that derives from "
-                         "tissue_sim.TissueEffect", field="tissue_sim.effects")
-    if not declared(kind):
-        raise InputError(f"the effect {name!r} has no parameters; declare each with tissue_sim.parameter",
-                         field="tissue_sim.effects")
-
 
 #: Name -> class.
-EFFECTS: Registry[type[TissueEffect]] = Registry("effect of the tissue", "tissue_sim.effects", {}, check=_check)
+EFFECTS: Registry[type[TissueEffect]] = Registry(
+    "effect of the tissue", "tissue_sim.effects", {}, accepts=declaring(TissueEffect),
+    expected="a frozen dataclass that derives from tissue_sim.TissueEffect and declares its parameters")

@@ -6,6 +6,8 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +15,11 @@ import msgspec
 import numpy as np
 
 from tissue_sim.atomic_write import write_text
-from tissue_sim.decode import as_json_types, decode, read_json, require_writable
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.decode import as_json_types, decode, read_json, require_schema, require_writable
+from tissue_sim.errors import InputError, located, nearest
 from tissue_sim.laws import Law, check_stability, find_law
 from tissue_sim.material.material import Bulk, Material
+from tissue_sim.material.population import PopulationEntry, checked_population, population_entry
 from tissue_sim.material.schema import (
     BulkEntry,
     CovarianceEntry,
@@ -30,11 +33,11 @@ from tissue_sim.material.schema import (
     StabilityEntry,
     ValidRange,
     ViscoelasticEntry,
+    check_covariance,
     entries_of,
-    errors_of,
     parts_of,
 )
-from tissue_sim.parameters import Parameter, parameters
+from tissue_sim.parameters import Parameter, parameters, tokens
 from tissue_sim.units import UNITS, to_si
 from tissue_sim.version import __version__
 
@@ -64,6 +67,7 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
     poroelasticity: PoroelasticityEntry | None = None
     puncture: PunctureEntry | None = None
     effects: dict[str, dict[str, Any]] | None = None
+    population: PopulationEntry | None = None
     density_kg_m3: float | None = None
     valid_range: ValidRange | None = None
     stability: StabilityEntry | None = None
@@ -71,7 +75,8 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
 
     @classmethod
     def of(cls, material: Material, *, standard_errors: Mapping[str, float] | None = None, covariance=None,
-           others: Sequence[str] = (), valid_range: ValidRange | Mapping[str, Any] | None = None,
+           others: Sequence[str] = (), population: Mapping[str, Any] | None = None,
+           valid_range: ValidRange | Mapping[str, Any] | None = None,
            provenance: Provenance | Mapping[str, Any] | None = None) -> MaterialFile:
         """The file of a material, with its stability looked at.
 
@@ -81,6 +86,7 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
                 ``viscoelastic.terms[0].tau``; from the covariance where that is given and this is not.
             covariance: shape (m, m), of the law's parameters in its order, SI.
             others: paths of the parameters that the covariance holds after those of the law; it is then larger.
+            population: what `PopulationEntry` holds, in SI and by path.
             valid_range: for example ``{"stretch": [0.8, 1.0]}``.
             provenance: software, version and date are filled in where they are missing.
 
@@ -97,12 +103,13 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
         if covariance is not None:
             matrix = np.asarray(covariance, dtype=float)
             order = (*law.parameters, *others)
-            _check_matrix(matrix, len(order))
+            check_covariance(matrix, len(order))
             errors = errors or dict(zip(order, np.sqrt(np.diag(matrix)).tolist(), strict=True))
             factors = np.array([known[name].declaration.factor for name in order])
             stated = CovarianceEntry(order=tuple(known[name].file_path for name in order),
                                      matrix=_rows(matrix / np.outer(factors, factors)))
         stability = check_stability(law, material.values)
+        specimens = None if population is None else population_entry(population, known)
         given = as_json_types(provenance or {})
         history = {"software": "tissue-sim", "version": __version__,
                    "date": datetime.now(UTC).isoformat(timespec="seconds"), **given}
@@ -112,7 +119,7 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
             parameters={name: ParameterEntry(value=value, unit=law.units[name],
                                              standard_error=float(errors[name]) if name in errors else None)
                         for name, value in material.parameters.items()},
-            covariance=stated, bulk=BulkEntry(**bulk), **entries_of(material, errors),
+            covariance=stated, population=specimens, bulk=BulkEntry(**bulk), **entries_of(material, errors),
             density_kg_m3=material.density,
             valid_range=decode(as_json_types(valid_range), ValidRange | None, "valid_range"),
             stability=StabilityEntry(stable_from=stability.stable_from, stable_to=stability.stable_to,
@@ -131,8 +138,16 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
     @property
     def standard_errors(self) -> dict[str, float]:
         """Path, as in `tissue_sim.parameters`, -> standard error, SI, of those that are known; of a file in SI."""
-        law = {name: entry.standard_error for name, entry in self.parameters.items()}
-        return {name: error for name, error in law.items() if error is not None} | errors_of(self._effects)
+        stated, content = {}, msgspec.to_builtins(self)
+        for path, each in _with_errors(self.material).items():
+            *place, key = tokens(each.file_path)
+            if place:
+                error = reduce(getitem, place, content).get("standard_errors", {}).get(key)
+            else:
+                error = self.parameters[path].standard_error
+            if error is not None:
+                stated[path] = each.declaration.factor * error
+        return stated
 
     @property
     def covariance_SI(self) -> tuple[tuple[str, ...], np.ndarray] | None:
@@ -163,10 +178,8 @@ def read_material_file(path: str | Path) -> MaterialFile:
     """
     path = Path(path)
     data = read_json(path, "a material file (JSON)")
-    try:
+    with located(file=path):
         return decode_material_file(data)
-    except InputError as error:
-        raise error.located(file=path) from None
 
 
 def write_material_file(material_file: MaterialFile, path: str | Path) -> None:
@@ -175,10 +188,8 @@ def write_material_file(material_file: MaterialFile, path: str | Path) -> None:
     Raises:
         InputError: a value that the reader would refuse, or a place that cannot be written; nothing is written then.
     """
-    try:
+    with located(file=path):
         data = msgspec.to_builtins(checked(material_file))
-    except InputError as error:
-        raise error.located(file=path) from None
     text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
     # Lists of numbers on one line: a line end inside brackets is never part of a JSON text.
     text = re.sub(r"\[\n([^\[\]{}\"]*)\n\s*\]", lambda match: f"[{' '.join(match[1].split())}]", text)
@@ -187,9 +198,7 @@ def write_material_file(material_file: MaterialFile, path: str | Path) -> None:
 
 def decode_material_file(data: Any) -> MaterialFile:
     """A `MaterialFile` from decoded JSON; see `read_material_file`."""
-    if not isinstance(data, dict):
-        raise InputError('expected an object { "schema": ... }, found something else')
-    _check_schema(data.get("schema"))
+    require_schema(data, "material", VERSION)
     parameters = data.get("parameters")
     if isinstance(parameters, dict):
         # One by one: msgspec names no keys of maps in its messages.
@@ -198,34 +207,23 @@ def decode_material_file(data: Any) -> MaterialFile:
     return checked(decode(data, MaterialFile, ""))
 
 
-def _check_schema(schema: Any) -> None:
-    match = re.fullmatch(r"tissue_sim/material/([0-9]{1,9})", schema) if isinstance(schema, str) else None
-    if not match or int(match[1]) < 1:
-        found = "the schema is missing" if schema is None else f"{schema!r} is not a material schema"
-        raise InputError(f"{found}, expected {SCHEMA!r}", field="schema")
-    if int(match[1]) > VERSION:
-        raise InputError(f"{schema!r} was written by a newer version, expected {SCHEMA!r}; update tissue-sim",
-                         field="schema")
-
-
 def checked(file: MaterialFile) -> MaterialFile:
     """The same file in SI, with everything checked that types do not say.
 
     Raises:
         InputError: with the dotted path of the field.
     """
-    _check_schema(file.schema)
-    require_writable(msgspec.to_builtins(file))
+    content = msgspec.to_builtins(file)
+    require_schema(content, "material", VERSION)
+    require_writable(content)
     law = find_law(file.law)
     factors = {}
     for name, entry in file.parameters.items():
         if name not in law.units:
             raise InputError(f"law {law.name} has no parameter {name!r}{nearest(name, law.parameters)}",
                              field=f"parameters.{name}")
-        try:
+        with located(field=f"parameters.{name}.unit"):
             factors[name], _ = to_si(entry.unit, UNITS[law.units[name]][0])
-        except InputError as error:
-            raise error.located(field=f"parameters.{name}.unit") from None
         if entry.standard_error is not None and entry.standard_error < 0:
             raise InputError(f"{entry.standard_error:g} is negative; give a standard deviation",
                              field=f"parameters.{name}.standard_error")
@@ -248,11 +246,15 @@ def checked(file: MaterialFile) -> MaterialFile:
         order = file.covariance.order
         _check_order(order, law, [each.file_path for each in _with_errors(file.material).values()])
         scale = np.array([factors.get(name, 1.0) for name in order])
-        matrix = np.array(_square(file.covariance.matrix, len(order)), dtype=float)
-        matrix = np.outer(scale, scale) * matrix
-        _check_matrix(matrix, len(order))
+        if (lengths := [len(row) for row in file.covariance.matrix]) != [len(order)] * len(order):
+            raise InputError(f"has rows of length {lengths}, expected {len(order)} rows of {len(order)}",
+                             field="covariance.matrix")
+        matrix = np.outer(scale, scale) * np.array(file.covariance.matrix, dtype=float)
+        check_covariance(matrix, len(order))
         file = msgspec.structs.replace(file, covariance=CovarianceEntry(order=order, matrix=_rows(matrix)))
-    _ = errors_of(file._effects)
+    if file.population is not None:
+        known = {each.file_path: factors.get(each.file_path, 1.0) for each in _with_errors(file.material).values()}
+        file = msgspec.structs.replace(file, population=checked_population(file.population, known))
     require_writable(msgspec.to_builtins(file))  # a number near 1e308 MPa does not fit in Pa
     return file
 
@@ -272,33 +274,8 @@ def _check_order(order: Sequence[str], law: Law, known: Sequence[str]) -> None:
             raise InputError(f"this material has no parameter {name!r}{nearest(name, known)}", field="covariance.order")
 
 
-def _square(rows: Sequence[Sequence[float]], m: int) -> Sequence[Sequence[float]]:
-    if [len(row) for row in rows] != [m] * m:
-        raise InputError(f"has rows of length {[len(row) for row in rows]}, expected {m} rows of {m}",
-                         field="covariance.matrix")
-    return rows
-
-
 def _rows(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
     return tuple(map(tuple, matrix.tolist()))
-
-
-def _check_matrix(matrix: np.ndarray, m: int) -> None:
-    if matrix.shape != (m, m):
-        raise InputError(f"has the shape {matrix.shape}, expected {m} rows of {m}", field="covariance.matrix")
-    if not np.isfinite(matrix).all():
-        raise InputError("holds a number that is not finite", field="covariance.matrix")
-    variances = np.diag(matrix)
-    if (variances < 0).any():
-        raise InputError(f"variance {variances.min():g} on the diagonal is negative", field="covariance.matrix")
-    # A fixed parameter has a row of zeros. Rounding of a fit is far below 1e-9 of a correlation.
-    scale = np.sqrt(np.where(variances > 0, variances, 1.0))
-    correlation = matrix / scale[:, None] / scale[None, :]
-    if np.abs(correlation - correlation.T).max() > 1e-9:
-        raise InputError("is not symmetric", field="covariance.matrix")
-    if np.linalg.eigvalsh(correlation).min() < -1e-9:
-        raise InputError("is not positive semi-definite: some combination of the parameters has a negative variance",
-                         field="covariance.matrix")
 
 
 def _check_ranges(file: MaterialFile) -> None:

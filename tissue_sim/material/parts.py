@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.errors import InputError, located, nearest
 from tissue_sim.material.effect import EFFECTS
 from tissue_sim.material.layer import Layer
 from tissue_sim.material.material import Bulk, Material, bulk_declaration
@@ -21,9 +21,8 @@ SINGLE: dict[str, type] = {"softening": Softening, "poroelasticity": Poroelastic
 SEVERAL: dict[str, type] = {"viscoelastic.terms": PronyTerm, "layers": Layer}
 _NUMBERED = re.compile(r"(.*)\[(?:0|[1-9]\d*)\]")
 #: Paths that messages name where one is not known.
-_EXAMPLES = ("viscoelastic.terms[0].g", "viscoelastic.terms[0].tau", "softening.loss", "softening.share",
-             "layers[0].ratio", "layers[0].thickness", "poroelasticity.phi", "poroelasticity.diffusivity",
-             "puncture.depth", "puncture.drop", "bulk.bulk_ratio")
+_EXAMPLES = (*(f"{place}[0].{name}" for place, kind in SEVERAL.items() for name in declared(kind)),
+             *(f"{place}.{name}" for place, kind in SINGLE.items() for name in declared(kind)), "bulk.bulk_ratio")
 
 
 def find_declaration(path: str) -> tuple[str, Declaration]:
@@ -79,10 +78,8 @@ def make_material(law: str, parameters: Mapping[str, float], others: Mapping[str
     parts: dict[str, Any] = {place: _part(SINGLE[place], place, numbers) for place, numbers in single.items()}
     prony = tuple(_in_order(terms, "viscoelastic.terms"))
     if prony:
-        try:
+        with located(field="viscoelastic"):
             parts["viscoelastic"] = Prony(prony)
-        except InputError as error:
-            raise error.located(field="viscoelastic") from None
     added = {name: _part(EFFECTS[name], f"effects.{name}", numbers) for name, numbers in effects.items()}
     return Material(law, parameters, response, layers=tuple(_in_order(terms, "layers")), effects=added, **parts,
                     **options)

@@ -5,15 +5,16 @@ The entry of a part of a material follows from what the part declares (`tissue_s
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import MISSING, fields
 from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, cast
 
 import msgspec
+import numpy as np
 
 from tissue_sim.decode import decode
-from tissue_sim.errors import InputError
+from tissue_sim.errors import InputError, located
 from tissue_sim.material.effect import EFFECTS
 from tissue_sim.material.layer import Layer
 from tissue_sim.material.material import Material
@@ -21,7 +22,7 @@ from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.material.puncture import Puncture
 from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import FORM, Prony, PronyTerm
-from tissue_sim.parameters import declared
+from tissue_sim.parameters import declared, from_keys
 
 Range = tuple[float, float]
 
@@ -111,7 +112,7 @@ class PartEntry(Entry, frozen=True, kw_only=True):
         Raises:
             InputError: a value that the part refuses, or a bad standard error, with the path below `field`.
         """
-        keys = {what.key: name for name, what in declared(self.noun).items()}
+        keys = [what.key for what in declared(self.noun).values()]
         for key, error in self.standard_errors.items():
             if key not in keys:
                 raise InputError(f"names no parameter beside it; known: {', '.join(keys)}",
@@ -119,17 +120,7 @@ class PartEntry(Entry, frozen=True, kw_only=True):
             if error < 0:
                 raise InputError(f"{error:g} is negative; give a standard deviation",
                                  field=f"{field}.standard_errors.{key}")
-        try:
-            return self.noun(**{name: what.factor * getattr(self, what.key)
-                                for name, what in declared(self.noun).items()})
-        except InputError as refused:
-            named = next((key for key, name in keys.items() if name == refused.field), refused.field)
-            raise InputError(refused.problem, field=".".join(filter(None, (field, named)))) from None
-
-    def errors(self, place: str) -> dict[str, float]:
-        """Path of the attribute -> standard error, SI."""
-        return {f"{place}.{name}": what.factor * self.standard_errors[what.key]
-                for name, what in declared(self.noun).items() if what.key in self.standard_errors}
+        return from_keys(self.noun, {key: getattr(self, key) for key in keys}, field)
 
 
 @cache
@@ -173,10 +164,8 @@ class ViscoelasticEntry(Entry, frozen=True, kw_only=True, omit_defaults=False):
     def part(self, field: str) -> Prony:
         """The Prony series; errors as `PartEntry.part`."""
         terms = tuple(term.part(f"{field}.terms[{i}]") for i, term in enumerate(self.terms))
-        try:
+        with located(field=field):
             return Prony(terms, self.moduli)
-        except InputError as refused:
-            raise refused.located(field=field) from None
 
 
 def entries_of(material: Material, errors: Mapping[str, float]) -> dict[str, Any]:
@@ -204,16 +193,9 @@ def parts_of(entries: Mapping[str, Any]) -> dict[str, Any]:
     single = {key: entry.part(key) for key, entry in entries.items()
               if entry is not None and key not in ("layers", "effects")}
     layers = tuple(layer.part(f"layers[{i}]") for i, layer in enumerate(entries["layers"] or ()))
-    effects = {name: _effect(name, content).part(f"effects.{name}") for name, content in _effects(entries)}
+    effects = {name: _effect(name, content).part(f"effects.{name}")
+               for name, content in (entries["effects"] or {}).items()}
     return {**single, "layers": layers, "effects": effects}
-
-
-def errors_of(entries: Mapping[str, Any]) -> dict[str, float]:
-    """Path -> standard error, SI, of everything beside the law that states one."""
-    stated: dict[str, float] = {}
-    for place, entry in _places(entries):
-        stated |= entry.errors(place)
-    return stated
 
 
 def _effect(name: str, content: Any) -> PartEntry:
@@ -229,17 +211,24 @@ def _effect(name: str, content: Any) -> PartEntry:
     return decode(content, entry_of(kind), f"effects.{name}")
 
 
-def _effects(entries: Mapping[str, Any]) -> list[tuple[str, Any]]:
-    return list((entries.get("effects") or {}).items())
+def check_covariance(matrix: np.ndarray, m: int, field: str = "covariance.matrix") -> None:
+    """Refuse what is no covariance of m numbers; with the field.
 
-
-def _places(entries: Mapping[str, Any]) -> Iterator[tuple[str, PartEntry]]:
-    for key, entry in entries.items():
-        if key == "effects":
-            yield from ((f"effects.{name}", _effect(name, content)) for name, content in _effects(entries))
-        elif key == "layers":
-            yield from ((f"layers[{i}]", layer) for i, layer in enumerate(entry or ()))
-        elif isinstance(entry, ViscoelasticEntry):
-            yield from ((f"{key}.terms[{i}]", term) for i, term in enumerate(entry.terms))
-        elif entry is not None:
-            yield key, entry
+    Raises:
+        InputError: another shape, a number that is not finite, not symmetric, or not positive semi-definite.
+    """
+    if matrix.shape != (m, m):
+        raise InputError(f"has the shape {matrix.shape}, expected {m} rows of {m}", field=field)
+    if not np.isfinite(matrix).all():
+        raise InputError("holds a number that is not finite", field=field)
+    variances = np.diag(matrix)
+    if (variances < 0).any():
+        raise InputError(f"variance {variances.min():g} on the diagonal is negative", field=field)
+    # A fixed parameter has a row of zeros. Rounding of a fit is far below 1e-9 of a correlation.
+    scale = np.sqrt(np.where(variances > 0, variances, 1.0))
+    correlation = matrix / scale[:, None] / scale[None, :]
+    if np.abs(correlation - correlation.T).max() > 1e-9:
+        raise InputError("is not symmetric", field=field)
+    if np.linalg.eigvalsh(correlation).min() < -1e-9:
+        raise InputError("is not positive semi-definite: some combination of the parameters has a negative variance",
+                         field=field)

@@ -94,7 +94,7 @@ class Contact:
         scale, unit, load, of = (1.0, "", 1e-3, "kPa") if stressed else (1e3, " mm", 1.0, "N")
         low, high = (scale * end for end in self.interval)
         if self.status == "none":
-            return "no contact: the force never leaves its zero by more than its noise does"
+            return "no contact: the force never leaves its zero by more than its noise"
         if self.status == "before":
             return ("no air is seen: contact was with the first motion or before it, at "
                     f"{high:.4g}{unit} at the latest")
@@ -184,7 +184,10 @@ def _answer(way: _WayIn, fitted: ChangePointFit, profile: Profile, adequate: boo
                     float(coefficients[1] / span), int(np.argmax(way.whole.displacement > place)), float(power),
                     deviation, way.step, first, part.displacement.size - first, adequate)
     if stats.f.sf(ratio, fitted.terms + 2, freedom) > _NO_FORCE:
-        return replace(found, status="none", displacement=np.nan, interval=(-np.inf, np.inf), exponent=np.nan)
+        rises = float(way.smooth.max()) - way.zero > _LEAST_RISE * max(way.noise, deviation)
+        latest = float(way.whole.displacement.max()) if rises else np.inf
+        return replace(found, status="unclear" if rises else "none", displacement=np.nan, interval=(-np.inf, latest),
+                       index=0, exponent=np.nan)
     reach = float(np.ptp(way.whole.displacement))
     # A drift and a law together can bend where there is air: only a clear rise bounds a contact without air.
     risen = way.smooth - way.zero > _DRIFT_RISE * max(way.noise, deviation)

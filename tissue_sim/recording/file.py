@@ -16,7 +16,7 @@ import numpy as np
 
 from tissue_sim.atomic_write import write_bytes, write_text
 from tissue_sim.decode import as_json_types, read_json, require_writable
-from tissue_sim.errors import InputError
+from tissue_sim.errors import InputError, located
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.recording.formats import FORMATS
 from tissue_sim.recording.recording import CHANNELS, LABELS, Recording
@@ -116,12 +116,11 @@ def write_recording(recording: Recording, path: str | Path) -> None:
     metadata["sha256"] = hashlib.sha256(data).hexdigest()
     try:
         metadata = as_json_types(metadata)
-        require_writable(metadata, "metadata")
     except TypeError as error:
         raise InputError(f"the metadata cannot be written as JSON ({error}); keep text, finite numbers, lists and maps",
                          file=path, field="metadata") from error
-    except InputError as error:
-        raise error.located(file=path) from None
+    with located(file=path):
+        require_writable(metadata, "metadata")
     # A crash between the two leaves a sidecar whose SHA-256 does not match, which the reader reports.
     write_bytes(path, data)
     write_text(path.with_suffix(".json"), json.dumps(metadata, indent=2, ensure_ascii=False) + "\n")

@@ -6,13 +6,11 @@ A fault is a frozen dataclass that derives from `RigFault` and declares its numb
 
 from __future__ import annotations
 
-from dataclasses import is_dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
-from tissue_sim.errors import InputError
-from tissue_sim.parameters import declared
+from tissue_sim.parameters import declaring
 from tissue_sim.recording.recording import Recording
 from tissue_sim.registry import Registry
 
@@ -49,11 +47,7 @@ class RigFault:
         return recording
 
 
-def _check(name: str, kind: Any) -> None:
-    if not (isinstance(kind, type) and issubclass(kind, RigFault) and is_dataclass(kind) and declared(kind)):
-        raise InputError(f"{name!r} is no fault of a rig; register a frozen dataclass that derives from "
-                         "tissue_sim.RigFault and declares its parameters", field="tissue_sim.rig_faults")
-
-
 #: Name -> class.
-FAULTS: Registry[type[RigFault]] = Registry("fault of a rig", "tissue_sim.rig_faults", {}, check=_check)
+FAULTS: Registry[type[RigFault]] = Registry(
+    "fault of a rig", "tissue_sim.rig_faults", {}, accepts=declaring(RigFault),
+    expected="a frozen dataclass that derives from tissue_sim.RigFault and declares its parameters")

@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from tissue_sim.atomic_write import write_text
-from tissue_sim.decode import decode, read_json, require_writable
-from tissue_sim.errors import InputError
+from tissue_sim.decode import decode, read_json, require_schema, require_writable
+from tissue_sim.errors import located
 from tissue_sim.parameters import declared, from_keys, to_keys
 from tissue_sim.rig.fault import FAULTS
 from tissue_sim.rig.rig import Rig
 
 VERSION = 1
 SCHEMA = f"tissue_sim/rig/{VERSION}"
-_KEYS = {name: what.key for name, what in declared(Rig).items()}
+_KEYS = [what.key for what in declared(Rig).values()]
 _RigFile = msgspec.defstruct(
-    "RigFile", [("schema", str), *((key, float | None, None) for key in _KEYS.values()), ("seed", int, 0),
+    "RigFile", [("schema", str), *((key, float | None, None) for key in _KEYS), ("seed", int, 0),
                 ("faults", dict[str, dict[str, float]] | None, None)],
     frozen=True, kw_only=True, forbid_unknown_fields=True)
 
@@ -33,10 +32,8 @@ def load_rig(path: str | Path) -> Rig:
             or out of its range; with the file and the key.
     """
     path = Path(path)
-    try:
+    with located(file=path):
         return _decode(read_json(path, "a rig file (JSON)"))
-    except InputError as error:
-        raise error.located(file=path) from None
 
 
 def write_rig(rig: Rig, path: str | Path) -> None:
@@ -52,32 +49,16 @@ def write_rig(rig: Rig, path: str | Path) -> None:
         data["seed"] = int(rig.seed)
     if rig.faults:
         data["faults"] = {name: to_keys(fault) for name, fault in rig.faults.items()}
-    try:
+    with located(file=path):
         require_writable(data)
-    except InputError as error:
-        raise error.located(file=path) from None
     write_text(path, json.dumps(data, indent=2) + "\n")
 
 
 def _decode(data) -> Rig:
-    if not isinstance(data, dict):
-        raise InputError('expected an object { "schema": ... }, found something else')
-    schema = data.get("schema")
-    version = re.fullmatch(r"tissue_sim/rig/([1-9][0-9]{0,8})", schema) if isinstance(schema, str) else None
-    if not version:
-        found = "the schema is missing" if schema is None else f"{schema!r} is not a rig schema"
-        raise InputError(f"{found}, expected {SCHEMA!r}", field="schema")
-    if int(version[1]) > VERSION:
-        raise InputError(f"{schema!r} was written by a newer version, expected {SCHEMA!r}; update tissue-sim",
-                         field="schema")
+    require_schema(data, "rig", VERSION)
     file = decode(data, _RigFile)
     require_writable(data)
-    stated = {name: what.factor * getattr(file, what.key) for name, what in declared(Rig).items()
-              if getattr(file, what.key) is not None}
+    stated = {key: number for key in _KEYS if (number := getattr(file, key)) is not None}
     faults = {name: from_keys(FAULTS.find(name, f"faults.{name}"), content, f"faults.{name}")
               for name, content in (file.faults or {}).items()}
-    try:
-        return Rig(**stated, seed=file.seed, faults=faults)
-    except InputError as error:
-        name = (error.field or "").removeprefix("rig.")
-        raise InputError(error.problem, field=_KEYS.get(name, name)) from None
+    return from_keys(Rig, stated, "", seed=file.seed, faults=faults)

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING
 from rich.text import Text
 
 from calibration.fit.self_weight import statement
-from calibration.report.curve_figures import probability, size_of
+from calibration.report.curve_figures import place_of, probability, size_of
 from calibration.report.drawing import counted
 from calibration.report.page import number, stable_stretches
 from calibration.report.pressure import pressure_unit
-from calibration.report.report_tables import direction_in_words, place_of, suggestion_in_words
+from calibration.report.report_tables import direction_in_words, suggestion_in_words
+from scenes.commands.calibrate.population import population_table
 from scenes.commands.shared.text_table import print_sentence, text_table
 
 if TYPE_CHECKING:
@@ -44,6 +45,9 @@ def print_fits(result: CalibrationResult, console: Console) -> None:
     console.print()
     if legend := _legend(fits):
         print_sentence(console, legend)
+        console.print()
+    if table := population_table(fits):
+        console.print(table)
         console.print()
     if result.predictions:
         console.print(_prediction_table(result.predictions, tests))

@@ -15,7 +15,10 @@ from tissue_sim.material.file import EFFECTS
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from tissue_sim import MaterialFile
+    from tissue_sim import MaterialFile, Recording
+
+#: Stretches that one mesh reaches and another does not.
+RANGE_TOLERANCE = 0.01
 
 
 def summarise(material_file: MaterialFile) -> dict[str, Any]:
@@ -61,14 +64,19 @@ def loss_of_stability(material_file: MaterialFile) -> str | None:
     return f"unstable inside its valid range of stretches {low:g} to {high:g}: {stability.describe()}"
 
 
-def doubts(material_file: MaterialFile, stretch: float) -> list[str]:
-    """Sentences that warn of a material at this mean stretch: outside its valid range, or beyond its stability."""
+def doubts(material_file: MaterialFile, recording: Recording, height: float) -> list[str]:
+    """Sentences that warn of a material in a simulated test of a specimen of this height, m: outside its valid range,
+    or beyond its stability."""
     sentences = []
+    deepest = int(np.argmax(recording.displacement))
+    stretch = 1 - float(recording.displacement[deepest]) / height
+    # As a calibration takes its range. Under a needle the mean stretch says nothing of the tissue that it reaches.
+    lowest, highest = (stretch, 1.0) if recording.fields is None else recording.fields.stretch_range(deepest)
     if material_file.valid_range is not None and material_file.valid_range.stretch is not None:
         low, high = material_file.valid_range.stretch
-        if not low - 1e-9 <= stretch <= high + 1e-9:
-            sentences.append(f"the mean stretch reaches {stretch:.3g}, and the material was fitted for stretches "
-                         f"{low:.3g} to {high:.3g} only")
+        if lowest < low - RANGE_TOLERANCE or highest > high + RANGE_TOLERANCE:
+            sentences.append(f"the tissue is stretched from {lowest:.3g} to {highest:.3g}, and the material was fitted "
+                             f"for stretches from {low:.3g} to {high:.3g} only")
     material = material_file.material
     stability = check_stability(material.energy_law, material.values, (min(stretch, 1.0), max(stretch, 1.0)))
     if not stability.stable:

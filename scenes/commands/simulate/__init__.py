@@ -67,8 +67,7 @@ def run(arguments) -> int:
     failure = None
     with progress_console(quiet=arguments.json).status("simulating") as status:
         try:
-            recording = ts.simulate(model, resolution=arguments.resolution, fields=arguments.figure is not None,
-                                    solver=arguments.solver,
+            recording = ts.simulate(model, resolution=arguments.resolution, fields=True, solver=arguments.solver,
                                     progress=lambda done, of: status.update(describe(done, of)))
         except ConvergenceError as error:
             if error.recording is None:
@@ -84,8 +83,8 @@ def run(arguments) -> int:
         from scenes.figures import draw_simulation
 
         draw_simulation(recording, model, arguments.figure, field=arguments.field or "von_mises")
-    reached = 1 - float(recording.displacement.max()) / experiment.specimen.height
-    warnings = [*doubts(material_file, reached), *recording.metadata.get("solver", {}).get("warnings", [])]
+    warnings = [*doubts(material_file, recording, experiment.specimen.height),
+                *recording.metadata.get("solver", {}).get("warnings", [])]
     if arguments.json:
         print_json(as_json(recordings, arguments.resolution, failure, warnings,
                            replicates=arguments.replicates is not None))

@@ -9,6 +9,7 @@ import pytest
 
 import tissue_sim as ts
 from haptics.devices.motions import HandMotion
+from haptics.loop.loop import LoopSettings
 from haptics.loop.ring import PAUSED, TICK, RingReader, RingWriter
 from haptics.loop.snapshot_board import SnapshotBoard, SnapshotReader
 from scenes.viewer.frame import Phase
@@ -18,6 +19,9 @@ from tissue_sim.parameters import with_values
 from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import ForceStatus, ToolForce
+
+#: A tick each 4 ms: what is shown is the same as of one each millisecond, for a quarter of the work.
+LOOP = LoopSettings(period=4e-3, snapshot_rate=30.0, real_time=False)
 
 
 class Watched:
@@ -37,7 +41,7 @@ class Watched:
 
 @pytest.fixture(scope="module")
 def needle_loop(needle, until):
-    simulation = LiveSimulation(needle.model, HandMotion(0.0, 0.05), real_time=False)
+    simulation = LiveSimulation(needle.model, HandMotion(0.0, 0.05), settings=LOOP)
     watched = Watched(simulation)
     assert simulation.phase is Phase.STARTING and simulation.readouts is None and simulation.snapshot is None
     with pytest.raises(ts.InputError, match=r"the simulation is not running \(starting\)"):
@@ -135,7 +139,7 @@ def test_a_changed_material_is_shown_on_the_same_mesh(needle_loop, needle, until
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 def test_a_killed_process_is_a_sentence(of_gel, needle, until):
-    simulation = LiveSimulation(needle.model, HandMotion(0.0, 0.05), real_time=False)
+    simulation = LiveSimulation(needle.model, HandMotion(0.0, 0.05), settings=LOOP)
     try:
         until(simulation.poll, lambda _: simulation.snapshot is not None)
         process, seen = simulation.process, simulation.snapshot
@@ -153,7 +157,7 @@ def test_a_killed_process_is_a_sentence(of_gel, needle, until):
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 def test_a_process_that_is_killed_before_it_begins_is_a_sentence(of_gel, needle, until):
-    simulation = LiveSimulation(needle.model, HandMotion(0.0, 0.05), real_time=False)
+    simulation = LiveSimulation(needle.model, HandMotion(0.0, 0.05), settings=LOOP)
     try:
         os.kill(simulation.process.pid, signal.SIGKILL)
         until(simulation.poll, lambda _: simulation.phase is Phase.DIED)

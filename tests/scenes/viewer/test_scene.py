@@ -25,7 +25,8 @@ def test_a_scene_brings_its_tool_and_interfaces(needle, name):
     kind, experiment = SCENES[name], there.experiment
     assert there.kind is kind
     assert (experiment.tool.shape, experiment.tool.radius) == (kind.tool.shape, kind.tool.radius)
-    assert {name: getattr(experiment, name) for name in kind.interfaces} == kind.interfaces
+    usual = kind.interfaces(kind.tool)
+    assert {name: getattr(experiment, name) for name in usual} == usual
     assert experiment.specimen is needle.experiment.specimen and experiment.protocol is needle.experiment.protocol
     assert (there.material, there.source) == (needle.material, needle.source)
     assert there.model.experiment is experiment and there.deepest == 4e-3

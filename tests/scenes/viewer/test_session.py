@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
+from haptics.loop.loop import LoopSettings
 from haptics.loop.ring import PAUSED, RingReader
 from scenes.viewer.frame import NullViewer, Phase
 from scenes.viewer.measurement import measurement, motion, residual
@@ -22,6 +23,8 @@ from tissue_sim.parameters import with_values
 SPEED = 4.9e-3
 TEST = "ramp 2mm; hold 0.2s; unload"
 NO_REPLY = object()
+#: A tick each 4 ms: what is shown is the same as of one each millisecond, for a quarter of the work.
+LOOP = LoopSettings(period=4e-3, snapshot_rate=30.0, real_time=False)
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +38,7 @@ def measured(needle):
 @pytest.fixture(scope="module")
 def opened(measured, until):
     before = set(multiprocessing.active_children())
-    session = Session(measured, real_time=False)
+    session = Session(measured, settings=LOOP)
     try:
         until(session.frame, lambda frame: frame.readouts is not None and frame.curves.residual is not None)
         yield session
@@ -334,7 +337,7 @@ def test_a_viewer_is_shown_frames_until_it_is_enough(session):
 @pytest.fixture
 def springs(of_gel, pool, needle):
     """A session whose tissue is a spring, and whose curves the test computes."""
-    session = Session(needle, real_time=False)
+    session = Session(needle, settings=LOOP)
     yield session
     session.close()
 

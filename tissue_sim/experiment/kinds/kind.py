@@ -55,6 +55,9 @@ class TestKind:
         sign: of strain and nominal stress under a positive displacement and force: -1 in compression, 1 in tension.
         channels: pairs (motion, load), one of which its recordings must have; the first is that of a load frame.
         closed_form: nominal stress of the homogeneous deformation; None where only the finite elements answer.
+
+    Raises:
+        InputError: another control, or neither a tool nor a closed form.
     """
 
     __test__: ClassVar[bool] = False  # for pytest
@@ -70,6 +73,14 @@ class TestKind:
     sign: float
     channels: tuple[tuple[str, str], ...] = (DISPLACEMENT_FORCE,)
     closed_form: ClosedForm | None = None
+
+    def __post_init__(self):
+        if self.control != "displacement":
+            raise InputError(f"{self.name!r} is controlled by its {self.control}; the motion of a test is prescribed "
+                             "here, so give control='displacement'", field="tissue_sim.kinds")
+        if self.tool is None and self.closed_form is None:
+            raise InputError(f"{self.name!r} has neither a tool nor a closed form, so nothing can answer it; give one "
+                             "of them", field="tissue_sim.kinds")
 
     @property
     def gripped(self) -> bool:
@@ -96,10 +107,11 @@ class TestKind:
         """Whether the specimen may be loaded to either side, as in shear."""
         return self.closed_form is not None and self.closed_form.rest == 0
 
-    @property
-    def interfaces(self) -> dict[str, str | float]:
-        """Field of `Experiment` -> interface, where nothing is said."""
-        return {field: face.usual for field, face in self.faces.items()}
+    def interfaces(self, tool: Tool) -> dict[str, str | float]:
+        """Field of `Experiment` -> interface with this tool, where nothing is said: a tip without a flat face cannot be
+        bonded to tissue that comes to lie on it, and holds it without slip instead."""
+        usual = {field: face.usual for field, face in self.faces.items()}
+        return usual | {"friction": "stick"} if usual["friction"] == "bonded" and tool.face_radius == 0 else usual
 
     @property
     def faces(self) -> dict[str, Face]:
@@ -170,18 +182,9 @@ class TestKind:
         """
         from tissue_sim.experiment.experiment import Experiment
 
-        return Experiment(specimen, protocol, **({"tool": self.require_tool(), **self.interfaces} | overrides))
-
-
-def _check(name: str, thing: Any) -> None:
-    if not isinstance(thing, TestKind):
-        raise InputError(f"{name!r} is no kind of test; give a tissue_sim.TestKind", field="tissue_sim.kinds")
-    if thing.control != "displacement":
-        raise InputError(f"{name!r} is controlled by its {thing.control}; the motion of a test is prescribed here, so "
-                         "give control='displacement'", field="tissue_sim.kinds")
-    if thing.tool is None and thing.closed_form is None:
-        raise InputError(f"{name!r} has neither a tool nor a closed form, so nothing can answer it; give one of them",
-                         field="tissue_sim.kinds")
+        tool = overrides.get("tool") or self.require_tool()
+        stated: dict[str, Any] = {"tool": tool, **self.interfaces(tool)} | overrides
+        return Experiment(specimen, protocol, **stated)
 
 
 #: Name -> kind of test.
@@ -189,4 +192,5 @@ KINDS: Registry[TestKind] = Registry("kind of test", "tissue_sim.kinds", {
     name: f"tissue_sim.experiment.kinds.{place}" for name, place in {
         "lubricated_compression": "compression:LUBRICATED", "bonded_compression": "compression:BONDED",
         "friction_compression": "compression:FRICTION", "needle_indentation": "indentation:NEEDLE",
-        "uniaxial_tension": "gripped:TENSION", "simple_shear": "gripped:SHEAR"}.items()}, check=_check)
+        "uniaxial_tension": "gripped:TENSION", "simple_shear": "gripped:SHEAR"}.items()},
+    accepts=lambda kind: isinstance(kind, TestKind), expected="a tissue_sim.TestKind")

@@ -130,17 +130,13 @@ def _does_not_have(kind: type[Tool], name: str) -> InputError:
     return InputError(f"{problem}; leave it out", field=f"tool.{name}")
 
 
-def _check(name: str, thing: Any) -> None:
-    if not (isinstance(thing, type) and issubclass(thing, Tool) and is_dataclass(thing)):
-        raise InputError(f"{name!r} is no shape of a tool; give a frozen dataclass derived from Tool",
-                         field="tissue_sim.tools")
-
-
 #: Shape -> its class.
 TOOLS: Registry[type[Tool]] = Registry("tool shape", "tissue_sim.tools", {
     name: f"tissue_sim.experiment.tools.{module}" for name, module in {
         "plate": "plate:Plate", "flat": "flat:Flat", "round": "round:Round", "cone": "cone:Cone",
-        "sphere": "sphere:Sphere", "profile": "profile:ProfileTool"}.items()}, check=_check)
+        "sphere": "sphere:Sphere", "profile": "profile:ProfileTool"}.items()},
+    accepts=lambda kind: isinstance(kind, type) and issubclass(kind, Tool) and is_dataclass(kind),
+    expected="a frozen dataclass derived from Tool")
 
 
 class Size(NamedTuple):

@@ -1,4 +1,4 @@
-"""The elements of a mesh eight at a time, as the arrays that the kernels work on."""
+"""The elements of a mesh a few at a time, as the arrays that the kernels work on."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ import numpy as np
 from tissue_sim.fem.linear import band
 from tissue_sim.mesh import Mesh
 
-#: Elements that a kernel works on at once, one in each lane of its vectors.
-LANES = 8
+#: Elements that a kernel works on at once, one in each lane of its vectors. Eight, the width of AVX-512, are no faster
+#: where a processor has it, slower on others, and take half as long again to compile (docs/performance.md).
+LANES = 4
 
 
 class ElementBatches:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tissue_sim.errors import InputError
+from tissue_sim.errors import InputError, located
 from tissue_sim.experiment.contact_law import ContactLaw, Traction
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.fem.taichi.trace import TRIED, Formula, expressions, traced
@@ -65,13 +65,10 @@ def _sum(formulas: tuple[Formula[ContactLaw], ...], place: list, settings: list)
     for formula in formulas:
         reach, *parameters = numbers[: 1 + len(formula.parameters)]
         numbers = numbers[1 + len(formula.parameters):]
-        try:
+        with located(field=f"contact_laws.{formula.kind.name}"):
             found = formula.bind(parameters).traction(gap, pressure, (slip, 0.0), face)
-        except InputError as error:
-            raise error.located(field=f"contact_laws.{formula.kind.name}") from None
-        if not isinstance(found, Traction):
-            raise InputError("its traction is no tissue_sim.Traction; return one",
-                             field=f"contact_laws.{formula.kind.name}")
+            if not isinstance(found, Traction):
+                raise InputError("its traction is no tissue_sim.Traction; return one")
         values = [found.pull, found.drag[0], found.pull_rate, found.drag_rates[0][0]]
         if len(formulas) > 1:
             # Each ends at its own reach; that of the furthest one is the contact's.

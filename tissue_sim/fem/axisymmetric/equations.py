@@ -79,7 +79,8 @@ class Equations:
         self.counts = np.array([1, self.free, 0, self.surface.count, 0, 0, 0, 0, 0], dtype=np.int32)
         self.set_material(material)
         if start is not None:
-            self.memory.restore(start.memory.save())
+            for array, settled in zip(self.memory.kept, start.memory.kept, strict=True):
+                array[:] = settled
             self.effects.states[:] = start.effects.states
 
     def _tangent_arrays(self) -> None:

@@ -6,8 +6,8 @@ from tissue_sim.fem.axisymmetric import contact_kernels
 from tissue_sim.fem.axisymmetric.assembly import element_functions
 from tissue_sim.fem.axisymmetric.batches import LANES
 from tissue_sim.fem.linear import band as band_matrix
-from tissue_sim.fem.linear.cholesky import BAND_CHOLESKY
-from tissue_sim.fem.linear.lu import BAND_LU
+from tissue_sim.fem.linear.cholesky import cholesky_functions
+from tissue_sim.fem.linear.lu import lu_functions
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.fem.taichi.trace import Formula
@@ -48,7 +48,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
     int1, int2 = (ti.types.ndarray(dtype=ti.i32, ndim=n) for n in (1, 2))
     vector1 = ti.types.ndarray(dtype=vec, ndim=1)
     block1, block3 = (ti.types.ndarray(dtype=block, ndim=n) for n in (1, 3))
-    mirror, cholesky, lu = band_matrix.mirror_function(), BAND_CHOLESKY.functions(), BAND_LU.functions()
+    mirror, cholesky, lu = band_matrix.mirror_function(), cholesky_functions(), lu_functions()
     contact = contact_kernels.functions(slips, laws)
     converged, inverted, indefinite, slow, diverged = (float(status) for status in StepStatus)
 

@@ -17,8 +17,8 @@ from tissue_sim.fem.axisymmetric.newton import CONTACTS, KAPPA, REMEMBERS, UNSYM
 from tissue_sim.fem.axisymmetric.newton import FREE as FREE_EQUATIONS
 from tissue_sim.fem.history import FACTOR, INSTANT, LOSS, LOSS_MODULUS, LOSS_SHARE
 from tissue_sim.fem.linear import band as band_matrix
-from tissue_sim.fem.linear.cholesky import BAND_CHOLESKY
-from tissue_sim.fem.linear.lu import BAND_LU
+from tissue_sim.fem.linear.cholesky import cholesky_functions
+from tissue_sim.fem.linear.lu import lu_functions
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.elements import ELEMENTS
@@ -58,7 +58,7 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
     stress_rate = point.function(directional(energy), tangents=False)
     add_volume = point.volume_function()
     soften, relax = point.history_functions()
-    cholesky, lu = BAND_CHOLESKY.functions(), BAND_LU.functions()
+    cholesky, lu = cholesky_functions(), lu_functions()
     row = point.PLACE
 
     @ti.func

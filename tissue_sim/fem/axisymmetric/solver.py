@@ -137,10 +137,6 @@ class AxisymmetricSolver(Solver):
         """Go back to where `save` was called."""
         self.committed.restore(saved)
 
-    def tangent(self) -> np.ndarray:
-        """Condensed tangent at the last committed state: lower band in LAPACK's storage, (half_band + 1, free), N/m."""
-        return self.equations.tangent()
-
     @property
     def pose(self) -> Pose:
         """Of the tool at the last committed state."""

@@ -8,23 +8,17 @@ import numpy as np
 
 from tissue_sim.fem.axisymmetric.contact import ContactPoints
 from tissue_sim.fem.axisymmetric.predictor import KEPT
-from tissue_sim.fem.history import Memory, SavedMemory
-from tissue_sim.fem.inertia import Motion, SavedMotion
+from tissue_sim.fem.history import Memory
+from tissue_sim.fem.inertia import Motion
 from tissue_sim.fem.point_effects import PointEffects
 
 
 @dataclass(frozen=True, eq=False)
 class SavedState:
-    """All that a committed step leaves behind; see the attributes of `State`."""
+    """All that a committed step leaves behind: arrays of `State`, memory and contact, and see its attributes."""
 
-    history: np.ndarray
-    slots: np.ndarray
+    arrays: tuple[np.ndarray, ...]
     depths: tuple[float, ...]
-    anchors: np.ndarray
-    slipped: np.ndarray
-    memory: SavedMemory
-    effects: np.ndarray
-    motion: SavedMotion | None
     largest_force: float
     unchanged: int
     touching: tuple[bytes, bytes]
@@ -95,19 +89,18 @@ class State:
 
     def save(self) -> SavedState:
         """All that a committed step leaves behind."""
-        surface = self.surface
-        return SavedState(self.history.copy(), self.slots.copy(), tuple(self.depths), surface.anchors.copy(),
-                          surface.slipped.copy(), self.memory.save(), self.effects.states.copy(),
-                          None if self.motion is None else self.motion.save(), self.largest_force, self.unchanged,
-                          self._touching)
+        return SavedState(tuple(array.copy() for array in self._kept), tuple(self.depths), self.largest_force,
+                          self.unchanged, self._touching)
 
     def restore(self, saved: SavedState) -> None:
         """Go back to where `save` was called."""
-        surface = self.surface
-        self.history[:], self.slots[:], self.depths = saved.history, saved.slots, list(saved.depths)
-        surface.anchors[:], surface.slipped[:] = saved.anchors, saved.slipped
-        self.memory.restore(saved.memory)
-        self.effects.states[:] = saved.effects
-        self.largest_force, self.unchanged, self._touching = saved.largest_force, saved.unchanged, saved.touching
-        if self.motion is not None and saved.motion is not None:
-            self.motion.restore(saved.motion)
+        # Those of the motion come last, and one of the two may have none.
+        for array, before in zip(self._kept, saved.arrays, strict=False):
+            array[:] = before
+        self.depths, self.largest_force = list(saved.depths), saved.largest_force
+        self.unchanged, self._touching = saved.unchanged, saved.touching
+
+    @property
+    def _kept(self) -> tuple[np.ndarray, ...]:
+        return (self.history, self.slots, self.surface.anchors, self.surface.slipped, self.effects.states,
+                *self.memory.kept, *(() if self.motion is None else self.motion.kept))

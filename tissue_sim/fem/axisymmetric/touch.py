@@ -58,5 +58,10 @@ def _touching_height(mesh: Mesh, contact: Contact, displacement: np.ndarray, poi
         return min(profile.gap(place - [0.0, datum]).min() for profile in profiles)
 
     high = place[:, 1].max()
-    low = place[:, 1].min() - np.ptp(mesh.nodes[:, 0])
-    return high if clearance(high) <= 0.0 else brentq(clearance, low, high, xtol=1e-15)
+    if clearance(high) <= 0.0:
+        return high
+    # Lowered by more and more; far below the surface a ball would be in the tissue as a whole, and touch nothing.
+    step = 1e-6 * np.ptp(mesh.nodes[:, 1])
+    while clearance(high - step) > 0.0:
+        step *= 2.0
+    return brentq(clearance, high - step, high, xtol=1e-15)

@@ -7,12 +7,29 @@ triangle, with the whole blocks of the diagonal, and that of its transpose.
 """
 
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
 from tissue_sim.fem.taichi.runtime import initialise
 
 BLOCK = 8
+
+
+class Factorisation(NamedTuple):
+    """Taichi functions of a linear solver, for use inside kernels: factorise once, solve many.
+
+    Attributes:
+        init: ``init(lower, upper, inverse, rows, width) -> int`` overwrites the matrix by its factors, and `inverse`
+            (rows * BLOCK) by the reciprocals of their diagonal; 0 where it cannot, else 1. A symmetric solver does not
+            look at `upper`.
+        solve: ``solve(lower, upper, inverse, x, rows, width)`` overwrites the right-hand side x, (rows) vectors.
+
+    Source: the pair init and compute of lineax (Rader, Lyons and Kidger, 2023, arXiv:2311.17283).
+    """
+
+    init: object
+    solve: object
 
 
 def block_shape(size: int, half_band: int) -> tuple[int, int]:

@@ -2,20 +2,13 @@
 
 from functools import cache
 
-from tissue_sim.fem.linear.band import BLOCK, subtract_function
-from tissue_sim.fem.linear.solver import KernelFunctions, LinearSolver
+from tissue_sim.fem.linear.band import BLOCK, Factorisation, subtract_function
 from tissue_sim.fem.taichi.runtime import initialise
 
 
-class BandCholesky(LinearSolver):
-    """L L^T; `init` fails where the matrix is not positive definite."""
-
-    def functions(self) -> KernelFunctions:
-        return _functions()
-
-
 @cache
-def _functions() -> KernelFunctions:
+def cholesky_functions() -> Factorisation:
+    """L L^T; `init` fails where the matrix is not positive definite."""
     ti = initialise()
     subtract = subtract_function()
     lanes = ti.Vector(list(range(BLOCK)))
@@ -81,7 +74,4 @@ def _functions() -> KernelFunctions:
                 v += unit[c] * (value - v[c])
             x[I] = v
 
-    return KernelFunctions(init, solve)
-
-
-BAND_CHOLESKY = BandCholesky()
+    return Factorisation(init, solve)

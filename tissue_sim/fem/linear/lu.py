@@ -6,20 +6,13 @@ Rows of U stand where columns of L do, and both halves of the factorisation run 
 
 from functools import cache
 
-from tissue_sim.fem.linear.band import BLOCK, subtract_function
-from tissue_sim.fem.linear.solver import KernelFunctions, LinearSolver
+from tissue_sim.fem.linear.band import BLOCK, Factorisation, subtract_function
 from tissue_sim.fem.taichi.runtime import initialise
 
 
-class BandLU(LinearSolver):
-    """L U, L with a unit diagonal; `init` fails where a pivot is too small against its column."""
-
-    def functions(self) -> KernelFunctions:
-        return _functions()
-
-
 @cache
-def _functions() -> KernelFunctions:
+def lu_functions() -> Factorisation:
+    """L U, L with a unit diagonal; `init` fails where a pivot is too small against its column."""
     ti = initialise()
     subtract = subtract_function()
     lanes = ti.Vector(list(range(BLOCK)))
@@ -83,7 +76,4 @@ def _functions() -> KernelFunctions:
                 v += unit[c] * (value - v[c])
             x[I] = v
 
-    return KernelFunctions(init, solve)
-
-
-BAND_LU = BandLU()
+    return Factorisation(init, solve)

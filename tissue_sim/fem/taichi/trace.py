@@ -13,20 +13,22 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields
+from functools import reduce
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
 
 from tissue_sim.errors import InputError
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.parameters import declared
 
-#: Numpy's functions of one number that a formula may use, by the name of Taichi's.
+#: Numpy's functions that a formula may use, by the name of Taichi's.
 _FUNCTIONS = {np.exp: "exp", np.log: "log", np.sqrt: "sqrt", np.tanh: "tanh", np.sin: "sin", np.cos: "cos",
-              np.tan: "tan", np.absolute: "abs"}
+              np.tan: "tan", np.absolute: "abs", np.maximum: "max", np.minimum: "min", np.power: "pow"}
 _OPERATORS: dict[Any, Callable] = {
     np.add: operator.add, np.subtract: operator.sub, np.multiply: operator.mul, np.divide: operator.truediv,
-    np.negative: operator.neg, np.power: operator.pow, np.less: operator.lt, np.less_equal: operator.le,
+    np.negative: operator.neg, np.less: operator.lt, np.less_equal: operator.le,
     np.greater: operator.gt, np.greater_equal: operator.ge}
 #: Whole powers up to this one are products.
 _PRODUCTS = 4
@@ -67,7 +69,7 @@ class Formula(NamedTuple, Generic[Thing]):
         return thing
 
 
-class Traced:
+class Traced(NDArrayOperatorsMixin):
     """A number of a kernel, or as many of them as a vector has lanes, that notes what a formula does with it.
 
     Args:
@@ -82,73 +84,23 @@ class Traced:
         # A variable of the kernel: an expression that is used twice would be computed twice.
         self.value, self.lanes = value if value is TRIED else initialise().lang.impl.expr_init(value), lanes
 
-    def __add__(self, other):
-        return self if _is(other, 0) else _noted(operator.add, self, other)
-
-    def __radd__(self, other):
-        return self if _is(other, 0) else _noted(operator.add, other, self)
-
-    def __sub__(self, other):
-        return self if _is(other, 0) else _noted(operator.sub, self, other)
-
-    def __rsub__(self, other):
-        return -self if _is(other, 0) else _noted(operator.sub, other, self)
-
-    def __mul__(self, other):
-        return 0.0 if _is(other, 0) else self if _is(other, 1) else _noted(operator.mul, self, other)
-
-    def __rmul__(self, other):
-        return self * other
-
-    def __truediv__(self, other):
-        return self if _is(other, 1) else _noted(operator.truediv, self, other)
-
-    def __rtruediv__(self, other):
-        return 0.0 if _is(other, 0) else _noted(operator.truediv, other, self)
-
-    def __pow__(self, power):
-        if isinstance(power, int) and 1 <= power <= _PRODUCTS:
-            product = self
-            for _ in range(power - 1):
-                product = product * self
-            return product
-        return _noted(initialise().pow, self, power)
-
-    def __rpow__(self, base):
-        return _noted(initialise().pow, base, self)
-
-    def __neg__(self):
-        return _noted(operator.neg, self)
-
-    def __abs__(self):
-        return _noted(abs, self)
-
-    def __lt__(self, other):
-        return _noted(operator.lt, self, other)
-
-    def __le__(self, other):
-        return _noted(operator.le, self, other)
-
-    def __gt__(self, other):
-        return _noted(operator.gt, self, other)
-
-    def __ge__(self, other):
-        return _noted(operator.ge, self, other)
-
     def __bool__(self):
         raise InputError("a formula in a kernel cannot branch on a number; choose with numpy.where")
 
     def __array_ufunc__(self, ufunc, method, *inputs, **options):
-        """What numpy's functions do with it."""
-        if method != "__call__" or options:
+        """What Python's operators and numpy's functions do with it."""
+        # `a += b` names another number a.
+        in_place = options.pop("out", None)
+        if method != "__call__" or options or not (in_place is None or in_place[0] is inputs[0]):
             return NotImplemented
+        # Numpy's own numbers would come back here.
+        operands = [float(x) if isinstance(x, np.generic) else x for x in inputs]
+        if len(operands) == 2 and (folded := _folded(ufunc, *operands)) is not None:
+            return folded
         if ufunc in _OPERATORS:
-            # As Python's own operators, which fold zeros and ones; numpy's numbers would come back here.
-            return _OPERATORS[ufunc](*(float(x) if isinstance(x, np.generic) else x for x in inputs))
-        if ufunc in (np.maximum, np.minimum):
-            return _noted(initialise().max if ufunc is np.maximum else initialise().min, *inputs)
+            return _noted(_OPERATORS[ufunc], *operands)
         if ufunc in _FUNCTIONS:
-            return _noted(getattr(initialise(), _FUNCTIONS[ufunc]), *inputs)
+            return _noted(getattr(initialise(), _FUNCTIONS[ufunc]), *operands)
         raise InputError(f"a formula in a kernel cannot use numpy.{ufunc.__name__}; it has exp, log, sqrt, tanh, sin, "
                          "cos, tan, abs, maximum, minimum and where")
 
@@ -175,6 +127,19 @@ def expressions(values: Sequence[Any], like: Any) -> list[Any]:
     if not like.lanes:
         return [value.value if isinstance(value, Traced) else float(value) for value in values]
     return [_spread(value, like).value for value in values]
+
+
+def _folded(ufunc: np.ufunc, left: Any, right: Any) -> Any:
+    """What zeros and ones that are plain numbers leave of an operation, and products of whole powers; else None."""
+    if ufunc is np.power and isinstance(right, int) and 1 <= right <= _PRODUCTS:
+        return reduce(operator.mul, [left] * right)
+    if (ufunc is np.multiply and (_is(left, 0) or _is(right, 0))) or (ufunc is np.divide and _is(left, 0)):
+        return 0.0
+    if (ufunc in (np.add, np.subtract) and _is(right, 0)) or (ufunc in (np.multiply, np.divide) and _is(right, 1)):
+        return left
+    if (ufunc is np.add and _is(left, 0)) or (ufunc is np.multiply and _is(left, 1)):
+        return right
+    return -right if ufunc is np.subtract and _is(left, 0) else None
 
 
 def _is(value: Any, number: int) -> bool:

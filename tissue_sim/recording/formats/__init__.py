@@ -7,15 +7,8 @@ those that the file holds. It stands in `FORMATS`, or a package adds it by an en
 from collections.abc import Callable
 from typing import Any
 
-from tissue_sim.errors import InputError
 from tissue_sim.recording.formats.vocabulary import MACHINES
 from tissue_sim.registry import Registry
-
-
-def _check(name: str, thing: Any) -> None:
-    if not callable(thing):
-        raise InputError(f"{name!r} is no reader of a format; give a function of a path", field="tissue_sim.formats")
-
 
 #: Name -> function (path, **options) -> `Recording`, or a tuple of them.
 FORMATS: Registry[Callable[..., Any]] = Registry("format", "tissue_sim.formats", {
@@ -23,4 +16,4 @@ FORMATS: Registry[Callable[..., Any]] = Registry("format", "tissue_sim.formats",
        for name in ("native", "instron", "soft_robotics", "xlsx", "afm")},
     **dict.fromkeys(("jpk", "bruker"), "tissue_sim.recording.formats.afm:read_afm"),
     **{name: f"tissue_sim.recording.formats.machines:read_{name}"
-       for name in ("table", *MACHINES)}}, check=_check)
+       for name in ("table", *MACHINES)}}, accepts=callable, expected="a function of a path")

@@ -126,7 +126,6 @@ def _load(afmformats: Any, member: Path, path: Path, stated: Mapping[str, float]
 @contextmanager
 def _refusals(path: Path, where: str) -> Iterator[None]:
     """Whatever afmformats raises, as one sentence; its warnings and its log of tracebacks are kept from the screen."""
-    prefix = f"{where}: " if where else ""
     logger = logging.getLogger("afmformats")
     level = logger.level
     logger.setLevel(logging.CRITICAL + 1)
@@ -135,11 +134,11 @@ def _refusals(path: Path, where: str) -> Iterator[None]:
             warnings.simplefilter("ignore")
             yield
     except InputError as error:
-        raise InputError(f"{prefix}{error.problem}", file=path, field=error.field) from None
+        raise error.located(file=path, part=where) from None
     except (KeyboardInterrupt, SystemExit, GeneratorExit, MemoryError):
         raise
     except BaseException as error:  # afmformats derives its errors from BaseException
         reason = " ".join(str(error).split()).rstrip(".!") or type(error).__name__
-        raise InputError(f"{prefix}cannot be read as {EXPECTED}: {reason}", file=path) from None
+        raise InputError(f"cannot be read as {EXPECTED}: {reason}").located(file=path, part=where) from None
     finally:
         logger.setLevel(level)

@@ -16,7 +16,7 @@ from tissue_sim.files import decode_text, read_bytes
 from tissue_sim.recording.formats.blocks import Block, named_blocks, placed_blocks
 from tissue_sim.recording.formats.containers import is_container, read_container
 from tissue_sim.recording.formats.header import DELIMITERS, DELIMITERS_OF_NUMBERS, text_tables
-from tissue_sim.recording.formats.table import Column, Row, Table, conversion, read_recording_table
+from tissue_sim.recording.formats.table import Column, Row, Table, conversion, narrow, read_recording_table
 from tissue_sim.recording.formats.workbook import Sheet, is_workbook, read_sheet, read_sheets
 from tissue_sim.recording.recording import CHANNELS, LABELS, MIN_POINTS, Recording
 from tissue_sim.units import loose_header, split_header
@@ -83,7 +83,7 @@ def read_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int
             raise InputError("only text has a delimiter; leave it out", file=path, field="delimiter")
         for each in _sheets(path, sheet):
             with each.located():
-                found += _recordings([each.table(skip_lines)], wanted, path, metadata, narrow=True)
+                found += _recordings([each.table(skip_lines)], wanted, path, metadata, alone=True)
     else:
         if sheet is not None:
             raise InputError("this file is no spreadsheet (xlsx, xls, ods), so it has no sheets; leave it out",
@@ -110,7 +110,7 @@ def _sheets(path: Path, sheet: Sheets | None) -> Sequence[Sheet]:
 
 
 def _recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path, metadata: Mapping[str, Any] | None, *,
-                narrow: bool = False) -> list[Recording]:
+                alone: bool = False) -> list[Recording]:
     """The recordings of the first of the tables that has the columns."""
     names = [entry["name"] for entry in wanted.values() if "name" in entry]
     places = [entry["column"] - 1 for entry in wanted.values() if "column" in entry]
@@ -126,7 +126,7 @@ def _recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path, met
         chosen = _choose(wanted, {channel: next(order["column" in entry]) for channel, entry in wanted.items()}, block,
                          bool(names), path)
         header, rows = block.header, list(block.rows)
-        if narrow or len(blocks) > 1:
+        if alone or len(blocks) > 1:
             rows, chosen = _narrow(rows, chosen)
             header = Row(header.line, tuple(column.header for column in chosen))
         recording = read_recording_table(header, rows, chosen, file=path,
@@ -192,9 +192,7 @@ def _choose(wanted: Mapping[str, Mapping[str, Any]], places: Mapping[str, int], 
 
 def _narrow(rows: Sequence[Row], chosen: Sequence[Column]) -> tuple[list[Row], list[Column]]:
     """The chosen columns alone, and the rows that have something in them: a sheet holds other things beside a table."""
-    narrow = [Row(row.line, tuple(row.cells[column.index] if column.index < len(row.cells) else ""
-                                  for column in chosen)) for row in rows]
-    return ([row for row in narrow if not row.blank],
+    return (narrow(rows, [column.index for column in chosen]),
             [Column(column.channel, i, column.header, column.factor, column.offset)
              for i, column in enumerate(chosen)])
 

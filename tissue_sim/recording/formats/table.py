@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -80,6 +80,12 @@ def split_rows(text: str, delimiter: str, *, file: Path) -> list[Row]:
         row = Row(start, tuple(cell.strip() for cell in cells))
         if not row.blank:
             rows.append(row)
+
+
+def narrow(rows: Iterable[Row], places: Sequence[int]) -> list[Row]:
+    """The cells at these places (from 0) alone, in rows that have something in them."""
+    chosen = (Row(row.line, tuple(row.cells[i] if i < len(row.cells) else "" for i in places)) for row in rows)
+    return [row for row in chosen if not row.blank]
 
 
 def is_number(cell: str) -> bool:

@@ -11,6 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from tissue_sim.errors import InputError
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.recording.formats.columns import read_blocks
@@ -23,6 +25,8 @@ from tissue_sim.recording.formats.vocabulary import MACHINES, Machine, find_mach
 from tissue_sim.recording.recording import Recording
 from tissue_sim.units import UNITS
 
+#: Of any channel, SI or in the units of the file.
+_LARGEST = 1e20
 _NAMING = ("displacement", "stretch", "shear strain", "force", "nominal stress")
 
 
@@ -127,7 +131,13 @@ def _read(path: Path, columns: Sequence[ColumnGuess], options: Mapping[str, Any]
         entries[column.channel] = {**column.entry(), "scale": column.scale or 1.0} if column.missing else column.entry()
         if column.missing and column.unit not in UNITS:
             entries[column.channel].pop("unit", None)
-    return read_blocks(path, entries, **{key: value for key, value in options.items() if key != "columns"})
+    recordings = read_blocks(path, entries, **{key: value for key, value in options.items() if key != "columns"})
+    for recording in recordings:
+        for channel, values in recording.channels.items():
+            if np.abs(values).max() > _LARGEST:
+                raise InputError(f"{channel} reaches {values[np.argmax(np.abs(values))]:g}, which no machine measures: a "
+                                 "cell is damaged", file=path)
+    return recordings
 
 
 def _named(readings: Sequence[Reading]) -> tuple[Reading, ...]:

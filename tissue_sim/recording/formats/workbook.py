@@ -6,7 +6,7 @@ import io
 import re
 import zipfile
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from typing import Any
 import python_calamine as calamine
 import xlrd
 
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.errors import InputError, located, nearest
 from tissue_sim.files import ZIP_MAGIC, read_bytes
 from tissue_sim.recording.formats.table import Row, Table
 
@@ -38,14 +38,9 @@ class Sheet:
         """The rows below the first `skip_rows`."""
         return Table([row for row in self.rows if row.line > skip_rows], name=self.name)
 
-    @contextmanager
-    def located(self) -> Iterator[None]:
+    def located(self) -> AbstractContextManager[None]:
         """Errors of the work inside name the sheet."""
-        try:
-            yield
-        except InputError as error:
-            raise InputError(f"sheet {self.name!r}: {error.problem}", file=self.file, line=error.line,
-                             field=error.field) from None
+        return located(file=self.file, part=f"sheet {self.name!r}")
 
 
 def is_workbook(path: Path) -> bool:

@@ -8,7 +8,7 @@ from typing import Any
 
 from tissue_sim.recording.formats.columns import Sheets, read_blocks
 from tissue_sim.recording.formats.native import native_recording
-from tissue_sim.recording.formats.table import Row
+from tissue_sim.recording.formats.table import narrow
 from tissue_sim.recording.formats.workbook import Sheet, read_sheet, read_sheets
 from tissue_sim.recording.recording import Recording
 
@@ -41,5 +41,4 @@ def _native(found: Sheet) -> Recording:
         rows = [row for row in found.rows if not row.cells[0].startswith("#")]
         # Cells beside the table, in columns without a name, are not part of it.
         named = [i for i, cell in enumerate(rows[0].cells) if cell] if rows else []
-        table = [Row(row.line, tuple(row.cells[i] if i < len(row.cells) else "" for i in named)) for row in rows]
-        return native_recording([row for row in table if not row.blank], found.file)
+        return native_recording(narrow(rows, named), found.file)

@@ -1,0 +1,192 @@
+"""Specimens as a population: against closed forms, a published analysis by another program, and simulated ones."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import calibration
+import tissue_sim as ts
+from calibration.statistics.population import estimate_population
+from scenes.cli import main
+from tissue_sim.errors import InputError
+
+
+def alone(values, variances):
+    """The population of one parameter."""
+    values = np.asarray(values, dtype=float)
+    return estimate_population(["a"], [str(i) for i in range(values.size)], values[:, None],
+                               np.reshape(variances, (-1, 1, 1)))
+
+
+@pytest.mark.parametrize("n", [2, 3, 5, 10])
+def test_specimens_measured_without_error_are_an_ordinary_sample(n):
+    x = np.random.default_rng(n).normal(1500.0, 200.0, n)
+    found, deviation, t = alone(x, np.full(n, 1e-6)), x.std(ddof=1), stats.t.ppf(0.975, n - 1)
+    assert found.mean[0] == pytest.approx(x.mean()) and found.spread[0] == pytest.approx(deviation, rel=1e-5)
+    # The distribution of the spread is taken at 400 shares: the far tail of two specimens is cut a little short.
+    rel = 0.03 if n == 2 else 0.005
+    half = t * deviation * np.array([1 / np.sqrt(n), np.sqrt(1 + 1 / n)])
+    ends = np.stack([found.mean_intervals[0], found.next_specimen[0]])
+    np.testing.assert_allclose(ends - x.mean(), half[:, None] * [-1.0, 1.0], rtol=rel)
+    squares = (n - 1) * deviation**2
+    np.testing.assert_allclose(found.spread_intervals[0],
+                               np.sqrt(squares / stats.chi2.ppf([0.975, 0.025], n - 1)), rtol=1e-5)
+    np.testing.assert_allclose(found.shrunken[:, 0], x, rtol=1e-6)
+
+
+def test_trials_of_a_vaccine():
+    """13 trials of the BCG vaccine, log relative risks (Colditz et al., JAMA 271 (1994) 698): metafor prints
+    for restricted likelihood a mean of -0.7145 with standard error 0.1798, tau^2 0.3132 and its Q-profile interval
+    0.1197 to 1.1115 (Viechtbauer, J. Statistical Software 36 (2010) 3)."""
+    treated = np.array([4, 6, 3, 62, 33, 180, 8, 505, 29, 17, 186, 5, 27])
+    treated_well = np.array([119, 300, 228, 13536, 5036, 1361, 2537, 87886, 7470, 1699, 50448, 2493, 16886])
+    control = np.array([11, 29, 11, 248, 47, 372, 10, 499, 45, 65, 141, 3, 29])
+    control_well = np.array([128, 274, 209, 12619, 5761, 1079, 619, 87892, 7232, 1600, 27197, 2338, 17825])
+    risks = treated / (treated + treated_well), control / (control + control_well)
+    variances = (1 / treated - 1 / (treated + treated_well) + 1 / control - 1 / (control + control_well))
+    found = alone(np.log(risks[0] / risks[1]), variances)
+    assert found.mean[0] == pytest.approx(-0.7145, abs=5e-5) and found.mean_errors[0] == pytest.approx(0.1798, abs=5e-5)
+    assert found.between[0, 0] == pytest.approx(0.3132, abs=1e-4)
+    np.testing.assert_allclose(found.spread_intervals[0]**2, [0.1197, 1.1115], atol=1e-4)
+
+
+def test_equal_specimens_have_no_scatter():
+    """Estimates that differ by less than their errors: spread 0, each specimen shrunken to the mean."""
+    found = alone([1000.0, 1010.0, 990.0, 1004.0], np.full(4, 50.0**2))
+    assert found.spread[0] < 1.0 and found.spread_intervals[0, 0] == 0.0
+    np.testing.assert_allclose(found.shrunken, 1001.0, atol=0.5)
+    assert (found.shrunken_errors < 26.0).all() and found.mean_errors[0] == pytest.approx(25.0, rel=1e-3)
+
+
+def test_scatter_of_two_parameters_and_its_correlation():
+    """Many specimens: the covariance between them comes out of estimates whose own errors are correlated the other
+    way."""
+    rng = np.random.default_rng(3)
+    between = np.array([[200.0**2, 0.8 * 200 * 90], [0.8 * 200 * 90, 90.0**2]])
+    errors = np.array([[100.0**2, -0.9 * 100 * 60], [-0.9 * 100 * 60, 60.0**2]])
+    truth = rng.multivariate_normal([1400.0, 700.0], between, 3000)
+    estimates = truth + rng.multivariate_normal([0.0, 0.0], errors, 3000)
+    found = estimate_population(["C10", "C20"], list(map(str, range(3000))), estimates, np.tile(errors, (3000, 1, 1)))
+    np.testing.assert_allclose(found.mean, [1400.0, 700.0], atol=2.5 * found.mean_errors.max())
+    np.testing.assert_allclose(found.spread, [200.0, 90.0], rtol=0.05)
+    assert found.between[0, 1] / found.spread.prod() == pytest.approx(0.8, abs=0.05)
+    # The shrunken ones are nearer to the truth than each alone, by as much as they say.
+    left, alone_left = found.shrunken - truth, estimates - truth
+    assert (np.std(left, axis=0) < 0.95 * np.std(alone_left, axis=0)).all()
+    np.testing.assert_allclose(np.std(left, axis=0), found.shrunken_errors.mean(axis=0), rtol=0.12)
+
+
+def test_intervals_hold_the_truth():
+    """60 populations of five specimens, whose own errors are as large as the scatter; benchmarks/population.py has
+    thousands. Fewer than 51 of 60 have a probability of 0.1 % for an interval of 95 %."""
+    rng, held = np.random.default_rng(8), np.zeros(3)
+    for _ in range(60):
+        variances = rng.uniform(50.0, 200.0, 5)**2
+        truth = rng.normal(1500.0, 120.0, 6)
+        found = alone(truth[:5] + rng.normal(0.0, np.sqrt(variances)), variances)
+        held += [low <= value <= high for (low, high), value in (
+            (found.mean_intervals[0], 1500.0), (found.spread_intervals[0], 120.0), (found.next_specimen[0], truth[5]))]
+    assert held.min() >= 51
+
+
+def test_what_tells_nothing_is_refused():
+    with pytest.raises(InputError, match="1 specimen says nothing about the scatter"):
+        alone([1.0], [1.0])
+    with pytest.raises(InputError, match="the fit of 1 does not determine a"):
+        alone([1.0, 2.0], [1.0, np.inf])
+    with pytest.raises(InputError, match="expected"):
+        estimate_population(["a"], ["x", "y"], np.zeros((2, 2)), np.zeros((2, 2, 2)))
+
+
+LAW, RADIUS, HEIGHT = "reduced_polynomial_2", 0.015, 0.020
+MEAN, SPREAD = np.array([1400.0, 700.0]), np.array([200.0, 90.0])
+
+
+@pytest.fixture(scope="module")
+def animals(tmp_path_factory):
+    """Five specimens of a population, each compressed twice; their campaign with and without numbers of their own."""
+    folder, rng, law = tmp_path_factory.mktemp("animals"), np.random.default_rng(2), ts.find_law(LAW)
+    truth = rng.normal(MEAN, SPREAD, (5, 2))
+    specimens = tests = ""
+    for k, (C10, C20) in enumerate(truth, 1):
+        for j in range(2):
+            displacement = np.linspace(0.0, 6e-3, 61)
+            stretch = 1 - displacement / HEIGHT
+            force = -law.nominal_stress(stretch, {"C10": C10, "C20": C20}) * np.pi * RADIUS**2
+            ts.write_recording(ts.Recording({"displacement": displacement,
+                                             "force": force + rng.normal(0.0, 0.01, 61)}), folder / f"a{k}_{j}.csv")
+        specimens += f'[[specimen]]\nname = "animal_{k}"\nradius_mm = 15.0\nheight_mm = 20.0\n'
+        tests += (f'[[test]]\nname = "plates_{k}"\nspecimen = "animal_{k}"\nkind = "lubricated_compression"\n'
+                  f'recordings = ["a{k}_*.csv"]\n')
+    (folder / "pooled.toml").write_text(f'{specimens}{tests}[fit]\nlaws = ["{LAW}"]\nbulk_ratio = 1000.0\n')
+    (folder / "each.toml").write_text((folder / "pooled.toml").read_text()
+                                      + '[fit.scope]\nC10 = "per_specimen"\nC20 = "per_specimen"\n')
+    return folder, truth
+
+
+def test_pooled_specimens_are_said_to_differ(animals, tmp_path):
+    folder, _ = animals
+    result, = calibration.calibrate([folder / "pooled.toml"], tmp_path / "out", figures=False)
+    assert result.best.population is None
+    warning, = (each for each in result.best.warnings if "the specimens differ" in each)
+    assert "its own C10, C20" in warning and "'per_specimen'" in warning
+
+
+def test_one_material_in_all_specimens_differs_in_nothing(animals, tmp_path):
+    """The same campaign with five times the recordings of the first animal."""
+    folder, _ = animals
+    for path in folder.glob("a*.csv*"):
+        tmp_path.joinpath(path.name).write_bytes((folder / f"a1_{path.name[3:]}").read_bytes())
+    (tmp_path / "same.toml").write_text((folder / "pooled.toml").read_text())
+    result, = calibration.calibrate([tmp_path / "same.toml"], tmp_path / "out", figures=False)
+    assert not any("the specimens differ" in each for each in result.best.warnings)
+
+
+def test_a_campaign_finds_the_population(animals, tmp_path, capsys):
+    """From recordings to the material file: each specimen its own numbers, the material their mean."""
+    folder, truth = animals
+    assert main(["calibrate", str(folder / "each.toml"), "-o", str(tmp_path / "out")]) == 0
+    assert "between specimens" in capsys.readouterr().out
+    fit, = json.loads((tmp_path / "out" / "fit.json").read_text(encoding="utf-8"))["fits"]
+    found = fit["population"]
+    assert found["order"] == ["C10", "C20"] and found["specimens"] == [f"animal_{k}" for k in range(1, 6)]
+    np.testing.assert_allclose(found["estimates"], truth, rtol=0.02)
+    ordinary = [truth.mean(axis=0), truth.std(axis=0, ddof=1)]
+    np.testing.assert_allclose([found["mean"], found["spread"]], ordinary, rtol=0.03)
+    for (low, high), value in zip(found["mean_intervals"] + found["spread_intervals"], [*MEAN, *SPREAD], strict=True):
+        assert low < value < high
+    file = ts.read_material_file(tmp_path / "out" / fit["material_file"])
+    assert file.material.parameters == pytest.approx(dict(zip(found["order"], found["mean"], strict=True)))
+    assert file.population.spread == pytest.approx(found["spread"])
+    assert file.population.specimens["animal_3"] == pytest.approx(found["estimates"][2])
+    assert file.standard_errors["C10"] == pytest.approx(found["mean_errors"][0])
+    np.testing.assert_allclose(file.covariance_SI[1], found["mean_covariance"])
+    report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "Specimens as a population" in report
+
+
+def test_a_file_states_a_population_in_its_units(animals, tmp_path):
+    folder, _ = animals
+    calibration.calibrate([folder / "each.toml"], tmp_path / "out", figures=False)
+    path = tmp_path / "out" / f"{LAW}.material.json"
+    content, before = json.loads(path.read_text(encoding="utf-8")), ts.read_material_file(path).population
+    for entry in content["parameters"].values():
+        entry.update(value=entry["value"] / 1e3, unit="kPa", standard_error=entry["standard_error"] / 1e3)
+    stated = content["population"]
+    for key in ("mean", "spread", "mean_interval95", "spread_interval95"):
+        stated[key] = (np.array(stated[key]) / 1e3).tolist()
+    stated["between_specimens"] = (np.array(stated["between_specimens"]) / 1e6).tolist()
+    stated["specimens"] = {name: (np.array(values) / 1e3).tolist() for name, values in stated["specimens"].items()}
+    del content["covariance"]
+    path.write_text(json.dumps(content), encoding="utf-8")
+    after = ts.read_material_file(path).population
+    np.testing.assert_allclose(after.between_specimens, before.between_specimens)
+    assert after.specimens["animal_2"] == pytest.approx(before.specimens["animal_2"])
+    for key, value, message in (("order", ["C10", "C30"], "no parameter 'C30'"), ("mean", [1.0], "1 entries for the 2"),
+                                ("between_specimens", [[1.0, 2.0], [2.0, 1.0]], "not positive semi-definite")):
+        path.write_text(json.dumps(content | {"population": stated | {key: value}}), encoding="utf-8")
+        with pytest.raises(InputError, match=message) as caught:
+            ts.read_material_file(path)
+        assert caught.value.field.startswith("population")
