@@ -206,6 +206,7 @@ def test_cycles_are_counted(tmp_path):
     ("Time (s),Temperature (degC)\n" + "1,20\n" * 9, "a motion (displacement, stretch, strain) and a load"),
     ("1,2,3\n" * 9, "its 3 columns of numbers have no names; name them"),
     ("Time (s),Compression (mm),Load (N)\n" + "1,2,3\n" * 4, "holds no table of numbers"),
+    ("Time (s),Compression (mm),Load (N)\n" + "1,2,3\n" * 9 + "2,3,1e300\n", "which no machine measures"),
 ])
 def test_a_file_that_is_none_gets_one_sentence_and_nothing_is_written(tmp_path, capsys, content, words):
     path = text(tmp_path, "bad.csv", content)

@@ -135,8 +135,8 @@ def _read(path: Path, columns: Sequence[ColumnGuess], options: Mapping[str, Any]
     for recording in recordings:
         for channel, values in recording.channels.items():
             if np.abs(values).max() > _LARGEST:
-                raise InputError(f"{channel} reaches {values[np.argmax(np.abs(values))]:g}, which no machine measures: a "
-                                 "cell is damaged", file=path)
+                raise InputError(f"{channel} reaches {values[np.argmax(np.abs(values))]:g}, which no machine measures: "
+                                 "a cell is damaged", file=path)
     return recordings
 
 
