@@ -96,7 +96,9 @@ def _value(value: Any) -> str:
 
 def _place(file: Path, folder: Path) -> str:
     """The file as the campaign names it."""
+    # Links of folders are followed, for ".." does so, too.
+    there = file.parent.resolve() / file.name
     try:
-        return Path(os.path.relpath(file, folder)).as_posix()
+        return Path(os.path.relpath(there, folder.resolve())).as_posix()
     except ValueError:  # another drive
-        return file.resolve().as_posix()
+        return there.as_posix()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -59,11 +59,14 @@ def import_files(files: Iterable[str | Path], output: str | Path | None = None, 
              for each in understood for reading in each.readings]
     tests, specimens, missing = _tests(group(parts), wishes)
     fit = _fit(tests, wishes)
-    folder = Path() if output is None else output.parent
-    text = campaign_text(tests, specimens, fit, _noise(tests, fit), folder)
+
+    def text_in(folder: Path) -> str:
+        return campaign_text(tests, specimens, fit, _noise(tests, fit), folder)
+
+    text = text_in(Path() if output is None else output.parent)
     imported = Imported(tuple(understood), tests, read_only(specimens), text, missing, _warnings(parts, tests))
     if not missing:
-        imported = replace(imported, problem=_problem(text, folder))
+        imported = replace(imported, problem=_problem(text_in))
     if output is None:
         return imported
     picture = output.with_suffix(".png")
@@ -281,20 +284,16 @@ def _noise(tests: Sequence[ImportedTest], fit: Sequence[Line]) -> list[Line]:
                  f"taken as {100 * _CONTACT_SHARE:g} % of the travel")]
 
 
-def _problem(text: str, folder: Path) -> str | None:
-    """Why the campaign cannot be calibrated as it stands."""
-    # Beside its place, for its paths are relative; where that folder is not there yet they are made so.
-    folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder, prefix=".import_") as place:
-        path = Path(place).parent / f"{Path(place).name}.toml"
+def _problem(text_in: Callable[[Path], str]) -> str | None:
+    """Why the campaign cannot be calibrated as it stands; `text_in` gives its text in a folder."""
+    with tempfile.TemporaryDirectory() as place:
+        path = Path(place).resolve() / "campaign.toml"
         try:
-            write_text(path, text)
+            write_text(path, text_in(path.parent))
             read_measured(load_campaign(path))
         except InputError as error:
             there = error.file if error.file is not None and Path(error.file) != path else None
             return str(InputError(error.problem, file=there, line=error.line, field=error.field))
-        finally:
-            path.unlink(missing_ok=True)
     return None
 
 
