@@ -9,7 +9,7 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.recording.contact import find_contact
 from tissue_sim.recording.recording import Recording
-from tissue_sim.recording.segmentation import count_cycles, label_motion
+from tissue_sim.recording.segments import segments_of
 
 #: Words for ``offset`` of a column, in place of a number.
 START, CONTACT = "start", "contact"
@@ -53,6 +53,5 @@ def zeroed(recording: Recording, offsets: dict[str, str], file: Path) -> Recordi
     changed = recording.with_channels(**channels)
     if "segment" in recording.labels:
         return changed
-    names = count_cycles(label_motion(clock, way))[0].astype("U8")
-    names[:contact.index] = "approach"
-    return Recording(changed.channels, {**changed.labels, "segment": names}, changed.metadata)
+    return Recording(changed.channels, {**changed.labels, "segment": segments_of(way, force, time).labels},
+                     changed.metadata)
