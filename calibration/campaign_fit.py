@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 import tissue_sim
 from calibration.campaign.campaign import Campaign
-from calibration.campaign.measured import MeasuredCurve, read_measured
+from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.assess import assess
 from calibration.fit.curves import draw_curves
 from calibration.fit.estimate import Estimate
@@ -39,19 +39,17 @@ class CampaignFit:
     """A campaign that has been read.
 
     Args:
-        campaign: what is asked. folder: of its results. steps: where its parts run, and who is told.
+        campaign: what is asked. measured: test -> its recordings, as `read_measured` reads them. folder: of its results.
+        steps: where its parts run, and who is told.
 
     Attributes:
-        measured: test -> its recordings. recordings: all of them. digest: of everything that the results depend on.
-
-    Raises:
-        InputError: what `read_measured` refuses.
+        recordings: all of them. digest: of everything that the results depend on.
     """
 
-    def __init__(self, campaign: Campaign, folder: Path, steps: Steps):
-        self.campaign, self.folder, self.steps = campaign, folder, steps
-        self.measured: dict[str, tuple[MeasuredCurve, ...]] = read_measured(campaign)
-        self.recordings = [curve for curves in self.measured.values() for curve in curves]
+    def __init__(self, campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]], folder: Path,
+                 steps: Steps):
+        self.campaign, self.measured, self.folder, self.steps = campaign, measured, folder, steps
+        self.recordings = [curve for curves in measured.values() for curve in curves]
         self.digest = _digest(campaign, self.recordings)
         self.solves = Solves()
         self.estimator: Estimator = ESTIMATORS[campaign.fit.method](campaign, self.measured, self.solves)

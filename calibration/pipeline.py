@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from calibration.campaign.campaign import load_campaign
-from calibration.campaign_fit import CampaignFit
-from calibration.fit.result import CalibrationResult, read_back
-from calibration.fit.steps import IterationListener, Progress, Steps
+from calibration.campaign.measured import read_measured
 from calibration.output_folder import SUMMARY_FILE, claim
-from calibration.report.outputs import write_summary
 from calibration.tasks.executors import Workers, open_tasks
 from tissue_sim.errors import ConvergenceError, InputError
+
+if TYPE_CHECKING:
+    from calibration.fit.result import CalibrationResult
+    from calibration.fit.steps import IterationListener, Progress
 
 
 def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool = False,
@@ -49,9 +51,17 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
         if any(other.name == campaign.name for other in campaigns[:i]):
             raise InputError(f"two campaign files are called {campaign.name!r}; results go into a folder of that name, "
                              "so rename one", file=campaign.path)
+    measured = [read_measured(campaign) for campaign in campaigns]
+    # On use: what is wrong in a file is said at once, before the fit and all of scipy are there.
+    from calibration.campaign_fit import CampaignFit
+    from calibration.fit.result import read_back
+    from calibration.fit.steps import Steps
+    from calibration.report.outputs import write_summary
+
     with open_tasks(workers or Workers()) as tasks:
-        fits = [CampaignFit(campaign, output / campaign.name if len(campaigns) > 1 else output,
-                            Steps(campaign.name, tasks, progress, listen)) for campaign in campaigns]
+        fits = [CampaignFit(campaign, curves, output / campaign.name if len(campaigns) > 1 else output,
+                            Steps(campaign.name, tasks, progress, listen))
+                for campaign, curves in zip(campaigns, measured, strict=True)]
         finished = [None if overwrite else read_back(fit.campaign, fit.folder, fit.digest) for fit in fits]
         for fit, result in zip(fits, finished, strict=True):
             if result is None:

@@ -28,7 +28,7 @@ def add_arguments(parser: Parser) -> None:
 
 
 def run(arguments) -> int:
-    from calibration import Workers, calibrate, to_json
+    from calibration import Workers, calibrate
     from scenes.commands.calibrate.progress import CalibrationProgress
 
     before = _claim_on(arguments.output)
@@ -43,6 +43,8 @@ def run(arguments) -> int:
             arguments.resume_hint = _resume_hint(arguments)
         raise
     if arguments.json:
+        from calibration import to_json
+
         print_json(to_json(results))
     else:
         from scenes.commands.calibrate.results import print_results
