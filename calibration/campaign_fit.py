@@ -39,8 +39,8 @@ class CampaignFit:
     """A campaign that has been read.
 
     Args:
-        campaign: what is asked. measured: test -> its recordings, as `read_measured` reads them. folder: of its results.
-        steps: where its parts run, and who is told.
+        campaign: what is asked. measured: test -> its recordings, as `read_measured` reads them.
+        folder: of its results. steps: where its parts run, and who is told.
 
     Attributes:
         recordings: all of them. digest: of everything that the results depend on.
@@ -71,11 +71,11 @@ class CampaignFit:
             self.estimator.check(law, number)
             self.checked[law] = self.solves.counts.total() - before
 
-    def run(self, *, figures: bool) -> CalibrationResult:
+    def run(self, *, figures: bool, figures_format: str | None = None) -> CalibrationResult:
         """Fit all laws and write everything into the folder; ``fit.json`` last, because it says that it is finished.
 
         Args:
-            figures: whether the report gets its pictures.
+            figures: whether the report gets its pictures. figures_format: of these as files beside it; None: no files.
 
         Raises:
             ConvergenceError: no law could be fitted.
@@ -102,7 +102,8 @@ class CampaignFit:
             noise if self.estimator.explores else ())
         if self.estimator.explores:
             self.steps.say("writing the report")
-        write_campaign(result, curves, self.measured, self.estimator.words, figures=figures)
+        write_campaign(result, curves, self.measured, self.estimator.words, figures=figures,
+                       figures_format=figures_format)
         return result
 
     def _fit(self) -> tuple[list[Fitted], dict[str, str]]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from calibration.campaign.campaign import load_campaign
 from calibration.campaign.measured import read_measured
-from calibration.output_folder import SUMMARY_FILE, claim
+from calibration.output_folder import PICTURE_FORMATS, SUMMARY_FILE, claim, pictures_written
 from calibration.tasks.executors import Workers, open_tasks
 from tissue_sim.errors import ConvergenceError, InputError
 
@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool = False,
               progress: Progress | None = None, listen: IterationListener | None = None,
-              figures: bool = True, workers: Workers | None = None) -> list[CalibrationResult]:
+              figures: bool = True, figures_format: str | None = None,
+              workers: Workers | None = None) -> list[CalibrationResult]:
     """Fit every law of every campaign and write the results.
 
     ``LAW.material.json``, ``fit.json``, ``report.html``, ``curves.csv`` and ``residuals.csv`` go into `output`, or into
@@ -36,6 +37,7 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
             where it has none).
         listen: called with the campaign, the law and each solve of an inverse fit.
         figures: whether the report gets its pictures.
+        figures_format: ``svg``, ``pdf`` or ``png``: each picture is also a file beside the report; None: no files.
         workers: who computes the parts of inverse fits; None: this process.
 
     Raises:
@@ -44,6 +46,9 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
         WorkerError: a worker process dies each time that it is given a part.
     """
     output = Path(output)
+    if figures_format not in (None, *PICTURE_FORMATS):
+        raise InputError(f"pictures are written as {', '.join(PICTURE_FORMATS)}, not as {figures_format!r}",
+                         field="figures_format")
     campaigns = [load_campaign(path) for path in paths]
     if not campaigns:
         raise InputError("give at least one campaign file")
@@ -62,7 +67,9 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
         fits = [CampaignFit(campaign, curves, output / campaign.name if len(campaigns) > 1 else output,
                             Steps(campaign.name, tasks, progress, listen))
                 for campaign, curves in zip(campaigns, measured, strict=True)]
-        finished = [None if overwrite else read_back(fit.campaign, fit.folder, fit.digest) for fit in fits]
+        finished = [None if overwrite or not (figures_format is None or pictures_written(
+            fit.campaign, fit.folder, figures_format)) else read_back(fit.campaign, fit.folder, fit.digest)
+            for fit in fits]
         for fit, result in zip(fits, finished, strict=True):
             if result is None:
                 fit.check()
@@ -72,7 +79,7 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
         results, failures = [], []
         for fit, result in zip(fits, finished, strict=True):
             try:
-                results.append(result or fit.run(figures=figures))
+                results.append(result or fit.run(figures=figures, figures_format=figures_format))
             except ConvergenceError as failure:
                 # The others are not to wait for it.
                 failures.append(str(failure))

@@ -22,6 +22,8 @@ def add_arguments(parser: Parser) -> None:
                             "this one)")
     where.add_argument("--dask", metavar="ADDRESS",
                        help="the same on a running dask cluster: tcp://HOST:PORT, or the file of its scheduler")
+    parser.add_argument("--figures-format", choices=("svg", "pdf", "png"),
+                        help="write each picture of the report also as a file beside it")
     add_overwrite(parser)
     add_json(parser)
     parser.set_defaults(run=run, resume_hint="no campaign was finished: run the same command to start again")
@@ -36,6 +38,7 @@ def run(arguments) -> int:
         with CalibrationProgress(progress_console(quiet=arguments.json), len(arguments.campaigns)) as progress:
             results = calibrate(arguments.campaigns, arguments.output, overwrite=arguments.overwrite,
                                 progress=progress.say, listen=progress.listen,
+                                figures_format=arguments.figures_format,
                                 workers=Workers(arguments.workers, arguments.dask))
     except KeyboardInterrupt:
         # With --overwrite, results of another calibration may still be there, untouched.
