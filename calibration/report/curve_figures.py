@@ -139,6 +139,7 @@ def _draw_band(axes, best: TestCurves, colour: str, x: _Abscissa) -> None:
     axes.set_title("Recordings as they came, in the prediction band")
     axes.axhline(0.0, color=colour, lw=1.6)
     y = 1 / x.load.size
+    points = sum(m.force.size for m in best.measured)
     first = best.measured[0]
     along = [law_along(best, m) for m in best.measured]
     known = [values for values in along if values is not None]
@@ -155,7 +156,7 @@ def _draw_band(axes, best: TestCurves, colour: str, x: _Abscissa) -> None:
     for m, values in zip(best.measured, known, strict=True):
         thin = thinned(m.force.size)
         away = y * (values[:, 0] - m.force)
-        axes.plot(x.of(m)[thin], away[thin], "o", ms=2.2, mew=0, color="0.35", alpha=0.4)
+        axes.plot(x.of(m)[thin], away[thin], "o", ms=4 if points < _DENSE else 2.2, **cloud(points))
 
 
 def _draw_residuals(axes, drawn, x: _Abscissa) -> None:
@@ -185,7 +186,8 @@ def _draw_residuals(axes, drawn, x: _Abscissa) -> None:
                       zorder=5 - rank / len(drawn), label=None)
     axes.axhline(0.0, color="0.3", lw=0.8)
     axes.set_ylim(-1.45 * max(reach), 1.45 * max(reach))
-    axes.set_title("Residuals, own offset and zero taken out, means of bins")
+    own = ", own offset and zero taken out" if drawn[0][1].nuisances else ""
+    axes.set_title(f"Residuals{own}, means of bins")
 
 
 def _binned(measured: MeasuredCurve, residual: np.ndarray, x: _Abscissa, edges: np.ndarray):
@@ -231,11 +233,11 @@ def _ends(region: Region, test: Test) -> tuple[float, float]:
 
 
 def place_of(region: Region, test: Test, units: Units) -> str:
-    """``ramp, 3.3 to 6.7 mm``."""
+    """``ramp from 3.3 to 6.7 mm``, ``hold at 10 mm``."""
     travel = units.travel(test)
     start, end = (f"{end / travel.size:.3g}" for end in _ends(region, test))
-    span = f"{start if start == end else f'{start} to {end}'} {travel.name}".rstrip()
-    return f"{region.segment}, {span}" if region.segment else span
+    span = f"{f'at {start}' if start == end else f'from {start} to {end}'} {travel.name}".rstrip()
+    return f"{region.segment} {span}".strip()
 
 
 def probability(p: float) -> str:

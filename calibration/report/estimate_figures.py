@@ -11,7 +11,7 @@ from scipy.interpolate import PchipInterpolator
 from calibration.fit.fit import Fit
 from calibration.report.curve_figures import MISFIT
 from calibration.report.drawing import COLOURS, WIDTH, in_rows, legend_above, line_styles, new_figure, panels
-from calibration.report.page import free_parameters
+from calibration.report.page import free_parameters, with_minus
 from calibration.report.rounding import error_text, interval_text, value_and_error
 from calibration.report.symbols import math_symbol
 from calibration.report.units import Units
@@ -75,8 +75,8 @@ def _draw_profile(axes, fit: Fit, name: str, bounds: tuple[float, float] | None,
     words = f"\n95 %: {interval_text(ends[0], ends[1], error, estimate)}" if ends else ""
     symbol = math_symbol(fit.symbols[name])
     axes.set(xlim=(left, right), ylim=(-0.02 * ceiling, ceiling), xlabel=unit.label(symbol),
-             ylabel="rise of the sum of squares")
-    axes.set_title(f"{symbol} = {value_and_error(estimate, error, unit.name)}{words}", fontweight="normal")
+             ylabel="rise of sum of squares")
+    axes.set_title(with_minus(f"{symbol} = {value_and_error(estimate, error, unit.name)}{words}"), fontweight="normal")
     axes.locator_params(axis="x", nbins=6)
 
 

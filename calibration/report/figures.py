@@ -54,7 +54,8 @@ def draw_regions(fits: Sequence[Fit], tests: Sequence[Test], units: Units):
         font, gap = 9.0 * min(1.0, 9 / len(named)), "  " if len(named) < _MANY else "\n"
         axes.text(-0.008, top - 0.34, test.name, fontweight="bold", va="center", ha="right")
         for j, region in enumerate(named):
-            axes.text((j + 0.5) / len(named), top - 0.34, place_of(region, test, units).replace(", ", ": "),
+            where = place_of(region, test, units).replace(" from ", f"{gap[:1]}from ")
+            axes.text((j + 0.5) / len(named), top - 0.34, where,
                       va="center", ha="center", fontsize=font, color="0.3")
         for fit, row in zip(fits, rows, strict=True):
             for j, region in enumerate(row):

@@ -100,8 +100,8 @@ def _laws(result: CalibrationResult, cite) -> str:
 def _method(result: CalibrationResult, cite) -> str:
     if result.campaign.fit.method == "analytical":
         text = ("Identification. The closed forms of the homogeneous deformation of the incompressible material were "
-                "fitted to the nominal stress by non-linear least squares (trust-region reflective, exact derivatives"
-                f", several starts; {cite('descent')[1:-1]}).")
+                "fitted to the nominal stress by non-linear least squares (trust-region reflective, several "
+                f"starts; {cite('descent')[1:-1]}).")
         offsets = result.campaign.fit.offset == "fit"
         text += " Contact offset and zero of each recording were fitted, with priors." if offsets else ""
         return f"{text} {_ranking(result, cite)}"

@@ -264,7 +264,7 @@ def test_the_page_stands_alone_and_says_the_verdict_first(campaign, tmp_path):
                   "determine every parameter of Reduced", "bonded compression to 10 mm would give C01 ± 0.006 kPa"):
         assert words in verdict
     # Misfits, the least probable first, and no region that is as noise.
-    assert verdict.index("hold, 10 mm: 0.047 N") < verdict.index("unload, 0 to 10 mm: 0.058 N")
+    assert verdict.index("hold at 10 mm: 0.047 N") < verdict.index("unload from 0 to 10 mm: 0.058 N")
     assert "0.012 N" not in verdict
     for words in ("low: bound 0", "0.028 mm and the zero by 0.0094 N", "6 degrees of freedom", "up to 0.62 %",
                   "1.00 C20 − 0.08 C10, known to ±\u00a03.5", "4.1e+06", record(PLATES, 1).sha256):
@@ -379,7 +379,7 @@ def test_regions_turn_orange_where_the_misfit_is_significant(campaign):
     result, _ = campaign
     axes = figures.draw_regions(result.fits, TESTS, Units.of(result)).axes[0]
     assert "0.0021 N,  p = 0.62" in texts_of(axes) and "0.091 kPa,  p = 1e-5" in texts_of(axes)
-    assert {"plates", "needle", "strip", "hold: 10 mm", "ramp: 3.3 to 6.7 mm"} <= set(texts_of(axes))
+    assert {"plates", "needle", "strip", "hold at 10 mm", "ramp from 3.3 to 6.7 mm"} <= set(texts_of(axes))
     red, _, blue, _ = np.array([patch.get_facecolor()[0] for patch in axes.collections]).T
     cells = [r for name in ("plates", "needle", "strip") for fit in result.fits for r in fit.regions if r.test == name]
     assert [b > r for r, b in zip(red, blue, strict=True)] == [cell.adequate for cell in cells]
