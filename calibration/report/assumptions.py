@@ -56,9 +56,9 @@ def _of_simulations(result: CalibrationResult, units: Units) -> list[str]:
         freedom = best.jitter.freedom
         source = "stated in the campaign, or the usual prior" if freedom is None else \
             f"estimated with {freedom} degrees of freedom" if freedom else "assumed, as no test has two recordings"
-        lines.append("Between recordings the contact point scatters by "
-                     f"{units.length.text(best.jitter.contact_mm * 1e-3, 2)} and the zero by "
-                     f"{units.force.text(best.jitter.zero_N, 2)} (standard deviations), {source}.")
+        contact, zero = units.scatter(best.jitter, campaign.tests)
+        lines.append(f"Between recordings the contact point scatters by {contact} and the zero by {zero} (standard "
+                     f"deviations), {source}.")
     tests = {test.name: test for test in campaign.tests}
     alike: dict[str, list[str]] = {}
     for noise in result.noise:

@@ -21,8 +21,10 @@ from tissue_sim.laws import find_law
 #: Standard errors at which a misfit has the deepest colour, and from which on it is called one.
 _DEEPEST, _CALLED = 6.0, float(stats.norm.isf(0.025))
 #: Marks of a ratio where all are above zero, and where some are not.
-_RATIOS, _SIGNED = (1e-3, 0.01, 0.1, 0.5, 1, 2, 10, 100, 1e3), (-1e3, -100, -10, -1, 0, 1, 10, 100, 1e3)
+_RATIOS, _SIGNED = (1e-3, 0.01, 0.1, 0.2, 0.5, 1, 2, 5, 10, 100, 1e3), (-1e3, -100, -10, -1, 0, 1, 10, 100, 1e3)
 
+#: Largest ratio to the smallest up to which they stand on a linear scale.
+_NARROW = 5.0
 #: Regions of a test from which on size and probability stand below each other.
 _MANY = 7
 #: Characters of a note in a picture.
@@ -198,7 +200,7 @@ def _draw_convergence(above, below, fit: Fit) -> None:
     above.set_ylabel("sum of squares, whitened")
     ratios = [step.parameters[name] / scale[name] for step in fit.history for name in names]
     if min(ratios) > 0:
-        below.set_yscale("log")
+        below.set_yscale("linear" if max(ratios) < _NARROW * min(ratios) else "log")
     elif max(map(abs, ratios)) > 3:
         below.set_yscale("symlog", linthresh=1.0)
     if below.get_yscale() != "linear":

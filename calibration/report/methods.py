@@ -128,9 +128,8 @@ def _noise(result: CalibrationResult, units: Units) -> str:
     if result.noise_Pa is not None:
         levels = [f"{units.pressure.text(result.noise_Pa, 2)} of nominal stress ({result.noise_source})"]
     jitter = result.best.jitter
-    scatter = "" if jitter is None else (
-        f" Between recordings the contact point scatters by {units.length.text(jitter.contact_mm * 1e-3, 2)} and the "
-        f"zero by {units.force.text(jitter.zero_N, 2)}.")
+    contact, zero = ("", "") if jitter is None else units.scatter(jitter, result.campaign.tests)
+    scatter = f" Between recordings the contact point scatters by {contact} and the zero by {zero}." if contact else ""
     basis = {"noise": "that noise", "residuals": "the residuals, which exceed that noise",
              "replicates": "the scatter of the replicates"}[result.best.covariance_from]
     return (f"Uncertainty. Standard deviation of the noise: {', '.join(levels)}.{scatter} Standard errors rest on "

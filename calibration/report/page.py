@@ -11,7 +11,7 @@ from calibration.fit.fit import Fit
 from calibration.report.drawing import as_data_uri, draw_formula, natural_width
 from calibration.report.rounding import interval_text, value_and_error
 from calibration.report.symbols import html_symbol
-from calibration.report.units import Units
+from calibration.report.units import Unit, Units
 from tissue_sim.laws import find_law
 
 _STYLE = """
@@ -199,18 +199,17 @@ def free_parameters(fit: Fit) -> list[str]:
     return [name for name in fit.covariance.order if fit.standard_errors[name] not in (None, 0.0)]
 
 
-def nuisance_table(fit: Fit, units: Units) -> str:
-    """Contact offset and zero of each recording."""
-    length, force = units.length.size * 1e3, units.force.size
+def nuisance_table(fit: Fit, travel: Unit, load: Unit) -> str:
+    """Contact offset and zero of each recording, in these units."""
 
     def scaled(value: float, error: float | None, size: float) -> str:
         return with_minus(value_and_error(value / size, error and error / size))
 
-    rows = [[escape(n.replicate), scaled(n.contact_offset_mm, n.contact_offset_error_mm, length),
-             scaled(n.zero_offset_N, n.zero_offset_error_N, force),
+    rows = [[escape(n.replicate), scaled(n.contact_offset_mm, n.contact_offset_error_mm, travel.size * 1e3),
+             scaled(n.zero_offset_N, n.zero_offset_error_N, load.size),
              f'<span class="bad">{escape(", ".join(n.on_bound))}</span>'] for n in fit.nuisances]
     bound = slice(None, None if any(n.on_bound for n in fit.nuisances) else 3)
-    labels = ["Recording", units.length.label("Contact offset"), units.force.label("Zero"), "On its bound"]
+    labels = ["Recording", travel.label("Contact offset"), load.label("Zero"), "On its bound"]
     return html_table(labels[bound], [row[bound] for row in rows], text=(3,), narrow=True)
 
 

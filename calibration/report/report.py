@@ -65,6 +65,7 @@ def report_page(result: CalibrationResult, curves: Mapping[str, Sequence[TestCur
     """
     campaign, analytical = result.campaign, result.campaign.fit.method == "analytical"
     tests, units = {test.name: test for test in campaign.tests}, Units.of(result)
+    typical = Units.typical(campaign.tests)
     recordings = {c.test.name: c.measured for c in next(iter(curves.values()))}
     parts = [f'<p class="quiet">{counted(sum(map(len, recordings.values())), "recording")} of '
              f"{counted(len(campaign.tests), 'test')}, {counted(len(result.fits), 'law')}; "
@@ -86,7 +87,7 @@ def report_page(result: CalibrationResult, curves: Mapping[str, Sequence[TestCur
         parts += correlation_tables(result.fits)
     if result.best.nuisances:
         parts += [f"<h2>Contact offsets and zeros of {title_of(result.best.law)}</h2>",
-                  nuisance_table(result.best, units)]
+                  nuisance_table(result.best, units.travel(typical), units.load(typical))]
     if any(fit.history for fit in result.fits):
         parts += ["<h2>Every solve</h2>", *(
             f"<details><summary>{title_of(fit.law)}: {_effort(fit)}</summary>{history_table(fit, units)}</details>"

@@ -36,7 +36,8 @@ def ranking_table(fits: Sequence[Fit], units: Units) -> str:
 
 def prediction_table(predictions: Iterable[Prediction], tests: Mapping[str, Test], units: Units) -> str:
     """What each law predicts of each test that it was not fitted to."""
-    rows = []
+    rows: list[list[str | None]] = []
+    last = None
     for p in predictions:
         test = tests[p.test]
         how = "held out of all fits" if test.hold_out else f"left out; fitted to {', '.join(p.fitted)}"
@@ -44,23 +45,27 @@ def prediction_table(predictions: Iterable[Prediction], tests: Mapping[str, Test
         load = units.load(test)
         error, chance = (None if value is None else load.text(value, 2) for value in (
             p.RMSE_Pa if test.specimen is None else p.RMSE_N, p.expected_N))
-        rows.append([escape(p.test), escape(how), title_of(p.law), error or "-",
+        rows.append([None if p.law == last else title_of(p.law), escape(p.test), escape(how), error or "-",
                      "-" if p.percent is None else percent(p.percent), chance or "-"])
-    return html_table(["Test", "How", "Law", "RMSE", "of the largest", "RMSE by chance"], rows, text=(1, 2))
+        last = p.law
+    return html_table(["Law", "Test", "How", "RMSE", "of the largest", "RMSE by chance"], rows, text=(1, 2))
 
 
 def region_table(fits: Sequence[Fit], tests: Mapping[str, Test], units: Units) -> str:
     """Residual tests by region."""
-    rows = []
+    rows: list[list[str | None]] = []
     for fit in fits:
+        last = None
         for r in fit.regions:
             test = tests[r.test]
             load, travel = units.load(test), units.travel(test)
             at = travel.text(r.at * (1.0 if test.specimen is None else 1e-3), 3)
-            rows.append([title_of(fit.law), escape(r.test), escape(place_of(r, test, units)), load.text(r.misfit_N, 2),
+            rows.append([None if last else title_of(fit.law), None if r.test == last else escape(r.test),
+                         escape(place_of(r, test, units)), load.text(r.misfit_N, 2),
                          with_minus(f"{load.text(r.largest_N, 2)} at {at}"), f"{r.statistic:.3g} ({r.freedom})",
                          probability(r.p).replace("<", "&lt;"),
                          "as noise" if r.adequate else '<span class="bad">misfit</span>'])
+            last = r.test
     return html_table(["Law", "Test", "Region", "Misfit (rms)", "Largest model − data", "χ² (freedom)",
                        "p, adjusted", "Residuals"], rows, text=(1, 2))
 

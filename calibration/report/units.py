@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from calibration.campaign.campaign import Test
+    from calibration.fit.fit import JitterStatement
     from calibration.fit.result import CalibrationResult
 
 #: Unit -> its size in SI, largest first.
@@ -59,6 +60,19 @@ class Units:
     def travel(self, test: Test) -> Unit:
         """Of a displacement, or of a strain where the test has no specimen."""
         return Unit("", 1.0) if test.specimen is None else self.length
+
+    def scatter(self, jitter: JitterStatement, tests: Sequence[Test]) -> tuple[str, str]:
+        """Scatter of contact point and zero: a length and a force, or a strain and a stress where no test has a
+        specimen."""
+        test = self.typical(tests)
+        contact = jitter.contact_mm * 1e-3
+        return self.travel(test).text(contact, 2) + (" of strain" if test.specimen is None else ""), \
+            self.load(test).text(jitter.zero_N, 2)
+
+    @staticmethod
+    def typical(tests: Sequence[Test]) -> Test:
+        """The first test with a specimen, of which what the recordings share is written; the first where none has."""
+        return next((test for test in tests if test.specimen is not None), tests[0])
 
     def of_parameter(self, unit: str) -> Unit:
         """That in which a parameter is written whose unit in SI is `unit`."""

@@ -200,8 +200,8 @@ def _basis(result: CalibrationResult, tests: Mapping[str, Test], units: Units) -
     scatter = ""
     if jitter is not None:
         freedom = "stated" if jitter.freedom is None else f"from {counted(jitter.freedom, 'degree')} of freedom"
-        scatter = (f"; between recordings {units.length.text(jitter.contact_mm * 1e-3, 2)} of contact, "
-                   f"{units.force.text(jitter.zero_N, 2)} of zero, {freedom}")
+        contact, zero = units.scatter(jitter, result.campaign.tests)
+        scatter = f"; between recordings {contact} of contact, {zero} of zero, {freedom}"
     if parts:
         yield f"noise: {', '.join(parts)}{scatter}"
     meshes = [f"{mesh.test} {mesh.largest_percent:.2g} %" for mesh in result.best.mesh if mesh.largest_percent]
