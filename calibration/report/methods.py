@@ -11,7 +11,7 @@ from calibration.fit.fit import Fit
 from calibration.fit.result import CalibrationResult
 from calibration.report.drawing import counted
 from calibration.report.figures import percent
-from calibration.report.page import estimate_of, interval_of, ranked_by_prediction, with_minus
+from calibration.report.page import estimate_of, interval_of, ranked_by_prediction, with_minus, young_modulus
 from calibration.report.symbols import plain_symbol
 from calibration.report.units import Units
 from tissue_sim.laws import find_law
@@ -141,7 +141,8 @@ def _numbers(result: CalibrationResult, units: Units) -> str:
     sentences = []
     for fit in result.fits:
         unusable = f" Not usable: {fit.unusable}." if fit.unusable else ""
-        sentences.append(f"{find_law(fit.law).title}: {', '.join(_parameters(fit, units))}; R2 = {fit.R2:.4f}, "
+        sentences.append(f"{find_law(fit.law).title}: {', '.join(_parameters(fit, units))}; E0 = "
+                         f"{with_minus(young_modulus(fit, units))}; R2 = {fit.R2:.4f}, "
                          f"residuals {fit.noise_ratio:.2g} times the noise.{unusable}")
     for p in result.predictions:
         if p.law == result.best.law and p.percent is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from html import escape
@@ -9,11 +10,13 @@ from html import escape
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.fit import Fit
 from calibration.report.drawing import as_data_uri, draw_formula, natural_width
-from calibration.report.rounding import interval_text, value_and_error
+from calibration.report.rounding import interval_text, value_and_error, value_text
 from calibration.report.symbols import html_symbol
 from calibration.report.units import Unit, Units
 from tissue_sim.laws import find_law
 
+#: Of a parameter, as a share of it, for the rate of a modulus.
+_STEP = 1e-4
 _STYLE = """
 :root { color-scheme: light; }
 body { font: 15px/1.5 system-ui, -apple-system, "Segoe UI", sans-serif; color: #1b1f24; background: #fff;
@@ -118,6 +121,40 @@ def interval_of(fit: Fit, name: str, units: Units) -> str:
         return ""
     low, high = (end / unit.size for end in interval)
     return interval_text(low, high, error / unit.size, fit.parameters[name] / unit.size)
+
+
+def shear_modulus_error(fit: Fit) -> float | None:
+    """Standard error of mu0, Pa, by the covariance of the law's parameters; None where one of them has no error, or
+    differs between tests."""
+    law = find_law(fit.law)
+    values = {name: fit.parameters[name] for name in law.parameters if name in fit.parameters}
+    if any(fit.standard_errors.get(name) is None for name in law.parameters):
+        return None
+
+    def rate(name: str) -> float:
+        step = _STEP * (abs(values[name]) or 1.0)
+        ends = (law.mu0({**values, name: values[name] + side * step}) for side in (1, -1))
+        return (next(ends) - next(ends)) / (2 * step)
+
+    rates = [rate(name) for name in law.parameters]
+    place = [fit.covariance.order.index(name) for name in law.parameters]
+    variance = sum(rates[a] * rates[b] * fit.covariance.matrix[i][j]
+                   for a, i in enumerate(place) for b, j in enumerate(place))
+    return math.sqrt(variance) if variance > 0 else None
+
+
+def moduli_of(fit: Fit, units: Units) -> tuple[str, str]:
+    """E0 and mu0 without their unit, to the place at which their errors end."""
+    size, error = units.pressure.size, shear_modulus_error(fit)
+    share = fit.E0 / fit.mu0 if fit.mu0 else 3.0
+    return (value_text(fit.E0 / size, error and abs(share) * error / size),
+            value_text(fit.mu0 / size, error and error / size))
+
+
+def young_modulus(fit: Fit, units: Units) -> str:
+    """``5.93 ± 0.14 kPa``."""
+    size, error = units.pressure.size, shear_modulus_error(fit)
+    return value_and_error(fit.E0 / size, error and abs(fit.E0 / fit.mu0) * error / size, units.pressure.name)
 
 
 def symbol_of(fit: Fit, name: str) -> str:

@@ -31,6 +31,7 @@ from calibration.report.page import (
     symbol_of,
     title_of,
     with_minus,
+    young_modulus,
 )
 from calibration.report.report_tables import (
     history_table,
@@ -118,7 +119,7 @@ def _law_in_words(fit: Fit, units: Units) -> str:
     parts = [f"{symbol_of(fit, name)} = {with_minus(estimate_of(fit, name, units))}" for name in fit.parameters]
     usable = "" if fit.status == "converged" else f' <span class="bad">{escape(fit.unusable or fit.message)}</span>'
     return (f"<b>{title_of(fit.law)}</b>: {', '.join(parts)}; E<sub>0</sub> = "
-            f"{with_minus(units.pressure.text(fit.E0, 4))}, stable stretches {stable_stretches(fit)}.{usable}")
+            f"{with_minus(young_modulus(fit, units))}, stable stretches {stable_stretches(fit)}.{usable}")
 
 
 def _with_titles(result: CalibrationResult) -> str:

@@ -10,7 +10,7 @@ from calibration.fit.fit import Direction, Fit, Prediction, Suggestion
 from calibration.report.curve_figures import place_of, probability
 from calibration.report.estimate_figures import NOT_TOLD
 from calibration.report.figures import percent
-from calibration.report.page import html_table, number, stable_stretches, symbol_of, title_of, with_minus
+from calibration.report.page import html_table, moduli_of, number, stable_stretches, symbol_of, title_of, with_minus
 from calibration.report.rounding import error_text
 from calibration.report.symbols import plain_symbol
 from calibration.report.units import Units
@@ -24,7 +24,7 @@ def ranking_table(fits: Sequence[Fit], units: Units) -> str:
         # A difference to a law that cannot be used would invite to use it.
         difference = f"{fit.BIC - best.BIC:.3g}" if fit.unusable is None else "-"
         rows.append([title_of(fit.law), "-" if fit.left_out is None else percent(fit.left_out),
-                     f"{fit.E0 / pressure.size:.4g}", f"{fit.mu0 / pressure.size:.4g}", f"{fit.R2:.5f}",
+                     *moduli_of(fit, units), f"{fit.R2:.5f}",
                      number(fit.RMSE_N and fit.RMSE_N / force.size, 3),
                      number(fit.RMSE_Pa and fit.RMSE_Pa / pressure.size, 3), f"{fit.noise_ratio:.3g}", difference,
                      stable_stretches(fit)])

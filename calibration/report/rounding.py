@@ -41,6 +41,11 @@ def value_and_error(value: float, error: float | None, unit: str = "", *, known:
     return f"({both}){_times(power)}{end}" if power else f"{both}{end}"
 
 
+def value_text(value: float, error: float | None) -> str:
+    """A value alone, to the place at which its error ends; four digits where no error is known."""
+    return _at(value, last_place(error), 0) if _usable(error) and not _power(value, error) else f"{value:.{DIGITS}g}"
+
+
 def interval_text(low: float, high: float, error: float | None, value: float = 0.0) -> str:
     """``0.937 to 1.040``: the ends to the place at which the error ends, with the power of ten of the value. Where a
     bound cuts the interval, its own width stands for the error."""

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from calibration.report.page import remarks_by_law, with_minus
+from calibration.report.page import moduli_of, remarks_by_law, shear_modulus_error, with_minus, young_modulus
 from calibration.report.rounding import error_text, interval_text, value_and_error
 from calibration.report.symbols import html_symbol, math_symbol, plain_symbol
 from calibration.report.units import Units
@@ -32,6 +32,21 @@ def test_an_interval_ends_where_the_error_does_or_where_its_own_width_does():
     assert interval_text(1e-6, 1.0, 331.0, 0.0) == "0.00 to 1.00"
     assert interval_text(1.0, 2.0, None) == "1 to 2"
     assert error_text(0.00531) == "0.005" and error_text(0.012) == "0.012" and error_text(3e-7) == "3e-07"
+
+
+def test_the_error_of_a_modulus_follows_from_the_covariance():
+    """mu0 = mu1 + mu2 of Ogden; of a reduced polynomial it is 2 C10."""
+    ogden = SimpleNamespace(
+        law="ogden_2", parameters={"mu1": 500.0, "alpha1": 2.0, "mu2": 300.0, "alpha2": -3.0}, E0=2400.0, mu0=800.0,
+        standard_errors=dict.fromkeys(("mu1", "alpha1", "mu2", "alpha2"), 1.0), covariance=SimpleNamespace(
+            order=["mu1", "alpha1", "mu2", "alpha2"],
+            matrix=[[100.0, 3.0, -90.0, 0.0], [3.0, 1.0, 0.0, 0.0], [-90.0, 0.0, 144.0, 0.0], [0.0, 0.0, 0.0, 1.0]]))
+    assert shear_modulus_error(ogden) == pytest.approx((100 + 144 - 180)**0.5)
+    units = Units.of(SimpleNamespace(best=SimpleNamespace(mu0=800.0, RMSE_N=None, regions=[])))
+    assert young_modulus(ogden, units) == "2400 ± 24 Pa"
+    assert moduli_of(ogden, units) == ("2400", "800")
+    ogden.standard_errors["mu2"] = None
+    assert shear_modulus_error(ogden) is None and moduli_of(ogden, units) == ("2400", "800")
 
 
 def test_symbols():

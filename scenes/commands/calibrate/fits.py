@@ -11,7 +11,7 @@ from rich.text import Text
 from calibration.fit.self_weight import statement
 from calibration.report.curve_figures import place_of, probability
 from calibration.report.drawing import counted
-from calibration.report.page import estimate_of, interval_of, number, remarks_by_law, stable_stretches
+from calibration.report.page import estimate_of, interval_of, moduli_of, number, remarks_by_law, stable_stretches
 from calibration.report.report_tables import direction_in_words, suggestion_in_words
 from calibration.report.units import Units
 from scenes.commands.shared.text_table import print_sentence, text_table
@@ -81,7 +81,7 @@ def _ranking_table(fits: Sequence[Fit], heading: str, units: Units) -> Table:
         above = None if fit.unusable else fit.BIC - best.BIC
         table.add_row(_ranked_name(fit, best), number(above if heading == "dBIC" else fit.left_out, 3),
                       _share_of_variance(fit), "-" if error is None else f"{error / load.size:.4g}",
-                      f"{fit.E0 / pressure.size:.4g}", f"{fit.mu0 / pressure.size:.4g}", stable_stretches(fit),
+                      *moduli_of(fit, units), stable_stretches(fit),
                       style=_ranked_style(fit, best))
     return table
 
