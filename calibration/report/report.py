@@ -84,8 +84,7 @@ def report_page(result: CalibrationResult, curves: Mapping[str, Sequence[TestCur
         parts += ["<h2>Residuals by region</h2>", region_table(result.fits, tests, units)]
     if not analytical:
         parts += ["<h2>What these tests can tell</h2>", identifiability_table(result.fits, units)]
-    if pictures is None:
-        parts += correlation_tables(result.fits)
+    parts += correlation_tables([fit for fit in result.fits if pictures is None or not _is_drawn(fit, result)])
     if result.best.nuisances:
         parts += [f"<h2>Contact offsets and zeros of {title_of(result.best.law)}</h2>",
                   nuisance_table(result.best, units.travel(typical), units.load(typical))]
@@ -195,7 +194,7 @@ def _pictures(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurve
                               "Thick: ± one standard error; thin: 95 % interval.")
     if differing:
         yield f"<h2>What differs between specimens</h2>{differing}"
-    for fit in fits:
+    for fit in (fit for fit in fits if _is_drawn(fit, result)):
         inside = "".join(_estimates(fit, campaign, units, pictures))
         if inside:
             name = title_of(fit.law)
@@ -208,6 +207,11 @@ def _pictures(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurve
                             "Error: sum of squares of the whitened residuals and priors. A line a start; one solve "
                             "simulates all tests. Where the accurate mesh comes in the error of a law that misses "
                             "something may rise: until then the larger error of the fast mesh is allowed for.")
+
+
+def _is_drawn(fit: Fit, result: CalibrationResult) -> bool:
+    """Whether what determines its parameters is a picture: of the best, and of those with profiles."""
+    return fit is result.best or bool(fit.profiles)
 
 
 def _estimates(fit: Fit, campaign: Campaign, units: Units, pictures: Pictures) -> Iterator[str]:
