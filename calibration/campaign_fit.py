@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 import tissue_sim
 from calibration.campaign.campaign import Campaign
-from calibration.campaign.measured import MeasuredCurve, read_measured
+from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.segmented import notes_in_short
 from calibration.fit.assess import assess
 from calibration.fit.curves import draw_curves
@@ -40,19 +40,17 @@ class CampaignFit:
     """A campaign that has been read.
 
     Args:
-        campaign: what is asked. folder: of its results. steps: where its parts run, and who is told.
+        campaign: what is asked. measured: test -> its recordings, as `read_measured` reads them.
+        folder: of its results. steps: where its parts run, and who is told.
 
     Attributes:
-        measured: test -> its recordings. recordings: all of them. digest: of everything that the results depend on.
-
-    Raises:
-        InputError: what `read_measured` refuses.
+        recordings: all of them. digest: of everything that the results depend on.
     """
 
-    def __init__(self, campaign: Campaign, folder: Path, steps: Steps):
-        self.campaign, self.folder, self.steps = campaign, folder, steps
-        self.measured: dict[str, tuple[MeasuredCurve, ...]] = read_measured(campaign)
-        self.recordings = [curve for curves in self.measured.values() for curve in curves]
+    def __init__(self, campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]], folder: Path,
+                 steps: Steps):
+        self.campaign, self.measured, self.folder, self.steps = campaign, measured, folder, steps
+        self.recordings = [curve for curves in measured.values() for curve in curves]
         self.digest = _digest(campaign, self.recordings)
         self.solves = Solves()
         self.estimator: Estimator = ESTIMATORS[campaign.fit.method](campaign, self.measured, self.solves)
@@ -74,11 +72,11 @@ class CampaignFit:
             self.estimator.check(law, number)
             self.checked[law] = self.solves.counts.total() - before
 
-    def run(self, *, figures: bool) -> CalibrationResult:
+    def run(self, *, figures: bool, figures_format: str | None = None) -> CalibrationResult:
         """Fit all laws and write everything into the folder; ``fit.json`` last, because it says that it is finished.
 
         Args:
-            figures: whether the report gets its pictures.
+            figures: whether the report gets its pictures. figures_format: of these as files beside it; None: no files.
 
         Raises:
             ConvergenceError: no law could be fitted.
@@ -106,7 +104,8 @@ class CampaignFit:
             noise if self.estimator.explores else ())
         if self.estimator.explores:
             self.steps.say("writing the report")
-        write_campaign(result, curves, self.measured, self.estimator.words, figures=figures)
+        write_campaign(result, curves, self.measured, self.estimator.words, figures=figures,
+                       figures_format=figures_format)
         return result
 
     def _fit(self) -> tuple[list[Fitted], dict[str, str]]:

@@ -17,7 +17,12 @@ from tissue_sim.errors import InputError
 CLAIM_FILE, FIT_FILE, SUMMARY_FILE = "work.json", "fit.json", "summary.csv"
 #: Folder of the simulations of an inverse fit, beside its results.
 SOLVES = "solves"
-TABLES = ("report.html", "curves.csv", "residuals.csv")
+TABLES = ("report.html", "methods.txt", "curves.csv", "residuals.csv")
+#: Formats in which the pictures of a report are written as files beside it.
+PICTURE_FORMATS = ("svg", "pdf", "png")
+#: Names of the pictures of a campaign, and of those of each law in it.
+PICTURES = ("predictions", "regions", "specimens", "convergence")
+PICTURES_OF_LAW = ("profiles", "correlation")
 CLAIM_SCHEMA = "tissue_sim/calibration/2"
 
 
@@ -67,7 +72,30 @@ def claim(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaig
 def result_files(campaign: Campaign, folder: Path) -> list[Path]:
     """Every file that the calibration of a campaign may write."""
     return [*(folder / f"{law}.material.json" for law in campaign.fit.laws), *(folder / name for name in TABLES),
+            *(folder / picture_file(name, kind) for name in _pictures(campaign) for kind in PICTURE_FORMATS),
             folder / FIT_FILE]
+
+
+def picture_of_test(campaign: Campaign, number: int) -> str:
+    """Name of the picture of a test, by its place in the campaign."""
+    return f"test {number + 1} {campaign.tests[number].name}"
+
+
+def picture_file(name: str, kind: str) -> str:
+    """File of a picture beside the report: words, digits and underscores only, whatever a test is called."""
+    return f"report_{re.sub(r'[^0-9A-Za-z]+', '_', name).strip('_')}.{kind}"
+
+
+def pictures_written(campaign: Campaign, folder: Path, kind: str) -> bool:
+    """Whether the pictures of a finished campaign are there as files."""
+    return all((folder / picture_file(picture_of_test(campaign, number), kind)).is_file()
+               for number in range(len(campaign.tests)))
+
+
+def _pictures(campaign: Campaign) -> list[str]:
+    """Every picture that a report may have."""
+    return [*(picture_of_test(campaign, number) for number in range(len(campaign.tests))), *PICTURES,
+            *(f"{name} {law}" for name in PICTURES_OF_LAW for law in campaign.fit.laws)]
 
 
 def _protect_inputs(planned: Sequence[Path], campaigns: Sequence[Campaign],

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from calibration.campaign.campaign import load_campaign
-from calibration.campaign_fit import CampaignFit
-from calibration.fit.result import CalibrationResult, read_back
-from calibration.fit.steps import IterationListener, Progress, Steps
-from calibration.output_folder import SUMMARY_FILE, claim
-from calibration.report.outputs import write_summary
+from calibration.campaign.measured import read_measured
+from calibration.output_folder import PICTURE_FORMATS, SUMMARY_FILE, claim, pictures_written
 from calibration.tasks.executors import Workers, open_tasks
 from tissue_sim.errors import ConvergenceError, InputError
+
+if TYPE_CHECKING:
+    from calibration.fit.result import CalibrationResult
+    from calibration.fit.steps import IterationListener, Progress
 
 
 def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool = False,
               progress: Progress | None = None, listen: IterationListener | None = None,
-              figures: bool = True, workers: Workers | None = None) -> list[CalibrationResult]:
+              figures: bool = True, figures_format: str | None = None,
+              workers: Workers | None = None) -> list[CalibrationResult]:
     """Fit every law of every campaign and write the results.
 
     ``LAW.material.json``, ``fit.json``, ``report.html``, ``curves.csv`` and ``residuals.csv`` go into `output`, or into
@@ -34,6 +37,7 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
             where it has none).
         listen: called with the campaign, the law and each solve of an inverse fit.
         figures: whether the report gets its pictures.
+        figures_format: ``svg``, ``pdf`` or ``png``: each picture is also a file beside the report; None: no files.
         workers: who computes the parts of inverse fits; None: this process.
 
     Raises:
@@ -42,6 +46,9 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
         WorkerError: a worker process dies each time that it is given a part.
     """
     output = Path(output)
+    if figures_format not in (None, *PICTURE_FORMATS):
+        raise InputError(f"pictures are written as {', '.join(PICTURE_FORMATS)}, not as {figures_format!r}",
+                         field="figures_format")
     campaigns = [load_campaign(path) for path in paths]
     if not campaigns:
         raise InputError("give at least one campaign file")
@@ -49,10 +56,20 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
         if any(other.name == campaign.name for other in campaigns[:i]):
             raise InputError(f"two campaign files are called {campaign.name!r}; results go into a folder of that name, "
                              "so rename one", file=campaign.path)
+    measured = [read_measured(campaign) for campaign in campaigns]
+    # On use: what is wrong in a file is said at once, before the fit and all of scipy are there.
+    from calibration.campaign_fit import CampaignFit
+    from calibration.fit.result import read_back
+    from calibration.fit.steps import Steps
+    from calibration.report.outputs import write_summary
+
     with open_tasks(workers or Workers()) as tasks:
-        fits = [CampaignFit(campaign, output / campaign.name if len(campaigns) > 1 else output,
-                            Steps(campaign.name, tasks, progress, listen)) for campaign in campaigns]
-        finished = [None if overwrite else read_back(fit.campaign, fit.folder, fit.digest) for fit in fits]
+        fits = [CampaignFit(campaign, curves, output / campaign.name if len(campaigns) > 1 else output,
+                            Steps(campaign.name, tasks, progress, listen))
+                for campaign, curves in zip(campaigns, measured, strict=True)]
+        finished = [None if overwrite or not (figures_format is None or pictures_written(
+            fit.campaign, fit.folder, figures_format)) else read_back(fit.campaign, fit.folder, fit.digest)
+            for fit in fits]
         for fit, result in zip(fits, finished, strict=True):
             if result is None:
                 fit.check()
@@ -62,7 +79,7 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
         results, failures = [], []
         for fit, result in zip(fits, finished, strict=True):
             try:
-                results.append(result or fit.run(figures=figures))
+                results.append(result or fit.run(figures=figures, figures_format=figures_format))
             except ConvergenceError as failure:
                 # The others are not to wait for it.
                 failures.append(str(failure))

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from calibration.campaign.campaign import Campaign, Test
 from calibration.campaign.segmented import SegmentedRecording, segment_recording, with_air_noted
@@ -18,6 +18,9 @@ from tissue_sim.material.material import Material
 from tissue_sim.recording.file import read_recordings
 from tissue_sim.recording.recording import MIN_POINTS, Recording
 from tissue_sim.recording.segmentation import label_motion, number_runs
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 #: Largest difference of a specimen's size between a recording's own word and the campaign's, as a share.
 SIZE_TOLERANCE = 0.02
@@ -258,6 +261,8 @@ def with_noise(loading: MeasuredCurve, campaign: Campaign, window: MeasuredCurve
 def _evenly_spaced(displacement: np.ndarray, curve: MeasuredCurve, campaign: Campaign,
                    points: int) -> tuple[np.ndarray, csr_array]:
     """Even displacements from rest to the end of the window, and the linear interpolation onto them."""
+    from scipy.sparse import csr_array
+
     test = curve.test
     height = 1.0 if test.specimen is None else test.specimen.height
     limit = np.inf if test.max_strain is None else test.max_strain * height

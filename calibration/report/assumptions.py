@@ -4,22 +4,21 @@ from __future__ import annotations
 
 from calibration.fit.result import CalibrationResult
 from calibration.fit.self_weight import statement
-from calibration.report.curve_figures import size_of
 from calibration.report.drawing import counted
-from calibration.report.pressure import format_pressure
+from calibration.report.units import Units
 
 
-def assumptions(result: CalibrationResult) -> list[str]:
+def assumptions(result: CalibrationResult, units: Units) -> list[str]:
     """What the numbers rest on, one sentence each."""
     campaign = result.campaign
-    lines = _of_closed_forms(result) if campaign.fit.method == "analytical" else _of_simulations(result)
+    lines = _of_closed_forms(result, units) if campaign.fit.method == "analytical" else _of_simulations(result, units)
     if campaign.fit.fixed:
         lines.append(f"Fixed: {', '.join(f'{name} = {value:g}' for name, value in campaign.fit.fixed.items())}.")
     lines += [f"Prior of {name}: {mean:g} ± {deviation:g}." for name, (mean, deviation) in campaign.fit.prior.items()]
     return [*lines, statement(campaign, result.best)]
 
 
-def _of_closed_forms(result: CalibrationResult) -> list[str]:
+def _of_closed_forms(result: CalibrationResult, units: Units) -> list[str]:
     fit, noise = result.campaign.fit, result.campaign.noise
     lines = ["The material is incompressible; what it remembers is fitted to ramps, holds and returns."]
     if not fit.others:
@@ -39,7 +38,7 @@ def _of_closed_forms(result: CalibrationResult) -> list[str]:
     source = {"stated": "stated in the campaign", "estimated": "estimated from second differences of the samples",
               "resolution": "the resolution of the sensor, step/√12, because neighbouring samples are mostly equal",
               "mixed": "of different sources for different recordings"}[result.noise_source]
-    level = format_pressure(result.noise_Pa or 0.0, 3)
+    level = units.pressure.text(result.noise_Pa or 0.0, 2)
     lines.append(f"The noise of the nominal stress is {level} (standard deviation), "
                  f"{source}; AIC and BIC take it as known.")
     if fit.prior or fit.offset == "fit":
@@ -49,7 +48,7 @@ def _of_closed_forms(result: CalibrationResult) -> list[str]:
     return lines
 
 
-def _of_simulations(result: CalibrationResult) -> list[str]:
+def _of_simulations(result: CalibrationResult, units: Units) -> list[str]:
     best, campaign = result.best, result.campaign
     lines = ["One material in all tests; each recording has a contact offset and a zero of its own, which are "
              "marginalised, not trusted."]
@@ -57,21 +56,25 @@ def _of_simulations(result: CalibrationResult) -> list[str]:
         freedom = best.jitter.freedom
         source = "stated in the campaign, or the usual prior" if freedom is None else \
             f"estimated with {freedom} degrees of freedom" if freedom else "assumed, as no test has two recordings"
-        lines.append(f"Between recordings the contact point scatters by {best.jitter.contact_mm:.3g} mm and the zero "
-                     f"by {best.jitter.zero_N:.3g} N (standard deviations), {source}.")
+        contact, zero = units.scatter(best.jitter, campaign.tests)
+        lines.append(f"Between recordings the contact point scatters by {contact} and the zero by {zero} (standard "
+                     f"deviations), {source}.")
+    tests = {test.name: test for test in campaign.tests}
+    alike: dict[str, list[str]] = {}
     for noise in result.noise:
-        test = next(test for test in campaign.tests if test.name == noise.test)
         colour = "white" if noise.correlation_time_s == 0 else f"correlated over {noise.correlation_time_s:.3g} s"
-        lines.append(f"Noise of {noise.test}: {size_of(noise.deviation_N, test)} (standard deviation, {noise.source}), "
-                     f"{colour}.")
+        alike.setdefault(f"{units.load(tests[noise.test]).text(noise.deviation_N, 2)} (standard deviation, "
+                         f"{noise.source}), {colour}", []).append(f"Noise of {noise.test}")
     for mesh in best.mesh:
         if mesh.largest_percent is None:
-            lines.append(f"Mesh of {mesh.test}: the accurate mesh does not get through; of the fast mesh's error "
-                         f"{mesh.remainder_percent:.2g} % is carried as covariance.")
-            continue
-        lines.append(f"Mesh of {mesh.test}: the accurate mesh differs from the fast one by up to "
-                     f"{mesh.largest_percent:.2g} %, which is corrected ({counted(mesh.refreshes, 'time')}); of the "
-                     f"accurate mesh's own error {mesh.remainder_percent:.2g} % is carried as covariance.")
+            words = (f"the accurate mesh does not get through; of the fast mesh's error {mesh.remainder_percent:.2g} % "
+                     "is carried as covariance")
+        else:
+            words = (f"the accurate mesh differs from the fast one by up to {mesh.largest_percent:.2g} %, which is "
+                     f"corrected ({counted(mesh.refreshes, 'time')}); of the accurate mesh's own error "
+                     f"{mesh.remainder_percent:.2g} % is carried as covariance")
+        alike.setdefault(words, []).append(f"Mesh of {mesh.test}")
+    lines += [f"{', '.join(names)}: {words}." for words, names in alike.items()]
     rest = {"noise": "the stated or estimated noise", "residuals": "the residuals, which exceed the noise",
             "replicates": "the scatter of the replicates"}[best.covariance_from]
     lines.append(f"Standard errors and intervals rest on {rest}; the intervals are profile likelihoods inside the "

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from html import escape
 from itertools import cycle
+from pathlib import Path
 from typing import Any
 
+from calibration.output_folder import picture_file
+from tissue_sim.atomic_write import write_bytes
 from tissue_sim.laws import find_law
 
 #: Okabe and Ito's palette without yellow and black: apart for every kind of colour vision.
@@ -15,9 +21,17 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7
 DASHES = ("-", (0, (6, 2)), (0, (2, 1.2)), (0, (6, 2, 1.5, 2)), (0, (9, 3)), (0, (1, 1)), (0, (4, 1, 1, 1, 1, 1)), "-")
 STYLE: Any = {"font.size": 10, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
               "grid.alpha": 0.25, "legend.frameon": False, "figure.constrained_layout.use": True,
-              "font.family": "DejaVu Sans"}
+              "font.family": "DejaVu Sans", "mathtext.fontset": "dejavusans", "axes.titlesize": 10,
+              "axes.titleweight": "bold", "axes.titlelocation": "left", "figure.constrained_layout.w_pad": 0.09,
+              "figure.constrained_layout.h_pad": 0.08,
+              # Letters stay letters, and the same picture is the same file.
+              "pdf.fonttype": 42, "svg.fonttype": "none", "svg.hashsalt": "tissue_sim"}
+#: Of all pictures, inches.
+WIDTH = 12.0
 #: Points of a recording that are drawn, at most about that many.
 DATA_POINTS = 250
+#: Of PNG files beside a page.
+_PRINT_DPI = 300
 #: Twice the 96 of a CSS inch, for sharp screens.
 _FORMULA_DPI = 192
 
@@ -53,11 +67,79 @@ def new_figure(width: float, height: float):
     return figure
 
 
+def panels(counts: Sequence[int], height: float, width: float = WIDTH):
+    """A figure with rows of so many panels each, as wide as the page, and all of its axes.
+
+    Args:
+        counts: panels of each row. height: of a row, inches. width: of the figure, inches.
+    """
+    cells = math.lcm(*counts)
+    mosaic = [[f"{row} {column * count // cells}" for column in range(cells)] for row, count in enumerate(counts)]
+    figure = new_figure(width, height * len(counts))
+    return figure, [*figure.subplot_mosaic(mosaic).values()]
+
+
+def in_rows(count: int, most: int = 3) -> list[int]:
+    """How many of `count` panels stand in each row, as even as it goes."""
+    rows = -(-count // most)
+    return [count // rows + (row < count % rows) for row in range(rows)]
+
+
+def legend_above(figure, columns: int = 4) -> None:
+    """One legend for all panels above them, where no data are; what has the same label is said once."""
+    handles: dict[str, Any] = {}
+    for axes in figure.axes:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            handles.setdefault(label, handle)
+    if handles:
+        figure.legend(handles.values(), handles, loc="outside upper left", ncols=min(columns, len(handles)),
+                      fontsize=9.5, handlelength=2.2, columnspacing=1.6)
+
+
 def to_png(figure, dpi: int = 150, **options) -> bytes:
     """The figure as a PNG; `options` are those of ``savefig``."""
+    return to_bytes(figure, "png", dpi=dpi, **options)
+
+
+def to_bytes(figure, kind: str, **options) -> bytes:
+    """The figure as ``png``, ``svg`` or ``pdf``, the same bytes each time."""
     stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=dpi, **options)
+    dated = {"svg": "Date", "pdf": "CreationDate"}.get(kind)
+    figure.savefig(stream, format=kind, metadata={dated: None} if dated else None, **options)
     return stream.getvalue()
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """The pictures of a page: inside it as PNG and, where asked, each as a file beside it.
+
+    Attributes:
+        folder: of the page. kind: ``svg``, ``pdf`` or ``png``; None: no files.
+    """
+
+    folder: Path
+    kind: str | None = None
+
+    def show(self, name: str, draw: Callable[[], Any], alt: str, caption: str = "") -> str:
+        """A picture inside the page, empty where there is nothing to draw.
+
+        Args:
+            name: of its file, as `calibration.output_folder.picture_file` makes one of it.
+            draw: makes the figure, or None; called in the style of the reports.
+            alt: words (plain) instead of it. caption: HTML below it.
+        """
+        import matplotlib
+
+        with matplotlib.rc_context(STYLE):
+            figure = draw()
+            if figure is None:
+                return ""
+            png = to_png(figure)
+            if self.kind is not None:
+                write_bytes(self.folder / picture_file(name, self.kind), to_bytes(figure, self.kind, dpi=_PRINT_DPI))
+        below = f"<figcaption>{caption}</figcaption>" if caption else ""
+        share = 100 * figure.get_figwidth() / WIDTH
+        return f'<figure><img src="{as_data_uri(png)}" style="width:{share:.0f}%" alt="{escape(alt)}">{below}</figure>'
 
 
 def as_data_uri(png: bytes) -> str:

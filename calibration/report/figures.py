@@ -1,6 +1,6 @@
-"""Pictures of an inverse calibration as a whole: regions, predictions, convergence.
+"""Pictures of a calibration as a whole: regions, predictions, convergence.
 
-matplotlib is imported on use; every function returns a PNG.
+matplotlib is imported on use; every function returns a figure.
 """
 
 from __future__ import annotations
@@ -12,28 +12,31 @@ from scipy import stats
 
 from calibration.campaign.campaign import Test
 from calibration.fit.fit import Fit, Prediction
-from calibration.report.curve_figures import place_of, probability, size_of
-from calibration.report.drawing import COLOURS, STYLE, line_styles, new_figure, to_png
-from calibration.report.pressure import format_pressure
+from calibration.report.curve_figures import place_of, probability
+from calibration.report.drawing import COLOURS, in_rows, legend_above, line_styles, panels
+from calibration.report.symbols import math_symbol
+from calibration.report.units import Units
 from tissue_sim.laws import find_law
 
-#: Inches.
-WIDTH = 12.0
 #: Standard errors at which a misfit has the deepest colour, and from which on it is called one.
 _DEEPEST, _CALLED = 6.0, float(stats.norm.isf(0.025))
-_PANELS = 3
-_RATIOS, _SIGNED = (0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50), (0, 0.5, 1, 2, 5, 10, 20, 50)
+#: Marks of a ratio where all are above zero, and where some are not.
+_RATIOS, _SIGNED = (1e-3, 0.01, 0.1, 0.2, 0.5, 1, 2, 5, 10, 100, 1e3), (-1e3, -100, -10, -1, 0, 1, 10, 100, 1e3)
 
+#: Largest ratio to the smallest up to which they stand on a linear scale.
+_NARROW = 5.0
+#: Regions of a test from which on size and probability stand below each other.
+_MANY = 7
 #: Characters of a note in a picture.
 _NOTE_WIDTH = 90
 
-def draw_regions(fits: Sequence[Fit], tests: Sequence[Test]) -> bytes:
+
+def draw_regions(fits: Sequence[Fit], tests: Sequence[Test], units: Units):
     """Tests by regions: the smooth misfit left in each, coloured by how many standard errors its probability makes.
 
     Args:
         fits: those with regions get a row a test, in this order. tests: in the order of the picture.
     """
-    import matplotlib
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LinearSegmentedColormap, Normalize
 
@@ -44,95 +47,92 @@ def draw_regions(fits: Sequence[Fit], tests: Sequence[Test]) -> bytes:
     fits = [fit for fit in fits if fit.regions]
     tests = [test for test in tests if any(r.test == test.name for fit in fits for r in fit.regions)]
     blocks = len(tests) * (0.62 + 0.4 * len(fits))
-    with matplotlib.rc_context({**STYLE, "axes.grid": False}):
-        figure = new_figure(WIDTH, max(blocks + 0.3, 2.2))
-        axes = figure.subplots()
-        top, ticks, names = 0.0, [], []
-        for test in tests:
-            rows = [[r for r in fit.regions if r.test == test.name] for fit in fits]
-            named = max(rows, key=len)
-            font = 9.0 * min(1.0, 7 / len(named))
-            axes.text(-0.008, top - 0.34, test.name, fontweight="bold", va="center", ha="right")
-            for j, region in enumerate(named):
-                axes.text((j + 0.5) / len(named), top - 0.34, place_of(region, test).replace(", ", " "), va="center",
-                          ha="center", fontsize=font, color="0.3")
-            for fit, row in zip(fits, rows, strict=True):
-                for j, region in enumerate(row):
-                    deviate = min(float(stats.norm.isf(region.p / 2)), _DEEPEST)
-                    low, high = top - 0.95, top - 0.55
-                    axes.fill_between([j / len(row), (j + 1) / len(row)], low, high, color=shades(norm(deviate)),
-                                      ec="white", lw=2)
-                    axes.text((j + 0.5) / len(row), (low + high) / 2,
-                              f"{size_of(region.misfit_N, test)},  {probability(region.p)}", ha="center", va="center",
-                              fontsize=font, color="white" if deviate > 4.2 else "0.1",
-                              fontweight="normal" if region.adequate else "bold")
-                ticks.append(top - 0.75)
-                names.append(find_law(fit.law).title)
-                top -= 0.4
-            top -= 0.62
-        axes.set(xlim=(0, 1), ylim=(top - 0.05, 0.0), xticks=[], yticks=ticks, yticklabels=names)
-        axes.tick_params(length=0)
-        axes.spines[:].set_visible(False)
-        bar = figure.colorbar(ScalarMappable(norm, shades), ax=axes, pad=0.01, fraction=0.022, aspect=18)
-        bar.set_label("standard errors")
-        bar.set_ticks([0, _CALLED, 4, _DEEPEST], labels=["0", "2", "4", "6 +"])
-        bar.outline.set_visible(False)
-        return to_png(figure)
+    figure, (axes,) = panels([1], max(blocks + 0.3, 2.2))
+    axes.grid(visible=False)
+    top, ticks, names = 0.0, [], []
+    for test in tests:
+        rows = [[r for r in fit.regions if r.test == test.name] for fit in fits]
+        named = max(rows, key=len)
+        font, gap = 9.0 * min(1.0, 9 / len(named)), "  " if len(named) < _MANY else "\n"
+        axes.text(-0.008, top - 0.34, test.name, fontweight="bold", va="center", ha="right")
+        for j, region in enumerate(named):
+            where = place_of(region, test, units).replace(" from ", f"{gap[:1]}from ")
+            axes.text((j + 0.5) / len(named), top - 0.34, where,
+                      va="center", ha="center", fontsize=font, color="0.3")
+        for fit, row in zip(fits, rows, strict=True):
+            for j, region in enumerate(row):
+                deviate = min(float(stats.norm.isf(region.p / 2)), _DEEPEST)
+                low, high = top - 0.95, top - 0.55
+                axes.fill_between([j / len(row), (j + 1) / len(row)], low, high, color=shades(norm(deviate)),
+                                  ec="white", lw=2)
+                axes.text((j + 0.5) / len(row), (low + high) / 2,
+                          f"{units.load(test).text(region.misfit_N, 2)},{gap}{probability(region.p)}", ha="center",
+                          va="center", fontsize=font, color="white" if deviate > 4.2 else "0.1",
+                          fontweight="normal" if region.adequate else "bold")
+            ticks.append(top - 0.75)
+            names.append(find_law(fit.law).title)
+            top -= 0.4
+        top -= 0.62
+    axes.set(xlim=(0, 1), ylim=(top - 0.05, 0.0), xticks=[], yticks=ticks, yticklabels=names)
+    axes.tick_params(length=0)
+    axes.spines[:].set_visible(False)
+    bar = figure.colorbar(ScalarMappable(norm, shades), ax=axes, pad=0.01, fraction=0.022, aspect=18)
+    bar.set_label("standard errors")
+    bar.set_ticks([0, _CALLED, 4, _DEEPEST], labels=["0", "2", "4", "6 +"])
+    bar.outline.set_visible(False)
+    return figure
 
 
-def draw_predictions(predictions: Sequence[Prediction], tests: Sequence[Test]) -> bytes:
+def draw_predictions(predictions: Sequence[Prediction], tests: Sequence[Test], units: Units):
     """Error of each law in each test that it was not fitted to, beside what chance alone would make.
 
     Args:
         predictions: laws in the order of the picture. tests: of the campaign.
     """
-    import matplotlib
     from matplotlib.patches import Patch
 
     laws = list(dict.fromkeys(p.law for p in predictions))
     cases = list(dict.fromkeys((p.test, tuple(p.fitted)) for p in predictions))
     by_name = {test.name: test for test in tests}
     height, looks = 0.8 / len(laws), dict(zip(laws, line_styles(), strict=False))
-    with matplotlib.rc_context(STYLE):
-        figure = new_figure(WIDTH, 1.1 + max(0.3 * len(laws) + 0.25, 0.7) * len(cases))
-        axes = figure.subplots()
-        known = [p.percent for p in predictions if p.percent is not None] or [1.0]
-        # A law that is far off would flatten all the others.
-        limit = min(max(known), 6 * max((p.percent for p in predictions if p.percent is not None and p.law == laws[0]),
-                                        default=max(known)))
-        expected = None
-        for p in predictions:
-            y = cases.index((p.test, tuple(p.fitted))) - 0.4 + (laws.index(p.law) + 0.5) * height
-            if p.percent is None:
-                axes.text(0.004 * limit, y, shorten(f"{find_law(p.law).title}: none ({p.note})", _NOTE_WIDTH),
-                          va="center", fontsize=9, color="0.35")
-                continue
-            length = min(p.percent, 1.02 * limit)
-            axes.barh(y, length, 0.86 * height, color=looks[p.law]["color"], alpha=0.85, lw=0)
-            force = f"{p.RMSE_N:.3g} N" if p.RMSE_N is not None else \
-                "" if p.RMSE_Pa is None else format_pressure(p.RMSE_Pa, 3)
-            end = length
-            if p.expected_N is not None and p.RMSE_N:
-                chance = min(p.percent * p.expected_N / p.RMSE_N, limit)
-                # The mark must not stand in the number.
-                end = chance if length < chance < length + 0.1 * limit else length
-                expected, = axes.plot([chance, chance], [y - 0.46 * height, y + 0.46 * height], color="0.1", lw=2.4)
-            axes.text(end + 0.008 * limit, y, f"{'▸ ' if p.percent > length else ''}{percent(p.percent)}   {force}",
-                      va="center", fontsize=9)
-        axes.set(xlim=(0, 1.16 * limit), yticks=range(len(cases)),
-                 xlabel="root mean square error, % of the largest measured force (or stress)",
-                 yticklabels=[_case(by_name[test], fitted) for test, fitted in cases])
-        axes.invert_yaxis()
-        axes.set_axisbelow(True)
-        axes.grid(visible=False, axis="y")
-        axes.tick_params(axis="y", length=0)
-        axes.spines["left"].set_visible(False)
-        handles = [Patch(color=looks[law]["color"], alpha=0.85, label=find_law(law).title) for law in laws]
-        if expected is not None:
-            expected.set_label("from noise, jitter and the parameters' errors alone")
-            handles.append(expected)
-        axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.2)
-        return to_png(figure)
+    figure, (axes,) = panels([1], 1.1 + max(0.3 * len(laws) + 0.25, 0.7) * len(cases))
+    known = [p.percent for p in predictions if p.percent is not None] or [1.0]
+    # A law that is far off would flatten all the others.
+    limit = min(max(known), 6 * max((p.percent for p in predictions if p.percent is not None and p.law == laws[0]),
+                                    default=max(known)))
+    expected = None
+    for p in predictions:
+        y = cases.index((p.test, tuple(p.fitted))) - 0.4 + (laws.index(p.law) + 0.5) * height
+        if p.percent is None:
+            axes.text(0.004 * limit, y, shorten(f"{find_law(p.law).title}: none ({p.note})", _NOTE_WIDTH),
+                      va="center", fontsize=9, color="0.35")
+            continue
+        length = min(p.percent, 1.02 * limit)
+        axes.barh(y, length, 0.86 * height, color=looks[p.law]["color"], alpha=0.85, lw=0)
+        force = units.force.text(p.RMSE_N, 2) if p.RMSE_N is not None else \
+            "" if p.RMSE_Pa is None else units.pressure.text(p.RMSE_Pa, 2)
+        end = length
+        if p.expected_N is not None and p.RMSE_N:
+            chance = min(p.percent * p.expected_N / p.RMSE_N, limit)
+            # The mark must not stand in the number.
+            end = chance if length < chance < length + 0.1 * limit else length
+            expected, = axes.plot([chance, chance], [y - 0.46 * height, y + 0.46 * height], color="0.1", lw=2.4)
+        axes.text(end + 0.008 * limit, y, f"{'▸ ' if p.percent > length else ''}{percent(p.percent)}   {force}",
+                  va="center", fontsize=9)
+    axes.set(xlim=(0, 1.16 * limit), ylim=(-0.5, len(cases) - 0.5), yticks=range(len(cases)),
+             xlabel="root mean square error, % of the largest measured force (or stress)",
+             yticklabels=[_case(by_name[test], fitted) for test, fitted in cases])
+    axes.invert_yaxis()
+    axes.set_axisbelow(True)
+    axes.grid(visible=False, axis="y")
+    axes.tick_params(axis="y", length=0)
+    axes.spines["left"].set_visible(False)
+    handles = [Patch(color=looks[law]["color"], alpha=0.85, label=find_law(law).title) for law in laws]
+    if expected is not None:
+        expected.set_label("from noise, jitter and the parameters' errors alone")
+        handles.append(expected)
+    figure.legend(handles=handles, loc="outside upper left", ncols=4, fontsize=9.5)
+    return figure
 
 
 def percent(value: float) -> str:
@@ -146,22 +146,19 @@ def _case(test: Test, fitted: Sequence[str]) -> str:
     return f"{test.name}\nfrom {', '.join(fitted) if len(fitted) < 3 else f'{len(fitted)} others'}"
 
 
-def draw_history(fits: Sequence[Fit]) -> bytes:
+def draw_history(fits: Sequence[Fit]):
     """Every solve of every start: the error above, the parameters relative to the estimate below, a column a law."""
-    import matplotlib
-
     fits = [fit for fit in fits if fit.history]
-    rows = -(-len(fits) // _PANELS)
-    columns = min(_PANELS, len(fits))
-    with matplotlib.rc_context(STYLE):
-        figure = new_figure(WIDTH, 5.4 * rows)
-        grid = figure.subplots(2 * rows, columns, squeeze=False, sharex=False)
-        for axes in grid.flat:
-            axes.set_visible(False)
-        for k, fit in enumerate(fits):
-            row, column = divmod(k, columns)
-            _draw_convergence(grid[2 * row, column], grid[2 * row + 1, column], fit)
-        return to_png(figure)
+    counts = [count for count in in_rows(len(fits)) for _ in ("error", "parameters")]
+    figure, axes = panels(counts, 2.7)
+    left = iter(fits)
+    for count in counts[::2]:
+        for above, below in zip(axes[:count], axes[count:2 * count], strict=True):
+            _draw_convergence(above, below, next(left))
+        axes = axes[2 * count:]
+    figure.align_labels()
+    legend_above(figure)
+    return figure
 
 
 def chosen_start(fit: Fit) -> int:
@@ -186,25 +183,24 @@ def _draw_convergence(above, below, fit: Fit) -> None:
         above.plot(run, error, color=COLOURS[0] if bold else "0.6", lw=2.4 if bold else 0.8, zorder=4 if bold else 2)
         if bold:
             fine = [s for s in steps if s.corrected]
-            above.plot(run, error, "o", color=COLOURS[0], ms=5, mfc="white", zorder=5, label=f"start {start}, chosen")
+            above.plot(run, error, "o", color=COLOURS[0], ms=5, mfc="white", zorder=5, label="chosen start")
             if fine:
                 above.plot([s.run for s in fine], [s.error for s in fine], "o", color=COLOURS[0], ms=5, zorder=6,
                            label="with the accurate mesh's difference")
         for name, look in zip(names, line_styles(), strict=False):
-            symbol = fit.symbols[name]
+            symbol = math_symbol(fit.symbols[name])
             label = symbol if fit.parameters[name] else f"{symbol} (of {scale[name]:.4g})"
             below.plot(run, [s.parameters[name] / scale[name] for s in steps], color=look["color"],
                        lw=2.4 if bold else 0.7, alpha=1.0 if bold else 0.4, zorder=4 if bold else 2,
-                       label=label if bold else None)
+                       gid=label if bold else None)
     if len(starts) > 1:
-        others = len(starts) - 1
-        above.plot([], [], color="0.6", lw=0.8, label=f"{others} other start{'s' if others > 1 else ''}")
+        above.plot([], [], color="0.6", lw=0.8, label="other starts")
     above.set_yscale("log")
-    above.set_title(find_law(fit.law).title, fontsize=11)
+    above.set_title(find_law(fit.law).title)
     above.set_ylabel("sum of squares, whitened")
     ratios = [step.parameters[name] / scale[name] for step in fit.history for name in names]
     if min(ratios) > 0:
-        below.set_yscale("log")
+        below.set_yscale("linear" if max(ratios) < _NARROW * min(ratios) else "log")
     elif max(map(abs, ratios)) > 3:
         below.set_yscale("symlog", linthresh=1.0)
     if below.get_yscale() != "linear":
@@ -215,6 +211,7 @@ def _draw_convergence(above, below, fit: Fit) -> None:
     below.set(xlabel="FEM solve", ylabel="parameter / estimate")
     below.axhline(1.0, color="0.3", lw=0.8)
     for axes in (above, below):
-        axes.set_visible(True)
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-        axes.legend(loc="best", fontsize=8, frameon=True, framealpha=0.85, edgecolor="none")
+    named = {line.get_gid(): line for line in below.lines if line.get_gid()}
+    below.legend(named.values(), named, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=6, fontsize=8.5,
+                 borderaxespad=0.1, handlelength=1.2, columnspacing=1.0)

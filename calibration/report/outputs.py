@@ -18,7 +18,10 @@ from calibration.fit.population import typical
 from calibration.fit.result import CalibrationResult, to_json
 from calibration.fit.self_weight import statement
 from calibration.output_folder import FIT_FILE
-from calibration.report.report import write_report
+from calibration.report.drawing import Pictures
+from calibration.report.methods import methods_text
+from calibration.report.report import report_page
+from calibration.report.units import Units
 from tissue_sim.atomic_write import write_text
 from tissue_sim.laws import find_law
 from tissue_sim.material.file import MaterialFile, write_material_file
@@ -27,19 +30,23 @@ Curves = Mapping[str, Sequence[TestCurves]]
 
 
 def write_campaign(result: CalibrationResult, curves: Curves, measured: Mapping[str, Sequence[MeasuredCurve]],
-                   method: str, *, figures: bool = True) -> None:
+                   method: str, *, figures: bool = True, figures_format: str | None = None) -> None:
     """Write everything; ``fit.json`` last, because it says that the campaign is finished.
 
     Args:
         result: fits best first. curves: law -> each test as that law sees it. measured: test -> its recordings.
         method: what was fitted how, for the material files. figures: whether the report gets its pictures.
+        figures_format: ``svg``, ``pdf`` or ``png`` of the pictures as files beside it; None: no files.
     """
     for fit in result.fits:
         if fit.material_file is not None:
             write_material_file(material_file(fit, result, measured, method), result.output / fit.material_file)
     write_text(result.output / "curves.csv", _curves(curves))
     write_text(result.output / "residuals.csv", _residuals(curves))
-    write_report(result, curves, result.output / "report.html", figures=figures)
+    methods = methods_text(result, measured, Units.of(result))
+    write_text(result.output / "methods.txt", methods)
+    pictures = Pictures(result.output, figures_format) if figures else None
+    write_text(result.output / "report.html", report_page(result, curves, methods, pictures))
     text = json.dumps(to_json([result]), indent=2, ensure_ascii=False, allow_nan=False)
     write_text(result.output / FIT_FILE, text + "\n")
 
@@ -57,7 +64,7 @@ def material_file(fit: Fit, result: CalibrationResult, measured: Mapping[str, Se
     order = [fit.covariance.order[i] for i in kept]
     errors = {name: error for name, error in fit.standard_errors.items() if error is not None and name in order}
     # The covariance of the others holds for a parameter that stays on its bound, as it does for a fixed one.
-    complete = set(law.parameters) <= set(order) and all(name in errors or name in fit.on_bound for name in order)
+    complete = all(name in errors or name in fit.on_bound for name in order) and set(law.parameters) <= set(order)
     covariance = np.array(fit.covariance.matrix)[np.ix_(kept, kept)] if complete else None
     values, population = typical(space, fit.parameters, fit.population), None
     if fit.population is not None:

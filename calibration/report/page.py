@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+import math
+import re
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from html import escape
 
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.fit import Fit
 from calibration.report.drawing import as_data_uri, draw_formula, natural_width
+from calibration.report.rounding import interval_text, value_and_error, value_text
+from calibration.report.symbols import html_symbol
+from calibration.report.units import Unit, Units
 from tissue_sim.laws import find_law
 
+#: Of a parameter, as a share of it, for the rate of a modulus.
+_STEP = 1e-4
 _STYLE = """
 :root { color-scheme: light; }
 body { font: 15px/1.5 system-ui, -apple-system, "Segoe UI", sans-serif; color: #1b1f24; background: #fff;
@@ -24,13 +31,17 @@ dl.verdict dt { font-weight: 600; color: #00466e; } dl.verdict dd { margin: 0; }
                             figure { overflow-x: auto; } figure img { max-width: none; width: 48rem; } }
 .wide { overflow-x: auto; }
 table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
-th, td { text-align: right; padding: .35rem .6rem; border-bottom: 1px solid #dfe3e8;
-         vertical-align: top; white-space: nowrap; }
+th { vertical-align: bottom; } td { white-space: nowrap; }
+th, td { text-align: right; padding: .35rem .6rem; border-bottom: 1px solid #dfe3e8; }
 th:first-child, td:first-child, td.text, th.text { text-align: left; }
-td.text { white-space: normal; min-width: 8.5rem; }
+td { vertical-align: top; } td.text { white-space: normal; min-width: 8.5rem; }
+td:first-child { white-space: normal; min-width: 7rem; }
 thead th { border-bottom: 2px solid #59636e; font-weight: 600; } tr.best td { background: #f3f8f1; }
 img { max-width: 100%; height: auto; } img.formula { max-width: none; vertical-align: middle; }
 figure { margin: 0 0 1.4rem; } figcaption { color: #59636e; font-size: .87rem; }
+pre.paste { white-space: pre-wrap; background: #f6f8fa; padding: .8rem 1rem; font: inherit;
+            user-select: all; }
+details table { font-size: .82rem; } details th, details td { padding: .2rem .45rem; }
 details { margin: .6rem 0; } summary { cursor: pointer; font-weight: 600; } code { overflow-wrap: anywhere; }
 h3 small { font-weight: 400; margin-left: .4rem; }
 small, .quiet { color: #59636e; } .bad { color: #a33c00; }
@@ -76,15 +87,14 @@ def html_list(sentences: Iterable[str]) -> str:
     return f"<ul>{''.join(f'<li>{sentence}</li>' for sentence in sentences)}</ul>"
 
 
-def html_figure(png: bytes, alt: str, caption: str = "") -> str:
-    """A picture inside the page, with words (plain) instead of it and a caption (HTML) below."""
-    below = f"<figcaption>{caption}</figcaption>" if caption else ""
-    return f'<figure><img src="{as_data_uri(png)}" alt="{escape(alt)}">{below}</figure>'
-
-
 def title_of(law_name: str) -> str:
-    """Title of a law, as HTML."""
-    return escape(find_law(law_name).title)
+    """Title of a law, as HTML; its order does not part from it."""
+    return escape(find_law(law_name).title).replace("N = ", "N\u00a0=\u00a0")
+
+
+def ranked_by_prediction(fits: Iterable[Fit]) -> bool:
+    """Whether laws stand in the order of what they predict, not in that of the BIC."""
+    return any(fit.left_out is not None for fit in fits)
 
 
 def number(value: float | None, digits: int) -> str:
@@ -92,14 +102,64 @@ def number(value: float | None, digits: int) -> str:
     return "-" if value is None else f"{value:.{digits}g}"
 
 
-def plus_minus(error: float | None) -> str:
-    """`` ± 0.012``, nothing for None."""
-    return "" if error is None else f" ± {error:.2g}"
+def with_minus(text: str) -> str:
+    """Numbers with a minus sign instead of a hyphen."""
+    return re.sub(r"(?<![\w.-])-(?=\d)", "−", text)
+
+
+def estimate_of(fit: Fit, name: str, units: Units) -> str:
+    """``0.988 ± 0.023 kPa``: a parameter with as many digits as its standard error leaves, or why it has none."""
+    unit, error = units.of_parameter(fit.units[name]), fit.standard_errors[name]
+    known = "fixed" if error == 0 else "on its bound" if name in fit.on_bound else ""
+    return value_and_error(fit.parameters[name] / unit.size, error and error / unit.size, unit.name, known=known)
+
+
+def interval_of(fit: Fit, name: str, units: Units) -> str:
+    """``0.937 to 1.040``, in the unit of the estimate; empty without one."""
+    unit, error, interval = units.of_parameter(fit.units[name]), fit.standard_errors[name], fit.intervals95[name]
+    if interval is None or not error:
+        return ""
+    low, high = (end / unit.size for end in interval)
+    return interval_text(low, high, error / unit.size, fit.parameters[name] / unit.size)
+
+
+def shear_modulus_error(fit: Fit) -> float | None:
+    """Standard error of mu0, Pa, by the covariance of the law's parameters; None where one of them has no error, or
+    differs between tests."""
+    law = find_law(fit.law)
+    values = {name: fit.parameters[name] for name in law.parameters if name in fit.parameters}
+    if any(fit.standard_errors.get(name) is None for name in law.parameters):
+        return None
+
+    def rate(name: str) -> float:
+        step = _STEP * (abs(values[name]) or 1.0)
+        ends = (law.mu0({**values, name: values[name] + side * step}) for side in (1, -1))
+        return (next(ends) - next(ends)) / (2 * step)
+
+    rates = [rate(name) for name in law.parameters]
+    place = [fit.covariance.order.index(name) for name in law.parameters]
+    variance = sum(rates[a] * rates[b] * fit.covariance.matrix[i][j]
+                   for a, i in enumerate(place) for b, j in enumerate(place))
+    return math.sqrt(variance) if variance > 0 else None
+
+
+def moduli_of(fit: Fit, units: Units) -> tuple[str, str]:
+    """E0 and mu0 without their unit, to the place at which their errors end."""
+    size, error = units.pressure.size, shear_modulus_error(fit)
+    share = fit.E0 / fit.mu0 if fit.mu0 else 3.0
+    return (value_text(fit.E0 / size, error and abs(share) * error / size),
+            value_text(fit.mu0 / size, error and error / size))
+
+
+def young_modulus(fit: Fit, units: Units) -> str:
+    """``5.93 ± 0.14 kPa``."""
+    size, error = units.pressure.size, shear_modulus_error(fit)
+    return value_and_error(fit.E0 / size, error and abs(fit.E0 / fit.mu0) * error / size, units.pressure.name)
 
 
 def symbol_of(fit: Fit, name: str) -> str:
     """A parameter's symbol, with its name in the model where that is another."""
-    symbol = escape(fit.symbols[name])
+    symbol = html_symbol(fit.symbols[name])
     return symbol if fit.symbols[name] == name else f'<span title="{escape(name)}">{symbol}</span>'
 
 
@@ -109,38 +169,52 @@ def stable_stretches(fit: Fit) -> str:
     return "nowhere" if nowhere else f"{fit.stable_from:.3g} to {fit.stable_to:.3g}"
 
 
-def remark_list(fits: Sequence[Fit]) -> str:
-    """Drucker stability and the message of each fit, a line each."""
-    lines = []
+def remarks_by_law(fits: Sequence[Fit], of: Callable[[Fit], Sequence[str]]) -> Iterator[tuple[tuple[Fit, ...], str]]:
+    """Fits, and what holds for just these: a remark that several laws share is made once, the widest first.
+
+    Args:
+        of: remarks of a fit, one by one.
+    """
+    laws: dict[str, tuple[Fit, ...]] = {}
     for fit in fits:
-        warn = "" if fit.status == "converged" else ' class="bad"'
-        lines.append(f"<li{warn}>{title_of(fit.law)}: {escape(fit.message)}; Drucker: {escape(fit.stability)}</li>")
+        for remark in of(fit):
+            laws[remark] = (*laws.get(remark, ()), fit)
+    remarks: dict[tuple[str, ...], list[str]] = {}
+    for remark, having in laws.items():
+        remarks.setdefault(tuple(fit.law for fit in having), []).append(remark)
+    by_name = {fit.law: fit for fit in fits}
+    for names in sorted(remarks, key=lambda names: -len(names)):
+        yield tuple(by_name[name] for name in names), "; ".join(remarks[names])
+
+
+def remark_list(fits: Sequence[Fit]) -> str:
+    """Drucker stability and the message of each fit, what they share once."""
+    lines = []
+    for having, words in remarks_by_law(fits, lambda fit: [*fit.message.split("; "), f"Drucker: {fit.stability}"]):
+        who = "All laws" if 1 < len(having) == len(fits) else ", ".join(title_of(fit.law) for fit in having)
+        warn = "" if any(fit.status == "converged" for fit in having) else ' class="bad"'
+        lines.append(f"<li{warn}>{who}: {escape(words)}</li>")
     return f"<ul>{''.join(lines)}</ul>"
 
 
-def parameter_table(fits: Sequence[Fit], figures: bool) -> str:
-    """Every parameter of every law: estimate, standard error, interval and, where some are known, what cut it."""
-    noted = any(fit.interval_notes for fit in fits)
-    rows = []
+def parameter_tables(fits: Sequence[Fit], units: Units, figures: bool) -> list[str]:
+    """Every parameter of every law: estimate with standard error, interval and, where it is known, what cut it."""
+    parts = []
     for fit in fits:
-        law = find_law(fit.law)
         png = draw_formula(fit.law) if figures else None
         formula = escape(fit.formula) if png is None else \
             f'<img class="formula" width="{natural_width(png)}" src="{as_data_uri(png)}" alt="{escape(fit.formula)}">'
-        lead: str | None = f"{escape(law.title)}<br>{formula}"
-        for name, value in fit.parameters.items():
-            error, interval = fit.standard_errors[name], fit.intervals95[name]
-            unit = fit.unit(name)
-            unit = f" {unit}" if unit else ""
+        rows = []
+        for name in fit.parameters:
             doubtful = ' <span class="bad">not determined</span>' if name in fit.not_identifiable else ""
-            held = "on its bound" if name in fit.on_bound else "-"
-            spread = held if error is None else "fixed" if error == 0 else f"{error:.3g}{unit}"
-            bounds = "-" if interval is None or error == 0 else f"{interval[0]:.5g} to {interval[1]:.5g}"
-            rows.append([lead, f"{symbol_of(fit, name)}{doubtful}", f"{value:.6g}{unit}", spread, bounds,
-                         escape(fit.interval_notes.get(name, ""))][:6 if noted else 5])
-            lead = None
-    labels = ["Law", "Parameter", "Value", "Standard error", "95 % interval", "What cuts it"]
-    return html_table(labels[:6 if noted else 5], rows, text=(1, 5))
+            rows.append([f"{symbol_of(fit, name)}{doubtful}", with_minus(estimate_of(fit, name, units)),
+                         with_minus(interval_of(fit, name, units)) or "-",
+                         escape(fit.interval_notes.get(name, "").replace(f"{name} ", ""))])
+        columns = slice(None, None if any(row[3] for row in rows) else 3)
+        labels = ["Parameter", "Value ± standard error", "95 % interval", "What cuts it"]
+        parts += [f"<h3>{title_of(fit.law)} <small>{formula}</small></h3>",
+                  html_table(labels[columns], [row[columns] for row in rows], text=(3,), narrow=True)]
+    return parts
 
 
 def correlation_tables(fits: Sequence[Fit]) -> list[str]:
@@ -150,9 +224,10 @@ def correlation_tables(fits: Sequence[Fit]) -> list[str]:
         free = free_parameters(fit)
         if len(free) < 2:
             continue
-        place = [fit.covariance.order.index(name) for name in free]
-        rows = [[escape(fit.covariance.order[i]), *(f"{fit.correlation[i][j]:.3f}" for j in place)] for i in place]
-        parts += [f"<h3>{title_of(fit.law)}</h3>", html_table(["", *map(escape, free)], rows, narrow=True)]
+        place, symbols = [fit.covariance.order.index(name) for name in free], [symbol_of(fit, name) for name in free]
+        rows = [[symbol, *(with_minus(f"{fit.correlation[i][j]:.3f}") for j in place)]
+                for symbol, i in zip(symbols, place, strict=True)]
+        parts += [f"<h3>{title_of(fit.law)}</h3>", html_table(["", *symbols], rows, narrow=True)]
     return ["<h2>Correlation of the parameters</h2>", *parts] if parts else []
 
 
@@ -161,12 +236,18 @@ def free_parameters(fit: Fit) -> list[str]:
     return [name for name in fit.covariance.order if fit.standard_errors[name] not in (None, 0.0)]
 
 
-def nuisance_table(fit: Fit) -> str:
-    """Contact offset and zero of each recording."""
-    rows = [[escape(n.replicate), f"{n.contact_offset_mm:.4f}{plus_minus(n.contact_offset_error_mm)}",
-             f"{n.zero_offset_N:.4f}{plus_minus(n.zero_offset_error_N)}",
+def nuisance_table(fit: Fit, travel: Unit, load: Unit) -> str:
+    """Contact offset and zero of each recording, in these units."""
+
+    def scaled(value: float, error: float | None, size: float) -> str:
+        return with_minus(value_and_error(value / size, error and error / size))
+
+    rows = [[escape(n.replicate), scaled(n.contact_offset_mm, n.contact_offset_error_mm, travel.size * 1e3),
+             scaled(n.zero_offset_N, n.zero_offset_error_N, load.size),
              f'<span class="bad">{escape(", ".join(n.on_bound))}</span>'] for n in fit.nuisances]
-    return html_table(["Recording", "Contact offset [mm]", "Zero [N]", "On its bound"], rows, text=(3,))
+    bound = slice(None, None if any(n.on_bound for n in fit.nuisances) else 3)
+    labels = ["Recording", travel.label("Contact offset"), load.label("Zero"), "On its bound"]
+    return html_table(labels[bound], [row[bound] for row in rows], text=(3,), narrow=True)
 
 
 def recording_list(recordings: Iterable[MeasuredCurve]) -> str:

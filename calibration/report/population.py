@@ -3,89 +3,97 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from calibration.fit.fit import Fit, PopulationStatement
-from calibration.report.drawing import COLOURS, STYLE, new_figure, to_png
-from calibration.report.estimate_figures import unit_of
-from calibration.report.figures import WIDTH
-from calibration.report.page import html_figure, html_table, title_of
+from calibration.report.drawing import COLOURS, Pictures, in_rows, legend_above, panels
+from calibration.report.page import html_table, title_of
+from calibration.report.rounding import error_text, interval_text, value_and_error
+from calibration.report.symbols import html_symbol, math_symbol
+from calibration.report.units import Unit, Units
 
-_PANELS = 3
 #: Half width of a 95 % interval in standard errors.
 _REACH = 1.96
 
 
-def scaled(fit: Fit, population: PopulationStatement, k: int) -> tuple[str, str, float]:
-    """Symbol of a parameter of the population, its unit as people read it, and the size of that in SI."""
-    path = population.order[k]
-    name = f"{path}@{population.specimens[0]}"
-    return fit.symbols[name].partition("@")[0], *unit_of(fit, name)
+class Scatter(NamedTuple):
+    """One parameter of a population as people read it.
+
+    Attributes:
+        symbol, unit: of the parameter. mean: with its standard error. spread: between specimens. mean_interval,
+            spread_interval, next_specimen: 95 %.
+    """
+
+    symbol: str
+    unit: Unit
+    mean: str
+    mean_interval: str
+    spread: str
+    spread_interval: str
+    next_specimen: str
 
 
-def population_table(fits: Sequence[Fit]) -> str:
-    """Mean, spread between specimens and the next specimen, with their 95 % intervals; empty without a population."""
-    rows = []
-    for fit in fits:
-        if (found := fit.population) is None:
-            continue
-        for k in range(len(found.order)):
-            symbol, unit, size = scaled(fit, found, k)
-            ends = [" to ".join(f"{end / size:.4g}" for end in pair) for pair in (
-                found.mean_intervals[k], found.spread_intervals[k], found.next_specimen[k])]
-            rows.append([title_of(fit.law), f"{symbol} [{unit}]" if unit else symbol, f"{found.mean[k] / size:.4g}",
-                         ends[0], f"{found.spread[k] / size:.3g}", ends[1],
-                         f"{found.spread[k] / abs(found.mean[k]):.1%}" if found.mean[k] else "-", ends[2],
-                         str(len(found.specimens))])
-    return html_table(["Law", "Parameter", "Mean", "95 %", "Spread", "95 %", "of the mean", "Next specimen, 95 %",
-                       "Specimens"], rows) if rows else ""
+def scatter(fit: Fit, population: PopulationStatement, units: Units) -> Iterator[Scatter]:
+    """Every parameter of a population in words."""
+    for k, path in enumerate(population.order):
+        name = f"{path}@{population.specimens[0]}"
+        unit = units.of_parameter(fit.units[name])
+        mean, error, spread = (getattr(population, key)[k] / unit.size for key in ("mean", "mean_errors", "spread"))
+        # A spread of n specimens is known to one part in sqrt(2 (n - 1)).
+        known = max(spread / np.sqrt(2 * (len(population.specimens) - 1)), 1e-3 * abs(mean))
+        intervals = [interval_text(low / unit.size, high / unit.size, how_well, mean) for (low, high), how_well in (
+            (population.mean_intervals[k], error), (population.spread_intervals[k], known),
+            (population.next_specimen[k], error))]
+        yield Scatter(fit.symbols[name].partition("@")[0], unit, value_and_error(mean, error, unit.name), intervals[0],
+                      f"{error_text(spread)} {unit.name}".rstrip(), intervals[1], intervals[2])
 
 
-def populations(fits: Sequence[Fit]) -> Iterator[str]:
+def populations(fits: Sequence[Fit], units: Units, pictures: Pictures) -> Iterator[str]:
     """The part of the page that is about specimens; nothing without a population."""
-    if not any(fit.population for fit in fits):
+    having = [(fit, fit.population) for fit in fits if fit.population is not None]
+    if not having:
         return
     yield "<h2>Specimens as a population</h2>"
-    yield population_table(fits)
-    for fit in fits:
-        if fit.population is not None:
-            yield html_figure(draw_population(fit, fit.population), f"Parameters of the specimens of {fit.law}",
-                              f"{title_of(fit.law)}: each specimen's own fit with its 95 % interval, and what is left "
-                              "of its distance from the mean where its own error is allowed for.")
+    yield html_table(["Law", "Parameter", "Mean", "95 %", "Spread", "95 %", "Next specimen, 95 %", "Specimens"], [
+        [title_of(fit.law), html_symbol(each.symbol), each.mean, each.mean_interval, each.spread, each.spread_interval,
+         each.next_specimen, str(len(found.specimens))]
+        for fit, found in having for each in scatter(fit, found, units)])
+    for fit, found in having:
+        yield pictures.show(f"population {fit.law}", partial(draw_population, fit, found, units),
+                            f"Parameters of the specimens of {fit.law}",
+                            f"{title_of(fit.law)}: each specimen's own fit with its 95 % interval, and what is left of "
+                            "its distance from the mean where its own error is allowed for.")
 
 
-def draw_population(fit: Fit, population: PopulationStatement) -> bytes:
+def draw_population(fit: Fit, population: PopulationStatement, units: Units):
     """Each parameter of each specimen alone and with what the others tell, about the mean of the population."""
-    import matplotlib
-
-    count, specimens = len(population.order), len(population.specimens)
-    columns = min(_PANELS, max(2, count))
-    rows = -(-count // columns)
-    with matplotlib.rc_context(STYLE):
-        figure = new_figure(WIDTH, rows * (1.6 + 0.32 * specimens))
-        grid = figure.subplots(rows, columns, squeeze=False, sharey=True)
-        for k, axes in enumerate(grid.flat[:count]):
-            _draw_parameter(axes, fit, population, k)
-        for axes in grid.flat[count:]:
-            axes.set_visible(False)
-        for axes in grid[:, 0]:
-            axes.set_yticks(range(specimens), population.specimens)
-            axes.set_ylim(specimens - 0.5, -0.5)
-        figure.legend(*grid.flat[0].get_legend_handles_labels(), loc="outside upper center", ncols=4)
-        return to_png(figure)
+    specimens = len(population.specimens)
+    rows = in_rows(len(population.order))
+    figure, grid = panels(rows, 1.5 + 0.3 * specimens)
+    firsts = {sum(rows[:row]) for row in range(len(rows))}
+    for k, axes in enumerate(grid):
+        _draw_parameter(axes, fit, population, k, units)
+        axes.set_yticks(range(specimens), population.specimens if k in firsts else [])
+        axes.set_ylim(specimens - 0.5, -0.5)
+    legend_above(figure)
+    return figure
 
 
-def _draw_parameter(axes, fit: Fit, population: PopulationStatement, k: int) -> None:
-    symbol, unit, size = scaled(fit, population, k)
+def _draw_parameter(axes, fit: Fit, population: PopulationStatement, k: int, units: Units) -> None:
+    name = f"{population.order[k]}@{population.specimens[0]}"
+    unit = units.of_parameter(fit.units[name])
     place = np.arange(len(population.specimens))
-    low, high = np.array(population.next_specimen[k]) / size
-    axes.axvspan(low, high, color="0.93", lw=0, label="95 % of further specimens")
-    axes.axvspan(*(end / size for end in population.mean_intervals[k]), color=COLOURS[0], alpha=0.2, lw=0)
-    axes.axvline(population.mean[k] / size, color=COLOURS[0], lw=1.4, label="mean, 95 %")
-    values, errors = (np.array(getattr(population, name))[:, k] / size for name in ("estimates", "errors"))
+    axes.axvspan(*(end / unit.size for end in population.next_specimen[k]), color="0.93", lw=0,
+                 label="95 % of further specimens")
+    axes.axvspan(*(end / unit.size for end in population.mean_intervals[k]), color=COLOURS[0], alpha=0.2, lw=0,
+                 label="mean, 95 %")
+    axes.axvline(population.mean[k] / unit.size, color=COLOURS[0], lw=1.4)
+    values, errors = (np.array(getattr(population, key))[:, k] / unit.size for key in ("estimates", "errors"))
     axes.errorbar(values, place, xerr=_REACH * errors, fmt="o", color=COLOURS[1], capsize=2.5, lw=1.2, ms=5,
                   label="specimen alone, 95 %")
-    axes.plot(np.array(population.shrunken)[:, k] / size, place, "D", mfc="white", mec="0.2", ms=4, zorder=5,
+    axes.plot(np.array(population.shrunken)[:, k] / unit.size, place, "D", mfc="white", mec="0.2", ms=4, zorder=5,
               label="with what the others tell")
-    axes.set_xlabel(f"{symbol} [{unit}]" if unit else symbol)
+    axes.set_xlabel(unit.label(math_symbol(fit.symbols[name].partition("@")[0])))

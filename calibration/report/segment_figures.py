@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.report.drawing import STYLE, new_figure, to_png
-from calibration.report.page import html_figure, html_list
+from calibration.report.drawing import WIDTH, Pictures, new_figure
+from calibration.report.page import html_list
 from tissue_sim.recording.contact import Contact
 
 if TYPE_CHECKING:
@@ -25,19 +26,14 @@ _CLOSE_AIR, _CLOSE_LOADING = 80, 0.12
 
 
 def draw_segments(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None, segmentation: Segmentation,
-                  used: np.ndarray | None = None) -> bytes:
+                  used: np.ndarray | None = None):
     """The segments of a recording over time, and its contact from near.
 
     Args:
         displacement, force: in which the segments were found, m and N (strain and Pa where it is stressed), shape (n,).
         time: s; None: the number of the sample.
         used: samples that are fitted; None: nothing is marked.
-
-    Returns:
-        A PNG.
     """
-    import matplotlib
-
     stressed = segmentation.stressed
     way, load = (displacement, 1e-3 * force) if stressed else (1e3 * displacement, force)
     words = ("strain", "stress [kPa]") if stressed else ("displacement [mm]", "force [N]")
@@ -46,24 +42,23 @@ def draw_segments(displacement: np.ndarray, force: np.ndarray, time: np.ndarray 
     clock = way if table else np.arange(force.size) if time is None else time
     contact = segmentation.contact
     near = contact is not None and np.isfinite(contact.interval[1])
-    with matplotlib.rc_context(STYLE):
-        figure = new_figure(12.0, 4.2)
-        over_time, close = figure.subplots(1, 2, width_ratios=(1.6, 1)) if near else (figure.subplots(), None)
-        _draw_spans(over_time, clock, segmentation)
-        line, = over_time.plot(clock, load, color="0.15", lw=1.1, label=words[1])
-        if used is not None and not used.all():
-            over_time.plot(np.where(used, clock, np.nan), load, color="#0072B2", lw=3.2, alpha=0.55,
-                           label="fitted", zorder=1.9)
-        _mark_failure(over_time, clock, load, segmentation)
-        if not table:
-            _draw_motion(over_time.twinx(), clock, way, words[0])
-        over_time.set(xlabel=words[0] if table else "sample" if time is None else "time [s]", ylabel=words[1],
-                      xlim=(clock[0], max(clock[-1], clock[0] + 1e-9)))
-        over_time.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=6, fontsize=8.5, borderaxespad=0.2)
-        line.set_zorder(3)
-        if close is not None and contact is not None:
-            _draw_contact(close, way, load, np.arange(force.size) if time is None else time, contact, words, stressed)
-        return to_png(figure)
+    figure = new_figure(WIDTH, 4.2)
+    over_time, close = figure.subplots(1, 2, width_ratios=(1.6, 1)) if near else (figure.subplots(), None)
+    _draw_spans(over_time, clock, segmentation)
+    line, = over_time.plot(clock, load, color="0.15", lw=1.1, label=words[1])
+    if used is not None and not used.all():
+        over_time.plot(np.where(used, clock, np.nan), load, color="#0072B2", lw=3.2, alpha=0.55,
+                       label="fitted", zorder=1.9)
+    _mark_failure(over_time, clock, load, segmentation)
+    if not table:
+        _draw_motion(over_time.twinx(), clock, way, words[0])
+    over_time.set(xlabel=words[0] if table else "sample" if time is None else "time [s]", ylabel=words[1],
+                  xlim=(clock[0], max(clock[-1], clock[0] + 1e-9)))
+    over_time.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=6, fontsize=8.5, borderaxespad=0.2)
+    line.set_zorder(3)
+    if close is not None and contact is not None:
+        _draw_contact(close, way, load, np.arange(force.size) if time is None else time, contact, words, stressed)
+    return figure
 
 
 def _draw_motion(axes, clock: np.ndarray, way: np.ndarray, label: str) -> None:
@@ -111,7 +106,8 @@ def _draw_contact(axes, way: np.ndarray, load: np.ndarray, clock: np.ndarray, co
     axes.legend(loc="upper left", fontsize=8.5)
 
 
-def segment_section(recordings: Mapping[str, Sequence[MeasuredCurve]], *, figures: bool) -> Iterator[str]:
+def segment_section(recordings: Mapping[str, Sequence[MeasuredCurve]],
+                    pictures: Pictures | None) -> Iterator[str]:
     """HTML: of each test the segments that were found, what of them is fitted, and a picture of one recording.
 
     The recording that is drawn is the first with a note, or the first.
@@ -127,18 +123,18 @@ def segment_section(recordings: Mapping[str, Sequence[MeasuredCurve]], *, figure
             continue
         yield f"<h3>{escape(test)}</h3>"
         yield html_list(_in_words(curve) for curve in curves)
-        if figures:
+        if pictures is not None:
             drawn = next((curve for curve in curves if curve.notes), curves[0])
-            assert drawn.whole is not None
-            whole = drawn.whole
-            yield html_figure(_draw_whole(whole.displacement + whole.shift, drawn), f"Segments of {drawn.name}",
-                              f"{drawn.name}: as it was recorded; what is fitted is drawn blue where not all of it is.")
+            yield pictures.show(f"segments {test}", partial(_draw_whole, drawn), f"Segments of {drawn.name}",
+                                f"{escape(drawn.name)}: as it was recorded; what is fitted is drawn blue where not all "
+                                "of it is.")
 
 
-def _draw_whole(displacement: np.ndarray, curve: MeasuredCurve) -> bytes:
+def _draw_whole(curve: MeasuredCurve):
     whole = curve.whole
     assert whole is not None
-    return draw_segments(displacement, whole.recorded_force, whole.time, whole.segmentation, whole.used)
+    return draw_segments(whole.displacement + whole.shift, whole.recorded_force, whole.time, whole.segmentation,
+                         whole.used)
 
 
 def _in_words(curve: MeasuredCurve) -> str:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
-from scipy.optimize import minimize_scalar
 
 from calibration.statistics.statistics import resolution
 from tissue_sim.errors import InputError
@@ -205,6 +204,8 @@ def _restricted(pieces: list[_Piece], degrees: list[int], tau: float) -> tuple[f
 
 def _refine(pieces: list[_Piece], degrees: list[int], tau: float) -> float:
     """Correlation time with the largest restricted likelihood near a first guess."""
+    from scipy.optimize import minimize_scalar  # on use: what is wrong in a file is said before scipy is there
+
     def criterion(logarithm: float) -> float:
         squares, freedom, determinants = _restricted(pieces, degrees, float(np.exp(logarithm)))
         return freedom * np.log(max(squares / freedom, LEAST**2)) + determinants

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from statistics import NormalDist
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-from scipy import stats
-from scipy.sparse import csr_array
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 #: Residuals this many times the stated noise mean that the model, not the sensor, makes the error.
 MODEL_ERROR_RATIO = 3.0
 #: Residuals this many times an estimated noise mean that it was the curvature of the data, not noise.
 CURVATURE_RATIO = 0.3
 #: How each replicate's points come from its samples, shape (points, samples); None: they are its samples.
-Interpolations = Sequence[csr_array | None]
+Interpolations: TypeAlias = "Sequence[csr_array | None]"
 
 
 def estimate_noise(samples: np.ndarray, abscissa: np.ndarray | None = None) -> float:
@@ -39,7 +42,7 @@ def estimate_noise(samples: np.ndarray, abscissa: np.ndarray | None = None) -> f
     for share in shares:
         distance = samples[1:-1] - (1 - share) * samples[:-2] - share * samples[2:]
         distance /= np.sqrt(1 + (1 - share)**2 + share**2)
-        deviations.append(np.median(np.abs(distance)) / stats.norm.ppf(0.75))
+        deviations.append(np.median(np.abs(distance)) / NormalDist().inv_cdf(0.75))
     return float(max(min(deviations), 1e-9 * np.abs(samples).max(), np.finfo(float).tiny))
 
 

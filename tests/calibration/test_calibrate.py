@@ -194,7 +194,7 @@ def test_overwrite_clears_the_folders_of_the_earlier_work(campaign, tmp_path):
     calibration.calibrate([campaign, other], out, figures=False)
     (out / "other" / "notes.txt").write_text("mine", encoding="utf-8")
     calibration.calibrate([campaign], out, overwrite=True, figures=False)
-    assert set(listing(out)) == {"work.json", "fit.json", "report.html", "curves.csv", "residuals.csv",
+    assert set(listing(out)) == {"work.json", "fit.json", "report.html", "methods.txt", "curves.csv", "residuals.csv",
                                  "other/notes.txt", *(f"{law}.material.json" for law in (
                                      "neo_hooke", "mooney_rivlin", "reduced_polynomial_2"))}
     assert not (out / "study").exists()

@@ -28,7 +28,10 @@ from calibration.fit.fit import (
 )
 from calibration.fit.result import CalibrationResult
 from calibration.report import curve_figures, estimate_figures, figures
-from calibration.report.report import write_report
+from calibration.report.drawing import Pictures, to_png
+from calibration.report.methods import methods_text
+from calibration.report.report import report_page
+from calibration.report.units import Units
 from calibration.statistics.sensor_noise import SensorNoise
 from tissue_sim import KINDS, Specimen, find_law
 
@@ -222,13 +225,6 @@ def campaign():
     return result, curves
 
 
-@pytest.fixture
-def drawn(monkeypatch):
-    """Figures instead of their PNG."""
-    for module in (curve_figures, estimate_figures, figures):
-        monkeypatch.setattr(module, "to_png", lambda figure: figure)
-
-
 def closes(page):
     """Whether every tag is closed in turn."""
     opened = []
@@ -240,10 +236,11 @@ def closes(page):
     return not opened
 
 
-def written(campaign, tmp_path, **options):
+def written(campaign, tmp_path, figures=True):
     result, curves = campaign
-    write_report(result, curves, tmp_path / "report.html", **options)
-    return (tmp_path / "report.html").read_text(encoding="utf-8")
+    measured = {c.test.name: c.measured for c in next(iter(curves.values()))}
+    methods = methods_text(result, measured, Units.of(result))
+    return report_page(result, curves, methods, Pictures(tmp_path, "svg") if figures else None)
 
 
 def texts_of(axes):
@@ -252,7 +249,7 @@ def texts_of(axes):
 
 def one_test(campaign, test):
     result, curves = campaign
-    return result.fits, {law: several[TESTS.index(test)] for law, several in curves.items()}
+    return result.fits, {law: several[TESTS.index(test)] for law, several in curves.items()}, Units.of(result)
 
 
 def test_the_page_stands_alone_and_says_the_verdict_first(campaign, tmp_path):
@@ -261,12 +258,13 @@ def test_the_page_stands_alone_and_says_the_verdict_first(campaign, tmp_path):
     # Four tests, predictions, regions, history; two profiles, one correlation; two formulas.
     assert page.count("data:image/png;base64,") == 4 + 3 + 3 + 2
     verdict = page[page.index('<dl class="verdict">'):page.index("<img")]
-    for words in ("C10 = 1406.2 ± 4.1 Pa, C20 = 688 ± 24 Pa", "fitted to plates, strip only: 0.036 N", "1.7\u00a0%",
-                  "held out of every fit: 0.075 N", "chance alone would make 0.031 N", "41 Pa",
-                  "determine every parameter of Reduced", "bonded compression to 10 mm would give C01 ± 6.5 Pa"):
+    for words in ("<i>C</i><sub>10</sub> = 1.406 ± 0.004 kPa", "<i>C</i><sub>20</sub> = 0.688 ± 0.024 kPa",
+                  "fitted to plates, strip only: 0.036 N", "1.7\u00a0%",
+                  "held out of every fit: 0.075 N", "chance alone would make 0.031 N", "0.041 kPa",
+                  "determine every parameter of Reduced", "bonded compression to 10 mm would give C01 ± 0.006 kPa"):
         assert words in verdict
     # Misfits, the least probable first, and no region that is as noise.
-    assert verdict.index("hold, 10 mm: 0.047 N") < verdict.index("unload, 0 to 10 mm: 0.058 N")
+    assert verdict.index("hold at 10 mm: 0.047 N") < verdict.index("unload from 0 to 10 mm: 0.058 N")
     assert "0.012 N" not in verdict
     for words in ("low: bound 0", "0.028 mm and the zero by 0.0094 N", "6 degrees of freedom", "up to 0.62 %",
                   "1.00 C20 − 0.08 C10, known to ±\u00a03.5", "4.1e+06", record(PLATES, 1).sha256):
@@ -278,7 +276,7 @@ def test_the_page_stands_alone_and_says_the_verdict_first(campaign, tmp_path):
 
 def test_without_figures_the_correlation_is_a_table_and_names_cannot_break_the_page(campaign, tmp_path):
     result, curves = campaign
-    odd = replace(PLATES, name="<i>&plates")
+    odd = replace(PLATES, name="<u>&plates")
     tests = (odd, *TESTS[1:])
     rename = {PLATES.name: odd.name}
     fits = tuple(msgspec.structs.replace(fit, regions=[
@@ -291,8 +289,8 @@ def test_without_figures_the_correlation_is_a_table_and_names_cannot_break_the_p
               for law, several in curves.items()}
     page = written((changed, curves), tmp_path, figures=False)
     assert "<img" not in page
-    assert "<td>-0.820</td>" in page
-    assert "&lt;i&gt;&amp;plates" in page and "<i>" not in page
+    assert "<td>−0.820</td>" in page
+    assert "&lt;u&gt;&amp;plates" in page and "<u>" not in page
     assert closes(page)
 
 
@@ -308,8 +306,8 @@ def test_a_lone_test_says_that_nothing_was_left_to_predict(campaign, tmp_path):
 
 
 def test_pictures_are_sharp_at_1200_pixels_and_thin_large_recordings(campaign):
-    fits, curves = one_test(campaign, PLATES)
-    png = curve_figures.draw_test(fits, curves)
+    fits, curves, units = one_test(campaign, PLATES)
+    png = to_png(curve_figures.draw_test(fits, curves, units))
     assert png[:8] == b"\x89PNG\r\n\x1a\n" and int.from_bytes(png[16:20], "big") >= 1200
 
     def longer(c):
@@ -317,40 +315,50 @@ def test_pictures_are_sharp_at_1200_pixels_and_thin_large_recordings(campaign):
                         force=np.repeat(m.force, 100)) for m in c.measured]
         return replace(c, measured=tuple(many), fitted=tuple(np.repeat(f, 100) for f in c.fitted))
 
-    assert len(curve_figures.draw_test(fits, {law: longer(c) for law, c in curves.items()})) < 1.5 * len(png)
+    many = to_png(curve_figures.draw_test(fits, {law: longer(c) for law, c in curves.items()}, units))
+    assert len(many) < 1.5 * len(png)
 
 
-def test_band_and_residuals_of_a_ramp(campaign, drawn):
-    fits, curves = one_test(campaign, PLATES)
+def test_band_and_residuals_of_a_ramp(campaign):
+    fits, curves, units = one_test(campaign, PLATES)
     best = curves["reduced_polynomial_2"]
-    force, band, residual = curve_figures.draw_test(fits, curves).axes
+    shown = curve_figures.draw_test(fits, curves, units)
+    force, stress, tangent, band, residual = shown.axes
     assert force.get_xlabel() == "displacement [mm]" and force.get_ylabel() == "force [N]"
-    assert [t.get_text() for t in force.get_legend().get_texts()] == [
-        "measured (3 recordings)", "95 % of new recordings", "Reduced polynomial N = 2", "Mooney-Rivlin"]
+    assert [t.get_text() for t in shown.legends[0].get_texts()][:4] == [
+        "measured (3 recordings)", "Reduced polynomial N = 2", "95 % of new recordings", "Mooney-Rivlin"]
+    assert all(panel.get_legend() is None for panel in shown.axes)
+    # The same samples in every view, in units of the law's modulus.
+    assert stress.get_ylabel() == "nominal stress [kPa]" and tangent.get_ylabel() == "tangent modulus [kPa]"
+    np.testing.assert_allclose(stress.lines[0].get_ydata(), force.lines[0].get_ydata() / SPECIMEN.area / 1e3)
+    places, slopes = next(line for line in tangent.lines if line.get_label() == "Reduced polynomial N = 2").get_data()
+    law = find_law("reduced_polynomial_2")
+    slope = law.nominal_stress_slope(1 - places, fits[0].parameters) / 1e3
+    np.testing.assert_allclose(slopes, slope, rtol=2e-3)
     edge = band.collections[0].get_paths()[0].vertices
     assert edge[:, 1].max() == pytest.approx(best.band.max()) and edge[:, 1].min() == pytest.approx(-best.band.max())
-    cloud = next(line for line in band.lines if line.get_label() == "recordings")
+    cloud = next(line for line in band.lines if line.get_marker() == "o")
     m = best.measured[0]
     model = force_of(PLATES, fits[0].parameters, m.displacement)
     np.testing.assert_allclose(cloud.get_ydata(), model - m.force, atol=2e-3)
-    mean = next(line for line in residual.lines if line.get_label() == "all")
+    mean = next(line for line in residual.lines if line.get_linewidth() == 2.2)
     inside = (m.displacement >= 0) & (m.displacement < 0.01 / 60)
     first = np.mean([np.mean((f - m.force)[inside]) for m, f in zip(best.measured, best.fitted, strict=True)])
     assert mean.get_ydata()[0] == pytest.approx(first)
     assert not texts_of(residual)
 
 
-def test_a_test_that_holds_is_drawn_against_time_with_its_misfits_where_they_are(campaign, drawn):
+def test_a_test_that_holds_is_drawn_against_time_with_its_misfits_where_they_are(campaign):
     residual = next(axes for axes in curve_figures.draw_test(*one_test(campaign, NEEDLE)).axes if axes.texts)
     assert residual.get_xlabel() == "time [s]"
-    assert texts_of(residual) == ["hold: misfit 0.047 N\np < 1e-6", "unload: misfit 0.058 N\np < 1e-6"]
+    assert texts_of(residual) == ["0.047 N", "0.058 N"]
     spans = [patch.get_extents().transformed(residual.transData.inverted()).intervalx
              for patch in residual.patches if patch.get_alpha() == 0.09]
     assert spans[0] == pytest.approx([40.0, 100.0], abs=0.4)
     assert spans[1] == pytest.approx([100.0, 140.0], abs=0.4)
 
 
-def test_a_test_without_specimen_is_drawn_as_stress_and_strain(campaign, drawn):
+def test_a_test_without_specimen_is_drawn_as_stress_and_strain(campaign):
     force, *_ = curve_figures.draw_test(*one_test(campaign, STRIP)).axes
     assert force.get_xlabel() == "nominal strain" and force.get_ylabel() == "nominal stress [kPa]"
     law = next(line for line in force.lines if line.get_label() == "Reduced polynomial N = 2")
@@ -367,63 +375,65 @@ def test_noise_of_a_mean_is_that_of_the_dense_covariance(correlation_time):
         assert deviation == pytest.approx(np.sqrt(dense.sum()) / n)
 
 
-def test_regions_turn_orange_where_the_misfit_is_significant(campaign, drawn):
+def test_regions_turn_orange_where_the_misfit_is_significant(campaign):
     result, _ = campaign
-    axes = figures.draw_regions(result.fits, TESTS).axes[0]
-    assert "0.0021 N,  p = 0.62" in texts_of(axes) and "91 Pa,  p = 1e-05" in texts_of(axes)
-    assert {"plates", "needle", "strip", "hold 10 mm", "ramp 3.3 to 6.7 mm"} <= set(texts_of(axes))
+    axes = figures.draw_regions(result.fits, TESTS, Units.of(result)).axes[0]
+    assert "0.0021 N,  p = 0.62" in texts_of(axes) and "0.091 kPa,  p = 1e-5" in texts_of(axes)
+    assert {"plates", "needle", "strip", "hold at 10 mm", "ramp from 3.3 to 6.7 mm"} <= set(texts_of(axes))
     red, _, blue, _ = np.array([patch.get_facecolor()[0] for patch in axes.collections]).T
     cells = [r for name in ("plates", "needle", "strip") for fit in result.fits for r in fit.regions if r.test == name]
     assert [b > r for r, b in zip(red, blue, strict=True)] == [cell.adequate for cell in cells]
 
 
-def test_predictions_are_as_long_as_their_error_and_marked_where_chance_ends(campaign, drawn):
+def test_predictions_are_as_long_as_their_error_and_marked_where_chance_ends(campaign):
     result, _ = campaign
     lost = Prediction(test="bonded", law="neo_hooke", RMSE_N=None, RMSE_Pa=None, percent=None,
                       note="stopped at 7 mm")
-    axes = figures.draw_predictions([*result.predictions, lost], TESTS).axes[0]
+    axes = figures.draw_predictions([*result.predictions, lost], TESTS, Units.of(result)).axes[0]
     assert [bar.get_width() for bar in axes.patches] == pytest.approx([p.percent for p in result.predictions])
     assert axes.lines[0].get_xdata()[0] == pytest.approx(0.9 * 0.031 / 0.068)
     assert any("none (stopped at 7 mm)" in words for words in texts_of(axes))
     far = msgspec.structs.replace(result.predictions[-1], percent=900.0)
-    axes = figures.draw_predictions([*result.predictions[:-1], far], TESTS).axes[0]
+    axes = figures.draw_predictions([*result.predictions[:-1], far], TESTS, Units.of(result)).axes[0]
     assert axes.get_xlim()[1] < 20 and any(words.startswith("▸ 900\u00a0%") for words in texts_of(axes))
 
 
-def test_profiles_show_interval_quadratic_and_bound(campaign, drawn):
+def test_profiles_show_interval_quadratic_and_bound(campaign):
     result, _ = campaign
-    free, bound = estimate_figures.draw_profiles(result.fits[1], result.campaign.fit.bounds).axes
+    free, bound = estimate_figures.draw_profiles(result.fits[1], result.campaign.fit.bounds, Units.of(result)).axes
     lines = {line.get_label(): line for line in free.lines}
     x, y = lines["quadratic"].get_data()
-    assert np.interp(1467.0 + 1.959964 * 3.0, x, y) == pytest.approx(LEVEL, rel=1e-3)
-    assert lines["95 % interval"].get_xdata() == pytest.approx([1461.0, 1473.0])
+    assert np.interp(1.467 + 1.959964 * 0.003, x, y) == pytest.approx(LEVEL, rel=1e-3)
+    assert lines["95 % interval"].get_xdata() == pytest.approx([1.461, 1.473])
     lines = {line.get_label(): line for line in bound.lines}
-    assert "quadratic" not in lines and lines["95 % interval"].get_xdata() == pytest.approx([0.0, 55.0])
-    assert "bound 0" in texts_of(bound) and not any("bound" in words for words in texts_of(free))
+    assert "quadratic" not in lines and lines["95 % interval"].get_xdata() == pytest.approx([0.0, 0.055])
+    assert free.get_title().endswith("95 %: 1.4610 to 1.4730") and not texts_of(free)
+    assert "beyond a bound" in {patch.get_label() for patch in bound.patches} and not free.patches
     hatched = next(patch for patch in bound.patches if patch.get_hatch())
     assert hatched.get_x() + hatched.get_width() == pytest.approx(0.0) and hatched.get_x() < 0
     # The curve passes through the points of the profile.
     curve, points = lines["profile"], result.fits[1].profiles["C01"]
-    assert np.interp(points.values[4], *curve.get_data()) == pytest.approx(points.rises[4], rel=1e-2)
+    assert np.interp(points.values[4] / 1e3, *curve.get_data()) == pytest.approx(points.rises[4], rel=1e-2)
 
 
-def test_correlation_of_two_has_an_ellipse_and_of_three_its_weak_directions(campaign, drawn):
-    best, second = campaign[0].fits
-    matrix, region, _ = estimate_figures.draw_correlation(best).axes
+def test_correlation_of_two_has_an_ellipse_and_of_three_its_weak_directions(campaign):
+    (best, second), units = campaign[0].fits, Units.of(campaign[0])
+    matrix, region, _ = estimate_figures.draw_correlation(best, units).axes
     assert texts_of(matrix) == ["1", "−0.82", "−0.82", "1"]
     outer = region.patches[0].get_xy()
     reach = np.sqrt(5.991465)  # 95 % quantile of chi-square with two degrees of freedom
-    assert outer.max(axis=0) == pytest.approx([1406.2 + reach * 4.1, 688.0 + reach * 24.0], rel=1e-4)
-    assert estimate_figures.draw_correlation(second) is None
+    assert outer.max(axis=0) == pytest.approx([1.4062 + reach * 4.1e-3, 0.688 + reach * 24e-3], rel=1e-4)
+    assert estimate_figures.draw_correlation(second, units) is None
     three = make_fit("reduced_polynomial_3", {"C10": 1.0, "C20": 2.0, "C30": 3.0},
                      {name: tuple(row) for name, row in zip(("C10", "C20", "C30"), np.eye(3), strict=True)},
                      directions=[Direction(shares={"C10": 0.1, "C20": -0.7, "C30": 0.7}, relative_error=0.6)])
-    _, bars, _ = estimate_figures.draw_correlation(three).axes
+    weak = estimate_figures.draw_correlation(three, units)
+    bars = weak.axes[1]
     assert [bar.get_width() for bar in bars.patches] == pytest.approx([0.1, -0.7, 0.7])
-    assert bars.get_legend().get_texts()[0].get_text() == "± 60 %"
+    assert weak.legends[0].get_texts()[0].get_text() == "known to ± 60 %"
 
 
-def test_history_has_every_start_and_the_chosen_one_is_bold(campaign, drawn):
+def test_history_has_every_start_and_the_chosen_one_is_bold(campaign):
     result, _ = campaign
     assert figures.chosen_start(result.best) == 1
     lower = msgspec.structs.replace(result.best.history[-1], start=21, run=1, error=1.0)

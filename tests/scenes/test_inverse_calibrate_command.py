@@ -20,6 +20,7 @@ import tissue_sim as ts
 from calibration.tasks.errors import WorkerError
 from calibration.tasks.executors import open_tasks
 from scenes.cli import main
+from scenes.commands.calibrate.progress import CalibrationProgress
 from tissue_sim.errors import ConvergenceError
 
 HEAD = """
@@ -134,9 +135,10 @@ def test_results_fit_on_80_columns(write, tmp_path, capsys, monkeypatch):
     assert ranking[2:5] == [f"{best['left_out']:.3g}", f"{best['R2']:.5f}", f"{best['RMSE_N']:.4g}"]
     C10, error = best["parameters"]["C10"], best["standard_errors"]["C10"]
     low, high = best["intervals95"]["C10"]
-    row = next(line for line in lines if re.match(r" *C10 ", line) and f"{C10:.1f} ±" in line)
-    assert 1 < error < 10 and row.split() == ["C10", f"{C10:.1f}", "±", f"{error:.1f}", "Pa", f"{low:.1f}", "to",
-                                              f"{high:.1f}"]
+    row = next(line for line in lines if re.match(r" *C10 ", line) and f"{C10 / 1e3:.4f} ±" in line)
+    # Between these an error leaves two digits.
+    assert 1.0 < error < 3.545 and row.split() == ["C10", f"{C10 / 1e3:.4f}", "±", f"{error / 1e3:.4f}", "kPa",
+                                                   f"{low / 1e3:.4f}", "to", f"{high / 1e3:.4f}"]
     for p in answer["predictions"]:
         assert re.search(rf"{p['test']} +left out +{p['RMSE_N']:.3g} N +{p['percent']:.2g} ", text)
     assert "left out %" in text and "noise: 0.02 N stated, white; between recordings 0.03 mm of contact" in text
@@ -211,6 +213,29 @@ def test_iteration_table_is_live_on_a_terminal(joint, tmp_path, capsys, monkeypa
     assert any(f"{len(fit['history'])} solves" in line for line in last)
 
 
+def test_what_is_left_follows_from_the_tasks_that_are_done(monkeypatch):
+    stream, now = watched(monkeypatch), [100.0]
+    monkeypatch.setattr("scenes.commands.calibrate.progress.time.monotonic", lambda: now[0])
+    console = Console(file=stream, force_terminal=True, width=120, quiet=True)
+    progress = CalibrationProgress(console)
+
+    def shown():
+        with console.capture() as captured:
+            console.quiet = False
+            console.print(progress.render())
+        return captured.get()
+
+    progress.say("study: profiles", 0, 8)
+    now[0] = 120.0
+    assert "left" not in shown(), "nothing is done yet"
+    progress.say("study: profiles", 2, 8)
+    assert "about 1:00 left of this part" in shown()
+    now[0] = 130.0
+    assert "about 0:50 left of this part" in shown(), "time goes on between tasks"
+    progress.say("study: tests left out, one at a time", 0, 3)
+    assert "left of this part" not in shown(), "another part"
+
+
 def test_the_table_stays_on_a_low_screen(joint, tmp_path, monkeypatch):
     stream = watched(monkeypatch, height=12)
     assert run(joint, "-o", tmp_path / "out") == 0
@@ -267,6 +292,7 @@ KILLED = """
 import os, signal, sys
 from calibration.forward.solves import Solves
 from scenes.cli import main
+from scenes.commands.calibrate.progress import CalibrationProgress
 
 keep, kept = Solves.keep, []
 

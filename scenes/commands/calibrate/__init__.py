@@ -22,13 +22,15 @@ def add_arguments(parser: Parser) -> None:
                             "this one)")
     where.add_argument("--dask", metavar="ADDRESS",
                        help="the same on a running dask cluster: tcp://HOST:PORT, or the file of its scheduler")
+    parser.add_argument("--figures-format", choices=("svg", "pdf", "png"),
+                        help="write each picture of the report also as a file beside it")
     add_overwrite(parser)
     add_json(parser)
     parser.set_defaults(run=run, resume_hint="no campaign was finished: run the same command to start again")
 
 
 def run(arguments) -> int:
-    from calibration import Workers, calibrate, to_json
+    from calibration import Workers, calibrate
     from scenes.commands.calibrate.progress import CalibrationProgress
 
     before = _claim_on(arguments.output)
@@ -36,6 +38,7 @@ def run(arguments) -> int:
         with CalibrationProgress(progress_console(quiet=arguments.json), len(arguments.campaigns)) as progress:
             results = calibrate(arguments.campaigns, arguments.output, overwrite=arguments.overwrite,
                                 progress=progress.say, listen=progress.listen,
+                                figures_format=arguments.figures_format,
                                 workers=Workers(arguments.workers, arguments.dask))
     except KeyboardInterrupt:
         # With --overwrite, results of another calibration may still be there, untouched.
@@ -43,6 +46,8 @@ def run(arguments) -> int:
             arguments.resume_hint = _resume_hint(arguments)
         raise
     if arguments.json:
+        from calibration import to_json
+
         print_json(to_json(results))
     else:
         from scenes.commands.calibrate.results import print_results

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from textwrap import shorten
 from typing import TYPE_CHECKING
@@ -10,11 +9,11 @@ from typing import TYPE_CHECKING
 from rich.text import Text
 
 from calibration.fit.self_weight import statement
-from calibration.report.curve_figures import place_of, probability, size_of
+from calibration.report.curve_figures import place_of, probability
 from calibration.report.drawing import counted
-from calibration.report.page import number, stable_stretches
-from calibration.report.pressure import pressure_unit
+from calibration.report.page import estimate_of, interval_of, moduli_of, number, remarks_by_law, stable_stretches
 from calibration.report.report_tables import direction_in_words, suggestion_in_words
+from calibration.report.units import Units
 from scenes.commands.calibrate.population import population_table
 from scenes.commands.shared.text_table import print_sentence, text_table
 
@@ -30,38 +29,36 @@ if TYPE_CHECKING:
 _NAME_WIDTH = 29
 #: Of a note on an interval, and of the regions with a misfit of a law; all of them are in the report.
 _NOTE_WIDTH, _MOST_REGIONS = 60, 3
-#: From here on a number is written with an exponent.
-_LARGE = 1e8
 
 
 def print_fits(result: CalibrationResult, console: Console) -> None:
     """Print ranking, parameters, predictions, then what to know about them."""
-    fits, tests = result.fits, {test.name: test for test in result.campaign.tests}
+    fits, tests, units = result.fits, {test.name: test for test in result.campaign.tests}, Units.of(result)
     heading, meaning = _ranked_by(result)
-    console.print(_ranking_table(fits, heading))
+    console.print(_ranking_table(fits, heading, units))
     print_sentence(console, f"* best usable law; {meaning}; stable: stretches, in any loading")
     console.print()
-    console.print(_parameter_table(fits))
+    console.print(_parameter_table(fits, units))
     console.print()
     if legend := _legend(fits):
         print_sentence(console, legend)
         console.print()
-    if table := population_table(fits):
+    if table := population_table(fits, units):
         console.print(table)
         console.print()
     if result.predictions:
-        console.print(_prediction_table(result.predictions, tests))
+        console.print(_prediction_table(result.predictions, tests, units))
         chance = "; by chance: what noise, jitter and the errors of the parameters would make"
         known = any(prediction.expected_N is not None for prediction in result.predictions)
         print_sentence(console, f"%: of the largest force or stress{chance if known else ''}")
         console.print()
     print_sentence(console, result.message)
-    for sentence in (*_unpredicted(result.predictions), *_undetermined(fits), *_misfits(fits, tests),
-                     *_basis(result, tests)):
+    for sentence in (*_unpredicted(result.predictions), *_undetermined(fits, units),
+                     *_misfits(fits, tests, units), *_basis(result, tests, units)):
         print_sentence(console, sentence)
-    for fit in fits:
-        if remarks := [fit.message] if fit.unusable else fit.warnings:
-            print_sentence(console, f"{fit.law}: {'; '.join(remarks)}")
+    for having, remarks in remarks_by_law(fits, lambda fit: [fit.message] if fit.unusable else fit.warnings):
+        names = "all laws" if 1 < len(having) == len(fits) else ", ".join(fit.law for fit in having)
+        print_sentence(console, f"{names}: {remarks}")
     for fit in fits:
         if fit.fem_solves:
             print_sentence(console, f"{fit.law}: {_effort(fit)}")
@@ -76,25 +73,21 @@ def _ranked_by(result: CalibrationResult) -> tuple[str, str]:
     return "left out %", "left out: error in each test, predicted from the others"
 
 
-def _ranking_table(fits: Sequence[Fit], heading: str) -> Table:
+def _ranking_table(fits: Sequence[Fit], heading: str, units: Units) -> Table:
     """One row for each law, with the figure that ranks them."""
-    best = fits[0]
-    E0, mu0 = pressure_unit(best.E0), pressure_unit(best.mu0)
-    unit, size = _error_unit(best)
-    table = text_table("law", heading, "R2", f"RMSE {unit}", f"E0 {E0[0]}", f"mu0 {mu0[0]}", "stable")
+    best, pressure = fits[0], units.pressure
+    forces = best.RMSE_N is not None or best.RMSE_Pa is None
+    load = units.force if forces else pressure
+    table = text_table("law", heading, "R2", f"RMSE {load.name}", f"E0 {pressure.name}", f"mu0 {pressure.name}",
+                       "stable")
     for fit in fits:
-        error = fit.RMSE_N if unit == "N" else fit.RMSE_Pa
+        error = fit.RMSE_N if forces else fit.RMSE_Pa
         above = None if fit.unusable else fit.BIC - best.BIC
         table.add_row(_ranked_name(fit, best), number(above if heading == "dBIC" else fit.left_out, 3),
-                      _share_of_variance(fit), "-" if error is None else f"{error / size:.4g}",
-                      f"{fit.E0 / E0[1]:.4g}", f"{fit.mu0 / mu0[1]:.4g}", stable_stretches(fit),
+                      _share_of_variance(fit), "-" if error is None else f"{error / load.size:.4g}",
+                      *moduli_of(fit, units), stable_stretches(fit),
                       style=_ranked_style(fit, best))
     return table
-
-
-def _error_unit(best: Fit) -> tuple[str, float]:
-    """Unit of the root mean square errors of a ranking, and its size in SI; a force where all tests have one."""
-    return ("N", 1.0) if best.RMSE_N is not None or best.RMSE_Pa is None else pressure_unit(best.RMSE_Pa)
 
 
 def _ranked_name(fit: Fit, best: Fit) -> str:
@@ -112,7 +105,7 @@ def _share_of_variance(fit: Fit) -> str:
     return f"{fit.R2:.5f}" if fit.R2 > -1 else f"{fit.R2:.3g}"
 
 
-def _parameter_table(fits: Sequence[Fit]) -> Table:
+def _parameter_table(fits: Sequence[Fit], units: Units) -> Table:
     """Parameters with standard errors and profile-likelihood intervals, in the order of the ranking."""
     table = text_table("parameter", "value ± standard error", "95 % interval", text=3)
     table.columns[0].no_wrap, table.columns[0].overflow = False, "fold"
@@ -120,16 +113,11 @@ def _parameter_table(fits: Sequence[Fit]) -> Table:
     for fit in fits:
         if len(fits) > 1:
             table.add_row(fit.law, "", "")
-        for name, value in fit.parameters.items():
-            unit = fit.unit(name)
-            error = fit.standard_errors.get(name)
-            digits = _decimals(value, error)
-            spread = f" ± {_fixed(error, _decimals(error, error))}" if error else ""
-            pair = fit.intervals95.get(name) if error else None
-            interval = "" if pair is None else " to ".join(_fixed(end, digits) for end in pair)
+        for name in fit.parameters:
+            undetermined = fit.standard_errors.get(name) is None and name not in fit.on_bound
             table.add_row(f"{'  ' if len(fits) > 1 else ''}{fit.symbols[name]}",
-                          f"{_fixed(value, digits)}{spread}{f' {unit}' if unit else ''}{_remark_on_error(fit, name)}",
-                          f"{interval}{' (cut)' if name in fit.interval_notes else ''}")
+                          f"{estimate_of(fit, name, units)}{' (not determined)' if undetermined else ''}",
+                          f"{interval_of(fit, name, units)}{' (cut)' if name in fit.interval_notes else ''}")
     return table
 
 
@@ -144,26 +132,7 @@ def _legend(fits: Sequence[Fit]) -> str:
     return "; ".join(parts)
 
 
-def _remark_on_error(fit: Fit, name: str) -> str:
-    """Why a parameter has no standard error, in brackets; empty where it has one."""
-    error = fit.standard_errors.get(name)
-    if error is None:
-        return f" ({'on its bound' if name in fit.on_bound else 'not determined'})"
-    return "" if error else " (fixed)"
-
-
-def _decimals(value: float, error: float | None) -> int | None:
-    """Digits after the point that leave the standard error two; None: an exponent or too few digits to matter."""
-    if not error or not math.isfinite(error) or max(abs(value), error) >= _LARGE:
-        return None
-    return min(max(1 - math.floor(math.log10(error)), 0), 12)
-
-
-def _fixed(value: float, decimals: int | None) -> str:
-    return f"{value:.5g}" if decimals is None else f"{value:.{decimals}f}"
-
-
-def _prediction_table(predictions: Sequence[Prediction], tests: Mapping[str, Test]) -> Table:
+def _prediction_table(predictions: Sequence[Prediction], tests: Mapping[str, Test], units: Units) -> Table:
     """Tests that a law was not fitted to."""
     table = text_table("law", "predicts", "", "RMSE", "%", "by chance", text=3)
     table.columns[1].no_wrap, table.columns[1].overflow = False, "fold"
@@ -171,9 +140,10 @@ def _prediction_table(predictions: Sequence[Prediction], tests: Mapping[str, Tes
     for p in predictions:
         test = tests[p.test]
         error = p.RMSE_Pa if test.specimen is None else p.RMSE_N
-        chance = "-" if p.expected_N is None else f"{p.expected_N:.3g} N"
+        load = units.load(test)
+        chance = "-" if p.expected_N is None else load.text(p.expected_N, 2)
         table.add_row(p.law if p.law != last else "", Text(p.test), "left out" if p.fitted else "held out",
-                      "none" if error is None else _size(error, test), number(p.percent, 2), chance)
+                      "none" if error is None else load.text(error, 3), number(p.percent, 2), chance)
         last = p.law
     return table
 
@@ -185,61 +155,57 @@ def _unpredicted(predictions: Sequence[Prediction]) -> Iterator[str]:
             yield f"{p.law} does not predict {p.test}: {p.note or 'the law does not carry the specimen so far'}"
 
 
-def _size(error: float, test: Test) -> str:
-    unit, size = pressure_unit(error) if test.specimen is None else ("N", 1.0)
-    return f"{error / size:.3g} {unit}"
-
-
-def _undetermined(fits: Sequence[Fit]) -> Iterator[str]:
+def _undetermined(fits: Sequence[Fit], units: Units) -> Iterator[str]:
     """What cut an interval, and what these tests do not determine."""
     for fit in fits:
-        cuts = [f"{name} {shorten(note, _NOTE_WIDTH, placeholder=' ...')}"
+        cuts = [f"{fit.symbols[name]} {shorten(note, _NOTE_WIDTH, placeholder=' ...')}"
                 for name, profile in fit.profiles.items() for note in profile.notes]
         if cuts:
             yield f"{fit.law}: intervals that are cut: {'; '.join(cuts)}"
         if fit.not_identifiable:
-            advice = "; ".join(suggestion_in_words(each, fit) for each in fit.suggestions)
+            advice = "; ".join(suggestion_in_words(each, fit, units) for each in fit.suggestions)
             if fit.fem_solves and not advice:
                 advice = "no further test is known to help"
             yield (f"{fit.law}: not identifiable from these tests: {fit.in_symbols(fit.not_identifiable)}"
                    f"{f'; {advice}' if advice else ''}")
         elif fit.directions:
-            advice = f"; {suggestion_in_words(fit.suggestions[0], fit)}" if fit.suggestions else ""
+            advice = f"; {suggestion_in_words(fit.suggestions[0], fit, units)}" if fit.suggestions else ""
             directions = "; ".join(direction_in_words(each, fit) for each in fit.directions)
             yield f"{fit.law}: poorly determined: {directions}{advice}"
 
 
-def _misfits(fits: Sequence[Fit], tests: Mapping[str, Test]) -> Iterator[str]:
+def _misfits(fits: Sequence[Fit], tests: Mapping[str, Test], units: Units) -> Iterator[str]:
     """Regions whose residuals are more than noise, the surest first."""
     for fit in fits:
         bad = sorted((region for region in fit.regions if not region.adequate),
                      key=lambda region: (region.p, -region.statistic))
         if bad:
-            worst = "; ".join(_misfit(region, tests[region.test]) for region in bad[:_MOST_REGIONS])
+            worst = "; ".join(_misfit(region, tests[region.test], units) for region in bad[:_MOST_REGIONS])
             more = f"; and {len(bad) - _MOST_REGIONS} more" if len(bad) > _MOST_REGIONS else ""
             yield f"{fit.law}: smooth misfit in {worst}{more}"
         elif fit.regions:
             yield f"{fit.law}: no smooth misfit in any of {counted(len(fit.regions), 'region')}"
 
 
-def _misfit(region: Region, test: Test) -> str:
-    return f"{region.test} ({place_of(region, test)}): {size_of(region.misfit_N, test)}, {probability(region.p)}"
+def _misfit(region: Region, test: Test, units: Units) -> str:
+    size = units.load(test).text(region.misfit_N, 2)
+    return f"{region.test} ({place_of(region, test, units)}): {size}, {probability(region.p)}"
 
 
-def _basis(result: CalibrationResult, tests: Mapping[str, Test]) -> Iterator[str]:
+def _basis(result: CalibrationResult, tests: Mapping[str, Test], units: Units) -> Iterator[str]:
     """Noise, jitter, mesh and weight that the numbers rest on."""
     alike: dict[str, list[str]] = {}
     for noise in result.noise:
         colour = "white" if noise.correlation_time_s == 0 else f"correlated over {noise.correlation_time_s:.2g} s"
-        words = f"{size_of(noise.deviation_N, tests[noise.test])} {noise.source}, {colour}"
+        words = f"{units.load(tests[noise.test]).text(noise.deviation_N, 2)} {noise.source}, {colour}"
         alike.setdefault(words, []).append(noise.test)
     parts = [words if len(alike) == 1 else f"{words} ({', '.join(names)})" for words, names in alike.items()]
     jitter = result.best.jitter
     scatter = ""
     if jitter is not None:
         freedom = "stated" if jitter.freedom is None else f"from {counted(jitter.freedom, 'degree')} of freedom"
-        scatter = (f"; between recordings {jitter.contact_mm:.2g} mm of contact, {jitter.zero_N:.2g} N of zero, "
-                   f"{freedom}")
+        contact, zero = units.scatter(jitter, result.campaign.tests)
+        scatter = f"; between recordings {contact} of contact, {zero} of zero, {freedom}"
     if parts:
         yield f"noise: {', '.join(parts)}{scatter}"
     meshes = [f"{mesh.test} {mesh.largest_percent:.2g} %" for mesh in result.best.mesh if mesh.largest_percent]

@@ -25,6 +25,8 @@ _MOST_ROWS, _FEWEST_ROWS, _OTHER_LINES = 12, 3, 8
 #: s after which the first run of a machine is mentioned: before it compiles, which stops the picture.
 _PATIENCE = 0.5
 _BAR_WIDTH = 20
+#: s of a part after which the tasks that are done tell something of those that are not.
+_TOLD_AFTER = 1.0
 _COMPILING = "loading the solver (a machine's first run compiles it, about half a minute)"
 
 
@@ -39,6 +41,7 @@ class CalibrationProgress:
     def __init__(self, console: Console, campaigns: int = 1):
         self._console, self._campaigns = console, campaigns
         self._sentence, self._began, self._said = "reading", time.monotonic(), time.monotonic()
+        self._part_began = self._began
         self._place, self._solves = ("", ""), 0
         self._rows: list[Iteration] = []
         self._done, self._of = 0, 0
@@ -57,7 +60,10 @@ class CalibrationProgress:
 
     def say(self, sentence: str, done: int = 0, of: int = 0) -> None:
         """Show what is done from now on, and how many of its tasks are done, of how many."""
-        self._sentence, self._said, self._done, self._of = sentence, time.monotonic(), done, of
+        now = time.monotonic()
+        if (sentence, of) != (self._sentence, self._of) or done < self._done:
+            self._part_began = now
+        self._sentence, self._said, self._done, self._of = sentence, now, done, of
         if self._live.is_started:
             # At once: a kernel that is compiled, or runs, keeps the refreshing thread waiting.
             self._live.refresh()
@@ -79,7 +85,7 @@ class CalibrationProgress:
         bar = ProgressBar(total=self._of, completed=self._done, width=_BAR_WIDTH) if self._of else \
             ProgressBar(width=_BAR_WIDTH, pulse=True, animation_time=now)
         line.add_row(self._spinner, bar, Text(f"{self._done} of {self._of}" if self._of else ""),
-                     Text(f"{seconds // 60}:{seconds % 60:02d}"),
+                     Text(_clock(seconds)), Text(self._left(now)),
                      Text(f"{self._solves} solves" if self._solves else ""),
                      Text(f"campaign {max(len(self._seen), 1)} of {self._campaigns}" if self._campaigns > 1 else ""))
         parts: list[RenderableType] = [self._table()] if self._rows else []
@@ -87,6 +93,14 @@ class CalibrationProgress:
         if not self._solves and now - self._said > _PATIENCE:
             parts.append(Text(_COMPILING, style="dim"))
         return Group(*parts)
+
+    def _left(self, now: float) -> str:
+        """How long the tasks of this part will still take, by those that are done; empty until that can be told."""
+        taken = self._said - self._part_began
+        if not 0 < self._done < self._of or taken < _TOLD_AFTER:
+            return ""
+        left = taken * (self._of - self._done) / self._done - (now - self._said)
+        return f"about {_clock(max(round(left), 1))} left of this part"
 
     def _table(self) -> Table:
         law = find_law(self._place[1])
@@ -102,3 +116,8 @@ class CalibrationProgress:
                           f"{row.error:.6g}", f"{row.RMSE_N:.3g}", "corrected" if row.corrected else "fast")
         table.title, table.title_justify = Text(law.name, style="bold not italic"), "left"
         return table
+
+
+def _clock(seconds: int) -> str:
+    """``1:05``."""
+    return f"{seconds // 60}:{seconds % 60:02d}"

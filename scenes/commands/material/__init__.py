@@ -81,7 +81,7 @@ def run_new(arguments) -> int:
     if arguments.json:
         print_json({"material_file": str(arguments.output)})
     else:
-        from calibration.report.pressure import format_pressure
+        from calibration.report.units import format_pressure
 
         relaxed = "" if material.viscoelastic is None else f", long-term mu {format_pressure(material.mu_long_term)}"
         results_console().print(f"wrote {arguments.output}: E0 {format_pressure(material.E0)}, "

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from calibration.report.pressure import format_pressure
+from calibration.report.units import format_pressure
 from tissue_sim.laws import check_stability
 from tissue_sim.material.file import EFFECTS
 

@@ -1,0 +1,168 @@
+"""The methods paragraph: what was fitted how, to what, with what result, ready to paste into a paper."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from importlib.metadata import PackageNotFoundError, version
+
+import tissue_sim
+from calibration.campaign.measured import MeasuredCurve
+from calibration.fit.fit import Fit
+from calibration.fit.result import CalibrationResult
+from calibration.report.drawing import counted
+from calibration.report.figures import percent
+from calibration.report.page import estimate_of, interval_of, ranked_by_prediction, with_minus, young_modulus
+from calibration.report.symbols import plain_symbol
+from calibration.report.units import Units
+from tissue_sim.laws import find_law
+
+#: What is cited -> how the text names it, and the reference.
+_REFERENCES = {
+    "neo_hooke": ("Rivlin 1948a", "Rivlin RS (1948a) Large elastic deformations of isotropic materials. I. Fundamental "
+                                  "concepts. Phil Trans R Soc A 240:459-490"),
+    "mooney_rivlin": ("Rivlin 1948b", "Rivlin RS (1948b) Large elastic deformations of isotropic materials. IV. "
+                                      "Further developments of the general theory. Phil Trans R Soc A 241:379-397"),
+    "reduced_polynomial": ("Yeoh 1993", "Yeoh OH (1993) Some forms of the strain energy function for rubber. Rubber "
+                                        "Chem Technol 66:754-771"),
+    "ogden": ("Ogden 1972", "Ogden RW (1972) Large deformation isotropic elasticity: on the correlation of theory and "
+                            "experiment for incompressible rubberlike solids. Proc R Soc Lond A 326:565-584"),
+    "prony": ("Simo 1987", "Simo JC (1987) On a fully three-dimensional finite-strain viscoelastic damage model. "
+                           "Comput Methods Appl Mech Eng 60:153-173"),
+    "descent": ("Branch et al. 1999", "Branch MA, Coleman TF, Li Y (1999) A subspace, interior, and conjugate gradient "
+                                      "method for large-scale bound-constrained minimization problems. SIAM J Sci "
+                                      "Comput 21:1-23"),
+    "projection": ("Golub and Pereyra 1973", "Golub GH, Pereyra V (1973) The differentiation of pseudo-inverses and "
+                                             "nonlinear least squares problems whose variables separate. SIAM J Numer "
+                                             "Anal 10:413-432"),
+    "profiles": ("Raue et al. 2009", "Raue A, Kreutz C, Maiwald T, et al. (2009) Structural and practical "
+                                     "identifiability analysis of partially observed dynamical models by exploiting "
+                                     "the profile likelihood. Bioinformatics 25:1923-1929"),
+    "BIC": ("Schwarz 1978", "Schwarz G (1978) Estimating the dimension of a model. Ann Statist 6:461-464"),
+    "holm": ("Holm 1979", "Holm S (1979) A simple sequentially rejective multiple test procedure. Scand J Statist "
+                          "6:65-70"),
+    "numpy": ("Harris et al. 2020", "Harris CR, Millman KJ, van der Walt SJ, et al. (2020) Array programming with "
+                                    "NumPy. Nature 585:357-362"),
+    "scipy": ("Virtanen et al. 2020", "Virtanen P, Gommers R, Oliphant TE, et al. (2020) SciPy 1.0: fundamental "
+                                      "algorithms for scientific computing in Python. Nat Methods 17:261-272"),
+    "taichi": ("Hu et al. 2019", "Hu Y, Li TM, Anderson L, et al. (2019) Taichi: a language for high-performance "
+                                 "computation on spatially sparse data structures. ACM Trans Graph 38:201"),
+}
+
+
+def methods_text(result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCurve]], units: Units) -> str:
+    """Paragraphs of data, model, method, noise and numbers, then the references that they cite, in plain text.
+
+    Args:
+        result: fits best first. measured: test -> its recordings.
+    """
+    cited: dict[str, None] = {}
+
+    def cite(*keys: str) -> str:
+        cited.update(dict.fromkeys(keys))
+        return f"({'; '.join(_REFERENCES[key][0] for key in keys)})"
+
+    paragraphs = [_data(result, measured), _laws(result, cite), _method(result, cite), _noise(result, units),
+                  _numbers(result, units), _software(cite)]
+    references = "\n".join(f"{reference}." for reference in sorted(_REFERENCES[key][1] for key in cited))
+    return "\n\n".join([*paragraphs, f"References\n{references}"]) + "\n"
+
+
+def _data(result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCurve]]) -> str:
+    parts = []
+    for test in result.campaign.tests:
+        curves = measured[test.name]
+        words = f"{test.name} ({test.kind.title[0].lower()}{test.kind.title[1:]}"
+        if test.specimen is not None:
+            words += (f", specimen of height {test.specimen.height * 1e3:.4g} mm and cross-section "
+                      f"{test.specimen.area * 1e6:.4g} mm2")
+        if test.experiment is not None and test.experiment.tool.radius is not None:
+            words += f", {test.experiment.tool.shape} tool of radius {test.experiment.tool.radius * 1e3:g} mm"
+        if test.max_strain is not None:
+            words += f", up to a nominal strain of {test.max_strain:g}"
+        parts.append(f"{words}; {counted(len(curves), 'recording')}, {sum(c.force.size for c in curves)} points"
+                     f"{'; held out of all fits' if test.hold_out else ''})")
+    return f"Data. {'; '.join(parts)}."
+
+
+def _laws(result: CalibrationResult, cite) -> str:
+    laws = []
+    for fit in sorted(result.fits, key=lambda fit: fit.law):
+        key = next((key for key in _REFERENCES if fit.law.startswith(key)), None)
+        laws.append(f"{find_law(fit.law).title}{f' {cite(key)}' if key else ''}, {fit.formula}")
+    text = f"Material. {'; '.join(laws)}."
+    terms = sum(name.endswith(".g") and "viscoelastic" in name for name in result.best.parameters)
+    if terms:
+        text += (f" The isochoric second Piola-Kirchhoff stress relaxes by a Prony series of {counted(terms, 'term')} "
+                 f"{cite('prony')}; moduli are instantaneous.")
+    return text
+
+
+def _method(result: CalibrationResult, cite) -> str:
+    if result.campaign.fit.method == "analytical":
+        text = ("Identification. The closed forms of the homogeneous deformation of the incompressible material were "
+                "fitted to the nominal stress by non-linear least squares (trust-region reflective, several "
+                f"starts; {cite('descent')[1:-1]}).")
+        offsets = result.campaign.fit.offset == "fit"
+        text += " Contact offset and zero of each recording were fitted, with priors." if offsets else ""
+        return f"{text} {_ranking(result, cite)}"
+    starts = counted(result.campaign.fit.starts, "start")
+    return ("Identification. All tests were simulated with axisymmetric nine-node finite elements (homogeneous tests: "
+            "closed forms) under the recorded motion, and the parameters found by generalised least squares on the "
+            f"force (trust-region reflective, {starts}; {cite('descent')[1:-1]}). Contact offset and zero of each "
+            f"recording and the mesh error were marginalised as nuisance parameters {cite('projection')}. Intervals "
+            f"are those of the profile likelihood {cite('profiles')}; residuals were tested for smooth misfit by "
+            f"region, p adjusted for their number {cite('holm')}. {_ranking(result, cite)}")
+
+
+def _ranking(result: CalibrationResult, cite) -> str:
+    by = "their prediction of tests that they were not fitted to" if ranked_by_prediction(result.fits) else \
+        f"the Bayesian information criterion {cite('BIC')}"
+    return f"Laws were ranked by {by}."
+
+
+def _noise(result: CalibrationResult, units: Units) -> str:
+    tests = {test.name: test for test in result.campaign.tests}
+    levels = [f"{units.load(tests[n.test]).text(n.deviation_N, 2)} in {n.test} ({n.source}, " + (
+        "white)" if n.correlation_time_s == 0 else f"correlated over {n.correlation_time_s:.2g} s)")
+        for n in result.noise]
+    if result.noise_Pa is not None:
+        levels = [f"{units.pressure.text(result.noise_Pa, 2)} of nominal stress ({result.noise_source})"]
+    jitter = result.best.jitter
+    contact, zero = ("", "") if jitter is None else units.scatter(jitter, result.campaign.tests)
+    scatter = f" Between recordings the contact point scatters by {contact} and the zero by {zero}." if contact else ""
+    basis = {"noise": "that noise", "residuals": "the residuals, which exceed that noise",
+             "replicates": "the scatter of the replicates"}[result.best.covariance_from]
+    return (f"Uncertainty. Standard deviation of the noise: {', '.join(levels)}.{scatter} Standard errors rest on "
+            f"{basis}; numbers are given as estimate ± standard error [95 % interval], rounded by the rule of the "
+            "Particle Data Group.")
+
+
+def _numbers(result: CalibrationResult, units: Units) -> str:
+    sentences = []
+    for fit in result.fits:
+        unusable = f" Not usable: {fit.unusable}." if fit.unusable else ""
+        sentences.append(f"{find_law(fit.law).title}: {', '.join(_parameters(fit, units))}; E0 = "
+                         f"{with_minus(young_modulus(fit, units))}; R2 = {fit.R2:.4f}, "
+                         f"residuals {fit.noise_ratio:.2g} times the noise.{unusable}")
+    for p in result.predictions:
+        if p.law == result.best.law and p.percent is not None:
+            sentences.append(f"{find_law(p.law).title} predicts {p.test}, which it was not fitted to, within "
+                             f"{percent(p.percent)} of the largest load (root mean square).")
+    return f"Results. {' '.join(sentences)}"
+
+
+def _parameters(fit: Fit, units: Units) -> Iterator[str]:
+    for name in fit.parameters:
+        interval = interval_of(fit, name, units)
+        yield with_minus(f"{plain_symbol(fit.symbols[name])} = {estimate_of(fit, name, units)}"
+                         f"{f' [{interval}]' if interval else ''}")
+
+
+def _software(cite) -> str:
+    used = []
+    for package in ("taichi", "numpy", "scipy"):
+        try:
+            used.append(f"{package} {version(package)} {cite(package)}")
+        except PackageNotFoundError:
+            continue
+    return f"Software. tissue_sim {tissue_sim.__version__}, {', '.join(used)}."
