@@ -220,14 +220,16 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
         sag_mm: specimen that weighs -> by how much it sags with this law.
         nuisances: of the replicates when offsets are fitted or their jitter is marginalised.
         minima: best first. starts: how many were tried.
-        status: ``"converged"``, ``"unstable"`` (in the measured loading over the data), ``"not_physical"`` or
-            ``"not_converged"``. Only the first is usable.
+        misfits: fitted test -> root mean square residual, % of its largest force.
+        status: ``"converged"``, ``"misfit"`` (does not describe the data), ``"unstable"`` (in the measured loading over
+            the data), ``"not_physical"`` or ``"not_converged"``. Only the first is usable.
         unusable: why it is not usable over the data; None where it is.
         warnings: what to mind, usable or not: bounds that hold unknowns, loss of stability in other loading.
         message: for people; holds both.
         iterations: evaluations of the model. fem_solves: simulated tests; 0 for a closed form. cpu_s: processor
             seconds.
         material_file: name of the file, None where the fit gives no material.
+        left_out: percent, root mean square over the tests, of the predictions that rank the laws.
 
     Of an inverse fit only:
         interval_notes: name -> what cut its interval. profiles: name -> profile likelihood.
@@ -237,7 +239,6 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
         jitter, mesh: what was marginalised and corrected.
         estimate_cpu_s: processor seconds from the best start to the estimate, the rest of `cpu_s` went into other
             starts, profiles, left-out tests and pictures.
-        left_out: percent, root mean square over the tests, of the predictions that rank the laws.
     """
 
     law: str
@@ -269,6 +270,7 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
     nuisances: list[Nuisance] = []
     minima: list[Minimum] = []
     starts: int
+    misfits: dict[str, float] = {}
     status: str
     unusable: str | None = None
     warnings: list[str] = []
@@ -292,6 +294,11 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
     def unit(self, name: str) -> str:
         """Of a parameter, as people read it: empty for a number."""
         return "" if self.units[name] == "1" else self.units[name]
+
+    @property
+    def held(self) -> list[str]:
+        """Parameters that a bound holds."""
+        return [name for name in self.on_bound if name in self.parameters]
 
     def in_symbols(self, names: Iterable[str]) -> str:
         """Symbols of parameters, such as ``C10, g1``."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,11 +12,10 @@ from calibration.fit.campaign_problem import build_problem
 from calibration.fit.checks import check_start
 from calibration.fit.estimate import Estimate, settle
 from calibration.fit.estimator import Estimator, Findings
-from calibration.fit.fit import Fit, JitterStatement, MeshCorrection, Minimum, Nuisance, Prediction
+from calibration.fit.fit import JitterStatement, MeshCorrection, Minimum, Nuisance
 from calibration.fit.identifiability import condition, suggest_tests, weak_directions
 from calibration.fit.levenberg_marquardt import ENOUGH_OF_A_START, Descent, Listener, descend, distinct
 from calibration.fit.problem import Evaluation, Problem
-from calibration.fit.ranking import prediction_message
 from calibration.fit.regions import judge_regions, name_misfits
 from calibration.fit.starts import starts
 from calibration.fit.steps import Steps
@@ -77,9 +76,10 @@ class Generalised(Estimator):
             return Noise(contact_jitter=problem.jitter.contact, zero_jitter=problem.jitter.zero)
         return self.campaign.noise
 
-    def uncertainty(self, estimate: Estimate) -> Uncertainty:
+    @property
+    def uncertainty(self) -> Callable[[Problem, Evaluation], Uncertainty]:
         """That of the parameters, with the nuisances marginalised."""
-        return assess_uncertainty(estimate.problem, estimate.evaluation)
+        return assess_uncertainty
 
     def describe(self, found: Findings) -> dict[str, Any]:
         """As `Estimator.describe`."""
@@ -136,10 +136,6 @@ class Generalised(Estimator):
     def scatter(self, estimate: Estimate) -> Jitter | None:
         """The jitter that was marginalised."""
         return estimate.problem.jitter
-
-    def rank_message(self, fits: Sequence[Fit], predictions: Sequence[Prediction]) -> str:
-        """As `Estimator.rank_message`."""
-        return prediction_message(fits, predictions)
 
 
 def run_start(problem: Problem, number: int, theta: np.ndarray, listen: Listener | None = None) -> Descent:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -153,6 +152,10 @@ class LeastSquares:
         """Residual, rates, columns, nuisances and force of an `Evaluation`."""
         raise NotImplementedError
 
+    def without(self, number: int, theta: np.ndarray) -> tuple[LeastSquares, np.ndarray]:
+        """The problem without one of its tests, and those of the unknowns that it still has."""
+        raise NotImplementedError
+
 
 @dataclass(eq=False)
 class Problem(LeastSquares):
@@ -179,10 +182,11 @@ class Problem(LeastSquares):
         self.shared = list(map(slice, ends[:-1], ends[1:]))
         self.nuisances = ends[-1]
 
-    def with_tests(self, numbers: Sequence[int]) -> Problem:
-        """The same problem with some of the tests."""
-        return Problem(self.space, tuple(self.tests[i] for i in numbers), self.solves, self.jitter,
-                       tuple(self.mesh_error[i] for i in numbers))
+    def without(self, number: int, theta: np.ndarray) -> tuple[Problem, np.ndarray]:
+        """As `LeastSquares.without`."""
+        kept = [i for i in range(len(self.tests)) if i != number]
+        return Problem(self.space, tuple(self.tests[i] for i in kept), self.solves, self.jitter,
+                       tuple(self.mesh_error[i] for i in kept)), theta
 
     def _weighted(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
         try:
