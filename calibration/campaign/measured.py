@@ -22,6 +22,8 @@ from tissue_sim.recording.segmentation import label_motion, number_runs
 SIZE_TOLERANCE = 0.02
 #: Segments other than a first loading, to which an elastic law is fitted.
 NOT_LOADING = ("approach", "hold", "unload", "reload", "retract")
+#: A specimen that went this share of its largest displacement to the other side was loaded to both.
+OTHER_SIDE = 0.05
 #: Replicates of one test may differ by this share in their speed and in their largest displacement.
 REPLICATE_TOLERANCE = 0.2
 
@@ -168,17 +170,17 @@ def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Ca
         # A table of stress and stretch has no order in time; sorted, its neighbours tell the noise.
         places = places[np.argsort(displacement[places], kind="stable")]
     else:
-        last = int(np.argmax(displacement[places]))
-        if last + 1 < MIN_POINTS:
-            raise InputError(f"{path.name} has its largest strain in sample {last + 1}, and what follows counts as "
-                             f"unloading; sort the file by time, so that at least {MIN_POINTS} samples load the "
+        loads = _first_loading(displacement[places], both_sides=test.kind.gripped)
+        if loads.size < MIN_POINTS:
+            raise InputError(f"{path.name} has its largest strain in sample {loads[-1] + 1}, and what follows counts "
+                             f"as unloading; sort the file by time, so that at least {MIN_POINTS} samples load the "
                              "specimen", field="recordings")
-        places = places[: last + 1]
+        places = places[loads]
         later = displacement.size - 1 - int(places[-1]) if time is not None else 0
     loading = places
     inside: np.ndarray = np.ones(places.size, bool)
     if test.max_strain is not None:
-        reached = np.abs(displacement) if test.kind.both_ways else displacement
+        reached = np.abs(displacement) if test.kind.gripped else displacement
         inside = reached[places] <= test.max_strain * height * (1 + 1e-9)
         # A window of the loading; what comes after the first sample beyond it had a history outside it.
         beyond = np.flatnonzero(~inside)
@@ -206,6 +208,21 @@ def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Ca
     for array in (curve.displacement, curve.force):
         array.flags.writeable = False
     return curve
+
+
+def _first_loading(displacement: np.ndarray, both_sides: bool) -> np.ndarray:
+    """Samples up to the largest displacement, and where it went to both sides those of the other loading: from rest to
+    its own extreme, without the return between them."""
+    last, other = int(np.argmax(displacement)), int(np.argmin(displacement))
+    if not both_sides or -displacement[other] < OTHER_SIDE * displacement[last]:
+        return np.arange(last + 1)
+    first, second = sorted((last, other))
+    # The return ends where the displacement has changed its sign for the last time before the second extreme.
+    turned = np.flatnonzero(displacement[first:second] * displacement[second] <= 0)
+    if first + 1 < MIN_POINTS:
+        # It began at an extreme, so that all that leads to the other is one loading.
+        return np.arange(first, second + 1)
+    return np.append(np.arange(first + 1), np.arange(first + turned[-1] + 1, second + 1))
 
 
 def _check_way(displacement: np.ndarray, height: float, test: Test, path: Path) -> None:
@@ -253,7 +270,7 @@ def _evenly_spaced(displacement: np.ndarray, curve: MeasuredCurve, campaign: Cam
     height = 1.0 if test.specimen is None else test.specimen.height
     limit = np.inf if test.max_strain is None else test.max_strain * height
     way, samples = np.unique(displacement, return_index=True)
-    start = max(way[0], -limit if test.kind.both_ways else 0.0)
+    start = max(way[0], -limit if test.kind.gripped else 0.0)
     grid = np.linspace(start, min(way[-1], limit), points)
     inside = int(np.sum((way >= grid[0]) & (way <= grid[-1] * (1 + 1e-9))))
     if points > inside:

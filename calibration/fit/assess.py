@@ -65,7 +65,8 @@ def assess(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descen
         "mu0": mu0, "stable_from": stability.stable_from, "stable_to": stability.stable_to,
         "stability": stability.describe(), "stretch_range": (float(stretches[0]), float(stretches[1])),
         "sag_mm": sags(law, law.as_array(moduli), campaign), "minima": list(estimate.minima), "starts": len(descents),
-        "misfits": misfits, "status": status, "unusable": unusable, "cpu_s": 0.0, "interval_notes": notes, "profiles": profiles,
+        "misfits": misfits, "status": status, "unusable": unusable, "cpu_s": 0.0,
+        "interval_notes": notes, "profiles": profiles,
         "iterations": sum(len(descent.history) for descent in descents) + len(estimate.history),
         "material_file": f"{law.name}.material.json" if mu0 > 0 else None}
     lost = _other_losses(stability, reached, stretches)
@@ -91,7 +92,7 @@ def _misfits(estimate: Estimate) -> tuple[dict[str, float], list[str]]:
     shares: dict[str, float] = {}
     missed = []
     for number, test in enumerate(problem.tests):
-        mine = [(rows, curve) for rows, (t, _), curve in zip(problem.rows, problem.places, problem.measured, strict=True)
+        mine = [(rows, test.measured[r]) for rows, (t, r) in zip(problem.rows, problem.places, strict=True)
                 if t == number]
         residual = np.concatenate([gap[rows] for rows, _ in mine])
         ratio = float(np.sqrt(np.mean(np.concatenate([gap[rows] / curve.noise.deviation for rows, curve in mine])**2)))
@@ -101,7 +102,7 @@ def _misfits(estimate: Estimate) -> tuple[dict[str, float], list[str]]:
         if share > FAR_OFF and ratio > MODEL_ERROR_RATIO:
             quantity = "stress" if mine[0][1].stressed else "force"
             missed.append(f"its residuals in {test.name} are {100 * share:.2g} % of the largest {quantity} and "
-                          f"{ratio:.2g} times the noise")
+                          f"{ratio:.3g} times the noise")
     return shares, missed
 
 

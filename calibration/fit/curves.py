@@ -101,9 +101,11 @@ def _path(test: ForwardTest) -> MeasuredCurve:
         time, displacement = even, np.interp(even, first.clock, first.displacement)
         segment = np.full(displacement.size, "")
     else:
-        # Shear may go both ways: there the path leads from one end to the other.
-        start = min(0.0, float(reached.min())) if first.test.kind.both_ways else 0.0
-        displacement = np.linspace(start, float(reached.max()), POINTS)
-        time = None if first.time is None else np.interp(displacement, first.displacement, first.clock)
+        # A gripped specimen may be loaded to both sides: there the path leads from one end to the other.
+        start = min(0.0, float(reached.min())) if first.test.kind.gripped else 0.0
+        displacement = np.linspace(start, max(0.0, float(reached.max())), POINTS)
+        if first.time is not None:
+            order = np.argsort(first.displacement, kind="stable")
+            time = np.interp(displacement, first.displacement[order], first.clock[order])
     return replace(first, time=time, displacement=displacement, force=np.zeros_like(displacement), segment=segment,
                    interpolation=None)

@@ -74,7 +74,7 @@ def rank_message(fits: Sequence[Fit], predictions: Sequence[Prediction], fitted:
                      if len(fits) > 1 else f"{single}, so nothing is known of how it predicts another")
     else:
         parts += [*_predicting(fits, predictions), *filter(None, [_doubted_noise(best, fitted)])]
-    if passed := [_passed(fit) for fit in fits if (fit.unusable is not None or fit.held and not best.held)
+    if passed := [_passed(fit) for fit in fits if (fit.unusable is not None or (fit.held and not best.held))
                   and (fit.left_out is None) == (best.left_out is None) and _figure(fit) < _figure(best)]:
         parts.append(f"{'lower BIC' if best.left_out is None else 'less wrong'}, but not usable: {', '.join(passed)}")
     if bad := name_misfits(best.regions):
