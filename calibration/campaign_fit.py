@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 import tissue_sim
 from calibration.campaign.campaign import Campaign
-from calibration.campaign.measured import MeasuredCurve, read_measured
+from calibration.campaign.measured import MeasuredCurve, read_measured, scale_offsets
 from calibration.fit.assess import assess
 from calibration.fit.curves import draw_curves
 from calibration.fit.estimate import Estimate
@@ -49,8 +49,9 @@ class CampaignFit:
     """
 
     def __init__(self, campaign: Campaign, folder: Path, steps: Steps):
-        self.campaign, self.folder, self.steps = campaign, folder, steps
+        self.folder, self.steps = folder, steps
         self.measured: dict[str, tuple[MeasuredCurve, ...]] = read_measured(campaign)
+        self.campaign = campaign = scale_offsets(campaign, self.measured)
         self.recordings = [curve for curves in self.measured.values() for curve in curves]
         self.digest = _digest(campaign, self.recordings)
         self.solves = Solves()

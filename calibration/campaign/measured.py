@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse import csr_array
 
-from calibration.campaign.campaign import Campaign, Test
+from calibration.campaign.campaign import DEFAULT_OFFSET_BOUND, DEFAULT_OFFSET_PRIOR, Campaign, Test
 from calibration.statistics.sensor_noise import SensorNoise, estimate_shared_noise, spread_stamps
 from calibration.statistics.statistics import estimate_noise, resolution
 from tissue_sim.errors import InputError
@@ -22,6 +22,8 @@ from tissue_sim.recording.segmentation import label_motion, number_runs
 SIZE_TOLERANCE = 0.02
 #: Segments other than a first loading, to which an elastic law is fitted.
 NOT_LOADING = ("approach", "hold", "unload", "reload", "retract")
+#: The contact is not known to less than this share of the way of a test, unless somebody says so.
+CONTACT_SHARE = 0.005
 #: A specimen that went this share of its largest displacement to the other side was loaded to both.
 OTHER_SIDE = 0.05
 #: Replicates of one test may differ by this share in their speed and in their largest displacement.
@@ -119,6 +121,21 @@ def read_measured(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:
         raise InputError('offset = "fit" needs tests recorded as displacement and force; use "none"',
                          file=campaign.path, field="fit.offset")
     return found
+
+
+def usual_contact(curves: Sequence[MeasuredCurve]) -> float:
+    """Standard deviation of a contact offset that is assumed where nobody states one, m: the usual one, or a share of
+    the way of the shortest test. Of tests recorded as strain a share of that."""
+    return min(min(CONTACT_SHARE * float(np.abs(curve.displacement).max()),
+                   np.inf if curve.stressed else DEFAULT_OFFSET_PRIOR) for curve in curves)
+
+
+def scale_offsets(campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCurve]]) -> Campaign:
+    """The campaign with prior and bounds of contact offsets that nobody stated in the size of its tests."""
+    curves = [curve for test in campaign.tests if not test.hold_out for curve in measured[test.name]]
+    contact = usual_contact(curves)
+    usual = {"offset_prior": contact, "offset_bound": contact * DEFAULT_OFFSET_BOUND / DEFAULT_OFFSET_PRIOR}
+    return replace(campaign, fit=replace(campaign.fit, **{name: usual[name] for name in campaign.fit.offset_usual}))
 
 
 def names_of(recordings: Sequence[Recording], path: Path, test: Test) -> list[str]:

@@ -166,11 +166,31 @@ class SensorStatement(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class JitterStatement(msgspec.Struct, frozen=True, kw_only=True):
-    """Scatter between recordings, and how many degrees of freedom an estimate of it has (None: stated)."""
+    """Scatter between recordings.
+
+    Attributes:
+        contact_mm, zero_N: standard deviations; of tests without a specimen 1000 times strain, and Pa.
+        freedom: degrees of freedom of an estimate; 0: assumed; None: stated.
+        stressed: whether all tests are without a specimen.
+    """
 
     contact_mm: float
     zero_N: float
     freedom: int | None = None
+    stressed: bool = False
+
+    @property
+    def sizes(self) -> tuple[str, str]:
+        """Contact and zero, with their units."""
+        if self.stressed:
+            return f"{self.contact_mm * 1e-3:.2g} of strain", f"{self.zero_N:.2g} Pa"
+        return _in_digits(self.contact_mm, "mm", "µm", "nm"), _in_digits(self.zero_N, "N", "mN", "µN", "nN", "pN")
+
+
+def _in_digits(value: float, *units: str) -> str:
+    """Two digits in the first of these units, each a thousandth of the one before, in which it is 0.01 or more."""
+    place = next((i for i in range(len(units)) if abs(value) * 1e3**i >= 0.01), len(units) - 1) if value else 0
+    return f"{value * 1e3**place:.2g} {units[place]}"
 
 
 class MeshCorrection(msgspec.Struct, frozen=True, kw_only=True):

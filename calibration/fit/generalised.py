@@ -114,8 +114,7 @@ class Generalised(Estimator):
             "condition": condition(spread), "directions": directions,
             "suggestions": suggest_tests(problem, estimate.theta, spread)
             if (found.loose or directions) and not on_bound else [],
-            "jitter": JitterStatement(contact_mm=problem.jitter.contact * 1e3, zero_N=problem.jitter.zero,
-                                      freedom=problem.jitter.freedom),
+            "jitter": _jitter(problem),
             "mesh": [MeshCorrection(test=test.name, remainder_percent=100.0 * error, refreshes=estimate.refreshes,
                                     largest_percent=100.0 * difference if np.isfinite(difference) else None)
                      for test, difference, error in zip(problem.tests, estimate.differences, problem.mesh_error,
@@ -148,6 +147,11 @@ def run_settle(problem: Problem, best: Descent, stated: Noise, listen: Listener 
     return settle(problem, best.theta, stated, start=best.start, past=len(best.history), listen=listen)
 
 
+def _jitter(problem: Problem) -> JitterStatement:
+    return JitterStatement(contact_mm=problem.jitter.contact * 1e3, zero_N=problem.jitter.zero,
+                           freedom=problem.jitter.freedom, stressed=all(curve.stressed for curve in problem.measured))
+
+
 def _doubts(problem: Problem, evaluation: Evaluation, spread: Uncertainty) -> list[str]:
     """What speaks against trusting the numbers."""
     warnings, jitter = [], problem.jitter
@@ -162,9 +166,11 @@ def _doubts(problem: Problem, evaluation: Evaluation, spread: Uncertainty) -> li
         warnings.append(f"the scatter of the {what} comes out as 0 from few recordings, which does not prove it: state "
                         f"{'contact_jitter_mm' if what == 'contact' else 'zero_jitter_N'}")
     if jitter.freedom == 0:
+        said = _jitter(problem)
+        of_strain = " (1000 times strain, and Pa)" if said.stressed else ""
         warnings.append("no test has two recordings, so the scatter between recordings is not known and was assumed: "
-                        f"contact {jitter.contact * 1e3:.2g} mm, zero {jitter.zero:.2g} N; state "
-                        "contact_jitter_mm and zero_jitter_N (of tests without a specimen: 1000 times strain, and Pa)")
+                        f"contact {said.sizes[0]}, zero {said.sizes[1]}; state contact_jitter_mm and "
+                        f"zero_jitter_N{of_strain}")
     if spread.ratio > MODEL_ERROR_RATIO:
         warnings.append(f"residuals are {spread.ratio:.3g} times the noise: the model misses something, and the "
                         "standard errors are no more than a guess")

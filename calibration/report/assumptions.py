@@ -57,8 +57,9 @@ def _of_simulations(result: CalibrationResult) -> list[str]:
         freedom = best.jitter.freedom
         source = "stated in the campaign, or the usual prior" if freedom is None else \
             f"estimated with {freedom} degrees of freedom" if freedom else "assumed, as no test has two recordings"
-        lines.append(f"Between recordings the contact point scatters by {best.jitter.contact_mm:.3g} mm and the zero "
-                     f"by {best.jitter.zero_N:.3g} N (standard deviations), {source}.")
+        contact, zero = best.jitter.sizes
+        lines.append(f"Between recordings the contact point scatters by {contact} and the zero by {zero} (standard "
+                     f"deviations), {source}.")
     for noise in result.noise:
         test = next(test for test in campaign.tests if test.name == noise.test)
         colour = "white" if noise.correlation_time_s == 0 else f"correlated over {noise.correlation_time_s:.3g} s"

@@ -233,9 +233,10 @@ def _basis(result: CalibrationResult, tests: Mapping[str, Test]) -> Iterator[str
     jitter = result.best.jitter
     scatter = ""
     if jitter is not None:
-        freedom = "stated" if jitter.freedom is None else f"from {counted(jitter.freedom, 'degree')} of freedom"
-        scatter = (f"; between recordings {jitter.contact_mm:.2g} mm of contact, {jitter.zero_N:.2g} N of zero, "
-                   f"{freedom}")
+        freedom = "stated" if jitter.freedom is None else "assumed" if not jitter.freedom else \
+            f"from {counted(jitter.freedom, 'degree')} of freedom"
+        contact, zero = jitter.sizes
+        scatter = f"; between recordings {contact} of contact, {zero} of zero, {freedom}"
     if parts:
         yield f"noise: {', '.join(parts)}{scatter}"
     meshes = [f"{mesh.test} {mesh.largest_percent:.2g} %" for mesh in result.best.mesh if mesh.largest_percent]
