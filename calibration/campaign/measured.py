@@ -24,6 +24,8 @@ SIZE_TOLERANCE = 0.02
 NOT_LOADING = ("approach", "hold", "unload", "reload", "retract")
 #: The contact is not known to less than this share of the way of a test, unless somebody says so.
 CONTACT_SHARE = 0.005
+#: Loading has ended where this share of the largest displacement is reached.
+LOADED = 0.98
 #: A specimen that went this share of its largest displacement to the other side was loaded to both.
 OTHER_SIDE = 0.05
 #: Replicates of one test may differ by this share in their speed and in their largest displacement.
@@ -73,7 +75,8 @@ class MeasuredCurve:
         """Of the loading, m/s; None without time."""
         if self.time is None:
             return None
-        last = int(np.argmax(self.displacement))
+        # A hold trembles and creeps: its largest displacement may be anywhere in it.
+        last = int(np.argmax(self.displacement >= LOADED * self.displacement.max()))
         way, duration = self.displacement[last] - self.displacement[0], self.time[last] - self.time[0]
         return float(way / duration) if duration > 0 else None
 
