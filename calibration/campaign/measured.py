@@ -22,8 +22,9 @@ from tissue_sim.recording.segmentation import label_motion, number_runs
 SIZE_TOLERANCE = 0.02
 #: Segments other than a first loading, to which an elastic law is fitted.
 NOT_LOADING = ("approach", "hold", "unload", "reload", "retract")
-#: The contact is not known to less than this share of the way of a test, unless somebody says so.
-CONTACT_SHARE = 0.005
+#: Contact offsets that nobody states scatter by no more than this share of the way of a test, and of the strain of one
+#: that was recorded as strain.
+CONTACT_SHARE, STRAIN_SHARE = 0.02, 0.005
 #: Loading has ended where this share of the largest displacement is reached.
 LOADED = 0.98
 #: A specimen that went this share of its largest displacement to the other side was loaded to both.
@@ -129,16 +130,20 @@ def read_measured(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:
 def usual_contact(curves: Sequence[MeasuredCurve]) -> float:
     """Standard deviation of a contact offset that is assumed where nobody states one, m: the usual one, or a share of
     the way of the shortest test. Of tests recorded as strain a share of that."""
-    return min(min(CONTACT_SHARE * float(np.abs(curve.displacement).max()),
-                   np.inf if curve.stressed else DEFAULT_OFFSET_PRIOR) for curve in curves)
+    return min(STRAIN_SHARE * way if stressed else min(CONTACT_SHARE * way, DEFAULT_OFFSET_PRIOR)
+               for way, stressed in ((float(np.abs(curve.displacement).max()), curve.stressed) for curve in curves))
 
 
 def scale_offsets(campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCurve]]) -> Campaign:
     """The campaign with prior and bounds of contact offsets that nobody stated in the size of its tests."""
     curves = [curve for test in campaign.tests if not test.hold_out for curve in measured[test.name]]
     contact = usual_contact(curves)
-    usual = {"offset_prior": contact, "offset_bound": contact * DEFAULT_OFFSET_BOUND / DEFAULT_OFFSET_PRIOR}
-    return replace(campaign, fit=replace(campaign.fit, **{name: usual[name] for name in campaign.fit.offset_usual}))
+    fit = campaign.fit
+    if "offset_prior" in fit.offset_usual:
+        fit = replace(fit, offset_prior=contact)
+    if "offset_bound" in fit.offset_usual:
+        fit = replace(fit, offset_bound=contact * DEFAULT_OFFSET_BOUND / DEFAULT_OFFSET_PRIOR)
+    return replace(campaign, fit=fit)
 
 
 def names_of(recordings: Sequence[Recording], path: Path, test: Test) -> list[str]:

@@ -188,8 +188,8 @@ class JitterStatement(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def _in_digits(value: float, *units: str) -> str:
-    """Two digits in the first of these units, each a thousandth of the one before, in which it is 0.01 or more."""
-    place = next((i for i in range(len(units)) if abs(value) * 1e3**i >= 0.01), len(units) - 1) if value else 0
+    """Two digits in the first of these units, each a thousandth of the one before, in which it is 0.001 or more."""
+    place = next((i for i in range(len(units)) if abs(value) * 1e3**i >= 1e-3), len(units) - 1) if value else 0
     return f"{value * 1e3**place:.2g} {units[place]}"
 
 

@@ -24,6 +24,7 @@ from calibration.forward.closed import ClosedTest
 from calibration.forward.contract import ForwardTest
 from calibration.forward.forms import analytical_test
 from calibration.forward.solves import Solves
+from calibration.statistics.jitter import Jitter
 from calibration.statistics.statistics import CURVATURE_RATIO, MODEL_ERROR_RATIO, r_squared
 from calibration.statistics.uncertainty import Uncertainty, sandwich
 from tissue_sim.errors import InputError
@@ -127,6 +128,12 @@ class Ordinary(Estimator):
         if found.loose:
             parts.append(f"the data do not determine {found.estimate.problem.space.in_symbols(found.loose)}")
         return parts
+
+    def scatter(self, estimate: Estimate) -> Jitter | None:
+        """The jitter, where it is stated."""
+        noise = self.campaign.noise
+        stated = noise.contact_jitter or noise.zero_jitter
+        return Jitter(noise.contact_jitter or 0.0, noise.zero_jitter or 0.0, None) if stated else None
 
     def held_out(self, test: Test, estimate: Estimate) -> tuple[ForwardTest, float]:
         """A closed form is exact."""

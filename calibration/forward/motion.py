@@ -133,7 +133,7 @@ class Timed:
         """
         travel = float(np.ptp(displacement))
         corners = corners_of(time, displacement, STRAIGHT * travel)
-        corners = _without_trembling(displacement, corners, HELD * travel)
+        corners = np.array(_without_trembling(displacement, corners, HELD * travel))
         t, d = time[corners].astype(float), displacement[corners].astype(float)
         if d[0] > STRAIGHT * travel and d.size > 1 and d[1] > d[0]:
             t, d = np.append(t[0] - d[0] * (t[1] - t[0]) / (d[1] - d[0]), t), np.append(0.0, d)
