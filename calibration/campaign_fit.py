@@ -19,6 +19,7 @@ from calibration.fit.estimate import Estimate
 from calibration.fit.estimator import Estimator
 from calibration.fit.fit import SensorStatement
 from calibration.fit.generalised import Generalised
+from calibration.fit.influence import add_influence
 from calibration.fit.ordinary import Ordinary
 from calibration.fit.profiles import ProfileSide, profile_side
 from calibration.fit.ranking import Fitted, rank, rank_message
@@ -124,6 +125,7 @@ class CampaignFit:
             spent = self.solves.meter()
             (descents, _), sides, left, spread = ends[law], sides_of[law], left_of[law], spreads[law]
             fit = assess(self.estimator, estimate, spread, descents, sides, campaign)
+            fit = add_influence(fit, estimate.problem, estimate.evaluation)
             fitted = zip(estimate.problem.tests, estimate.problem.mesh_error, strict=True)
             tests = [self.estimator.held_out(test, estimate) if test.hold_out else next(fitted)
                      for test in campaign.tests]

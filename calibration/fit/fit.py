@@ -151,6 +151,13 @@ class Suggestion(msgspec.Struct, frozen=True, kw_only=True):
     standard_errors: dict[str, float]
 
 
+class Window(msgspec.Struct, frozen=True, kw_only=True):
+    """The free parameters, SI, from the samples up to a share of the largest strain of each test."""
+
+    share: float
+    parameters: dict[str, float]
+
+
 class SensorStatement(msgspec.Struct, frozen=True, kw_only=True):
     """Noise of one test's recordings, as stated or estimated.
 
@@ -248,6 +255,8 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
         message: for people; holds both.
         iterations: evaluations of the model. fem_solves: simulated tests; 0 for a closed form. cpu_s: processor
             seconds.
+        influence: recording -> free parameters without it, SI; of tests of three recordings or more.
+        odd_recordings: those that disagree with the others. windows: parameters from parts of the strain.
         material_file: name of the file, None where the fit gives no material.
         left_out: percent, root mean square over the tests, of the predictions that rank the laws.
 
@@ -298,6 +307,9 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
     iterations: int
     fem_solves: int = 0
     cpu_s: float
+    influence: dict[str, dict[str, float]] = {}
+    odd_recordings: list[str] = []
+    windows: list[Window] = []
     material_file: str | None = None
     interval_notes: dict[str, str] = {}
     profiles: dict[str, Profile] = {}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -151,6 +151,21 @@ class LeastSquares:
     def _weighted(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
         """Residual, rates, columns, nuisances and force of an `Evaluation`."""
         raise NotImplementedError
+
+    def within(self, share: float) -> LeastSquares:
+        """The problem with the first samples of each test, to a share of its largest displacement to either side."""
+        def cut(curve: MeasuredCurve, reach: float) -> MeasuredCurve:
+            kept = np.flatnonzero(np.abs(curve.displacement) <= reach)
+            return replace(curve, displacement=curve.displacement[kept], force=curve.force[kept],
+                           time=None if curve.time is None else curve.time[kept],
+                           segment=None if curve.segment is None else curve.segment[kept],
+                           interpolation=None if curve.interpolation is None else curve.interpolation[kept])
+
+        tests = []
+        for test in self.tests:
+            reach = share * max(float(np.abs(curve.displacement).max()) for curve in test.measured)
+            tests.append(replace(test, measured=tuple(cut(curve, reach) for curve in test.measured)))
+        return replace(self, tests=tuple(tests))
 
     def without(self, number: int, theta: np.ndarray) -> tuple[LeastSquares, np.ndarray]:
         """The problem without one of its tests, and those of the unknowns that it still has."""
