@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 import tissue_sim
 from calibration.campaign.campaign import Campaign
-from calibration.campaign.measured import MeasuredCurve
+from calibration.campaign.measured import MeasuredCurve, scale_offsets
 from calibration.campaign.segmented import notes_in_short
 from calibration.fit.assess import assess
 from calibration.fit.curves import draw_curves
@@ -20,9 +20,10 @@ from calibration.fit.estimate import Estimate
 from calibration.fit.estimator import Estimator
 from calibration.fit.fit import SensorStatement
 from calibration.fit.generalised import Generalised
+from calibration.fit.influence import add_influence
 from calibration.fit.ordinary import Ordinary
 from calibration.fit.profiles import ProfileSide, profile_side
-from calibration.fit.ranking import Fitted, rank
+from calibration.fit.ranking import Fitted, rank, rank_message
 from calibration.fit.result import CalibrationResult
 from calibration.fit.steps import Steps
 from calibration.fit.validation import LeftOut, leave_out, predict_held_out
@@ -49,7 +50,8 @@ class CampaignFit:
 
     def __init__(self, campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]], folder: Path,
                  steps: Steps):
-        self.campaign, self.measured, self.folder, self.steps = campaign, measured, folder, steps
+        self.campaign = campaign = scale_offsets(campaign, measured)
+        self.measured, self.folder, self.steps = measured, folder, steps
         self.recordings = [curve for curves in measured.values() for curve in curves]
         self.digest = _digest(campaign, self.recordings)
         self.solves = Solves()
@@ -88,16 +90,16 @@ class CampaignFit:
             raise ConvergenceError(f"{self.campaign.path}: no start of any law gets through the data "
                                    f"({next(iter(failures.values()), '')}); state another one in fit.start, or take a "
                                    "smaller max_strain")
-        fits, predictions, curves = rank(found, by_prediction=self.estimator.explores)
-        message = self.estimator.rank_message(fits, predictions)
+        fits, predictions, curves = rank(found)
+        fitted = [curve for test in self.campaign.tests if not test.hold_out for curve in self.measured[test.name]]
+        message = rank_message(fits, predictions, fitted)
         for law, failure in failures.items():
             message += f" {law} has no fit: {failure}."
         message += notes_in_short((curve.test.name, curve.name, curve.notes) for curve in self.recordings)
         noises = {name: several[0].noise for name, several in self.measured.items()}
         noise = tuple(SensorStatement(test=name, deviation_N=one.deviation, correlation_time_s=one.correlation_time,
                                       source=one.source) for name, one in noises.items())
-        sources = {curve.noise.source for test in self.campaign.tests if not test.hold_out
-                   for curve in self.measured[test.name]}
+        sources = {curve.noise.source for curve in fitted}
         result = CalibrationResult(
             self.campaign, tuple(fits), tuple(predictions), message, self.folder, self.digest,
             self.estimator.pooled_noise, sources.pop() if len(sources) == 1 else "mixed",
@@ -114,7 +116,8 @@ class CampaignFit:
         ends = self.estimator.estimate(laws, self.steps)
         estimates = {law: estimate for law, (_, estimate) in ends.items() if isinstance(estimate, Estimate)}
         failures = {law: estimate for law, (_, estimate) in ends.items() if not isinstance(estimate, Estimate)}
-        spreads = {law: self.estimator.uncertainty(estimate) for law, estimate in estimates.items()}
+        spreads = {law: self.estimator.uncertainty(estimate.problem, estimate.evaluation)
+                   for law, estimate in estimates.items()}
         sides_of, left_of = self._explore(estimates, spreads)
         answers: list[Fitted] = []
         for law, estimate in estimates.items():
@@ -123,6 +126,7 @@ class CampaignFit:
             spent = self.solves.meter()
             (descents, _), sides, left, spread = ends[law], sides_of[law], left_of[law], spreads[law]
             fit = assess(self.estimator, estimate, spread, descents, sides, campaign)
+            fit = add_influence(fit, estimate.problem, estimate.evaluation)
             fitted = zip(estimate.problem.tests, estimate.problem.mesh_error, strict=True)
             tests = [self.estimator.held_out(test, estimate) if test.hold_out else next(fitted)
                      for test in campaign.tests]
@@ -144,19 +148,20 @@ class CampaignFit:
         """Profiles of all parameters that have a standard error, and each test left out, of each law."""
         sides_of: dict[str, list[ProfileSide]] = {law: [] for law in estimates}
         left_of: dict[str, list[LeftOut]] = {law: [] for law in estimates}
-        if not self.estimator.explores:
-            return sides_of, left_of
         sides, left = [], []
         for law, estimate in estimates.items():
-            known = [i for i, error in enumerate(spreads[law].standard_errors) if np.isfinite(error) and error > 0]
+            known = [i for i, error in enumerate(spreads[law].standard_errors) if np.isfinite(error) and error > 0
+                     and self.estimator.explores]
             sides += [(law, (estimate.problem, estimate.theta, estimate.error, spreads[law], i, side)) for i in known
                       for side in (-1, 1)]
             if len(estimate.problem.tests) > 1:
-                left += [(law, (estimate.problem, estimate.theta, number))
+                left += [(law, (estimate.problem, estimate.theta, number, self.estimator.uncertainty,
+                                self.estimator.scatter(estimate)))
                          for number in range(len(estimate.problem.tests))]
         for function, tasks, words, found in ((profile_side, sides, "profiles", sides_of),
                                               (leave_out, left, "tests left out, one at a time", left_of)):
-            answers = self.steps.all_of(function, [arguments for _, arguments in tasks], words)
+            # An analytical fit is done before anybody could read a sentence.
+            answers = self.steps.all_of(function, [arguments for _, arguments in tasks], words) if tasks else []
             for (law, _), answer in zip(tasks, answers, strict=True):
                 found[law].append(answer)
         return sides_of, left_of

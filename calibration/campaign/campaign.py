@@ -41,9 +41,10 @@ from tissue_sim.recording.formats.columns import check_delimiter
 from tissue_sim.rig.rig import Rig
 from tissue_sim.specimen import STANDARD_GRAVITY, Specimen
 
-#: Prior standard deviation of a contact offset when neither the fit nor the noise states one, m.
+#: Prior standard deviation of a contact offset when neither the fit nor the noise states one, m; that of a short test
+#: is smaller.
 DEFAULT_OFFSET_PRIOR = 0.05e-3
-#: Half width of the bounds of a contact offset of an analytical fit where the campaign does not say, m.
+#: Half width of the bounds of a contact offset of an analytical fit where the campaign does not say, m; the same.
 DEFAULT_OFFSET_BOUND = 0.5e-3
 #: Starts of an inverse fit where the campaign does not say.
 DEFAULT_STARTS = 3
@@ -97,6 +98,7 @@ class FitSettings:
         bulk: bulk response that goes into the material files; the analytical fit itself is incompressible.
         offset: ``"none"`` or ``"fit"``: a contact offset and a zero per replicate.
         offset_bound, offset_prior: m, half width of the bounds and standard deviation of the prior.
+        offset_usual: which of these two nobody stated.
         zero_bound, zero_prior: N; None: ten times the prior, which is five times the noise of the force.
         strain_points: evenly spaced strains that every replicate is interpolated to, or None for its own samples.
         starts: how many an inverse fit tries.
@@ -110,6 +112,7 @@ class FitSettings:
     offset: str = "none"
     offset_bound: float = DEFAULT_OFFSET_BOUND
     offset_prior: float = DEFAULT_OFFSET_PRIOR
+    offset_usual: tuple[str, ...] = ()
     zero_bound: float | None = None
     zero_prior: float | None = None
     strain_points: int | None = None
@@ -337,12 +340,14 @@ def _fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ...]) -
         {named[name].path: _in_SI(value, named[name].declaration.factor) for name, value in getattr(table, key).items()}
         for key in BY_PARAMETER)
     offset_prior = next((value * 1e-3 for value in (table.offset_prior_mm, noise.contact_jitter_mm)
-                         if isinstance(value, float | int) and value > 0), DEFAULT_OFFSET_PRIOR)
+                         if isinstance(value, float | int) and value > 0), None)
+    usual = (*(["offset_prior"] if offset_prior is None else []),
+             *(["offset_bound"] if table.offset_bounds_mm is None else []))
     zero_prior = next((float(value) for value in (table.zero_prior_N, noise.zero_jitter_N)
                        if isinstance(value, float | int) and value > 0), None)
     return FitSettings(
         laws=tuple(table.laws), bulk=Bulk() if table.bulk_ratio is None else Bulk("bulk_ratio", table.bulk_ratio),
-        offset=table.offset, offset_prior=offset_prior,
+        offset=table.offset, offset_prior=offset_prior or DEFAULT_OFFSET_PRIOR, offset_usual=usual,
         offset_bound=DEFAULT_OFFSET_BOUND if table.offset_bounds_mm is None else table.offset_bounds_mm * 1e-3,
         zero_bound=table.zero_bounds_N, zero_prior=zero_prior, strain_points=table.strain_points,
         starts=table.starts or DEFAULT_STARTS, method=table.method,

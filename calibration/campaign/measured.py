@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.campaign.campaign import Campaign, Test
+from calibration.campaign.campaign import DEFAULT_OFFSET_BOUND, DEFAULT_OFFSET_PRIOR, Campaign, Test
 from calibration.campaign.segmented import SegmentedRecording, segment_recording, with_air_noted
 from calibration.statistics.sensor_noise import SensorNoise, estimate_shared_noise, spread_stamps
 from calibration.statistics.statistics import estimate_noise, resolution
@@ -26,6 +26,13 @@ if TYPE_CHECKING:
 SIZE_TOLERANCE = 0.02
 #: Segments other than a first loading, to which an elastic law is fitted.
 NOT_LOADING = ("approach", "preconditioning", "hold", "unload", "reload", "retract")
+#: Contact offsets that nobody states scatter by no more than this share of the way of a test, and of the strain of one
+#: that was recorded as strain.
+CONTACT_SHARE, STRAIN_SHARE = 0.02, 0.005
+#: Loading has ended where this share of the largest displacement is reached.
+LOADED = 0.98
+#: A specimen that went this share of its largest displacement to the other side was loaded to both.
+OTHER_SIDE = 0.05
 #: Replicates of one test may differ by this share in their speed and in their largest displacement.
 REPLICATE_TOLERANCE = 0.2
 
@@ -77,7 +84,8 @@ class MeasuredCurve:
         """Of the loading, m/s; None without time."""
         if self.time is None:
             return None
-        last = int(np.argmax(self.displacement))
+        # A hold trembles and creeps: its largest displacement may be anywhere in it.
+        last = int(np.argmax(self.displacement >= LOADED * self.displacement.max()))
         way, duration = self.displacement[last] - self.displacement[0], self.time[last] - self.time[0]
         return float(way / duration) if duration > 0 else None
 
@@ -125,6 +133,25 @@ def read_measured(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:
         raise InputError('offset = "fit" needs tests recorded as displacement and force; use "none"',
                          file=campaign.path, field="fit.offset")
     return found
+
+
+def usual_contact(curves: Sequence[MeasuredCurve]) -> float:
+    """Standard deviation of a contact offset that is assumed where nobody states one, m: the usual one, or a share of
+    the way of the shortest test. Of tests recorded as strain a share of that."""
+    return min(STRAIN_SHARE * way if stressed else min(CONTACT_SHARE * way, DEFAULT_OFFSET_PRIOR)
+               for way, stressed in ((float(np.abs(curve.displacement).max()), curve.stressed) for curve in curves))
+
+
+def scale_offsets(campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCurve]]) -> Campaign:
+    """The campaign with prior and bounds of contact offsets that nobody stated in the size of its tests."""
+    curves = [curve for test in campaign.tests if not test.hold_out for curve in measured[test.name]]
+    contact = usual_contact(curves)
+    fit = campaign.fit
+    if "offset_prior" in fit.offset_usual:
+        fit = replace(fit, offset_prior=contact)
+    if "offset_bound" in fit.offset_usual:
+        fit = replace(fit, offset_bound=contact * DEFAULT_OFFSET_BOUND / DEFAULT_OFFSET_PRIOR)
+    return replace(campaign, fit=fit)
 
 
 def names_of(recordings: Sequence[Recording], path: Path, test: Test) -> list[str]:
@@ -177,17 +204,17 @@ def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Ca
         # A table of stress and stretch has no order in time; sorted, its neighbours tell the noise.
         places = places[np.argsort(displacement[places], kind="stable")]
     else:
-        last = int(np.argmax(displacement[places]))
-        if last + 1 < MIN_POINTS:
-            raise InputError(f"{path.name} has its largest strain in sample {last + 1}, and what follows counts as "
-                             f"unloading; sort the file by time, so that at least {MIN_POINTS} samples load the "
+        loads = _first_loading(displacement[places], both_sides=test.kind.gripped)
+        if loads.size < MIN_POINTS:
+            raise InputError(f"{path.name} has its largest strain in sample {loads[-1] + 1}, and what follows counts "
+                             f"as unloading; sort the file by time, so that at least {MIN_POINTS} samples load the "
                              "specimen", field="recordings")
-        places = places[: last + 1]
+        places = places[loads]
         later = displacement.size - 1 - int(places[-1]) if time is not None else 0
     loading = places
     inside = np.ones(places.size, bool)
     if test.max_strain is not None:
-        reached = np.abs(displacement) if test.kind.both_ways else displacement
+        reached = np.abs(displacement) if test.kind.gripped else displacement
         inside = reached[places] <= test.max_strain * height * (1 + 1e-9)
         # A window of the loading; what comes after the first sample beyond it had a history outside it.
         beyond = np.flatnonzero(~inside)
@@ -218,6 +245,21 @@ def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Ca
     for array in (curve.displacement, curve.force):
         array.flags.writeable = False
     return curve
+
+
+def _first_loading(displacement: np.ndarray, both_sides: bool) -> np.ndarray:
+    """Samples up to the largest displacement, and where it went to both sides those of the other loading: from rest to
+    its own extreme, without the return between them."""
+    last, other = int(np.argmax(displacement)), int(np.argmin(displacement))
+    if not both_sides or -displacement[other] < OTHER_SIDE * displacement[last]:
+        return np.arange(last + 1)
+    first, second = sorted((last, other))
+    # The return ends where the displacement has changed its sign for the last time before the second extreme.
+    turned = np.flatnonzero(displacement[first:second] * displacement[second] <= 0)
+    if first + 1 < MIN_POINTS:
+        # It began at an extreme, so that all that leads to the other is one loading.
+        return np.arange(first, second + 1)
+    return np.append(np.arange(first + 1), np.arange(first + turned[-1] + 1, second + 1))
 
 
 def _check_way(displacement: np.ndarray, height: float, test: Test, path: Path) -> None:
@@ -267,7 +309,7 @@ def _evenly_spaced(displacement: np.ndarray, curve: MeasuredCurve, campaign: Cam
     height = 1.0 if test.specimen is None else test.specimen.height
     limit = np.inf if test.max_strain is None else test.max_strain * height
     way, samples = np.unique(displacement, return_index=True)
-    start = max(way[0], -limit if test.kind.both_ways else 0.0)
+    start = max(way[0], -limit if test.kind.gripped else 0.0)
     grid = np.linspace(start, min(way[-1], limit), points)
     inside = int(np.sum((way >= grid[0]) & (way <= grid[-1] * (1 + 1e-9))))
     if points > inside:

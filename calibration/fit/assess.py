@@ -16,10 +16,14 @@ from calibration.fit.population import differing_specimens, population_of, typic
 from calibration.fit.profiles import ProfileSide
 from calibration.fit.self_weight import sags
 from calibration.forward.contract import Reached
-from calibration.statistics.statistics import correlation, information_criteria
+from calibration.statistics.statistics import MODEL_ERROR_RATIO, correlation, information_criteria
 from calibration.statistics.uncertainty import Uncertainty
 from tissue_sim.laws import Stability, check_stability, find_law
 from tissue_sim.laws.stability import STRETCH_RANGE
+
+#: Residuals above this share of the largest force of a test, and above the model error ratio of its noise, describe
+#: no data.
+FAR_OFF = 0.1
 
 
 def assess(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descents: Sequence[Descent],
@@ -44,7 +48,8 @@ def assess(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descen
     stability = check_stability(law, law.as_array(moduli), (min(STRETCH_RANGE[0], stretches[0]),
                                                             max(STRETCH_RANGE[1], stretches[1])))
     mu0 = law.mu0(moduli)
-    status, unusable = _verdict(estimate, stability, reached, mu0)
+    misfits, missed = _misfits(estimate)
+    status, unusable = _verdict(estimate, stability, reached, mu0, missed)
     loose = not_identifiable(space, spread)
     profiles, intervals, notes = _profiles(estimate, spread, sides)
     aic, bic = information_criteria(*spread.criteria, problem.bounds[0].size)
@@ -62,7 +67,8 @@ def assess(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descen
         "mu0": mu0, "stable_from": stability.stable_from, "stable_to": stability.stable_to,
         "stability": stability.describe(), "stretch_range": (float(stretches[0]), float(stretches[1])),
         "sag_mm": sags(law, law.as_array(moduli), campaign), "minima": list(estimate.minima), "starts": len(descents),
-        "status": status, "unusable": unusable, "cpu_s": 0.0, "interval_notes": notes, "profiles": profiles,
+        "misfits": misfits, "status": status, "unusable": unusable, "cpu_s": 0.0,
+        "interval_notes": notes, "profiles": profiles,
         "iterations": sum(len(descent.history) for descent in descents) + len(estimate.history),
         "population": population, "material_file": f"{law.name}.material.json" if mu0 > 0 else None}
     lost = [*_other_losses(stability, reached, stretches), *differing_specimens(estimate)]
@@ -78,8 +84,32 @@ def _derivatives(estimate: Estimate, theta: np.ndarray) -> dict[str, str]:
     return {name: "difference" if name in names else "exact" for name in problem.space.free}
 
 
-def _verdict(estimate: Estimate, stability: Stability, reached: Mapping[str, Reached],
-             mu0: float) -> tuple[str, str | None]:
+def _misfits(estimate: Estimate) -> tuple[dict[str, float], list[str]]:
+    """Root mean square residual of each test, % of its largest force, and of those that are missed, in words.
+
+    Residuals below the model error ratio may be noise however large they are, and those above it are usual in precise
+    tests: only together they say that the law is not that of the data.
+    """
+    problem, gap = estimate.problem, estimate.evaluation.force - estimate.problem.data
+    shares: dict[str, float] = {}
+    missed = []
+    for number, test in enumerate(problem.tests):
+        mine = [(rows, test.measured[r]) for rows, (t, r) in zip(problem.rows, problem.places, strict=True)
+                if t == number]
+        residual = np.concatenate([gap[rows] for rows, _ in mine])
+        ratio = float(np.sqrt(np.mean(np.concatenate([gap[rows] / curve.noise.deviation for rows, curve in mine])**2)))
+        largest = max(float(np.abs(curve.force).max()) for _, curve in mine)
+        share = float(np.sqrt(np.mean(residual**2))) / largest
+        shares[test.name] = 100.0 * share
+        if share > FAR_OFF and ratio > MODEL_ERROR_RATIO:
+            quantity = "stress" if mine[0][1].stressed else "force"
+            missed.append(f"its residuals in {test.name} are {100 * share:.2g} % of the largest {quantity} and "
+                          f"{ratio:.3g} times the noise")
+    return shares, missed
+
+
+def _verdict(estimate: Estimate, stability: Stability, reached: Mapping[str, Reached], mu0: float,
+             missed: Sequence[str]) -> tuple[str, str | None]:
     """Status, and why the law is not usable over the data."""
     if not mu0 > 0:
         return "not_physical", f"its shear modulus at rest is {mu0:.4g} Pa"
@@ -90,6 +120,9 @@ def _verdict(estimate: Estimate, stability: Stability, reached: Mapping[str, Rea
                                                   max(one.high for one in reached.values() if one.mode == mode))))]
     if lost:
         return "unstable", f"not stable {' and '.join(lost)}, where there are data"
+    if missed:
+        return "misfit", (f"does not describe the data: {' and '.join(missed)}; end the test before something else "
+                          "begins, such as failure (max_strain), or take another law")
     return "converged", None
 
 

@@ -7,16 +7,16 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from calibration.campaign.campaign import Campaign
-from calibration.campaign.measured import MeasuredCurve
+from calibration.campaign.measured import MeasuredCurve, usual_contact
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.problem import Problem
 from calibration.forward.forms import FAST_REMAINDERS, build_test, remainder
 from calibration.forward.solves import Solves
 from calibration.statistics.jitter import Jitter
 
-#: Standard deviations with which an estimate of the jitter begins, and which are assumed where no test has two
-#: recordings: m, and a share of the largest force.
-FIRST_CONTACT, FIRST_ZERO = 0.05e-3, 0.002
+#: Standard deviation of the zero with which an estimate of the jitter begins, and which is assumed where no test has
+#: two recordings, as a share of the largest force.
+FIRST_ZERO = 0.002
 
 
 def build_problem(law: str, campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCurve]],
@@ -43,7 +43,7 @@ def first_jitter(campaign: Campaign, curves: Sequence[MeasuredCurve]) -> Jitter:
     if fit.offset == "fit":
         contact, zero = fit.offset_prior, fit.zero_prior or 5.0 * max(curve.noise.deviation for curve in curves)
     if contact is None:
-        contact, freedom = FIRST_CONTACT, 0
+        contact, freedom = usual_contact(curves), 0
     if zero is None:
         zero, freedom = FIRST_ZERO * largest, 0
     return Jitter(contact, zero, freedom)

@@ -6,16 +6,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
 
 from calibration.campaign.campaign import Test
 from calibration.campaign.measured import MeasuredCurve
+from calibration.fit.deviations import Deviations, assess_deviations
 from calibration.fit.estimate import Estimate
 from calibration.forward.contract import ForwardTest, InfeasibleError
+from calibration.statistics.bands import CERTAIN, Scatter, prediction_bands
 from calibration.statistics.jitter import Jitter
 from calibration.statistics.uncertainty import Uncertainty
 
 POINTS = 101
+#: So many recordings of a test tell their scatter better than an estimate of contact and zero.
+ENOUGH = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +32,8 @@ class TestCurves:
         time: of the model's path, s, shape (k,), or None where the rate does not matter.
         displacement: of the path, shape (k,). force: of the model there, without offset and zero, shape (k,).
         force_error: standard error of that, from the parameters and the mesh, shape (k,).
-        band: half width of the 95 % band for a new recording: with noise, offset and zero, shape (k,).
+        band: half width of the band that holds 95 % of the samples of new recordings, with noise, offset, zero and
+            what the model lacks, shape (k,). whole_band: of the one that holds 95 % of new recordings wholly.
         fitted: of each recording the model's force at its samples, with its own offset and zero.
         area: cross-section of the nominal stress, m2 (1 where stress was recorded); None where that is not homogeneous.
     """
@@ -41,6 +45,7 @@ class TestCurves:
     force: np.ndarray
     force_error: np.ndarray
     band: np.ndarray
+    whole_band: np.ndarray
     fitted: tuple[np.ndarray, ...]
     area: float | None = None
 
@@ -49,6 +54,9 @@ def draw_curves(estimate: Estimate, spread: Uncertainty, tests: Sequence[tuple[F
                 scatter: Jitter | None) -> list[TestCurves]:
     """The curves of each test; not a number where the model does not get through.
 
+    The bands of a test that was fitted follow its recordings; those of one that was held out, or that the model does
+    not get through, know chance alone: noise, scatter and the uncertainty of the parameters.
+
     Args:
         estimate: the minimum. spread: its uncertainty. tests: with the relative error of the mesh in each.
         scatter: between recordings; None where nobody says.
@@ -56,39 +64,59 @@ def draw_curves(estimate: Estimate, spread: Uncertainty, tests: Sequence[tuple[F
     problem, found = estimate.problem, []
     along = estimate.evaluation.force
     fitted = {curve.name: along[rows] for curve, rows in zip(problem.measured, problem.rows, strict=True)}
+    theta = estimate.theta[: len(problem.space.free)]
     for test, mesh_error in tests:
         path = _path(test)
         time = path.time if test.timed else None
         try:
-            force, error, band = _along(estimate, spread, test, path, mesh_error, scatter)
-            answer = test.solve(problem.space, estimate.theta[: len(problem.space.free)], problem.solves)
-            models = tuple(fitted[curve.name] if curve.name in fitted else test.evaluate(answer, number, 0.0)[0]
-                           for number, curve in enumerate(test.measured))
+            answer = test.solve(problem.space, theta, problem.solves)
+            seen = [test.evaluate(answer, number, 0.0) for number in range(len(test.measured))]
+            models = tuple(fitted.get(curve.name, force)
+                           for curve, (force, *_) in zip(test.measured, seen, strict=True))
+            gaps = [curve.force - force for curve, (force, *_) in zip(test.measured, seen, strict=True)]
+            known, count = all(curve.name in fitted for curve in test.measured), len(test.measured)
+            # Recordings of the test itself tell of any scatter, and not of contact and zero alone.
+            told = scatter if not known or count < ENOUGH or (scatter and scatter.freedom is None) else None
+            deviations = assess_deviations(test.measured, gaps, [contact for *_, contact in seen], path, told) \
+                if known else None
+            force, error, bands = _along(estimate, spread, test, path, mesh_error, told, deviations)
         except InfeasibleError:
-            force = error = band = np.full(path.displacement.size, np.nan)
+            force = error = np.full(path.displacement.size, np.nan)
+            bands = force, force
             models = tuple(np.full(curve.force.size, np.nan) for curve in test.measured)
-        found.append(TestCurves(test.measured[0].test, test.measured, time, path.displacement, force, error, band,
-                                models, test.area))
+        found.append(TestCurves(test.measured[0].test, test.measured, time, path.displacement, force, error,
+                                bands[0], bands[1], models, test.area))
     return found
 
 
 def _along(estimate: Estimate, spread: Uncertainty, test: ForwardTest, path: MeasuredCurve, mesh_error: float,
-           scatter: Jitter | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Force along the path, its standard error, and the half width of the 95 % band of a new recording."""
+           scatter: Jitter | None, deviations: Deviations | None):
+    """Force along the path, its standard error, and half widths of the bands of a new recording."""
     space = estimate.problem.space
     free = len(space.free)
     # The path is that of a recording without scatter, seen by the same test.
     seen: ForwardTest = replace(test, measured=(path,))
     answer = seen.solve(space, estimate.theta[:free], estimate.problem.solves)
     force, rates, contact = seen.evaluate(answer, 0, 0.0)
-    variance = np.einsum("np,pq,nq->n", rates, spread.covariance[:free, :free], rates) + (mesh_error * force)**2
-    new = variance + path.noise.deviation**2
-    quantile = stats.norm.ppf(0.975)
+    values, vectors = np.linalg.eigh(spread.covariance[:free, :free])
+    unsure = Scatter(np.column_stack([rates @ (vectors * np.sqrt(np.clip(values, 0.0, None))), mesh_error * force]))
+    found = deviations or Deviations(np.zeros(force.size), [], np.full(force.size, path.noise.deviation))
+    scatters, count = list(found.scatters), len(test.measured)
+    # The mean of the recordings, as far as the curve is off, says what the parameters err by; it errs itself.
+    mean_errs = np.sqrt(1.0 + 1.0 / count) if scatters else 1.0
     if scatter is not None:
-        new = new + (scatter.contact * contact)**2 + scatter.zero**2
-        # How wide the scatter is, is itself an estimate where it was not stated.
-        quantile = stats.t.ppf(0.975, scatter.freedom) if scatter.freedom else quantile
-    return force, np.sqrt(variance), quantile * np.sqrt(new)
+        freedom = float(scatter.freedom or CERTAIN)
+        scatters += [Scatter(mean_errs * scatter.contact * contact[:, None], freedom),
+                     Scatter(np.full((force.size, 1), mean_errs * scatter.zero), freedom)]
+    bias = found.bias
+    if found.scatters:
+        # Of the mean's distance from the curve, what the mean errs by is no misfit (James and Stein, positive part).
+        errs = sum(scatter.variance for scatter in scatters) / (count + 1.0)
+        bias = np.sign(bias) * np.sqrt(np.maximum(bias**2 - errs, 0.0))
+    else:
+        scatters.append(unsure)
+    samples = np.mean([curve.force.size for curve in test.measured]) / force.size
+    return force, np.sqrt(unsure.variance), prediction_bands(bias, scatters, found.noise, float(samples))
 
 
 def _path(test: ForwardTest) -> MeasuredCurve:
@@ -101,9 +129,11 @@ def _path(test: ForwardTest) -> MeasuredCurve:
         time, displacement = even, np.interp(even, first.clock, first.displacement)
         segment = np.full(displacement.size, "")
     else:
-        # Shear may go both ways: there the path leads from one end to the other.
-        start = min(0.0, float(reached.min())) if first.test.kind.both_ways else 0.0
-        displacement = np.linspace(start, float(reached.max()), POINTS)
-        time = None if first.time is None else np.interp(displacement, first.displacement, first.clock)
+        # A gripped specimen may be loaded to both sides: there the path leads from one end to the other.
+        start = min(0.0, float(reached.min())) if first.test.kind.gripped else 0.0
+        displacement = np.linspace(start, max(0.0, float(reached.max())), POINTS)
+        if first.time is not None:
+            order = np.argsort(first.displacement, kind="stable")
+            time = np.interp(displacement, first.displacement[order], first.clock[order])
     return replace(first, time=time, displacement=displacement, force=np.zeros_like(displacement), segment=segment,
                    interpolation=None)

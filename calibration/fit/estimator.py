@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from calibration.campaign.campaign import Campaign, Test
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.estimate import Estimate
-from calibration.fit.fit import Fit, Prediction
 from calibration.fit.levenberg_marquardt import Descent
+from calibration.fit.problem import Evaluation
 from calibration.fit.steps import Steps
 from calibration.forward.contract import ForwardTest
 from calibration.forward.solves import Solves
@@ -43,7 +43,7 @@ class Estimator(ABC):
     """Weights, and what follows from them.
 
     Attributes:
-        explores: whether profiles and tests that are left out are computed, and laws ranked by these; else by BIC.
+        explores: whether profiles are computed, and simulations kept.
         words: what is fitted how, for material files.
     """
 
@@ -70,9 +70,10 @@ class Estimator(ABC):
     def estimate(self, laws: Sequence[str], steps: Steps) -> dict[str, tuple[list[Descent], Estimate | str]]:
         """Law -> its descents and its estimate, or why it has none."""
 
+    @property
     @abstractmethod
-    def uncertainty(self, estimate: Estimate) -> Uncertainty:
-        """Of the unknowns at the estimate."""
+    def uncertainty(self) -> Callable[[Any, Evaluation], Uncertainty]:
+        """Of the unknowns of a problem at its minimum; it travels to worker processes."""
 
     @abstractmethod
     def describe(self, found: Findings) -> dict[str, Any]:
@@ -85,7 +86,3 @@ class Estimator(ABC):
     def scatter(self, estimate: Estimate) -> Jitter | None:
         """What differs from recording to recording beside the noise; None where nobody says."""
         return None
-
-    @abstractmethod
-    def rank_message(self, fits: Sequence[Fit], predictions: Sequence[Prediction]) -> str:
-        """What the first place is worth."""

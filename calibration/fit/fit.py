@@ -151,6 +151,13 @@ class Suggestion(msgspec.Struct, frozen=True, kw_only=True):
     standard_errors: dict[str, float]
 
 
+class Window(msgspec.Struct, frozen=True, kw_only=True):
+    """The free parameters, SI, from the samples up to a share of the largest strain of each test."""
+
+    share: float
+    parameters: dict[str, float]
+
+
 class SensorStatement(msgspec.Struct, frozen=True, kw_only=True):
     """Noise of one test's recordings, as stated or estimated.
 
@@ -166,11 +173,31 @@ class SensorStatement(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class JitterStatement(msgspec.Struct, frozen=True, kw_only=True):
-    """Scatter between recordings, and how many degrees of freedom an estimate of it has (None: stated)."""
+    """Scatter between recordings.
+
+    Attributes:
+        contact_mm, zero_N: standard deviations; of tests without a specimen 1000 times strain, and Pa.
+        freedom: degrees of freedom of an estimate; 0: assumed; None: stated.
+        stressed: whether all tests are without a specimen.
+    """
 
     contact_mm: float
     zero_N: float
     freedom: int | None = None
+    stressed: bool = False
+
+    @property
+    def sizes(self) -> tuple[str, str]:
+        """Contact and zero, with their units."""
+        if self.stressed:
+            return f"{self.contact_mm * 1e-3:.2g} of strain", f"{self.zero_N:.2g} Pa"
+        return _in_digits(self.contact_mm, "mm", "µm", "nm"), _in_digits(self.zero_N, "N", "mN", "µN", "nN", "pN")
+
+
+def _in_digits(value: float, *units: str) -> str:
+    """Two digits in the first of these units, each a thousandth of the one before, in which it is 0.001 or more."""
+    place = next((i for i in range(len(units)) if abs(value) * 1e3**i >= 1e-3), len(units) - 1) if value else 0
+    return f"{value * 1e3**place:.2g} {units[place]}"
 
 
 class MeshCorrection(msgspec.Struct, frozen=True, kw_only=True):
@@ -248,15 +275,19 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
         sag_mm: specimen that weighs -> by how much it sags with this law.
         nuisances: of the replicates when offsets are fitted or their jitter is marginalised.
         minima: best first. starts: how many were tried.
-        status: ``"converged"``, ``"unstable"`` (in the measured loading over the data), ``"not_physical"`` or
-            ``"not_converged"``. Only the first is usable.
+        misfits: fitted test -> root mean square residual, % of its largest force.
+        status: ``"converged"``, ``"misfit"`` (does not describe the data), ``"unstable"`` (in the measured loading over
+            the data), ``"not_physical"`` or ``"not_converged"``. Only the first is usable.
         unusable: why it is not usable over the data; None where it is.
         warnings: what to mind, usable or not: bounds that hold unknowns, loss of stability in other loading.
         message: for people; holds both.
         iterations: evaluations of the model. fem_solves: simulated tests; 0 for a closed form. cpu_s: processor
             seconds.
+        influence: recording -> free parameters without it, SI; of tests of three recordings or more.
+        odd_recordings: those that disagree with the others. windows: parameters from parts of the strain.
         material_file: name of the file, None where the fit gives no material.
         population: of the specimens, where each has numbers of its own; the material is then its mean.
+        left_out: percent, root mean square over the tests, of the predictions that rank the laws.
 
     Of an inverse fit only:
         interval_notes: name -> what cut its interval. profiles: name -> profile likelihood.
@@ -266,7 +297,6 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
         jitter, mesh: what was marginalised and corrected.
         estimate_cpu_s: processor seconds from the best start to the estimate, the rest of `cpu_s` went into other
             starts, profiles, left-out tests and pictures.
-        left_out: percent, root mean square over the tests, of the predictions that rank the laws.
     """
 
     law: str
@@ -298,6 +328,7 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
     nuisances: list[Nuisance] = []
     minima: list[Minimum] = []
     starts: int
+    misfits: dict[str, float] = {}
     status: str
     unusable: str | None = None
     warnings: list[str] = []
@@ -305,6 +336,9 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
     iterations: int
     fem_solves: int = 0
     cpu_s: float
+    influence: dict[str, dict[str, float]] = {}
+    odd_recordings: list[str] = []
+    windows: list[Window] = []
     material_file: str | None = None
     population: PopulationStatement | None = None
     interval_notes: dict[str, str] = {}
@@ -322,6 +356,11 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
     def unit(self, name: str) -> str:
         """Of a parameter, as people read it: empty for a number."""
         return "" if self.units[name] == "1" else self.units[name]
+
+    @property
+    def held(self) -> list[str]:
+        """Parameters that a bound holds."""
+        return [name for name in self.on_bound if name in self.parameters]
 
     def in_symbols(self, names: Iterable[str]) -> str:
         """Symbols of parameters, such as ``C10, g1``."""

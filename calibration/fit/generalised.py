@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,11 +12,10 @@ from calibration.fit.campaign_problem import build_problem
 from calibration.fit.checks import check_start
 from calibration.fit.estimate import Estimate, settle
 from calibration.fit.estimator import Estimator, Findings
-from calibration.fit.fit import Fit, JitterStatement, MeshCorrection, Minimum, Nuisance, Prediction
+from calibration.fit.fit import JitterStatement, MeshCorrection, Minimum, Nuisance
 from calibration.fit.identifiability import condition, suggest_tests, weak_directions
 from calibration.fit.levenberg_marquardt import ENOUGH_OF_A_START, Descent, Listener, descend, distinct
 from calibration.fit.problem import Evaluation, Problem
-from calibration.fit.ranking import prediction_message
 from calibration.fit.regions import judge_regions, name_misfits
 from calibration.fit.starts import starts
 from calibration.fit.steps import Steps
@@ -77,9 +76,10 @@ class Generalised(Estimator):
             return Noise(contact_jitter=problem.jitter.contact, zero_jitter=problem.jitter.zero)
         return self.campaign.noise
 
-    def uncertainty(self, estimate: Estimate) -> Uncertainty:
+    @property
+    def uncertainty(self) -> Callable[[Problem, Evaluation], Uncertainty]:
         """That of the parameters, with the nuisances marginalised."""
-        return assess_uncertainty(estimate.problem, estimate.evaluation)
+        return assess_uncertainty
 
     def describe(self, found: Findings) -> dict[str, Any]:
         """As `Estimator.describe`."""
@@ -114,8 +114,7 @@ class Generalised(Estimator):
             "condition": condition(spread), "directions": directions,
             "suggestions": suggest_tests(problem, estimate.theta, spread)
             if (found.loose or directions) and not on_bound else [],
-            "jitter": JitterStatement(contact_mm=problem.jitter.contact * 1e3, zero_N=problem.jitter.zero,
-                                      freedom=problem.jitter.freedom),
+            "jitter": _jitter(problem),
             "mesh": [MeshCorrection(test=test.name, remainder_percent=100.0 * error, refreshes=estimate.refreshes,
                                     largest_percent=100.0 * difference if np.isfinite(difference) else None)
                      for test, difference, error in zip(problem.tests, estimate.differences, problem.mesh_error,
@@ -137,10 +136,6 @@ class Generalised(Estimator):
         """The jitter that was marginalised."""
         return estimate.problem.jitter
 
-    def rank_message(self, fits: Sequence[Fit], predictions: Sequence[Prediction]) -> str:
-        """As `Estimator.rank_message`."""
-        return prediction_message(fits, predictions)
-
 
 def run_start(problem: Problem, number: int, theta: np.ndarray, listen: Listener | None = None) -> Descent:
     """From one start to its minimum on the fast mesh."""
@@ -150,6 +145,11 @@ def run_start(problem: Problem, number: int, theta: np.ndarray, listen: Listener
 def run_settle(problem: Problem, best: Descent, stated: Noise, listen: Listener | None = None) -> Estimate:
     """From the best minimum to the estimate."""
     return settle(problem, best.theta, stated, start=best.start, past=len(best.history), listen=listen)
+
+
+def _jitter(problem: Problem) -> JitterStatement:
+    return JitterStatement(contact_mm=problem.jitter.contact * 1e3, zero_N=problem.jitter.zero,
+                           freedom=problem.jitter.freedom, stressed=all(curve.stressed for curve in problem.measured))
 
 
 def _doubts(problem: Problem, evaluation: Evaluation, spread: Uncertainty) -> list[str]:
@@ -166,9 +166,11 @@ def _doubts(problem: Problem, evaluation: Evaluation, spread: Uncertainty) -> li
         warnings.append(f"the scatter of the {what} comes out as 0 from few recordings, which does not prove it: state "
                         f"{'contact_jitter_mm' if what == 'contact' else 'zero_jitter_N'}")
     if jitter.freedom == 0:
+        said = _jitter(problem)
+        of_strain = " (1000 times strain, and Pa)" if said.stressed else ""
         warnings.append("no test has two recordings, so the scatter between recordings is not known and was assumed: "
-                        f"contact {jitter.contact * 1e3:.2g} mm, zero {jitter.zero:.2g} N; state "
-                        "contact_jitter_mm and zero_jitter_N (of tests without a specimen: 1000 times strain, and Pa)")
+                        f"contact {said.sizes[0]}, zero {said.sizes[1]}; state contact_jitter_mm and "
+                        f"zero_jitter_N{of_strain}")
     if spread.ratio > MODEL_ERROR_RATIO:
         warnings.append(f"residuals are {spread.ratio:.3g} times the noise: the model misses something, and the "
                         "standard errors are no more than a guess")

@@ -89,7 +89,7 @@ def fit_hold(recording: Recording, terms: int = 1, ramp: float = 0.0) -> HoldFit
     descents, estimate = fit_law(estimator.problem(_LAW))
     if not isinstance(estimate, Estimate):
         raise ConvergenceError("no start gives a finite force over the hold; check the units of force and time")
-    spread = estimator.uncertainty(estimate)
+    spread = estimator.uncertainty(estimate.problem, estimate.evaluation)
     fit = assess(estimator, estimate, spread, descents, (), campaign)
     material = estimate.problem.space.material(fit.parameters)
     size = 2.0 * _SMALL

@@ -2,28 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from calibration.campaign.campaign import Campaign, Test
+from calibration.campaign.campaign import Campaign, Noise, Test
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.closed_starts import closed_starts
 from calibration.fit.estimate import Estimate
 from calibration.fit.estimator import Estimator, Findings
-from calibration.fit.fit import Fit, Minimum, Nuisance, Prediction
+from calibration.fit.fit import Minimum, Nuisance
 from calibration.fit.levenberg_marquardt import Descent, descend, distinct
 from calibration.fit.ordinary_problem import OrdinaryProblem
 from calibration.fit.problem import Evaluation
-from calibration.fit.ranking import bic_message
 from calibration.fit.steps import Steps
 from calibration.forward.closed import ClosedTest
 from calibration.forward.contract import ForwardTest
 from calibration.forward.forms import analytical_test
 from calibration.forward.solves import Solves
+from calibration.statistics.jitter import Jitter
 from calibration.statistics.statistics import CURVATURE_RATIO, MODEL_ERROR_RATIO, r_squared
 from calibration.statistics.uncertainty import Uncertainty, sandwich
 from tissue_sim.errors import InputError
@@ -88,21 +89,10 @@ class Ordinary(Estimator):
             found[law] = fit_law(self.problem(law))
         return found
 
-    def uncertainty(self, estimate: Estimate) -> Uncertainty:
-        """The sandwich of the unknowns: parameters first, then offsets and zeros."""
-        problem, theta, evaluation = estimate.problem, estimate.theta, estimate.evaluation
-        on_bound = problem.on_bound(theta)
-        noise = np.array([curve.noise.deviation / problem.tests[t].area
-                          for (t, _), curve in zip(problem.places, problem.measured, strict=True)])
-        correlation = neighbour_correlation(problem, evaluation)
-        # A smooth model error repeats itself: fewer samples than there are tell anything new (Bayley, Hammersley 1946).
-        repeats = (1.0 + max(correlation, 0.0)) / (1.0 - min(correlation, 0.999)) if problem.remembers else 1.0
-        spread = sandwich(evaluation.rates * problem.noise, evaluation.residual * problem.noise, problem.index, noise,
-                          1.0 / problem.prior_deviation**2, problem.jitter_columns(theta, self.campaign.noise),
-                          [curve.interpolation for curve in problem.measured], on_bound, repeats)
-        squares, samples = spread.criteria
-        priors = float(evaluation.prior_residual @ evaluation.prior_residual)
-        return replace(spread, sizes=np.abs(theta), criteria=(squares + priors, samples))
+    @property
+    def uncertainty(self) -> Callable[[OrdinaryProblem, Evaluation], Uncertainty]:
+        """The sandwich of the unknowns."""
+        return partial(assess_sandwich, stated=self.campaign.noise)
 
     def describe(self, found: Findings) -> dict[str, Any]:
         """As `Estimator.describe`."""
@@ -142,13 +132,15 @@ class Ordinary(Estimator):
             parts.append(f"the data do not determine {found.estimate.problem.space.in_symbols(found.loose)}")
         return parts
 
+    def scatter(self, estimate: Estimate) -> Jitter | None:
+        """The jitter, where it is stated."""
+        noise = self.campaign.noise
+        stated = noise.contact_jitter or noise.zero_jitter
+        return Jitter(noise.contact_jitter or 0.0, noise.zero_jitter or 0.0, None) if stated else None
+
     def held_out(self, test: Test, estimate: Estimate) -> tuple[ForwardTest, float]:
         """A closed form is exact."""
         return self._test(test), 0.0
-
-    def rank_message(self, fits: Sequence[Fit], predictions: Sequence[Prediction]) -> str:
-        """As `Estimator.rank_message`."""
-        return bic_message(fits, self.fitted)
 
 
 def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
@@ -189,6 +181,27 @@ def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
     history = tuple(step for descent, _ in refined for step in descent.history)
     return descents, Estimate(best.start, best.theta, best.error, best.converged, "", history, *spent(),
                               problem=problem, minima=tuple(minima))
+
+
+def assess_sandwich(problem: OrdinaryProblem, evaluation: Evaluation, stated: Noise) -> Uncertainty:
+    """The sandwich of the unknowns: parameters first, then offsets and zeros.
+
+    Args:
+        problem, evaluation: at the minimum. stated: noise and jitter of the campaign.
+    """
+    theta = evaluation.theta
+    on_bound = problem.on_bound(theta)
+    noise = np.array([curve.noise.deviation / problem.tests[t].area
+                      for (t, _), curve in zip(problem.places, problem.measured, strict=True)])
+    correlation = neighbour_correlation(problem, evaluation)
+    # A smooth model error repeats itself: fewer samples than there are tell anything new (Bayley, Hammersley 1946).
+    repeats = (1.0 + max(correlation, 0.0)) / (1.0 - min(correlation, 0.999)) if problem.remembers else 1.0
+    spread = sandwich(evaluation.rates * problem.noise, evaluation.residual * problem.noise, problem.index, noise,
+                      1.0 / problem.prior_deviation**2, problem.jitter_columns(theta, stated),
+                      [curve.interpolation for curve in problem.measured], on_bound, repeats)
+    squares, samples = spread.criteria
+    priors = float(evaluation.prior_residual @ evaluation.prior_residual)
+    return replace(spread, sizes=np.abs(theta), criteria=(squares + priors, samples))
 
 
 def neighbour_correlation(problem: OrdinaryProblem, evaluation: Evaluation) -> float:

@@ -108,6 +108,14 @@ class OrdinaryProblem(LeastSquares):
         return replace(self, tests=tuple(replace(test, measured=tuple(map(thin, test.measured)))
                                          for test in self.tests))
 
+    def without(self, number: int, theta: np.ndarray) -> tuple[OrdinaryProblem, np.ndarray]:
+        """As `LeastSquares.without`."""
+        free = len(self.space.free)
+        kept = [self.places[i][0] != number for i in self.shifted]
+        tests = [test for i, test in enumerate(self.tests) if i != number]
+        return (OrdinaryProblem.of(self.space, tests, self.settings, self.solves),
+                np.append(theta[:free], theta[free:].reshape(-1, 2)[kept]))
+
     @property
     def weightless(self) -> OrdinaryProblem:
         """The same problem without self-weight."""

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -153,6 +152,25 @@ class LeastSquares:
         """Residual, rates, columns, nuisances and force of an `Evaluation`."""
         raise NotImplementedError
 
+    def within(self, share: float) -> LeastSquares:
+        """The problem with the first samples of each test, to a share of its largest displacement to either side."""
+        def cut(curve: MeasuredCurve, reach: float) -> MeasuredCurve:
+            kept = np.flatnonzero(np.abs(curve.displacement) <= reach)
+            return replace(curve, displacement=curve.displacement[kept], force=curve.force[kept],
+                           time=None if curve.time is None else curve.time[kept],
+                           segment=None if curve.segment is None else curve.segment[kept],
+                           interpolation=None if curve.interpolation is None else curve.interpolation[kept])
+
+        tests = []
+        for test in self.tests:
+            reach = share * max(float(np.abs(curve.displacement).max()) for curve in test.measured)
+            tests.append(replace(test, measured=tuple(cut(curve, reach) for curve in test.measured)))
+        return replace(self, tests=tuple(tests))
+
+    def without(self, number: int, theta: np.ndarray) -> tuple[LeastSquares, np.ndarray]:
+        """The problem without one of its tests, and those of the unknowns that it still has."""
+        raise NotImplementedError
+
 
 @dataclass(eq=False)
 class Problem(LeastSquares):
@@ -179,10 +197,11 @@ class Problem(LeastSquares):
         self.shared = list(map(slice, ends[:-1], ends[1:]))
         self.nuisances = ends[-1]
 
-    def with_tests(self, numbers: Sequence[int]) -> Problem:
-        """The same problem with some of the tests."""
-        return Problem(self.space, tuple(self.tests[i] for i in numbers), self.solves, self.jitter,
-                       tuple(self.mesh_error[i] for i in numbers))
+    def without(self, number: int, theta: np.ndarray) -> tuple[Problem, np.ndarray]:
+        """As `LeastSquares.without`."""
+        kept = [i for i in range(len(self.tests)) if i != number]
+        return Problem(self.space, tuple(self.tests[i] for i in kept), self.solves, self.jitter,
+                       tuple(self.mesh_error[i] for i in kept)), theta
 
     def _weighted(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
         try:

@@ -21,27 +21,29 @@ FAR_OFF = 10.0
 Fitted = tuple[Fit, list[Prediction], Sequence[TestCurves]]
 
 
-def rank(fitted: Sequence[Fitted], *,
-         by_prediction: bool) -> tuple[list[Fit], list[Prediction], dict[str, Sequence[TestCurves]]]:
+def rank(fitted: Sequence[Fitted]) -> tuple[list[Fit], list[Prediction], dict[str, Sequence[TestCurves]]]:
     """Fits, predictions and curves, best law first.
 
-    Usable laws first, then those with a material, then by the root mean square of the prediction errors in % over all
-    tests that were held out (where there are any) or left out one at a time; by BIC where nothing is predicted, or
-    where that is not asked for.
+    Usable laws first, of these the ones inside their bounds, then those with a material; then by the root mean square
+    of the prediction errors in % over all tests that were held out (where there are any) or left out one at a time; by
+    BIC where nothing is predicted.
     """
     told = {p.test for _, predictions, _ in fitted for p in predictions if p.percent is not None}
-    if by_prediction:
-        fitted = [(replace(fit, left_out=_score([p for p in predictions if p.test in told])), predictions, curves)
-                  for fit, predictions, curves in fitted]
+    fitted = [(replace(fit, left_out=_score([p for p in predictions if p.test in told])), predictions, curves)
+              for fit, predictions, curves in fitted]
 
     def order(item: Fitted):
         fit = item[0]
-        return (fit.status != "converged", fit.material_file is None, fit.left_out is None,
-                fit.BIC if fit.left_out is None else fit.left_out)
+        return (fit.unusable is not None, bool(fit.held), fit.material_file is None, fit.left_out is None, _figure(fit))
 
     fitted = sorted(fitted, key=order)
     return ([fit for fit, _, _ in fitted], [p for _, predictions, _ in fitted for p in predictions],
             {fit.law: curves for fit, _, curves in fitted})
+
+
+def _figure(fit: Fit) -> float:
+    """What ranks: the error of the predictions, %, or BIC where there are none."""
+    return fit.BIC if fit.left_out is None else fit.left_out
 
 
 def _score(predictions: Sequence[Prediction]) -> float | None:
@@ -51,36 +53,30 @@ def _score(predictions: Sequence[Prediction]) -> float | None:
     return float(np.sqrt(np.mean(np.square(errors)))) if errors else None
 
 
-def prediction_message(fits: Sequence[Fit], predictions: Sequence[Prediction]) -> str:
-    """What the first place is worth where laws are ranked by prediction."""
+def rank_message(fits: Sequence[Fit], predictions: Sequence[Prediction], fitted: Sequence[MeasuredCurve]) -> str:
+    """What the first place is worth.
+
+    Args:
+        fits: best first. predictions: of all laws. fitted: the recordings that the laws were fitted to.
+    """
     best = fits[0]
-    if best.status != "converged":
+    if best.unusable is not None:
         return f"No law is usable over the data; the first is {best.law}: {best.message}."
     parts = []
-    if held := [name for name in best.on_bound if name in best.parameters]:
-        parts.append(f"{best.law} is held by the bounds of {best.in_symbols(held)}: widen them in fit.bounds, or do "
-                     "not trust it")
-    if best.left_out is not None:
-        mine = [p for p in predictions if p.law == best.law]
-        held_out = [p for p in mine if not p.fitted]
-        shown = held_out or mine
-        words = ", ".join(_words(p) for p in shown)
-        what = "held-out tests" if held_out else "each test from the others"
-        if best.left_out > FAR_OFF:
-            parts.append(f"no law predicts {what}; the least wrong is {best.law}: {words}" if len(fits) > 1 else
-                         f"{best.law} does not predict {what}: {words}")
-        else:
-            parts.append(f"{best.law} predicts {what} best: {words}" if len(fits) > 1 else
-                         f"{best.law} predicts {what}: {words}")
-        rivals = [fit.law for fit in fits[1:] if fit.status == "converged" and fit.left_out is not None
-                  and fit.left_out <= (1 + ALIKE) * best.left_out]
-        if rivals:
-            parts.append(f"{', '.join(rivals)} within {ALIKE:.0%} of its prediction error, so these tests do not "
-                         "decide between them")
+    if best.held:
+        parts.append(f"{best.law} is held by the bounds of {best.in_symbols(best.held)}: widen them in fit.bounds, or "
+                     "do not trust it")
+    if best.left_out is None:
+        parts.append(f"Best of the laws that are usable over the data: {best.law}{_worth(fits, fitted)}")
+        tests = {curve.test.name for curve in fitted}
+        single = "with a single test there is nothing to predict" if len(tests) == 1 else "no test could be predicted"
+        parts.append(f"{single}, so BIC ranks, and this does not say which law is right: add a test of another kind"
+                     if len(fits) > 1 else f"{single}, so nothing is known of how it predicts another")
     else:
-        parts.append(f"{best.law} has the lowest BIC; with a single test there is nothing to predict, so this does not "
-                     "say which law is right: add a test of another kind" if len(fits) > 1 else
-                     f"{best.law} was fitted to a single test, so nothing is known of how it predicts another")
+        parts += [*_predicting(fits, predictions), *filter(None, [_doubted_noise(best, fitted)])]
+    if passed := [_passed(fit) for fit in fits if (fit.unusable is not None or (fit.held and not best.held))
+                  and (fit.left_out is None) == (best.left_out is None) and _figure(fit) < _figure(best)]:
+        parts.append(f"{'lower BIC' if best.left_out is None else 'less wrong'}, but not usable: {', '.join(passed)}")
     if bad := name_misfits(best.regions):
         parts.append(f"it leaves a smooth misfit in {bad}, so something is missing in the model")
     if best.not_identifiable:
@@ -91,18 +87,30 @@ def prediction_message(fits: Sequence[Fit], predictions: Sequence[Prediction]) -
     return f"{'. '.join(sentences)}."
 
 
-def bic_message(fits: Sequence[Fit], fitted: Sequence[MeasuredCurve]) -> str:
-    """What the first place is worth where laws are ranked by BIC.
+def _passed(fit: Fit) -> str:
+    """A law that was passed over, and why."""
+    return f"{fit.law} ({fit.unusable or f'held by the bounds of {fit.in_symbols(fit.held)}'})"
 
-    Args:
-        fits: best first. fitted: the recordings that they were fitted to.
-    """
+
+def _predicting(fits: Sequence[Fit], predictions: Sequence[Prediction]) -> list[str]:
+    """How well the first law predicts, and who else does."""
     best = fits[0]
-    if best.status != "converged":
-        return f"No law is usable over the data; the first is {best.law}: {best.message}."
-    unusable = [f"{fit.law} ({fit.unusable})" for fit in fits if fit.status != "converged" and fit.BIC < best.BIC]
-    lower = f" Lower BIC, but not usable: {', '.join(unusable)}." if unusable else ""
-    return f"Best of the laws that are usable over the data: {best.law}{_worth(fits, fitted)}.{lower}"
+    mine = [p for p in predictions if p.law == best.law]
+    held_out = [p for p in mine if not p.fitted]
+    words = ", ".join(_words(p) for p in held_out or mine)
+    what = "held-out tests" if held_out else "each test from the others"
+    if (best.left_out or 0.0) > FAR_OFF:
+        parts = [f"no law predicts {what}; the least wrong is {best.law}: {words}" if len(fits) > 1 else
+                 f"{best.law} does not predict {what}: {words}"]
+    else:
+        parts = [f"{best.law} predicts {what} best: {words}" if len(fits) > 1 else
+                 f"{best.law} predicts {what}: {words}"]
+    rivals = [fit.law for fit in fits[1:] if fit.unusable is None and not fit.held and fit.left_out is not None
+              and fit.left_out <= (1 + ALIKE) * (best.left_out or 0.0)]
+    if rivals:
+        parts.append(f"{', '.join(rivals)} within {ALIKE:.0%} of its prediction error, so these tests do not "
+                     "decide between them")
+    return parts
 
 
 def _worth(fits: Sequence[Fit], fitted: Sequence[MeasuredCurve]) -> str:
@@ -111,19 +119,27 @@ def _worth(fits: Sequence[Fit], fitted: Sequence[MeasuredCurve]) -> str:
     if best.noise_ratio > MODEL_ERROR_RATIO:
         return (f"; its residuals are {best.noise_ratio:.3g} times the noise, so model error dominates and the ranking "
                 "says which law is least wrong over this range, not which one is right")
-    guessed = [curve for curve in fitted if curve.noise.source == "estimated"]
-    if best.noise_ratio < CURVATURE_RATIO and guessed:
-        key = "nominal_stress_Pa" if guessed[0].stressed else "force_N"
-        return (f"; its residuals are {best.noise_ratio:.2g} times the noise, which could not be estimated from "
-                f"samples so coarse or smooth: state {key} in [noise]")
-    rivals = [fit.law for fit in fits[1:] if fit.status == "converged" and fit.BIC - best.BIC < 10]
+    if doubt := _doubted_noise(best, fitted):
+        return f"; {doubt}"
+    rivals = [fit.law for fit in fits[1:] if fit.unusable is None and not fit.held and fit.BIC - best.BIC < 10]
     if rivals:
         return f"; {', '.join(rivals)} within 10 of its BIC, so these data do not decide between them"
     return f"; its residuals are {best.noise_ratio:.2g} times the noise"
 
 
+def _doubted_noise(best: Fit, fitted: Sequence[MeasuredCurve]) -> str:
+    """Why the noise is not believed; empty where it is."""
+    guessed = [curve for curve in fitted if curve.noise.source == "estimated"]
+    if best.noise_ratio >= CURVATURE_RATIO or not guessed:
+        return ""
+    key = "nominal_stress_Pa" if guessed[0].stressed else "force_N"
+    return (f"its residuals are {best.noise_ratio:.2g} times the noise, which could not be estimated from samples so "
+            f"coarse or smooth: state {key} in [noise]")
+
+
 def _words(prediction: Prediction) -> str:
     if prediction.percent is None:
         return f"{prediction.test} not ({prediction.note})"
-    force = "" if prediction.RMSE_N is None else f"{prediction.RMSE_N:.3g} N, "
+    force = f"{prediction.RMSE_N:.3g} N, " if prediction.RMSE_N is not None else "" if prediction.RMSE_Pa is None \
+        else f"{prediction.RMSE_Pa:.3g} Pa, "
     return f"{prediction.test} within {force}{float(f'{prediction.percent:.2g}'):g} %"

@@ -72,7 +72,11 @@ def _regions(problem: Problem) -> Iterator[tuple[int, str, int, list[tuple[np.nd
                                                  for curve in test.measured]) for segment in segments]
         else:
             deepest = max(curve.displacement.max() for curve in test.measured)
-            shares = [np.clip(curve.displacement / deepest, 0.0, 1.0) * 3 for curve in test.measured]
+            # From rest, or from the other end where the specimen was loaded to both sides.
+            least = min(0.0, *(curve.displacement.min() for curve in test.measured)) \
+                if test.measured[0].test.kind.gripped else 0.0
+            shares = [np.clip((curve.displacement - least) / (deepest - least), 0.0, 1.0) * 3
+                      for curve in test.measured]
             regions = [(name, THIRD_MODES, [(((s > third) | (third == 0)) & (s - third <= 1),
                                              np.clip(s - third, 0.0, 1.0)) for s in shares])
                        for third, name in enumerate(THIRDS)]

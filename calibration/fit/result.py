@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 
 from calibration.campaign.campaign import Campaign
+from calibration.fit.agreement import compare_methods
 from calibration.fit.fit import Fit, Prediction, SensorStatement
 from calibration.fit.self_weight import statement
 from calibration.output_folder import FIT_FILE, TABLES
@@ -50,6 +51,11 @@ class CalibrationResult:
         return self.fits[0]
 
 
+def agreement(results: Sequence[CalibrationResult]) -> list[str]:
+    """Whether methods that were given the same recordings in one call agree, a sentence for each law."""
+    return compare_methods([(result.campaign, result.fits) for result in results])
+
+
 def to_json(results: Sequence[CalibrationResult]) -> dict[str, Any]:
     """The object of ``calibrate --json`` and of ``fit.json``: one campaign plainly, several under ``campaigns``.
 
@@ -57,7 +63,7 @@ def to_json(results: Sequence[CalibrationResult]) -> dict[str, Any]:
     it, so that ``fit.json`` stays true when the folder moves.
     """
     if len(results) != 1:
-        return {"campaigns": [to_json([result]) for result in results]}
+        return {"campaigns": [to_json([result]) for result in results], "agreement": agreement(results)}
     result = results[0]
     return {
         "campaign": result.campaign.name, "method": result.campaign.fit.method,

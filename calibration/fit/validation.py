@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -10,8 +12,7 @@ from calibration.fit.estimate import Estimate
 from calibration.fit.fit import Prediction
 from calibration.fit.identifiability import not_identifiable
 from calibration.fit.levenberg_marquardt import descend
-from calibration.fit.problem import LeastSquares, Problem
-from calibration.fit.uncertainty import assess_uncertainty
+from calibration.fit.problem import Evaluation, LeastSquares
 from calibration.forward.contract import ForwardTest, InfeasibleError
 from calibration.statistics.jitter import Jitter
 from calibration.statistics.uncertainty import Uncertainty
@@ -31,24 +32,27 @@ class LeftOut:
     cpu_s: float
 
 
-def leave_out(problem: Problem, theta: np.ndarray, number: int) -> LeftOut:
+def leave_out(problem: LeastSquares, theta: np.ndarray, number: int,
+              uncertainty: Callable[[Any, Evaluation], Uncertainty], scatter: Jitter | None) -> LeftOut:
     """Fit all tests but one from the joint estimate, and predict that one.
 
     Args:
-        problem: at its minimum, corrected. theta: there, shape (p,). number: of the test.
+        problem: at its minimum, corrected. theta: there, shape (k,). number: of the test.
+        uncertainty: of the unknowns at a minimum. scatter: between recordings; None where nobody says.
     """
     spent = problem.solves.meter()
-    test, rest = problem.tests[number], problem.with_tests([i for i in range(len(problem.tests)) if i != number])
+    test, free = problem.tests[number], len(problem.space.free)
+    rest, theta = problem.without(number, theta)
     names = [other.name for other in rest.tests]
     descent = descend(rest, theta, corrected=True)
     note = f"no fit to the others: {descent.failure}"
     if np.isfinite(descent.error):
-        spread = assess_uncertainty(rest, rest.evaluate(descent.theta))
+        spread = uncertainty(rest, rest.evaluate(descent.theta))
         # What the others do not tell would stay where this test has put it.
         open_names = not_identifiable(problem.space, spread)
         note = f"the other tests do not determine {problem.space.in_symbols(open_names)}" if open_names else ""
     answer = unpredicted(problem, test, names, note) if note else \
-        predict(problem, test, descent.theta, spread.covariance, names, problem.jitter)
+        predict(problem, test, descent.theta[:free], spread.covariance[:free, :free], names, scatter)
     return LeftOut(answer, *spent())
 
 

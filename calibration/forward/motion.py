@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator, make_interp_spline
@@ -21,6 +22,8 @@ SMOOTH_STEPS, SMOOTH_STRAIN = 8, 0.018
 SLIDING_STEPS, SLIDING_POWER = 20, 1.5
 #: Steps of a motion in several directions, to its travel.
 TIMED_STEPS = 20
+#: Straight parts shorter than this share of the travel are holds, which tremble and creep.
+HELD = 0.01
 #: Of a hold: the first step as a part of it, and how much longer each step is than the one before.
 _HOLD_FIRST, _HOLD_GROWTH = 0.01, 1.6
 #: Rounding of the corner of the force at the touch, as a part of the depth: it raises the force there by what it is
@@ -130,6 +133,7 @@ class Timed:
         """
         travel = float(np.ptp(displacement))
         corners = corners_of(time, displacement, STRAIGHT * travel)
+        corners = np.array(_without_trembling(displacement, corners, HELD * travel))
         t, d = time[corners].astype(float), displacement[corners].astype(float)
         if d[0] > STRAIGHT * travel and d.size > 1 and d[1] > d[0]:
             t, d = np.append(t[0] - d[0] * (t[1] - t[0]) / (d[1] - d[0]), t), np.append(0.0, d)
@@ -137,7 +141,7 @@ class Timed:
         for i in range(t.size - 1):
             way, duration = d[i + 1] - d[i], t[i + 1] - t[i]
             share: np.ndarray
-            if abs(way) > 2 * STRAIGHT * travel:
+            if abs(way) > HELD * travel:
                 share = np.linspace(0.0, 1.0, int(np.ceil(steps * abs(way) / travel - 1e-9)) + 1)[1:]
                 # From the touch as in `Loading`: friction remembers its first part.
                 share = share**SLIDING_POWER if i == 0 else share
@@ -149,6 +153,11 @@ class Timed:
             knots_t.append(t[i] + share * duration)
             knots_d.append(d[i] + share * way)
         return cls(np.concatenate(knots_t), np.concatenate(knots_d), tuple(legs), float(time[0]))
+
+    def moves(self, first: int, last: int) -> bool:
+        """Whether the tool moves between two knots, and does not hold."""
+        way = abs(self.displacement[last] - self.displacement[first])
+        return bool(way > HELD * np.ptp(self.displacement))
 
     @cached_property
     def protocol(self) -> Protocol:
@@ -178,7 +187,13 @@ class Timed:
 
     def through(self, columns: np.ndarray) -> Course:
         """As `Loading.through`; times are those of the clock of the recording whose motion it is."""
-        recording = Recording({"time": self.time, "displacement": self.displacement, "force": columns[:, 0]})
+        # What creeps or trembles in a hold is no loading curve: the force falls there while the tool stays.
+        labels = np.full(self.time.size, "ramp", dtype="<U4")
+        for first, last in self.legs:
+            if not self.moves(first, last):
+                labels[first + 1:last + 1] = "hold"
+        recording = Recording({"time": self.time, "displacement": self.displacement, "force": columns[:, 0]},
+                              labels={"segment": labels})
         return _TimedCourse(self, np.column_stack([columns, offset_rate(recording)]))
 
 
@@ -187,12 +202,11 @@ class _TimedCourse:
 
     def __init__(self, motion: Timed, columns: np.ndarray):
         self._motion, self._size = motion, columns.shape[1]
-        travel = np.ptp(motion.displacement)
         self._parts = []
         for first, last in motion.legs:
             part = slice(first, last + 1)
-            moving = abs(motion.displacement[last] - motion.displacement[first]) > 2 * STRAIGHT * travel
-            self._parts.append((_spline if moving else PchipInterpolator)(motion.time[part], columns[part]))
+            interpolate = _spline if motion.moves(first, last) else PchipInterpolator
+            self._parts.append(interpolate(motion.time[part], columns[part]))
         self._ends = motion.time[[last for _, last in motion.legs[:-1]]]
 
     def __call__(self, time, displacement, offset):
@@ -213,6 +227,16 @@ class _TimedCourse:
 
 
 Course = _LoadingCourse | _TimedCourse
+
+
+def _without_trembling(displacement: np.ndarray, corners: np.ndarray, reach: float) -> list[int]:
+    """Corners of a motion without those inside a hold: where neighbours on either side stay within `reach` of it."""
+    kept = [int(corners[0])]
+    for here, after in pairwise(corners[1:].tolist()):
+        still = np.abs(displacement[[here, after]] - displacement[kept[-1]]).max() <= reach
+        if not still:
+            kept.append(here)
+    return [*kept, int(corners[-1])]
 
 
 def offset_rate(recording: Recording) -> np.ndarray:

@@ -120,17 +120,18 @@ def write_summary(results: Sequence[CalibrationResult], path: Path) -> None:
 
 
 def _curves(curves: Curves) -> str:
-    """Each law along each test, with its standard error and the half width of the 95 % band of a new recording."""
+    """Each law along each test, with its standard error and the half widths of the 95 % bands of a new recording: of
+    its samples, and of the whole of it."""
     rows = []
     for law, tests in curves.items():
         for test in tests:
             time = [None] * test.force.size if test.time is None else test.time.tolist()
-            rows += [[law, test.test.name, t, *_in_units(test, d, (f,), (e, b))] for t, d, f, e, b in zip(
+            rows += [[law, test.test.name, t, *_in_units(test, d, (f,), (e, b, w))] for t, d, f, e, b, w in zip(
                 time, test.displacement.tolist(), test.force.tolist(), test.force_error.tolist(), test.band.tolist(),
-                strict=True)]
+                test.whole_band.tolist(), strict=True)]
     return format_table(["law", "test", "time [s]", "abscissa", "value", "displacement [mm]", "force [N]",
-                         "standard error [N]", "band95 [N]", "nominal stress [Pa]", "standard error [Pa]",
-                         "band95 [Pa]"], rows)
+                         "standard error [N]", "band95 [N]", "whole band95 [N]", "nominal stress [Pa]",
+                         "standard error [Pa]", "band95 [Pa]", "whole band95 [Pa]"], rows)
 
 
 def _residuals(curves: Curves) -> str:

@@ -214,7 +214,7 @@ def test_a_forged_list_of_files_removes_nothing_outside(campaign, tmp_path):
 def test_an_unsound_law_may_have_the_lower_bic(tmp_path):
     """Data that soften under compression: the law that follows them is not stable, and the message says so."""
     displacement = np.linspace(0, 0.5, 200) * 70e-3
-    stress = ts.find_law("reduced_polynomial_2").nominal_stress(1 - displacement / 70e-3, {"C10": 1400.0, "C20": -500})
+    stress = ts.find_law("reduced_polynomial_2").nominal_stress(1 - displacement / 70e-3, {"C10": 1400.0, "C20": -200})
     ts.write_recording(ts.Recording({"displacement": displacement, "force": -stress * np.pi * 0.04**2}),
                        tmp_path / "fit_1.csv")
     text = TEXT.split("[[test]]\nname = \"later\"")[0] + TEXT[TEXT.index("[fit]"):]

@@ -118,7 +118,8 @@ def curves_of(test, parameters, covariance):
         data = np.concatenate([(m.force - model) / m.noise.deviation, np.zeros(2)])
         nuisance = np.zeros(2) if stress else np.linalg.lstsq(rows, data, rcond=None)[0]
         fitted.append(model + columns @ nuisance)
-    return CurvesOfTest(test, measured, time, path, force_of(test, parameters, path), error, band, tuple(fitted))
+    return CurvesOfTest(test, measured, time, path, force_of(test, parameters, path), error, band, 1.5 * band,
+                        tuple(fitted))
 
 
 def profile_of(value, error, low=None, skew=0.0):

@@ -203,7 +203,8 @@ def _basis(result: CalibrationResult, tests: Mapping[str, Test], units: Units) -
     jitter = result.best.jitter
     scatter = ""
     if jitter is not None:
-        freedom = "stated" if jitter.freedom is None else f"from {counted(jitter.freedom, 'degree')} of freedom"
+        freedom = "stated" if jitter.freedom is None else "assumed" if not jitter.freedom else \
+            f"from {counted(jitter.freedom, 'degree')} of freedom"
         contact, zero = units.scatter(jitter, result.campaign.tests)
         scatter = f"; between recordings {contact} of contact, {zero} of zero, {freedom}"
     if parts:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from calibration.fit.result import agreement
 from scenes.commands.calibrate.fits import print_fits
 from scenes.commands.shared.text_table import print_sentence
 
@@ -26,6 +27,8 @@ def print_results(results: Sequence[CalibrationResult], output: Path, console: C
     for result in results:
         print_sentence(console, result.campaign.name)
         print_fits(result, console)
+    for sentence in agreement(results):
+        print_sentence(console, sentence)
     for result in results:
         if result.resumed:
             _print_place(console, f"read back from {result.output}, nothing was fitted")
