@@ -22,7 +22,7 @@ from tissue_sim.recording.segmentation import label_motion, number_runs
 #: Largest difference of a specimen's size between a recording's own word and the campaign's, as a share.
 SIZE_TOLERANCE = 0.02
 #: Segments other than a first loading, to which an elastic law is fitted.
-NOT_LOADING = ("approach", "hold", "unload", "reload", "retract")
+NOT_LOADING = ("approach", "preconditioning", "hold", "unload", "reload", "retract")
 #: Replicates of one test may differ by this share in their speed and in their largest displacement.
 REPLICATE_TOLERANCE = 0.2
 

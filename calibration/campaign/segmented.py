@@ -63,6 +63,8 @@ def segment_recording(test: Test, displacement: np.ndarray, force: np.ndarray, t
         if contact.found:
             used, shift = np.arange(displacement.size) >= contact.index, contact.displacement
             displacement, force = contact.counted_from(displacement, force, time)
+            # A later cycle comes through air again.
+            used &= remembering | (displacement >= 0)
     if not used.any():
         raise InputError(f"{path.name} ends before its contact at {1e3 * shift:g} mm", field="contact")
     failure = found.failure
@@ -75,12 +77,12 @@ def segment_recording(test: Test, displacement: np.ndarray, force: np.ndarray, t
             "it is fitted beyond, as failure = 'keep' asks: no law of an intact material describes that")
         if test.failure == "cut":
             used &= np.arange(force.size) <= failure.index
-    if "preconditioning" in found.labels and not remembering and not found.stated:
-        after = found.labels != "preconditioning"
-        if (used & after).any():
-            used &= after
-            notes["preconditioning"] = next(line for line in found.warnings if "preconditioning" in line) + \
-                "; these cycles are left out"
+    after = found.labels != "preconditioning"
+    if not remembering and not after.all() and (used & after).any():
+        used &= after
+        cycles = next((line for line in found.warnings if "preconditioning" in line),
+                      "it has cycles of preconditioning")
+        notes["preconditioning"] = f"{cycles}; these cycles are left out"
     return SegmentedRecording(time, displacement, force, found, used, notes, recorded, shift)
 
 

@@ -101,6 +101,10 @@ def segments_of(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | 
         if contact is not None and contact.status != "none":
             _label_preload(labels, displacement, force, contact, warnings, stressed)
         _label_preconditioning(labels, cycles, displacement, warnings)
+        if contact is not None and contact.found:
+            # A later cycle comes through air again.
+            in_air = (cycles > 1) & (displacement < contact.displacement)
+            labels[np.isin(labels, ("ramp", "reload")) & in_air] = "approach"
     if failure is not None:
         warnings.append(failure.in_words(stressed=stressed))
         if not stated:
