@@ -22,7 +22,7 @@ TABLES = ("report.html", "methods.txt", "curves.csv", "residuals.csv")
 PICTURE_FORMATS = ("svg", "pdf", "png")
 #: Names of the pictures of a campaign, and of those of each law in it.
 PICTURES = ("predictions", "regions", "specimens", "convergence")
-PICTURES_OF_LAW = ("profiles", "correlation")
+PICTURES_OF_LAW = ("profiles", "correlation", "population")
 CLAIM_SCHEMA = "tissue_sim/calibration/2"
 
 
@@ -76,9 +76,9 @@ def result_files(campaign: Campaign, folder: Path) -> list[Path]:
             folder / FIT_FILE]
 
 
-def picture_of_test(campaign: Campaign, number: int) -> str:
-    """Name of the picture of a test, by its place in the campaign."""
-    return f"test {number + 1} {campaign.tests[number].name}"
+def picture_of_test(campaign: Campaign, number: int, what: str = "test") -> str:
+    """Name of the picture of a test, or of its ``segments``, by its place in the campaign."""
+    return f"{what} {number + 1} {campaign.tests[number].name}"
 
 
 def picture_file(name: str, kind: str) -> str:
@@ -94,7 +94,8 @@ def pictures_written(campaign: Campaign, folder: Path, kind: str) -> bool:
 
 def _pictures(campaign: Campaign) -> list[str]:
     """Every picture that a report may have."""
-    return [*(picture_of_test(campaign, number) for number in range(len(campaign.tests))), *PICTURES,
+    return [*(picture_of_test(campaign, number, what) for number in range(len(campaign.tests))
+              for what in ("test", "segments")), *PICTURES,
             *(f"{name} {law}" for name in PICTURES_OF_LAW for law in campaign.fit.laws)]
 
 

@@ -22,14 +22,15 @@ LEVEL, SHARE = 0.05, 0.05
 #: Shares of the largest strain that the parameters are estimated to again.
 WINDOWS = (0.4, 0.6, 0.8)
 
-#: Gain in the sum of squares that is not worth a solve here: small, as windows differ by little.
-_ENOUGH = 1e-4
+#: Gain in the sum of squares that is not worth a solve here, as windows differ by little; and when a valley is so flat
+#: that a window tells nothing.
+_ENOUGH, _MOST_SOLVES = 1e-4, 30
 
 
 def add_influence(fit: Fit, problem: LeastSquares, evaluation: Evaluation) -> Fit:
     """The fit with what its parameters hang on, and a warning where a recording disagrees."""
     influence = leave_recordings_out(problem, evaluation)
-    odd = name_odd_ones(influence, fit.parameters)
+    odd = name_odd_ones(influence, fit)
     words = [f"{', '.join(odd)} disagree{'s' if len(odd) == 1 else ''} with the other recordings: without "
              f"{'it' if len(odd) == 1 else 'the first of them'} {_changes(fit, influence[odd[0]])}"] if odd else []
     return replace(fit, influence=influence, odd_recordings=odd, windows=narrow_windows(problem, evaluation.theta),
@@ -65,7 +66,7 @@ def leave_recordings_out(problem: LeastSquares, evaluation: Evaluation) -> dict[
     return found
 
 
-def name_odd_ones(influence: Mapping[str, Mapping[str, float]], parameters: Mapping[str, float]) -> list[str]:
+def name_odd_ones(influence: Mapping[str, Mapping[str, float]], fit: Fit) -> list[str]:
     """Recordings that disagree with the others of their campaign.
 
     Of each parameter a recording's own value is the pseudo-value of the jackknife; it is held against mean and scatter
@@ -74,18 +75,20 @@ def name_odd_ones(influence: Mapping[str, Mapping[str, float]], parameters: Mapp
     Source: Tukey, Annals of Mathematical Statistics 29 (1958) 614; the deleted residual of Cook and Weisberg, 1982.
     """
     names, count = list(influence), len(influence)
-    if count < FEWEST:
+    if count < FEWEST or not influence[names[0]]:
         return []
     odd = []
     quantile = stats.t.isf(0.5 * LEVEL / (count * len(influence[names[0]])), count - 2)
     for parameter in influence[names[0]]:
         without = np.array([influence[name][parameter] for name in names])
-        value = parameters[parameter]
+        value = fit.parameters[parameter]
+        # A small modulus beside a large one is no stiffness of its own.
+        size = max(abs(fit.parameters[name]) for name in influence[names[0]] if fit.units[name] == fit.units[parameter])
         own = count * value - (count - 1) * without
         for i, name in enumerate(names):
             others = np.delete(own, i)
             away, scatter = own[i] - others.mean(), others.std(ddof=1) * np.sqrt(1.0 + 1.0 / others.size)
-            if abs(away) > quantile * scatter and abs(away) > SHARE * abs(value) and name not in odd:
+            if abs(away) > quantile * scatter and abs(away) > SHARE * size and name not in odd:
                 odd.append(name)
     return odd
 
@@ -107,7 +110,7 @@ def narrow_windows(problem: LeastSquares, theta: np.ndarray) -> list[Window]:
         narrow = problem.within(share)
         if min(curve.force.size for curve in narrow.measured) < MIN_POINTS or narrow.samples <= theta.size:
             continue
-        descent = descend(narrow, theta, corrected=True, enough=_ENOUGH)
+        descent = descend(narrow, theta, corrected=True, enough=_ENOUGH, most_solves=_MOST_SOLVES)
         if descent.converged:
             found.append(window(share, descent.theta))
     return [*found, window(1.0, theta)]

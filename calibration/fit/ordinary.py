@@ -31,7 +31,7 @@ from tissue_sim.errors import InputError
 
 #: Starts are refined on a thinned curve, its best distinct minima on all samples.
 THINNED_POINTS, MAX_MINIMA = 200, 2
-THINNED_SOLVES, SOLVES, TOLERANCE = 300, 80, 1e-10
+THINNED_SOLVES, SOLVES, THINNED_TOLERANCE, TOLERANCE = 300, 80, 1e-8, 1e-10
 #: The same of a law that relaxes, whose starts are refined once.
 RELAXING_SOLVES, RELAXING_TOLERANCE = 100, 1e-9
 #: Minima whose parameters differ by less than this share are one.
@@ -150,17 +150,16 @@ def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
     stride = 1 if problem.remembers else -(-problem.samples // THINNED_POINTS)
     thin = problem if stride == 1 else problem.thinned(stride)
 
-    tolerance = RELAXING_TOLERANCE if problem.relaxing else TOLERANCE
-
-    def end_of(target: OrdinaryProblem, start: np.ndarray, number: int, most: int) -> Descent:
+    def end_of(target: OrdinaryProblem, start: np.ndarray, number: int, most: int,
+               tolerance: float = TOLERANCE) -> Descent:
         return descend(target, start, start=number, enough=0.0, tolerance=tolerance, gradient=tolerance,
                        most_solves=most)
 
     def near(one: np.ndarray, other: np.ndarray) -> np.ndarray:
         return (np.abs(one - other) <= _SAME * np.abs(other) + 1e-9)[: len(problem.space.free)]
 
-    most = RELAXING_SOLVES if problem.relaxing else THINNED_SOLVES
-    descents = [end_of(thin, start, number, most) for number, start in enumerate(closed_starts(thin), 1)]
+    how = (RELAXING_SOLVES, RELAXING_TOLERANCE) if problem.relaxing else (THINNED_SOLVES, THINNED_TOLERANCE)
+    descents = [end_of(thin, start, number, *how) for number, start in enumerate(closed_starts(thin), 1)]
     ends = distinct([(d, 1) for d in descents if np.isfinite(d.error)], near)
     refined = ends if problem.relaxing else [(end_of(problem, end.theta, end.start, SOLVES), count)
                                              for end, count in ends[:MAX_MINIMA]]

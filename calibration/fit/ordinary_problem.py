@@ -100,12 +100,19 @@ class OrdinaryProblem(LeastSquares):
                         np.array([places[tau] for _, tau in terms]), self.time_range)
 
     def thinned(self, stride: int) -> OrdinaryProblem:
-        """The same problem with every so-manieth sample."""
+        """The same problem with every so-manieth sample; where recordings have nothing of their own each test has one
+        of them all, which costs a fraction."""
         def thin(curve: MeasuredCurve) -> MeasuredCurve:
             time = None if curve.time is None else curve.time[::stride]
             return replace(curve, displacement=curve.displacement[::stride], force=curve.force[::stride], time=time)
 
-        return replace(self, tests=tuple(replace(test, measured=tuple(map(thin, test.measured)))
+        def pool(curves: list[MeasuredCurve]) -> list[MeasuredCurve]:
+            if self.shifted or self.remembers:
+                return curves
+            return [replace(curves[0], time=None, displacement=np.concatenate([curve.displacement for curve in curves]),
+                            force=np.concatenate([curve.force for curve in curves]))]
+
+        return replace(self, tests=tuple(replace(test, measured=tuple(pool(list(map(thin, test.measured)))))
                                          for test in self.tests))
 
     def without(self, number: int, theta: np.ndarray) -> tuple[OrdinaryProblem, np.ndarray]:

@@ -94,7 +94,7 @@ def report_page(result: CalibrationResult, curves: Mapping[str, Sequence[TestCur
         parts += ["<h2>Every solve</h2>", *(
             f"<details><summary>{title_of(fit.law)}: {_effort(fit)}</summary>{history_table(fit, units)}</details>"
             for fit in result.fits if fit.history)]
-    parts += segment_section(recordings, pictures)
+    parts += segment_section(campaign, recordings, pictures)
     parts += ["<h2>What was assumed</h2>", html_list(map(escape, assumptions(result, units))),
               '<h2>Methods <small class="quiet">for a paper; also in methods.txt</small></h2>',
               f'<pre class="paste">{escape(methods)}</pre>', "<h2>Recordings</h2>",

@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from calibration.output_folder import picture_of_test
 from calibration.report.drawing import WIDTH, Pictures, new_figure
 from calibration.report.page import html_list
 from tissue_sim.recording.contact import Contact
 
 if TYPE_CHECKING:
+    from calibration.campaign.campaign import Campaign
     from calibration.campaign.measured import MeasuredCurve
     from tissue_sim.recording.segments import Segmentation
 
@@ -106,7 +108,7 @@ def _draw_contact(axes, way: np.ndarray, load: np.ndarray, clock: np.ndarray, co
     axes.legend(loc="upper left", fontsize=8.5)
 
 
-def segment_section(recordings: Mapping[str, Sequence[MeasuredCurve]],
+def segment_section(campaign: Campaign, recordings: Mapping[str, Sequence[MeasuredCurve]],
                     pictures: Pictures | None) -> Iterator[str]:
     """HTML: of each test the segments that were found, what of them is fitted, and a picture of one recording.
 
@@ -118,14 +120,15 @@ def segment_section(recordings: Mapping[str, Sequence[MeasuredCurve]],
     yield "<h2>Segments</h2>"
     yield ('<p class="quiet">By the labels of the file where it has any, else by the motion, the first rise of the '
            "force over its zero and drift, and the first loss of force on the way in.</p>")
-    for test, curves in known.items():
-        if not curves:
+    for number, test in enumerate(each.name for each in campaign.tests):
+        if not (curves := known.get(test)):
             continue
         yield f"<h3>{escape(test)}</h3>"
         yield html_list(_in_words(curve) for curve in curves)
         if pictures is not None:
             drawn = next((curve for curve in curves if curve.notes), curves[0])
-            yield pictures.show(f"segments {test}", partial(_draw_whole, drawn), f"Segments of {drawn.name}",
+            yield pictures.show(picture_of_test(campaign, number, "segments"), partial(_draw_whole, drawn),
+                                f"Segments of {drawn.name}",
                                 f"{escape(drawn.name)}: as it was recorded; what is fitted is drawn blue where not all "
                                 "of it is.")
 

@@ -81,8 +81,9 @@ def test_pictures_are_files_beside_the_report_and_are_made_when_asked_for_later(
     result, = calibrate([campaign], out, figures_format="svg")
     assert not result.resumed, "the pictures were missing"
     files = sorted(path.name for path in out.glob("report_*"))
-    assert files == ["report_correlation_neo_hooke.svg", "report_test_1_relaxation_1.svg"]
-    text = (out / files[1]).read_text(encoding="utf-8")
+    assert files == ["report_correlation_neo_hooke.svg", "report_segments_1_relaxation_1.svg",
+                     "report_test_1_relaxation_1.svg"]
+    text = (out / files[2]).read_text(encoding="utf-8")
     assert "<svg" in text and "nominal stress [kPa]" in text and "<dc:date>" not in text
     result, = calibrate([campaign], out, figures_format="svg")
     assert result.resumed
