@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 from scipy import stats
 
@@ -10,6 +12,7 @@ from calibration.fit.estimate import Estimate
 from calibration.fit.fit import PopulationStatement
 from calibration.statistics.adequacy import span
 from calibration.statistics.population import FEWEST_SPECIMENS, estimate_population
+from calibration.statistics.uncertainty import Uncertainty
 
 #: Specimens differ where so large a share of the squares that are left is theirs, and chance has this probability.
 _SHARE, _CHANCE = 0.3, 1e-3
@@ -39,6 +42,32 @@ def population_of(space: ParameterSpace, theta: np.ndarray, covariance: np.ndarr
                "next_specimen", "estimates", "errors", "shrunken", "shrunken_errors")
     return PopulationStatement(order=order, specimens=list(told),
                                **{name: getattr(found, name).tolist() for name in numbers})
+
+
+def as_another_specimen(space: ParameterSpace, theta: np.ndarray, spread: Uncertainty,
+                        names: Collection[str]) -> tuple[np.ndarray, np.ndarray] | None:
+    """Free parameters, shape (p,), and their covariance with the mean of the other specimens for numbers of a specimen
+    that nothing tells; None where there is no such population.
+
+    Args:
+        space: of the parameters. theta: the free ones, SI, shape (p,). spread: their uncertainty.
+        names: those that nothing tells.
+    """
+    places = [place for place, name in enumerate(space.free) if name in names]
+    free = len(space.free)
+    errors, covariance = spread.standard_errors[:free].copy(), spread.covariance[:free, :free].copy()
+    errors[places] = np.inf
+    found = population_of(space, theta, covariance, errors)
+    if found is None or any(space.varied[place].path not in found.order or space.varied[place].specimen is None
+                            for place in places):
+        return None
+    of_order = [found.order.index(space.varied[place].path) for place in places]
+    further = np.array(found.between) + np.array(found.mean_covariance)
+    theta = theta.copy()
+    theta[places] = np.array(found.mean)[of_order]
+    covariance[places], covariance[:, places] = 0.0, 0.0
+    covariance[np.ix_(places, places)] = further[np.ix_(of_order, of_order)]
+    return theta, covariance
 
 
 def typical(space: ParameterSpace, values: dict[str, float],

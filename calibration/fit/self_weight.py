@@ -24,24 +24,28 @@ def sags(law: Law, values, campaign: Campaign) -> dict[str, float]:
 
 def statement(campaign: Campaign, fit: Fit) -> str:
     """What was assumed about gravity in the compression tests of a campaign, sags with this fit; for people."""
-    standing = _standing(campaign)
-    sentences = [_sentence(specimen, fit, f" of {specimen.name}" if len(standing) > 1 else "")
-                 for specimen in standing]
+    alike: dict[str, list[str]] = {}
+    for specimen in _standing(campaign):
+        alike.setdefault(_sentence(specimen, fit), []).append(specimen.name)
+    several = sum(map(len, alike.values())) > 1
+    sentences = [f"Self-weight{' of ' if several else ''}{', '.join(names) if several else ''}{words}"
+                 for words, names in alike.items()]
     return " ".join(sentences) or "Self-weight is not included."
 
 
-def _sentence(specimen: Specimen, fit: Fit, whose: str) -> str:
+def _sentence(specimen: Specimen, fit: Fit) -> str:
+    """What follows on "Self-weight of" the specimen."""
     height = f"{specimen.height * 1e3:.4g} mm as {specimen.height_is}"
     if specimen.specific_weight:
         sag = fit.sag_mm.get(specimen.name)
         settled = f"sag {sag:.3g} mm" if sag is not None else f"which {fit.law} does not carry"
-        return (f"Self-weight{whose}: {specimen.density:g} kg/m3 at {specimen.gravity:g} m/s2, settled before the "
+        return (f": {specimen.density:g} kg/m3 at {specimen.gravity:g} m/s2, settled before the "
                 f"test; height {height}, {settled}.")
     density = specimen.density or WATER_DENSITY
     sag = _sag(replace(specimen, density=density, gravity=STANDARD_GRAVITY), find_law(fit.law), fit.parameters)
     of_water = "" if specimen.density else " (water)"
     would = "" if sag is None else f"; standing at {density:g} kg/m3{of_water} it would sag {sag * 1e3:.2g} mm"
-    return f"Self-weight{whose} is not included: the height, {height}, is taken for the undeformed one{would}."
+    return f" is not included: the height, {height}, is taken for the undeformed one{would}."
 
 
 def _standing(campaign: Campaign) -> list[Specimen]:

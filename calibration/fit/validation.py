@@ -12,6 +12,7 @@ from calibration.fit.estimate import Estimate
 from calibration.fit.fit import Prediction
 from calibration.fit.identifiability import not_identifiable
 from calibration.fit.levenberg_marquardt import descend
+from calibration.fit.population import as_another_specimen
 from calibration.fit.problem import Evaluation, LeastSquares
 from calibration.forward.contract import ForwardTest, InfeasibleError
 from calibration.statistics.jitter import Jitter
@@ -45,14 +46,16 @@ def leave_out(problem: LeastSquares, theta: np.ndarray, number: int,
     rest, theta = problem.without(number, theta)
     names = [other.name for other in rest.tests]
     descent = descend(rest, theta, corrected=True)
-    note = f"no fit to the others: {descent.failure}"
-    if np.isfinite(descent.error):
-        spread = uncertainty(rest, rest.evaluate(descent.theta))
-        # What the others do not tell would stay where this test has put it.
-        open_names = not_identifiable(problem.space, spread)
-        note = f"the other tests do not determine {problem.space.in_symbols(open_names)}" if open_names else ""
-    answer = unpredicted(problem, test, names, note) if note else \
-        predict(problem, test, descent.theta[:free], spread.covariance[:free, :free], names, scatter)
+    if not np.isfinite(descent.error):
+        return LeftOut(unpredicted(problem, test, names, f"no fit to the others: {descent.failure}"), *spent())
+    spread = uncertainty(rest, rest.evaluate(descent.theta))
+    told: tuple[np.ndarray, np.ndarray] | None = descent.theta[:free], spread.covariance[:free, :free]
+    # What the others do not tell would stay where this test has put it.
+    if open_names := not_identifiable(problem.space, spread):
+        told = as_another_specimen(problem.space, descent.theta[:free], spread, open_names)
+    answer = unpredicted(problem, test, names, "the other tests do not determine "
+                         f"{problem.space.in_symbols(open_names)}") if told is None else \
+        predict(problem, test, *told, names, scatter)
     return LeftOut(answer, *spent())
 
 

@@ -167,6 +167,20 @@ def test_a_campaign_finds_the_population(animals, tmp_path, capsys):
     assert "Specimens as a population" in report
 
 
+def test_a_specimen_that_was_left_out_is_predicted_by_the_mean_of_the_others(animals, tmp_path):
+    folder, truth = animals
+    (tmp_path / "each.toml").write_text((folder / "each.toml").read_text().replace(
+        "[fit]", '[fit]\nmethod = "inverse_fem"\nstarts = 1').replace('recordings = ["', f'recordings = ["{folder}/')
+        + "[noise]\nforce_N = 0.01\ncontact_jitter_mm = 0.0\nzero_jitter_N = 0.0\n")
+    result, = calibration.calibrate([tmp_path / "each.toml"], tmp_path / "out", figures=False)
+    assert [prediction.test for prediction in result.predictions] == [f"plates_{k}" for k in range(1, 6)]
+    for k, prediction in enumerate(result.predictions):
+        others = np.delete(truth, k, axis=0)
+        assert prediction.parameters[f"C10@animal_{k + 1}"] == pytest.approx(others[:, 0].mean(), rel=0.02)
+        # The scatter between specimens is what chance makes, not the noise of 0.01 N.
+        assert prediction.expected_N > 0.05 and 5 * prediction.expected_N > prediction.RMSE_N
+
+
 def test_a_file_states_a_population_in_its_units(animals, tmp_path):
     folder, _ = animals
     calibration.calibrate([folder / "each.toml"], tmp_path / "out", figures=False)
