@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from calibration.campaign.measured import MeasuredCurve
 from calibration.statistics.bands import Scatter
@@ -15,6 +16,8 @@ from calibration.statistics.jitter import Jitter
 MODES, SAMPLES_PER_MODE = 6, 4
 #: A hold is looked at over the logarithm of its time, from this share of its length on.
 _SOONEST = 0.01
+#: Scatter counts as that of the neighbourhood: standard deviation of its weights, as a share of the segment.
+_NEAR = 0.1
 #: Standard deviations of contact and zero that are chance.
 _CHANCE = 2.0
 
@@ -81,9 +84,9 @@ def assess_deviations(measured: Sequence[MeasuredCurve], gaps: Sequence[np.ndarr
             away = columns @ (np.array(amplitudes) - mean).T
             found, by_noise = np.sum(away**2, axis=1) / (count - 1), rest * np.einsum("ni,ij,nj->n", columns, unsure,
                                                                                      columns)
-            # Noise moves the amplitudes too, and is there already.
-            share = np.divide(by_noise, found, out=np.ones_like(found), where=found > 0)
-            spread[here] = away * np.sqrt(np.clip(1.0 - share, 0.0, None))[:, None]
+            # Few recordings meet somewhere by chance; noise moves the amplitudes too, and is there already.
+            wanted = np.maximum(gaussian_filter1d(found, _NEAR * found.size, mode="nearest") - by_noise, 0.0)
+            spread[here] = away * np.sqrt(np.divide(wanted, found, out=np.zeros_like(found), where=found > 0))[:, None]
     if count == 1:
         return Deviations(bias, [], noise)
     # The mean errs too.

@@ -54,7 +54,9 @@ def leave_recordings_out(problem: LeastSquares, evaluation: Evaluation) -> dict[
     residual, design = evaluation.design
     free, sizes = len(problem.space.free), np.linalg.norm(design, axis=0)
     design = design / np.where(sizes > 0, sizes, 1.0)
-    found = {}
+    found: dict[str, dict[str, float]] = {}
+    if not free:
+        return found
     for rows, curve, (number, _) in zip(problem.rows, problem.measured, problem.places, strict=True):
         if len(problem.tests[number].measured) < FEWEST:
             continue
