@@ -79,9 +79,10 @@ def test_tension_through_rupture_is_never_usable(tmp_path):
     text = ('[[test]]\nkind = "uniaxial_tension"\nrecordings = ["pull.csv"]\n'
             '[fit]\nlaws = ["neo_hooke"]\n')
     stretch_stress(tmp_path, "pull", stretch, np.where(stretch < 1.6, stress, 0.03 * stress) + rng.normal(0, 50, 200))
-    torn = fit(tmp_path, text).best
+    torn = fit(tmp_path, text.replace('"]\n[fit]', '"]\nfailure = "keep"\n[fit]')).best
     assert torn.status == "misfit" and torn.misfits["uniaxial_tension"] > 30
     assert "does not describe the data" in torn.message and "max_strain" in torn.unusable
+    assert fit(tmp_path, text).best.status == "converged", "what comes after the failure is cut"
     whole = fit(tmp_path, text.replace('"]\n[fit]', '"]\nmax_strain = 0.55\n[fit]')).best
     assert whole.status == "converged" and whole.misfits["uniaxial_tension"] < 1
     # Noise alone, however large, is no reason.
