@@ -23,9 +23,9 @@ class CalibrationResult:
 
     Attributes:
         campaign: what was asked.
-        fits: best first; laws that are not usable over the data come after those that are. An analytical fit ranks by
-            BIC, an inverse fit by how well a law predicts tests that it has not seen.
-        predictions: of the held-out tests and, of an inverse fit, of each test by a fit to the others; for each law.
+        fits: best first; laws that are not usable over the data come after those that are, then by how well a law
+            predicts tests that it has not seen, or by BIC where there are none.
+        predictions: of the held-out tests, and of each test by a fit to the others; for each law.
         message: for people: what the ranking is worth.
         output: folder of this campaign's files. digest: of everything that the result depends on.
         noise_Pa: pooled standard deviation of the nominal stress; None of an inverse fit.
