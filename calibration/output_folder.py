@@ -22,7 +22,7 @@ TABLES = ("report.html", "methods.txt", "curves.csv", "residuals.csv")
 PICTURE_FORMATS = ("svg", "pdf", "png")
 #: Names of the pictures of a campaign, and of those of each law in it.
 PICTURES = ("predictions", "regions", "specimens", "convergence")
-PICTURES_OF_LAW = ("profiles", "correlation", "population")
+PICTURES_OF_LAW = ("profiles", "windows", "correlation", "population")
 CLAIM_SCHEMA = "tissue_sim/calibration/2"
 
 

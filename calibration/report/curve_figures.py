@@ -148,9 +148,12 @@ def _draw_band(axes, best: TestCurves, colour: str, x: _Abscissa) -> None:
                   color="0.4")
         return
     places = first.time if x.timed else best.displacement / x.travel.size
-    band, error = known[0][:, 1:].T if x.timed else (best.band, best.force_error)
+    band, whole, error = known[0][:, 1:].T if x.timed else (best.band, best.whole_band, best.force_error)
     axes.fill_between(places, -y * band, y * band, color=colour, alpha=0.2, lw=0,
                       label=BAND)
+    for side in (-1, 1):
+        axes.plot(places, side * y * whole, color=colour, lw=0.9, ls=(0, (4, 2)),
+                  label="95 % of new recordings, wholly" if side > 0 else None)
     axes.fill_between(places, -2 * y * error, 2 * y * error, color=colour, alpha=0.35, lw=0,
                       label="± 2 standard errors of the model")
     for m, values in zip(best.measured, known, strict=True):

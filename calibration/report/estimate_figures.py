@@ -123,6 +123,25 @@ def _draw_places(axes, fits: Sequence[Fit], root: str, places: Sequence[str], un
     axes.grid(visible=False, axis="x")
 
 
+def draw_windows(fit: Fit, units: Units):
+    """Parameters from the first parts of the strain of each test, beside those of all of it; None without any."""
+    names = [name for name in free_parameters(fit) if all(name in window.parameters for window in fit.windows)]
+    if len(fit.windows) < 2 or not names:
+        return None
+    shares = 100.0 * np.array([window.share for window in fit.windows])
+    figure, grid = panels(in_rows(len(names)), 2.6)
+    for axes, name in zip(grid, names, strict=True):
+        unit = units.of_parameter(fit.units[name])
+        value, error = fit.parameters[name] / unit.size, (fit.standard_errors[name] or 0.0) / unit.size
+        axes.axhspan(value - error, value + error, color=COLOURS[0], alpha=0.2, lw=0,
+                     label="all data, ± standard error")
+        axes.plot(shares, [window.parameters[name] / unit.size for window in fit.windows], "o-", color=COLOURS[0],
+                  label="from a part of the strain")
+        axes.set(xlabel="part of the largest strain [%]", ylabel=unit.label(math_symbol(fit.symbols[name])))
+    legend_above(figure)
+    return figure
+
+
 def draw_correlation(fit: Fit, units: Units):
     """Correlation of the free parameters in numbers and, of two, their joint region; of more, the directions that the
     tests tell poorly. None with fewer than two free parameters."""

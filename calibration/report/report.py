@@ -15,7 +15,7 @@ from calibration.output_folder import picture_of_test
 from calibration.report.assumptions import assumptions
 from calibration.report.curve_figures import draw_test, place_of, probability
 from calibration.report.drawing import Pictures, counted
-from calibration.report.estimate_figures import draw_correlation, draw_profiles, draw_specimens
+from calibration.report.estimate_figures import draw_correlation, draw_profiles, draw_specimens, draw_windows
 from calibration.report.figures import draw_history, draw_predictions, draw_regions, percent
 from calibration.report.page import (
     correlation_tables,
@@ -225,6 +225,9 @@ def _estimates(fit: Fit, campaign: Campaign, units: Units, pictures: Pictures) -
                 "leaves the dashed parabola, ± 2 standard errors are not the interval.")
         yield pictures.show(f"profiles {fit.law}", partial(draw_profiles, fit, campaign.fit.bounds, units),
                             f"Profile likelihoods of {fit.law}", note)
+    yield pictures.show(f"windows {fit.law}", partial(draw_windows, fit, units),
+                        f"Parameters of {fit.law} from parts of the strain",
+                        "What the fit gives where only the first part of each test is fitted, as max_strain would.")
     yield pictures.show(f"correlation {fit.law}", partial(draw_correlation, fit, units),
                         f"Correlation of the parameters of {fit.law}")
 

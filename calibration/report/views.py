@@ -127,14 +127,15 @@ def trace_of_law(curves: TestCurves, own: bool = False) -> Trace | None:
 
 
 def law_along(curves: TestCurves, measured: MeasuredCurve) -> np.ndarray | None:
-    """Force, band and standard error of a law at the samples of a recording, shape (n, 3); NaN beyond the model's path.
-    None where the path passes a displacement twice and tells no time."""
+    """Force, both bands and standard error of a law at the samples of a recording, shape (n, 4); NaN beyond the model's
+    path. None where the path passes a displacement twice and tells no time."""
     path, at = curves.displacement, measured.displacement
     if curves.time is not None and measured.time is not None:
         path, at = curves.time, measured.time
     if np.any(np.diff(path) < 0):
         return None
-    found = np.stack([np.interp(at, path, values) for values in (curves.force, curves.band, curves.force_error)], 1)
+    found = np.stack([np.interp(at, path, values) for values in (
+        curves.force, curves.band, curves.whole_band, curves.force_error)], 1)
     slack = 0.01 * np.ptp(path)
     found[(at < path[0] - slack) | (at > path[-1] + slack)] = np.nan
     return found
