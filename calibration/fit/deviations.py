@@ -12,7 +12,7 @@ from calibration.campaign.measured import MeasuredCurve
 from calibration.statistics.bands import Scatter
 from calibration.statistics.jitter import Jitter
 
-#: Cosines along each segment that carry what recordings have beside the model; fewer where samples are few.
+#: Shapes along each segment that carry what recordings have beside the model; fewer where samples are few.
 MODES, SAMPLES_PER_MODE = 6, 4
 #: A hold is looked at over the logarithm of its time, from this share of its length on.
 _SOONEST = 0.01
@@ -40,9 +40,9 @@ def assess_deviations(measured: Sequence[MeasuredCurve], gaps: Sequence[np.ndarr
                       path: MeasuredCurve, scatter: Jitter | None) -> Deviations:
     """Mean, scatter and noise of data minus model along a path.
 
-    Each recording's gap is a sum of cosines along each segment. Their means over the recordings are what the model
-    lacks; how they differ from these is the scatter between recordings, with one degree of freedom less than there are
-    recordings. Where the scatter of contact and zero is known better, that is taken out of the gaps before.
+    Each recording's gap is a sum of smooth shapes along each segment. Their means over the recordings are what the
+    model lacks; how they differ from these is the scatter between recordings, with one degree of freedom less than
+    there are recordings. Where the scatter of contact and zero is known better, that is taken out of the gaps before.
 
     Args:
         measured: recordings of one test. gaps: data minus model of each without offset and zero, N, shapes (n,).
@@ -69,13 +69,13 @@ def assess_deviations(measured: Sequence[MeasuredCurve], gaps: Sequence[np.ndarr
             if not part.any():
                 amplitudes.append(np.zeros(modes))
                 continue
-            columns = _cosines(curve, part, name, modes)
+            columns = _shapes(curve, part, name, modes)
             found = np.linalg.lstsq(columns, gap[part], rcond=1e-9)[0]
             amplitudes.append(found)
             unsure += np.linalg.pinv(columns.T @ columns, hermitian=True) / count
             squares += float(np.sum((gap[part] - columns @ found)**2))
             freedom += int(part.sum()) - modes
-        columns = _cosines(path, here, name, modes)
+        columns = _shapes(path, here, name, modes)
         mean = np.mean(amplitudes, axis=0)
         bias[here] = columns @ mean
         rest = squares / max(freedom, 1)
@@ -115,10 +115,11 @@ def _segments(curve: MeasuredCurve, first: MeasuredCurve | None = None) -> np.nd
     return labelled.segment[np.clip(np.searchsorted(first.clock, curve.clock), 0, first.clock.size - 1)]
 
 
-def _cosines(curve: MeasuredCurve, part: np.ndarray, name: str, count: int) -> np.ndarray:
-    """Cosines along a part of a curve, shape (n, count)."""
+def _shapes(curve: MeasuredCurve, part: np.ndarray, name: str, count: int) -> np.ndarray:
+    """Chebyshev polynomials along a part of a curve, shape (n, count): models often leave most at its ends, where
+    cosines of the place are flat."""
     along = curve.displacement[part] if curve.segment is None else curve.clock[part]
     place = (along - along.min()) / max(float(np.ptp(along)), 1e-300)
     if name.startswith("hold"):
         place = np.log1p(place / _SOONEST) / np.log1p(1.0 / _SOONEST)
-    return np.cos(np.pi * np.outer(place, np.arange(count)))
+    return np.cos(np.outer(np.arccos(np.clip(1.0 - 2.0 * place, -1.0, 1.0)), np.arange(count)))

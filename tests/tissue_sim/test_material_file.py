@@ -192,7 +192,7 @@ REFUSED = {
     "other schema": (put("schema", "tissue_sim/rig/1"), "schema", "not a material schema"),
     "schema of another type": (put("schema", 1), "schema", "not a material schema"),
     "no unit": (drop("parameters", "C10", "unit"), "parameters.C10.unit", "is missing; give a unit"),
-    "unknown unit": (put("parameters", "C10", "unit", "psi"), "parameters.C10.unit", "unknown unit 'psi'"),
+    "unknown unit": (put("parameters", "C10", "unit", "bars"), "parameters.C10.unit", "unknown unit 'bars'"),
     "unit of another quantity": (put("parameters", "C10", "unit", "mm"), "parameters.C10.unit", "expected a stress"),
     "unknown key": (put("paramters", {}), "paramters", "did you mean 'parameters'"),
     "unknown key of a parameter": (put("parameters", "C20", "error", 1), "parameters.C20.error", "standard_error"),
