@@ -367,7 +367,8 @@ def _check_replicates(curves: list[MeasuredCurve], test: Test, campaign: Campaig
         depths = [curve.displacement.max() for curve in (first, other)]
         speeds = [speed for curve in (first, other) if (speed := curve.speed) is not None]
         for what, unit, pair in (("to", "mm", depths), ("at", "mm/s", speeds)):
-            if len(pair) < 2 or max(pair) <= (1 + REPLICATE_TOLERANCE) * min(pair):
+            torn = what == "to" and any("failure" in curve.notes for curve in (first, other))
+            if torn or len(pair) < 2 or max(pair) <= (1 + REPLICATE_TOLERANCE) * min(pair):
                 continue
             raise InputError(f"{first.file.name} goes {what} {pair[0] * 1e3:.4g} {unit} and {other.file.name} {what} "
                              f"{pair[1] * 1e3:.4g} {unit}, so they are not replicates; give one of them a [[test]] of "

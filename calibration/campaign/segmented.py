@@ -60,6 +60,9 @@ def segment_recording(test: Test, displacement: np.ndarray, force: np.ndarray, t
                 contact.in_words(stressed=stressed)
             raise InputError(f"{path.name}: {reason}; state the contact in mm, or set contact = 'recorded'",
                              field="contact")
+        if contact.status == "before":
+            notes["contact"] = (f"{contact.in_words(stressed=stressed)}; displacement is taken as it was recorded"
+                                + ("" if stressed else ", so state the contact in mm where its first sample is not 0"))
         if contact.found:
             used, shift = np.arange(displacement.size) >= contact.index, contact.displacement
             displacement, force = contact.counted_from(displacement, force, time)

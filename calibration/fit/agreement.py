@@ -29,16 +29,19 @@ def _compare(one: Fits, other: Fits) -> Iterator[str]:
     for mine in one[1]:
         if mine.law not in theirs:
             continue
-        fit, apart = theirs[mine.law], []
+        fit, apart, compared = theirs[mine.law], [], 0
         for name in (name for name in mine.parameters if name in fit.parameters):
             left, right = mine.intervals95.get(name), fit.intervals95.get(name)
-            if left is not None and right is not None and (left[1] < right[0] or right[1] < left[0]):
+            if left is None or right is None or left[0] == left[1] or right[0] == right[1]:
+                continue
+            compared += 1
+            if left[1] < right[0] or right[1] < left[0]:
                 apart.append(f"{mine.symbols[name]} {_interval(mine, name)} and {_interval(fit, name)}")
         names = f"{mine.law}: {_words(one[0])} and {_words(other[0])}"
         if apart:
             why = _reasons(mine, fit, one[0], other[0])
             yield f"{names} have 95 % intervals that do not meet: {'; '.join(apart)}. {why}"
-        else:
+        elif compared:
             yield f"{names} agree within their 95 % intervals."
 
 

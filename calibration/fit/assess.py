@@ -12,7 +12,7 @@ from calibration.fit.estimator import Estimator, Findings
 from calibration.fit.fit import Covariance, Fit, Profile
 from calibration.fit.identifiability import not_identifiable
 from calibration.fit.levenberg_marquardt import Descent
-from calibration.fit.population import differing_specimens, population_of, typical
+from calibration.fit.population import differing_specimens, left_out_of_population, population_of, typical
 from calibration.fit.profiles import ProfileSide
 from calibration.fit.self_weight import sags
 from calibration.forward.contract import Reached
@@ -71,7 +71,8 @@ def assess(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descen
         "interval_notes": notes, "profiles": profiles,
         "iterations": sum(len(descent.history) for descent in descents) + len(estimate.history),
         "population": population, "material_file": f"{law.name}.material.json" if mu0 > 0 else None}
-    lost = [*_other_losses(stability, reached, stretches), *differing_specimens(estimate)]
+    lost = [*_other_losses(stability, reached, stretches), *differing_specimens(estimate),
+            *left_out_of_population(space, population)]
     found = Findings(estimate, spread, descents, values, loose, status, unusable, lost)
     return Fit(**shared | estimator.describe(found))
 

@@ -40,7 +40,7 @@ def add_influence(fit: Fit, problem: LeastSquares, evaluation: Evaluation) -> Fi
 def _changes(fit: Fit, without: Mapping[str, float]) -> str:
     """``C10 is 1400 instead of 1600 Pa``."""
     changes = (f"{fit.symbols[name]} is {value:.4g} instead of {fit.parameters[name]:.4g} {fit.unit(name)}"
-               for name, value in without.items())
+               for name, value in without.items() if _moved(fit.parameters[name], value))
     return ", ".join(map(str.rstrip, changes))
 
 
@@ -76,12 +76,17 @@ def name_odd_ones(influence: Mapping[str, Mapping[str, float]], fit: Fit) -> lis
 
     Source: Tukey, Annals of Mathematical Statistics 29 (1958) 614; the deleted residual of Cook and Weisberg, 1982.
     """
-    names, count = list(influence), len(influence)
-    if count < FEWEST or not influence[names[0]]:
-        return []
-    odd = []
-    quantile = stats.t.isf(0.5 * LEVEL / (count * len(influence[names[0]])), count - 2)
-    for parameter in influence[names[0]]:
+    # Recordings of one test are alike, and of a parameter those count that tell it.
+    asked: dict[tuple[str, str], list[str]] = {}
+    for name, parameters in influence.items():
+        for parameter, value in parameters.items():
+            if _moved(fit.parameters[parameter], value):
+                asked.setdefault((name.rpartition("/")[0], parameter), []).append(name)
+    asked = {place: names for place, names in asked.items() if len(names) >= FEWEST}
+    questions, odd = sum(map(len, asked.values())), []
+    for (_, parameter), names in asked.items():
+        count = len(names)
+        quantile = stats.t.isf(0.5 * LEVEL / questions, count - 2)
         without = np.array([influence[name][parameter] for name in names])
         value = fit.parameters[parameter]
         # A small modulus beside a large one is no stiffness of its own.
@@ -93,6 +98,11 @@ def name_odd_ones(influence: Mapping[str, Mapping[str, float]], fit: Fit) -> lis
             if abs(away) > quantile * scatter and abs(away) > SHARE * size and name not in odd:
                 odd.append(name)
     return odd
+
+
+def _moved(value: float, without: float) -> bool:
+    """Whether a recording has a say in a parameter at all."""
+    return abs(without - value) > 1e-9 * abs(value)
 
 
 def narrow_windows(problem: LeastSquares, theta: np.ndarray) -> list[Window]:

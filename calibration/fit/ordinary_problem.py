@@ -107,7 +107,7 @@ class OrdinaryProblem(LeastSquares):
             return replace(curve, displacement=curve.displacement[::stride], force=curve.force[::stride], time=time)
 
         def pool(curves: list[MeasuredCurve]) -> list[MeasuredCurve]:
-            if self.shifted or self.remembers:
+            if self.shifted or self.remembers or any(each.recording is not None for each in self.space.unknowns):
                 return curves
             return [replace(curves[0], time=None, displacement=np.concatenate([curve.displacement for curve in curves]),
                             force=np.concatenate([curve.force for curve in curves]))]

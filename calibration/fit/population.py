@@ -37,11 +37,32 @@ def population_of(space: ParameterSpace, theta: np.ndarray, covariance: np.ndarr
     if not order or len(told) < FEWEST_SPECIMENS:
         return None
     table = np.array(list(told.values()))
-    found = estimate_population(order, list(told), theta[table], np.array([covariance[np.ix_(r, r)] for r in table]))
+    # Beside numbers that are shared each specimen errs by itself only where these stand still.
+    others = np.setdiff1d(np.flatnonzero(np.diag(covariance) > 0), [place for row in rows.values() for place in row])
+    shared = covariance[np.ix_(others, others)]
+    sizes, axes = np.linalg.eigh(shared / np.sqrt(np.outer(np.diag(shared), np.diag(shared))))
+    kept = sizes > 1e-12
+    # Columns of unit variance: errors along the axes of the shared numbers.
+    unit = axes[:, kept] / np.sqrt(sizes[kept]) / np.sqrt(np.diag(shared))[:, None]
+    common = np.array([covariance[np.ix_(row, others)] @ unit for row in table])
+    alone = np.array([covariance[np.ix_(row, row)] - moved @ moved.T for row, moved in zip(table, common, strict=True)])
+    found = estimate_population(order, list(told), theta[table], alone, common)
     numbers = ("mean", "mean_errors", "mean_intervals", "mean_covariance", "between", "spread", "spread_intervals",
                "next_specimen", "estimates", "errors", "shrunken", "shrunken_errors")
     return PopulationStatement(order=order, specimens=list(told),
                                **{name: getattr(found, name).tolist() for name in numbers})
+
+
+def left_out_of_population(space: ParameterSpace, population: PopulationStatement | None) -> list[str]:
+    """A warning where specimens with numbers of their own are no part of the population."""
+    names = list(dict.fromkeys(each.specimen for each in space.varied
+                               if each.specimen is not None and each.of_material))
+    missing = [name for name in names if population is None or name not in population.specimens]
+    if not missing or len(names) < FEWEST_SPECIMENS:
+        return []
+    rest = "no population: the material is that of the first specimen" if population is None else \
+        f"population and material are those of the other {len(population.specimens)}"
+    return [f"not all numbers of {', '.join(missing)} are determined inside their bounds, so {rest}"]
 
 
 def as_another_specimen(space: ParameterSpace, theta: np.ndarray, spread: Uncertainty,

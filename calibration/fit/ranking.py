@@ -87,6 +87,11 @@ def rank_message(fits: Sequence[Fit], predictions: Sequence[Prediction], fitted:
     return f"{'. '.join(sentences)}."
 
 
+def ranked_by_held_out(predictions: Sequence[Prediction]) -> bool:
+    """Whether tests that are held out rank the laws: those count that any law predicts."""
+    return any(not p.fitted and p.percent is not None for p in predictions)
+
+
 def _passed(fit: Fit) -> str:
     """A law that was passed over, and why."""
     return f"{fit.law} ({fit.unusable or f'held by the bounds of {fit.in_symbols(fit.held)}'})"
@@ -96,8 +101,8 @@ def _predicting(fits: Sequence[Fit], predictions: Sequence[Prediction]) -> list[
     """How well the first law predicts, and who else does."""
     best = fits[0]
     mine = [p for p in predictions if p.law == best.law]
-    held_out = [p for p in mine if not p.fitted]
-    words = ", ".join(_words(p) for p in held_out or mine)
+    held_out = ranked_by_held_out(predictions)
+    words = ", ".join(_words(p) for p in mine if bool(p.fitted) != held_out)
     what = "held-out tests" if held_out else "each test from the others"
     if (best.left_out or 0.0) > FAR_OFF:
         parts = [f"no law predicts {what}; the least wrong is {best.law}: {words}" if len(fits) > 1 else

@@ -97,7 +97,7 @@ class ClosedTest:
         free = [(law.parameters.index(each.path), place) for place, each in enumerate(space.varied)
                 if each.of_law and each.acts_in(self.name, recording)]
         material = None
-        if len(space.names) > len(law.parameters):
+        if set(space.names) != set(law.parameters):
             try:
                 material = space.material(values, test=self.name, recording=recording)
             except InputError as error:

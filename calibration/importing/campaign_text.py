@@ -20,11 +20,11 @@ FILL_IN = "FILL IN"
 
 
 def campaign_text(tests: Sequence[ImportedTest], specimens: Mapping[str, Sequence[Line]], fit: Sequence[Line],
-                  noise: Sequence[Line], folder: Path) -> str:
+                  folder: Path) -> str:
     """A campaign file (TOML): what all tests share stands once, in ``[defaults]``.
 
     Args:
-        tests: in order. specimens: name -> keys. fit, noise: keys of ``[fit]`` and ``[noise]``.
+        tests: in order. specimens: name -> keys. fit: keys of ``[fit]``.
         folder: of the campaign, to which the places of the recordings are relative.
     """
     count = sum(len(part.motions) for test in tests for part in test.parts)
@@ -48,9 +48,7 @@ def campaign_text(tests: Sequence[ImportedTest], specimens: Mapping[str, Sequenc
                                 _line(Line("recordings", list(dict.fromkeys(files)), test.reason))]))
         if test.columns and not same_columns:
             parts.append("\n".join(["[test.columns]", *map(_line, test.columns)]))
-    for name, lines in (("fit", fit), ("noise", noise)):
-        if lines:
-            parts.append("\n".join([f"[{name}]", *map(_line, lines)]))
+    parts.append("\n".join(["[fit]", *map(_line, fit)]))
     return "\n\n".join(parts) + "\n"
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from calibration.campaign.campaign import DEFAULT_OFFSET_PRIOR, load_campaign
+from calibration.campaign.campaign import load_campaign
 from calibration.campaign.measured import read_measured
 from calibration.importing.afm import is_afm, understand_afm
 from calibration.importing.campaign_text import FILL_IN, campaign_text
@@ -29,8 +29,6 @@ _LAWS = {"analytical": ("neo_hooke", "mooney_rivlin", "reduced_polynomial_2", "o
          "inverse_fem": ("neo_hooke", "reduced_polynomial_2")}
 #: K / mu0 of a simulated tissue where nobody says it.
 _BULK_RATIO = 1000.0
-#: Contact of a test whose travel is small, as a share of it.
-_CONTACT_SHARE = 0.02
 
 
 def import_files(files: Iterable[str | Path], output: str | Path | None = None, wishes: Wishes | None = None, *,
@@ -61,7 +59,7 @@ def import_files(files: Iterable[str | Path], output: str | Path | None = None, 
     fit = _fit(tests, wishes)
 
     def text_in(folder: Path) -> str:
-        return campaign_text(tests, specimens, fit, _noise(tests, fit), folder)
+        return campaign_text(tests, specimens, fit, folder)
 
     text = text_in(Path() if output is None else output.parent)
     imported = Imported(tuple(understood), tests, read_only(specimens), text, missing, _warnings(parts, tests))
@@ -271,17 +269,6 @@ def _fit(tests: Sequence[ImportedTest], wishes: Wishes) -> list[Line]:
     if not closed:
         lines.append(Line("bulk_ratio", _BULK_RATIO, "K / mu0; gels and soft tissues hardly change their volume"))
     return lines
-
-
-def _noise(tests: Sequence[ImportedTest], fit: Sequence[Line]) -> list[Line]:
-    """How well the contacts of small tests are known, where the usual assumption would be as large as their travel."""
-    travels = [max(motion.reach) for test in tests for part in test.parts for motion in part.motions
-               if motion.channel == "displacement"]
-    simulated = any(line == ("method", "inverse_fem") for line in ((each.key, each.value) for each in fit))
-    if not simulated or not travels or _CONTACT_SHARE * min(travels) > DEFAULT_OFFSET_PRIOR or min(travels) <= 0:
-        return []
-    return [Line("contact_jitter_mm", float(f"{_CONTACT_SHARE * min(travels) * 1e3:.2g}"),
-                 f"taken as {100 * _CONTACT_SHARE:g} % of the travel")]
 
 
 def _problem(text_in: Callable[[Path], str]) -> str | None:

@@ -58,12 +58,14 @@ class Population:
 
 
 def estimate_population(order: Sequence[str], specimens: Sequence[str], estimates: np.ndarray,
-                        covariances: np.ndarray) -> Population:
+                        covariances: np.ndarray, common: np.ndarray | None = None) -> Population:
     """The population from which specimens come that were fitted one by one.
 
     Args:
         order: names of the parameters. specimens: names.
         estimates: of each specimen, shape (n, p). covariances: of each estimate, shape (n, p, p).
+        common: how estimates move with errors that all specimens share, each of a standard deviation of 1, shape (n, p,
+            h); these are no part of `covariances`. None: there are none.
 
     Raises:
         InputError: fewer than two specimens, shapes that do not fit, or a specimen whose parameters are not all
@@ -87,22 +89,27 @@ def estimate_population(order: Sequence[str], specimens: Sequence[str], estimate
     # In units of each parameter's own size: moduli in Pa and exponents stand beside each other.
     scale = np.sqrt(np.mean(x**2, axis=0) + variances.mean(axis=0))
     x, V = x / scale, V / np.outer(scale, scale)
+    shared = np.zeros((n, p, 0)) if common is None else np.asarray(common) / scale[:, None]
     W = _between(x, V)
     total = np.linalg.inv(W + V)
     mean_covariance = np.linalg.inv(total.sum(axis=0))
     mean = mean_covariance @ np.einsum("npq,nq->p", total, x)
+    moved = mean_covariance @ np.einsum("npq,nqh->ph", total, shared)
+    together = moved @ moved.T
     variances, spread = np.diagonal(V, axis1=1, axis2=2), np.sqrt(np.diag(W))
-    intervals = [_intervals(x[:, j], variances[:, j]) for j in range(p)]
+    intervals = [_intervals(x[:, j], variances[:, j], together[j, j]) for j in range(p)]
     mean_intervals, spread_intervals, next_specimen = (np.array([each[k] for each in intervals]) for k in range(3))
     gain = W @ total
     shrunken = mean + np.einsum("npq,nq->np", gain, x - mean)
     # That of the mean's own error is in it.
     left = np.eye(p) - gain
-    shrunken_variances = np.diagonal(W - gain @ W + left @ mean_covariance @ left.transpose(0, 2, 1), axis1=1, axis2=2)
+    theirs = gain @ shared + left @ moved
+    shrunken_variances = np.diagonal(W - gain @ W + left @ mean_covariance @ left.transpose(0, 2, 1)
+                                     + theirs @ theirs.transpose(0, 2, 1), axis1=1, axis2=2)
     both = scale[:, None]
     return Population(
-        tuple(order), tuple(specimens), x * scale, np.sqrt(variances) * scale, mean * scale,
-        mean_covariance * np.outer(scale, scale),
+        tuple(order), tuple(specimens), x * scale, np.sqrt(variances + np.sum(shared**2, axis=2)) * scale, mean * scale,
+        (mean_covariance + together) * np.outer(scale, scale),
         mean_intervals * both, W * np.outer(scale, scale), spread * scale, spread_intervals * both,
         next_specimen * both, shrunken * scale, np.sqrt(np.maximum(shrunken_variances, 0.0)) * scale)
 
@@ -135,21 +142,21 @@ def _between(x: np.ndarray, V: np.ndarray) -> np.ndarray:
     return root @ root.T
 
 
-def _intervals(x: np.ndarray, v: np.ndarray):
-    """Standard error and interval of the mean, interval of the spread, interval of the next specimen; of one parameter.
+def _intervals(x: np.ndarray, v: np.ndarray, together: float):
+    """Interval of the mean, of the spread and of the next specimen; of one parameter.
 
     The squares of x about their mean, weighted with the true spread, are chi-square distributed: that inverted is a
     distribution of the spread, and the mean and the next specimen are normal at each of its values.
 
     Args:
-        x, v: estimates and their variances, shape (n,).
+        x, v: estimates and their variances, shape (n,). together: variance of the mean by what all share.
     """
     low, high = (1 - LEVEL) / 2, (1 + LEVEL) / 2
     # The squares fall as the spread grows, so the ends change places.
     ends = tuple(_spread_at(x, v, float(stats.chi2.ppf(share, x.size - 1))) for share in (high, low))
     spread = np.array([_spread_at(x, v, wanted) for wanted in stats.chi2.ppf(_MIDDLES, x.size - 1)])
     weight = 1.0 / (v + spread[:, None]**2)
-    centre, variance = weight @ x / weight.sum(axis=1), 1.0 / weight.sum(axis=1)
+    centre, variance = weight @ x / weight.sum(axis=1), 1.0 / weight.sum(axis=1) + together
     mean, following = (tuple(_quantile(centre, np.sqrt(variances), share) for share in (low, high))
                        for variances in (variance, variance + spread**2))
     return mean, ends, following

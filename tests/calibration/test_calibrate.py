@@ -95,7 +95,8 @@ def test_files_ranking_and_prediction(campaign, tmp_path):
     assert float(curves[-1]["force [N]"]) == pytest.approx(float(curves[-1]["nominal stress [Pa]"]) * -np.pi * 0.04**2)
 
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    assert page.count("data:image/png;base64,") == 2 + 2 + 1 + 3, "tests, segments, correlation of the best, formulas"
+    assert page.count("data:image/png;base64,") == 2 + 2 + 2 + 3, \
+        "tests, segments, windows and correlation of the best, formulas"
     assert len(re.findall(r'<img class="formula" width="\d+"', page)) == 3
     assert "<th>BIC</th>" not in page and "E<sub>0</sub> [kPa]" in page
     assert not re.search(r"(src|href)=[\"']?https?:", page)

@@ -204,3 +204,40 @@ def test_a_file_states_a_population_in_its_units(animals, tmp_path):
         with pytest.raises(InputError, match=message) as caught:
             ts.read_material_file(path)
         assert caught.value.field.startswith("population")
+
+
+def test_an_error_that_all_specimens_share_is_no_scatter_and_no_rest():
+    """Estimates that all move by one error of 100: the spread stays that of the specimens, the mean errs by it."""
+    rng, n = np.random.default_rng(5), 6
+    truth = rng.normal(1500.0, 30.0, n)
+    estimates = truth + rng.normal(0.0, 10.0, n) + 80.0
+    found = estimate_population(["a"], list(map(str, range(n))), estimates[:, None], np.full((n, 1, 1), 100.0),
+                                np.full((n, 1, 1), 100.0))
+    alone_found = alone(estimates, np.full(n, 100.0))
+    assert found.spread[0] == pytest.approx(alone_found.spread[0]) and found.mean[0] == pytest.approx(estimates.mean())
+    assert found.mean_errors[0] == pytest.approx(np.hypot(alone_found.mean_errors[0], 100.0))
+    low, high = found.mean_intervals[0]
+    assert high - low > 3.9 * 100.0 and low < 1500.0 < high
+    assert (found.errors == pytest.approx(np.hypot(10.0, 100.0)))
+
+
+def test_a_shared_exponent_is_no_scatter(tmp_path):
+    """mu1 of each of four specimens, alpha1 of all: the mean's error is that of the fit's own covariance."""
+    rng, law = np.random.default_rng(4), ts.find_law("ogden_1")
+    text = ""
+    for k, mu1 in enumerate(rng.normal(3000.0, 200.0, 4), 1):
+        displacement = np.linspace(0.0, 2e-3, 41)
+        force = -law.nominal_stress(1 - displacement / HEIGHT, {"mu1": mu1, "alpha1": 8.0}) * np.pi * RADIUS**2
+        ts.write_recording(ts.Recording({"displacement": displacement, "force": force + rng.normal(0.0, 0.02, 41)}),
+                           tmp_path / f"s{k}.csv")
+        text += f'[[specimen]]\nname = "s{k}"\nradius_mm = 15.0\nheight_mm = 20.0\n'
+        text += (f'[[test]]\nname = "t{k}"\nspecimen = "s{k}"\nkind = "lubricated_compression"\n'
+                 f'recordings = ["s{k}.csv"]\n')
+    (tmp_path / "c.toml").write_text(text + '[fit]\nlaws = ["ogden_1"]\n[fit.scope]\nmu1 = "per_specimen"\n'
+                                     "[noise]\nforce_N = 0.02\n")
+    result, = calibration.calibrate([tmp_path / "c.toml"], tmp_path / "out", figures=False)
+    fit = result.best
+    place = [fit.covariance.order.index(f"mu1@s{k}") for k in range(1, 5)]
+    plain = np.array(fit.covariance.matrix)[np.ix_(place, place)].mean()
+    assert fit.population.mean_errors[0]**2 > plain
+    assert 60.0 < fit.population.spread[0] < 600.0

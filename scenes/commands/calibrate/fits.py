@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from rich.text import Text
 
+from calibration.fit.ranking import ranked_by_held_out
 from calibration.fit.self_weight import statement
 from calibration.report.curve_figures import place_of, probability
 from calibration.report.drawing import counted
@@ -68,7 +69,7 @@ def _ranked_by(result: CalibrationResult) -> tuple[str, str]:
     """Heading of the figure that ranks the laws, and what it means."""
     if all(fit.left_out is None for fit in result.fits):
         return "dBIC", "dBIC: BIC above it"
-    if any(not prediction.fitted for prediction in result.predictions):
+    if ranked_by_held_out(result.predictions):
         return "held out %", "held out: error in tests that no fit has seen"
     return "left out %", "left out: error in each test, predicted from the others"
 
