@@ -21,7 +21,14 @@ from calibration.campaign.checks import (
     require_positive,
 )
 from calibration.campaign.experiments import read_experiment, read_rig
-from calibration.campaign.parameters import Named, check_values, declared_around, find_named, stated_material
+from calibration.campaign.parameters import (
+    PER_SPECIMEN,
+    Named,
+    check_values,
+    declared_around,
+    find_named,
+    stated_material,
+)
 from calibration.campaign.schema import (
     BY_PARAMETER,
     CampaignTable,
@@ -333,6 +340,11 @@ def _fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ...]) -
     named = find_named(table, {test.name: declared_around(None if test.specimen is None else test.experiment, test.rig)
                                for test in tests})
     check_values(table, named)
+    for name, what in named.items():
+        bare = [test.name for test in tests if test.specimen is None and not test.hold_out and test.name in what.tests]
+        if what.scope == PER_SPECIMEN and bare:
+            raise InputError(f"{', '.join(bare)} names no specimen, so none has a value of its own; add a "
+                             "[[specimen]], or give the scope 'per_test'", field=f"fit.scope.{name}")
     if table.method == "analytical":
         check_closed(table, named)
     by_path = {what.path: what for what in named.values()}

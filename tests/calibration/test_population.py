@@ -241,3 +241,14 @@ def test_a_shared_exponent_is_no_scatter(tmp_path):
     plain = np.array(fit.covariance.matrix)[np.ix_(place, place)].mean()
     assert fit.population.mean_errors[0]**2 > plain
     assert 60.0 < fit.population.spread[0] < 600.0
+
+
+def test_a_test_without_a_specimen_has_no_value_of_its_own(tmp_path):
+    stretch = np.linspace(1.0, 1.4, 21)
+    ts.write_recording(ts.Recording({"stretch": stretch, "nominal stress": 3e3 * (stretch - stretch**-2)}),
+                       tmp_path / "pull.csv")
+    (tmp_path / "c.toml").write_text('[[test]]\nname = "pull"\nkind = "uniaxial_tension"\nrecordings = ["pull.csv"]\n'
+                                     '[fit]\nlaws = ["neo_hooke"]\n[fit.scope]\nC10 = "per_specimen"\n')
+    with pytest.raises(InputError, match="pull names no specimen") as caught:
+        calibration.load_campaign(tmp_path / "c.toml")
+    assert caught.value.field == "fit.scope.C10"
