@@ -7,11 +7,13 @@ from importlib.metadata import PackageNotFoundError, version
 
 import tissue_sim
 from calibration.campaign.measured import MeasuredCurve
+from calibration.campaign.segmented import notes_in_short
 from calibration.fit.fit import Fit
 from calibration.fit.result import CalibrationResult
 from calibration.report.drawing import counted
 from calibration.report.figures import percent
 from calibration.report.page import estimate_of, interval_of, ranked_by_prediction, with_minus, young_modulus
+from calibration.report.population import scatter
 from calibration.report.symbols import plain_symbol
 from calibration.report.units import Units
 from tissue_sim.laws import find_law
@@ -40,6 +42,8 @@ _REFERENCES = {
     "BIC": ("Schwarz 1978", "Schwarz G (1978) Estimating the dimension of a model. Ann Statist 6:461-464"),
     "holm": ("Holm 1979", "Holm S (1979) A simple sequentially rejective multiple test procedure. Scand J Statist "
                           "6:65-70"),
+    "population": ("Harville 1977", "Harville DA (1977) Maximum likelihood approaches to variance component estimation "
+                                    "and to related problems. J Am Stat Assoc 72:320-338"),
     "numpy": ("Harris et al. 2020", "Harris CR, Millman KJ, van der Walt SJ, et al. (2020) Array programming with "
                                     "NumPy. Nature 585:357-362"),
     "scipy": ("Virtanen et al. 2020", "Virtanen P, Gommers R, Oliphant TE, et al. (2020) SciPy 1.0: fundamental "
@@ -62,7 +66,7 @@ def methods_text(result: CalibrationResult, measured: Mapping[str, Sequence[Meas
         return f"({'; '.join(_REFERENCES[key][0] for key in keys)})"
 
     paragraphs = [_data(result, measured), _laws(result, cite), _method(result, cite), _noise(result, units),
-                  _numbers(result, units), _software(cite)]
+                  _numbers(result, units, cite), _software(cite)]
     references = "\n".join(f"{reference}." for reference in sorted(_REFERENCES[key][1] for key in cited))
     return "\n\n".join([*paragraphs, f"References\n{references}"]) + "\n"
 
@@ -81,7 +85,21 @@ def _data(result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCur
             words += f", up to a nominal strain of {test.max_strain:g}"
         parts.append(f"{words}; {counted(len(curves), 'recording')}, {sum(c.force.size for c in curves)} points"
                      f"{'; held out of all fits' if test.hold_out else ''})")
-    return f"Data. {'; '.join(parts)}."
+    found = "".join(f" In {counted(several, 'recording')} of {test} displacement and force were counted from the "
+                    "contact, found as the change point of the force over its zero and drift."
+                    for test, several in _from_contact(result, measured))
+    notes = notes_in_short((curve.test.name, curve.name, curve.notes)
+                           for curves in measured.values() for curve in curves)
+    return f"Data. {'; '.join(parts)}.{found}{notes}"
+
+
+def _from_contact(result: CalibrationResult,
+                  measured: Mapping[str, Sequence[MeasuredCurve]]) -> Iterator[tuple[str, int]]:
+    """Test -> how many of its recordings are counted from a contact that was found."""
+    for test in result.campaign.tests:
+        shifted = sum(curve.whole is not None and curve.whole.shift != 0.0 for curve in measured[test.name])
+        if test.contact == "find" and shifted:
+            yield test.name, shifted
 
 
 def _laws(result: CalibrationResult, cite) -> str:
@@ -137,13 +155,19 @@ def _noise(result: CalibrationResult, units: Units) -> str:
             "Particle Data Group.")
 
 
-def _numbers(result: CalibrationResult, units: Units) -> str:
+def _numbers(result: CalibrationResult, units: Units, cite) -> str:
     sentences = []
     for fit in result.fits:
         unusable = f" Not usable: {fit.unusable}." if fit.unusable else ""
         sentences.append(f"{find_law(fit.law).title}: {', '.join(_parameters(fit, units))}; E0 = "
                          f"{with_minus(young_modulus(fit, units))}; R2 = {fit.R2:.4f}, "
                          f"residuals {fit.noise_ratio:.2g} times the noise.{unusable}")
+        if fit.population is not None:
+            several = ", ".join(with_minus(
+                f"{plain_symbol(each.symbol)} = {each.mean} [{each.mean_interval}], standard deviation between "
+                f"specimens {each.spread} [{each.spread_interval}]") for each in scatter(fit, fit.population, units))
+            sentences.append(f"Of the {len(fit.population.specimens)} specimens as a population (restricted maximum "
+                             f"likelihood {cite('population')}): {several}.")
     for p in result.predictions:
         if p.law == result.best.law and p.percent is not None:
             sentences.append(f"{find_law(p.law).title} predicts {p.test}, which it was not fitted to, within "

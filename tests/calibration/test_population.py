@@ -165,6 +165,8 @@ def test_a_campaign_finds_the_population(animals, tmp_path, capsys):
     np.testing.assert_allclose(file.covariance_SI[1], found["mean_covariance"])
     report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "Specimens as a population" in report
+    methods = (tmp_path / "out" / "methods.txt").read_text(encoding="utf-8")
+    assert "Of the 5 specimens as a population" in methods and "Harville DA (1977)" in methods
 
 
 def test_a_specimen_that_was_left_out_is_predicted_by_the_mean_of_the_others(animals, tmp_path):
