@@ -210,7 +210,10 @@ def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Ca
                              f"as unloading; sort the file by time, so that at least {MIN_POINTS} samples load the "
                              "specimen", field="recordings")
         places = places[loads]
-        later = displacement.size - 1 - int(places[-1]) if time is not None else 0
+        # What comes after a failure is cut with it, and is no hold or return.
+        failure = whole.segmentation.failure
+        end = failure.index + 1 if failure is not None and test.failure == "cut" else displacement.size
+        later = max(end - 1 - int(places[-1]), 0) if time is not None else 0
     loading = places
     inside = np.ones(places.size, bool)
     if test.max_strain is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -93,7 +94,7 @@ class Evaluation:
 
 
 @dataclass(eq=False)
-class LeastSquares:
+class LeastSquares(ABC):
     """All fitted tests of a campaign with one law, as residuals of unknowns: the free parameters, then others, if any.
 
     Attributes:
@@ -148,9 +149,9 @@ class LeastSquares:
                                     (theta[prior] - self.prior_mean[prior]) / deviation, prior_rates, force)
         return self._last
 
+    @abstractmethod
     def _weighted(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
         """Residual, rates, columns, nuisances and force of an `Evaluation`."""
-        raise NotImplementedError
 
     def within(self, share: float) -> LeastSquares:
         """The problem with the first samples of each test, to a share of its largest displacement to either side."""
@@ -167,9 +168,9 @@ class LeastSquares:
             tests.append(replace(test, measured=tuple(cut(curve, reach) for curve in test.measured)))
         return replace(self, tests=tuple(tests))
 
+    @abstractmethod
     def without(self, number: int, theta: np.ndarray) -> tuple[LeastSquares, np.ndarray]:
         """The problem without one of its tests, and those of the unknowns that it still has."""
-        raise NotImplementedError
 
 
 @dataclass(eq=False)

@@ -30,6 +30,7 @@ def is_afm(path: Path) -> bool:
     try:
         with zipfile.ZipFile(path) as archive:
             names = archive.namelist()
+    # zipfile raises the last one for an archive of a kind that it does not know.
     except (zipfile.BadZipFile, OSError, NotImplementedError):
         return False
     return not any(name in ("[Content_Types].xml", "content.xml") or name.startswith("xl/") for name in names)

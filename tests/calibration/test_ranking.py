@@ -155,3 +155,16 @@ def test_methods_that_disagree_on_the_same_recordings_are_compared(tmp_path):
     assert "do not meet: C10" in sentence and "contact offset (0.2 mm)" in sentence
     again, = calibration.to_json([results[0], results[0]])["agreement"] or [""]
     assert not again, "one method agrees with itself"
+
+
+def test_samples_cut_at_a_failure_are_no_holds_and_returns(tmp_path):
+    time, rng = np.linspace(0.0, 20.0, 200), np.random.default_rng(0)
+    displacement = 0.5e-3 * time
+    force = -ts.find_law("neo_hooke").nominal_stress(1 - displacement / 70e-3, {"C10": 1400.0}) * np.pi * 0.04**2
+    force = np.where(time < 12.0, force, 0.2 * force) + rng.normal(0.0, 2e-3, 200)
+    ts.write_recording(ts.Recording({"time": time, "displacement": displacement, "force": force}),
+                       tmp_path / "torn.csv")
+    torn = fit(tmp_path, HEAD + '[[test]]\nkind = "lubricated_compression"\nrecordings = ["torn.csv"]\n'
+               '[fit]\nmethod = "inverse_fem"\nlaws = ["neo_hooke"]\nbulk_ratio = 1000.0\nstarts = 1\n')
+    words = f"{torn.message} {torn.best.message}"
+    assert "fitted up to there" in words and "holds and returns" not in words
