@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from msgspec.structs import replace
-from scipy import stats
+from scipy import special
 
 from calibration.fit.fit import Fit, Window
 from calibration.fit.levenberg_marquardt import descend
@@ -86,7 +86,7 @@ def name_odd_ones(influence: Mapping[str, Mapping[str, float]], fit: Fit) -> lis
     questions, odd = sum(map(len, asked.values())), []
     for (_, parameter), names in asked.items():
         count = len(names)
-        quantile = stats.t.isf(0.5 * LEVEL / questions, count - 2)
+        quantile = -special.stdtrit(count - 2, 0.5 * LEVEL / questions)
         without = np.array([influence[name][parameter] for name in names])
         value = fit.parameters[parameter]
         # A small modulus beside a large one is no stiffness of its own.

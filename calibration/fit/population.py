@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.estimate import Estimate
@@ -122,7 +122,7 @@ def differing_specimens(estimate: Estimate) -> list[str]:
     modes -= fitted @ (fitted.T @ modes)
     found = span(modes)
     theirs, left = float(np.sum((found.T @ residual)**2)), float(residual @ residual)
-    if theirs < _SHARE * left or stats.chi2.sf(theirs, found.shape[1]) > _CHANCE:
+    if theirs < _SHARE * left or special.chdtrc(found.shape[1], theirs) > _CHANCE:
         return []
     names = space.in_symbols([space.free[place] for place in shared])
     return [f"the specimens differ: {theirs / left:.0%} of the squares that are left would vanish if each had its own "

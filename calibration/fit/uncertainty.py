@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from calibration.fit.problem import Evaluation, Problem
 from calibration.statistics.uncertainty import RESIDUAL_RATIO, Uncertainty, inverse_root
@@ -31,7 +31,7 @@ def assess_uncertainty(problem: Problem, evaluation: Evaluation) -> Uncertainty:
     information = scaled.T @ scaled
     freedom = max(problem.samples + evaluation.prior_residual.size - len(space.free), 1)
     chi_square = evaluation.error
-    inflation, basis, quantile = 1.0, "noise", np.full(len(space.free), stats.norm.ppf(0.975))
+    inflation, basis, quantile = 1.0, "noise", np.full(len(space.free), special.ndtri(0.975))
     if chi_square > RESIDUAL_RATIO**2 * freedom:
         inflation, basis = chi_square / freedom, "residuals"
     inside = np.flatnonzero(~on_bound)
@@ -42,7 +42,7 @@ def assess_uncertainty(problem: Problem, evaluation: Evaluation) -> Uncertainty:
     errors[inside[loose]] = np.inf
     if problem.jitter.freedom and inside.size:
         basis = "residuals" if basis == "residuals" else "replicates"
-        quantile[inside] = stats.t.ppf(0.975, _freedom(problem, evaluation, sizes, inside))
+        quantile[inside] = special.stdtrit(_freedom(problem, evaluation, sizes, inside), 0.975)
     ratio = float(np.sqrt(np.mean(evaluation.residual**2)))
     # Laws may come to another jitter, so that the determinant of the covariance counts.
     criteria = evaluation.error + evaluation.log_determinant, float(problem.samples)

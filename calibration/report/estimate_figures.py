@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy import stats
+from scipy import special
 from scipy.interpolate import PchipInterpolator
 
 from calibration.fit.fit import Fit
@@ -197,7 +197,7 @@ def _draw_ellipse(axes, fit: Fit, names: Sequence[str], units: Units) -> None:
     turn = np.linspace(0.0, 2 * np.pi, 200)
     circle = np.stack([np.cos(turn), np.sin(turn)])
     for share, alpha in ((0.95, 0.16), (0.68, 0.3)):
-        x, y = centre[:, None] + np.sqrt(stats.chi2.ppf(share, 2)) * root @ circle
+        x, y = centre[:, None] + np.sqrt(special.chdtri(2, 1 - share)) * root @ circle
         axes.fill(x, y, color=COLOURS[0], alpha=alpha, lw=0, label=f"{share * 100:.0f} % of both together")
         axes.plot(x, y, color=COLOURS[0], lw=1.2)
     axes.plot(*centre, "D", color=COLOURS[0], ms=6)

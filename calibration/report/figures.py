@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from textwrap import shorten
 
-from scipy import stats
+from scipy import special
 
 from calibration.campaign.campaign import Test
 from calibration.fit.fit import Fit, Prediction
@@ -19,7 +19,7 @@ from calibration.report.units import Units
 from tissue_sim.laws import find_law
 
 #: Standard errors at which a misfit has the deepest colour, and from which on it is called one.
-_DEEPEST, _CALLED = 6.0, float(stats.norm.isf(0.025))
+_DEEPEST, _CALLED = 6.0, float(-special.ndtri(0.025))
 #: Marks of a ratio where all are above zero, and where some are not.
 _RATIOS, _SIGNED = (1e-3, 0.01, 0.1, 0.2, 0.5, 1, 2, 5, 10, 100, 1e3), (-1e3, -100, -10, -1, 0, 1, 10, 100, 1e3)
 
@@ -61,7 +61,7 @@ def draw_regions(fits: Sequence[Fit], tests: Sequence[Test], units: Units):
                       va="center", ha="center", fontsize=font, color="0.3")
         for fit, row in zip(fits, rows, strict=True):
             for j, region in enumerate(row):
-                deviate = min(float(stats.norm.isf(region.p / 2)), _DEEPEST)
+                deviate = min(float(-special.ndtri(region.p / 2)), _DEEPEST)
                 low, high = top - 0.95, top - 0.55
                 axes.fill_between([j / len(row), (j + 1) / len(row)], low, high, color=shades(norm(deviate)),
                                   ec="white", lw=2)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 #: A direction of which the fit absorbs all but this share of the squares cannot be tested.
 ABSORBED = 1e-3
@@ -56,7 +56,7 @@ def misfit(residual: np.ndarray, design: np.ndarray, modes: np.ndarray) -> Misfi
     # Of the projected modes, so that what is left of the gradient at the optimum does not count.
     score = axes.T @ (free.T @ residual)
     statistic, freedom = float(np.sum(score**2 / shares)), int(shares.size)
-    p = float(stats.chi2.sf(statistic, freedom)) if freedom else 1.0
+    p = float(special.chdtrc(freedom, statistic)) if freedom else 1.0
     return Misfit(statistic, freedom, p, -right.T @ ((axes @ (score / shares)) / sizes))
 
 

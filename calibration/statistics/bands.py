@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 LEVEL = 0.95
 #: Bisections of a half width, and drawn recordings for the whole band.
@@ -56,15 +56,15 @@ def prediction_bands(bias: np.ndarray, scatters: Sequence[Scatter], noise: np.nd
     parts = np.array([noise**2, *(scatter.variance for scatter in scatters)])
     if not np.isfinite(parts.sum(axis=0) + bias).all():
         return np.full(bias.size, np.nan), np.full(bias.size, np.nan)
-    quantiles = stats.t.ppf(0.5 + 0.5 * LEVEL, [CERTAIN, *(scatter.freedom for scatter in scatters)])
+    quantiles = special.stdtrit([CERTAIN, *(scatter.freedom for scatter in scatters)], 0.5 + 0.5 * LEVEL)
     deviation = np.sqrt(parts.sum(axis=0))
     usual = np.sqrt(quantiles**2 @ parts) / deviation
-    freedom = np.interp(-usual, -stats.t.ppf(0.5 + 0.5 * LEVEL, _FREEDOMS), _FREEDOMS)
+    freedom = np.interp(-usual, -special.stdtrit(_FREEDOMS, 0.5 + 0.5 * LEVEL), _FREEDOMS)
     away = np.abs(bias) / deviation
     low, high = np.zeros(bias.size), away + usual
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        held = stats.t.cdf(middle - away, freedom) - stats.t.cdf(-middle - away, freedom) >= LEVEL
+        held = special.stdtr(freedom, middle - away) - special.stdtr(freedom, -middle - away) >= LEVEL
         low, high = np.where(held, low, middle), np.where(held, middle, high)
     half = high * deviation
     return half, half * _stretch(bias, scatters, noise, samples, half)
@@ -81,6 +81,6 @@ def _stretch(bias: np.ndarray, scatters: Sequence[Scatter], noise: np.ndarray, s
         smooth += size * (generator.standard_normal((_DRAWS, scatter.columns.shape[1])) @ scatter.columns.T)
     # The extremes of the samples between two points, by the inverse of their distribution.
     least = 1.0 / max(samples, 1.0)
-    high, low = (stats.norm.isf(-np.expm1(least * np.log(generator.uniform(size=smooth.shape)))) for _ in range(2))
+    high, low = (-special.ndtri(-np.expm1(least * np.log(generator.uniform(size=smooth.shape)))) for _ in range(2))
     reach = np.maximum(smooth + high * noise, low * noise - smooth)
     return max(float(np.quantile((reach / half).max(axis=1), LEVEL)), 1.0)

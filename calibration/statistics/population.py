@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import optimize, special
 
 from tissue_sim.errors import InputError
 
@@ -153,8 +153,8 @@ def _intervals(x: np.ndarray, v: np.ndarray, together: float):
     """
     low, high = (1 - LEVEL) / 2, (1 + LEVEL) / 2
     # The squares fall as the spread grows, so the ends change places.
-    ends = tuple(_spread_at(x, v, float(stats.chi2.ppf(share, x.size - 1))) for share in (high, low))
-    spread = np.array([_spread_at(x, v, wanted) for wanted in stats.chi2.ppf(_MIDDLES, x.size - 1)])
+    ends = tuple(_spread_at(x, v, float(special.chdtri(x.size - 1, 1 - share))) for share in (high, low))
+    spread = np.array([_spread_at(x, v, wanted) for wanted in special.chdtri(x.size - 1, 1 - _MIDDLES)])
     weight = 1.0 / (v + spread[:, None]**2)
     centre, variance = weight @ x / weight.sum(axis=1), 1.0 / weight.sum(axis=1) + together
     mean, following = (tuple(_quantile(centre, np.sqrt(variances), share) for share in (low, high))
@@ -165,7 +165,7 @@ def _intervals(x: np.ndarray, v: np.ndarray, together: float):
 def _quantile(centres: np.ndarray, deviations: np.ndarray, share: float) -> float:
     """Of normal distributions mixed in equal parts."""
     reach = 40.0 * deviations.max() + np.ptp(centres)
-    return float(optimize.brentq(lambda value: stats.norm.cdf(value, centres, deviations).mean() - share,
+    return float(optimize.brentq(lambda value: special.ndtr((value - centres) / deviations).mean() - share,
                                  centres.min() - reach, centres.max() + reach))
 
 

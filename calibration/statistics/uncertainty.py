@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg, stats
+from scipy import linalg, special
 
 from calibration.statistics.statistics import Interpolations, chi_square, pooled_noise
 
@@ -80,9 +80,9 @@ def sandwich(jacobian: np.ndarray, residual: np.ndarray, replicate: np.ndarray, 
     weight = pooled_noise(noise, replicate)**2
     squares, samples = chi_square(residual, replicate, noise, interpolations)
     freedom = max(samples - unknowns, 1.0)
-    basis, quantile, deviations = "noise", stats.norm.ppf(0.975), noise
+    basis, quantile, deviations = "noise", special.ndtri(0.975), noise
     if squares > RESIDUAL_RATIO**2 * freedom:
-        basis, quantile = "residuals", stats.t.ppf(0.975, freedom)
+        basis, quantile = "residuals", special.stdtrit(freedom, 0.975)
         own = np.array([chi_square(residual[part], np.zeros(part.sum(), int), noise[i:i + 1],
                                    None if interpolations is None else interpolations[i:i + 1])
                         for i, part in enumerate(parts)])
@@ -107,7 +107,7 @@ def sandwich(jacobian: np.ndarray, residual: np.ndarray, replicate: np.ndarray, 
     if jitter is None and count >= FEWEST_REPLICATES and root.shape[1]:
         scores = _own_scores(jacobian, residual, parts) @ root
         spread = _larger(count / (count - 1) * scores.T @ scores, spread)
-        basis, quantile = "replicates", stats.t.ppf(0.975, count - 1)
+        basis, quantile = "replicates", special.stdtrit(count - 1, 0.975)
     # As a square, so that it is symmetric and positive semi-definite to the last digit.
     weights, axes = np.linalg.eigh(spread)
     half = root @ (axes * np.sqrt(np.clip(weights, 0.0, None)))

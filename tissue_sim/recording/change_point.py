@@ -203,7 +203,7 @@ class ChangePointFit:
 
     def profile(self, best: tuple[float, float]) -> Profile:
         """Least squares around the best place, as far as the interval goes, and finely inside."""
-        from scipy import stats
+        from scipy import special
 
         start, latest, step = self.part.start, max(self.latest, self.part.start + self.part.step), self.part.step
         places = np.unique((best[0] + step * np.array([-3, -1, -0.3, 0, 0.3, 1, 3])).clip(start, latest))
@@ -212,7 +212,7 @@ class ChangePointFit:
         for _ in range(14):
             at = int(np.argmin(squares))
             variance = max(squares[at] / self.freedom, self.part.rounding**2, 1e-300)
-            limit = _CHOSEN * float(stats.f.ppf(0.95, 1, self.independent))
+            limit = _CHOSEN * float(special.fdtri(1, self.independent, 0.95))
             profile = Profile(places, squares, powers, variance, limit)
             near = np.flatnonzero(profile.ratio < 2.3 * profile.limit)
             width, wanted = places[near[-1]] - places[near[0]], []
@@ -223,7 +223,11 @@ class ChangePointFit:
             first, last = max(near[0] - 1, 0), min(near[-1] + 1, places.size - 1)
             gaps = np.diff(places[first:last + 1])
             fine = max(min(step / 6, width / 12), step / 50)
-            wide = np.flatnonzero(gaps > fine) if gaps.size else np.zeros(0, int)
+            # Finely only where the profile crosses its limit and beside the best.
+            inside = profile.ratio[first:last + 1] <= profile.limit
+            matters = inside[1:] != inside[:-1]
+            matters[[k for k in (at - first - 1, at - first) if 0 <= k < gaps.size]] = True
+            wide = np.flatnonzero(gaps > np.where(matters, fine, max(fine, width / 12)))
             if not wanted and wide.size:
                 wide = wide[np.argsort(-gaps[wide])][:12] + first
                 wanted.append(0.5 * (places[wide] + places[wide + 1]))

@@ -145,9 +145,9 @@ def find_contact(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
         if chance > _ADEQUATE and (judged is None or judged[1] > _SMALLER * noise):
             break
     fitted = ChangePointFit(part, terms + 1, exponents)
-    profile = fitted.profile(fitted.search())
-    fitted = ChangePointFit(part, terms + 1, exponents, fitted.colour(*profile.best))
-    found = _answer(way, fitted, fitted.profile(profile.best), adequate=chance > _DOUBTFUL)
+    best = fitted.near(fitted.search())
+    fitted = ChangePointFit(part, terms + 1, exponents, fitted.colour(*best))
+    found = _answer(way, fitted, fitted.profile(best), adequate=chance > _DOUBTFUL)
     each = round(way.step / recorded.step)
     index = int(np.argmax(displacement > found.displacement)) if found.index else 0
     return replace(found, index=index, step=recorded.step, air=each * found.air, loading=each * found.loading,
@@ -156,21 +156,22 @@ def find_contact(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
 
 def _judge(part: Part, terms: int, exponents: tuple[float, float]) -> tuple[float, float]:
     """The probability that the misfit of a part is chance, and the deviation of its residual, N."""
-    from scipy import stats
+    from scipy import special
 
+    part = part.coarse
     fitted = ChangePointFit(part, terms, exponents)
-    best = fitted.near(fitted.search())
+    best = fitted.search()
     fitted = ChangePointFit(part, terms, exponents, ChangePointFit(part, terms + 2, exponents, half=True).colour(*best))
     best = fitted.near(best)
     place, power = np.array([best[0]]), np.array([[best[1]]])
     larger = ChangePointFit(part, terms + 2, exponents, fitted.correlation, half=True)
     least, more = (fit.squares(place, power, bounded=False)[0, 0] for fit in (fitted, larger))
     ratio = max(least - more, 0.0) / 3 / max(more / larger.freedom, part.rounding**2, 1e-300)
-    return float(stats.f.sf(ratio, 3, larger.freedom)), float(np.std(fitted.residual(*best)))
+    return float(special.fdtrc(3, larger.freedom, ratio)), float(np.std(fitted.residual(*best)))
 
 
 def _answer(way: _WayIn, fitted: ChangePointFit, profile: Profile, adequate: bool) -> Contact:
-    from scipy import stats
+    from scipy import special
 
     part, (place, power) = fitted.part, profile.best
     straight, freedom = fitted.without_contact(), fitted.freedom
@@ -183,7 +184,7 @@ def _answer(way: _WayIn, fitted: ChangePointFit, profile: Profile, adequate: boo
     found = Contact("found", float(place), (float(low), float(high)), float(coefficients[0] + part.force[0]),
                     float(coefficients[1] / span), int(np.argmax(way.whole.displacement > place)), float(power),
                     deviation, way.step, first, part.displacement.size - first, adequate)
-    if stats.f.sf(ratio, fitted.terms + 2, freedom) > _NO_FORCE:
+    if special.fdtrc(fitted.terms + 2, freedom, ratio) > _NO_FORCE:
         rises = float(way.smooth.max()) - way.zero > _LEAST_RISE * max(way.noise, deviation)
         latest = float(way.whole.displacement.max()) if rises else np.inf
         return replace(found, status="unclear" if rises else "none", displacement=np.nan, interval=(-np.inf, latest),

@@ -16,6 +16,8 @@ LEAST_DROP, _LEAST_NOISE = 0.05, 8.0
 _RISEN = 0.03
 #: Slower than this share of the speed before, a tissue that relaxes loses force and is intact.
 _SAME_SPEED = 0.7
+#: Samples before, whose speed is compared at least.
+_BEFORE = 4
 #: A sudden drop takes so many samples, and is so many times the loss of as many samples before.
 _SUDDEN, _FASTER = 3, 4.0
 #: A loss that takes more than this share of the way is gradual; a force that loses more than half is a rupture.
@@ -81,11 +83,15 @@ def find_failure(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
     noise = _noise_of(force)
     labels = label_motion(time, displacement)
     edges = np.append(np.flatnonzero(np.append(True, labels[1:] != labels[:-1])), labels.size)
+    speed = _speeds(time, displacement) if timed else np.ones(force.size)
+    # What relaxes pulls at its tool at the end of a return, which is no zero of the cycles after it.
+    way_in = int(np.argmax(labels == "unload")) if np.any(labels == "unload") else force.size
     for first, last in pairwise(edges.tolist()):
-        zero = float(force[:first + 1].min())
+        zero = float(force[:min(first, way_in) + 1].min())
         while first < last and labels[first] != "unload":
-            test = _Stretch(time[first:last], displacement[first:last], force[first:last], zero, float(np.ptp(force)),
-                            noise, least_drop, timed, STRAIGHT * float(np.ptp(displacement)))
+            test = _Stretch(displacement[first:last], force[first:last], speed[first:last],
+                            speed[max(first - _BEFORE, 0):first], zero, float(np.ptp(force)), noise, least_drop,
+                            STRAIGHT * float(np.ptp(displacement)))
             peaks = [peak for peak in (test.peak_of_ramp() if labels[first] == "ramp" else None, test.sudden()) if
                      peak is not None]
             if not peaks:
@@ -102,18 +108,18 @@ def find_failure(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
 class _Stretch:
     """A ramp or a hold.
 
-    zero: least force before, N. range: of the whole test, N. least: share that must be lost. timed: whether the speed
-    is known. tremble: of the motion, m.
+    speed: m/s; 1 where it is not known. before: of the samples before. zero: least force before, N. range: of the whole
+    test, N. least: share that must be lost. tremble: of the motion, m.
     """
 
-    time: np.ndarray
     displacement: np.ndarray
     force: np.ndarray
+    speed: np.ndarray
+    before: np.ndarray
     zero: float
     range: float
     noise: float
     least: float
-    timed: bool
     tremble: float
 
     def _enough(self, peak: np.ndarray) -> np.ndarray:
@@ -130,10 +136,11 @@ class _Stretch:
         highest = np.maximum.accumulate(smooth)
         peak = np.maximum.accumulate(np.where(smooth >= highest, np.arange(smooth.size), 0))
         lower = (highest - smooth > self._enough(highest)) & (self.displacement >= self.displacement[peak])
-        speed = _speeds(self.time, self.displacement)
+        speed = np.append(self.before, self.speed)
         for place in np.flatnonzero(lower).tolist():
-            before = speed[max(peak[place] - max(peak[place] // 5, 2), 0):peak[place] + 1]
-            if not self.timed or speed[place] >= _SAME_SPEED * np.median(before):
+            last = self.before.size + peak[place]
+            before = speed[max(last - max(peak[place] // 5, _BEFORE), 0):last + 1]
+            if self.speed[place] >= _SAME_SPEED * np.median(before):
                 return int(max(range(max(peak[place] - 1, 0), min(peak[place] + 2, place)),
                                key=lambda k: self.force[k], default=peak[place]))
         return None
@@ -148,8 +155,8 @@ class _Stretch:
         before = np.maximum(self.force[at - _SUDDEN] - self.force[at], 0.0)
         forward = self.displacement[at + _SUDDEN] >= self.displacement[at] - self.tremble
         # Where the motion slows down, a tissue that relaxes loses force at once.
-        speed = _speeds(self.time, self.displacement) if self.timed else np.ones(n)
-        forward &= (speed[at + _SUDDEN] >= _SAME_SPEED * speed[at - _SUDDEN]) | (speed[at - _SUDDEN] <= 0)
+        after, speed = self.speed[at + _SUDDEN], self.speed[at - _SUDDEN]
+        forward &= (after >= _SAME_SPEED * speed) | (speed <= 0)
         drops = np.flatnonzero((lost > self._enough(self.force[at])) & forward
                                & (lost > _FASTER * before + _LEAST_NOISE * self.noise))
         if not drops.size:
@@ -183,12 +190,12 @@ def _describe(displacement: np.ndarray, force: np.ndarray, index: int, zero: flo
 
 def _noise_of(force: np.ndarray) -> float:
     """Deviation of the noise from smooth curves, also of one with a colour, N."""
-    from scipy.signal import savgol_filter
-
     bend = (force[1:-1] - 0.5 * (force[:-2] + force[2:])) / np.sqrt(1.5)
     deviations = [np.median(np.abs(bend)) / 0.6745]
     if force.size > 2 * _SMOOTH:
-        rest = force - savgol_filter(force, _SMOOTH, 3)
+        # The middle of a cubic through its neighbours: Savitzky and Golay, Anal. Chem. 36 (1964) 1627.
+        around = np.vander(np.arange(_SMOOTH) - _SMOOTH // 2, 4)
+        rest = force[_SMOOTH // 2:-(_SMOOTH // 2)] - np.convolve(force, np.linalg.pinv(around)[-1], "valid")
         deviations.append(np.median(np.abs(rest)) / 0.6745)
     return float(max(*deviations, 1e-9 * np.abs(force).max(), 1e-300))
 
