@@ -109,6 +109,7 @@ class FitSettings:
         zero_bound, zero_prior: N; None: ten times the prior, which is five times the noise of the force.
         strain_points: evenly spaced strains that every replicate is interpolated to, or None for its own samples.
         starts: how many an inverse fit tries.
+        whole: whether holds and returns are compared with a material that does not remember, too.
         named: path -> what it is, of every parameter that the campaign names; see `calibration.campaign.parameters`.
         start, fixed: path -> value, SI; parts of the material that they name it then has. prior: path -> (mean,
             standard deviation). bounds: (low, high).
@@ -125,6 +126,7 @@ class FitSettings:
     strain_points: int | None = None
     starts: int = DEFAULT_STARTS
     method: str = "analytical"
+    whole: bool = False
     named: Mapping[str, Named] = field(default_factory=_read_only)
     start: Mapping[str, float] = field(default_factory=_read_only)
     fixed: Mapping[str, float] = field(default_factory=_read_only)

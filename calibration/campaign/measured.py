@@ -181,7 +181,8 @@ def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Ca
     if time is None and test.rig.needs_time:
         raise InputError(f"{path.name} has no time, and the rig of its test needs it (latency, damping or drift); give "
                          "a time column, or speed_mm_s", field="recordings")
-    remembering, height = remembers(test, material), 1.0 if test.specimen is None else test.specimen.height
+    remembering = remembers(test, material) or (campaign.fit.whole and time is not None)
+    height = 1.0 if test.specimen is None else test.specimen.height
     labels = np.char.lower(recording.labels["segment"].astype(str)) if "segment" in recording.labels else None
     whole = segment_recording(test, displacement, force, time, labels, stressed=stressed, remembering=remembering,
                               path=path)

@@ -30,7 +30,7 @@ def build_problem(law: str, campaign: Campaign, measured: Mapping[str, Sequence[
     space = ParameterSpace.of(law, campaign, names)
     fitted = [test for test in campaign.tests if not test.hold_out]
     jitter = first_jitter(campaign, [curve for test in fitted for curve in measured[test.name]])
-    tests = tuple(build_test(test, measured[test.name], campaign.fit.material, jitter.contact) for test in fitted)
+    tests = tuple(build_test(test, measured[test.name], campaign.fit, jitter.contact) for test in fitted)
     # What the fast mesh is off is no misfit that offsets should make up for.
     return Problem(space, tests, solves, jitter, tuple(remainder(test, FAST_REMAINDERS) for test in tests))
 

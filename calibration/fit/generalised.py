@@ -123,7 +123,7 @@ class Generalised(Estimator):
     def held_out(self, test: Test, estimate: Estimate) -> tuple[ForwardTest, float]:
         """With a mesh difference of its own."""
         problem = estimate.problem
-        found = build_test(test, self.measured[test.name], self.campaign.fit.material, problem.jitter.contact)
+        found = build_test(test, self.measured[test.name], self.campaign.fit, problem.jitter.contact)
         try:
             found.refine(problem.space, estimate.theta, self.solves)
             error = REMAINDERS

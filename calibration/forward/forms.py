@@ -15,7 +15,6 @@ from calibration.forward.contract import ForwardTest
 from calibration.forward.motion import Loading, Timed
 from calibration.forward.simulated import SimulatedTest
 from tissue_sim.experiment.protocol import STUDY_SPEED
-from tissue_sim.material.material import Material
 
 #: Standard deviation of the accurate mesh's own error relative to the force: what is left against independent
 #: solvers, see docs/simulation.md. Between plates, under a flat needle, under a round or pointed one.
@@ -29,15 +28,17 @@ FITTED_STEP = 0.01
 _MARGIN, _LEAST_MARGIN = 4.0, 1e-3
 
 
-def build_test(test: Test, curves: Sequence[MeasuredCurve], material: Material,
+def build_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSettings,
                contact: float) -> SimulatedTest | ClosedTest:
     """A test and how it is simulated; `contact` is the standard deviation of the contact offset, m."""
+    material = settings.material
     curves = tuple(curves)
     if test.experiment is None or curves[0].stressed:
         return closed_test(test, curves)
     layered = bool(material.layers)
     one_way = all(set(curve.segment.tolist()) == {"ramp"} for curve in curves if curve.segment is not None)
-    if material.ages or (remembers(test, material) and not one_way):
+    timed = settings.whole and all(curve.time is not None for curve in curves)
+    if timed or material.ages or (remembers(test, material) and not one_way):
         motions: list[Timed] = []
         motion_of = []
         for curve in curves:

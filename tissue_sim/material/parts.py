@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 from tissue_sim.errors import InputError, located, nearest
@@ -14,7 +15,7 @@ from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.material.puncture import Puncture
 from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import Prony, PronyTerm
-from tissue_sim.parameters import Declaration, declared, tokens
+from tissue_sim.parameters import Declaration, declared, parameters, tokens, with_values
 
 #: Place -> class of the part, of what a material may have once, and of what it may have several of.
 SINGLE: dict[str, type] = {"softening": Softening, "poroelasticity": Poroelasticity, "puncture": Puncture}
@@ -83,6 +84,40 @@ def make_material(law: str, parameters: Mapping[str, float], others: Mapping[str
     added = {name: _part(EFFECTS[name], f"effects.{name}", numbers) for name, numbers in effects.items()}
     return Material(law, parameters, response, layers=tuple(_in_order(terms, "layers")), effects=added, **parts,
                     **options)
+
+
+def with_parts(material: Material, values: Mapping[str, float]) -> Material:
+    """The material with numbers changed, and with the parts that they name and it does not have.
+
+    Args:
+        material: any. values: path -> value, SI; all numbers of a part that is to be made.
+
+    Raises:
+        InputError: a path that no material has, a part that lacks a number or refuses one.
+    """
+    known = parameters(material)
+    new = {path: value for path, value in values.items() if path not in known}
+    material = with_values(material, {path: value for path, value in values.items() if path in known})
+    if not new:
+        return material
+    several: dict[str, tuple] = {"viscoelastic.terms": getattr(material.viscoelastic, "terms", ()),
+                                 "layers": material.layers}
+
+    def counted_on(path: str) -> str:
+        place, _, last = find_declaration(path)[0].rpartition(".")
+        if (numbered := _NUMBERED.fullmatch(place)) is None:
+            return path
+        return f"{numbered[1]}[{int(place[len(numbered[1]) + 1:-1]) - len(several[numbered[1]])}].{last}"
+
+    made = make_material("neo_hooke", {"C10": 1.0}, {counted_on(path): value for path, value in new.items()})
+    changes: dict[str, Any] = {name: part for name in SINGLE if (part := getattr(made, name)) is not None}
+    if made.viscoelastic is not None:
+        series = material.viscoelastic or made.viscoelastic
+        changes["viscoelastic"] = replace(series, terms=(*several["viscoelastic.terms"], *made.viscoelastic.terms))
+    if any(path.startswith("bulk.") for path in new):
+        changes["bulk"] = made.bulk
+    return replace(material, layers=(*material.layers, *made.layers), effects={**material.effects, **made.effects},
+                   **changes)
 
 
 def _kind_at(place: str) -> type | None:

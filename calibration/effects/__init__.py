@@ -1,0 +1,1 @@
+"""What a rig and a tissue do that a plain model does not: a file an effect."""
