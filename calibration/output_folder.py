@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -26,8 +26,16 @@ PICTURES_OF_LAW = ("profiles", "windows", "correlation", "population")
 CLAIM_SCHEMA = "tissue_sim/calibration/2"
 
 
+def result_files(campaign: Campaign, folder: Path) -> list[Path]:
+    """Every file that the calibration of a campaign may write."""
+    return [*(folder / f"{law}.material.json" for law in campaign.fit.laws), *(folder / name for name in TABLES),
+            *(folder / picture_file(name, kind) for name in _pictures(campaign) for kind in PICTURE_FORMATS),
+            folder / FIT_FILE]
+
+
 def claim(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaign], recordings: Sequence[MeasuredCurve],
-          digests: Mapping[str, str], overwrite: bool) -> None:
+          digests: Mapping[str, str], overwrite: bool,
+          files_of: Callable[[Campaign, Path], list[Path]] = result_files) -> None:
     """Make `output` ready for these campaigns; what it holds of these very ones stays.
 
     Files of an earlier calibration are removed, by the list that it left in ``work.json``; no other file is touched.
@@ -37,6 +45,7 @@ def claim(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaig
         campaigns, recordings: what is read, which no result may replace.
         digests: of each campaign, by its name.
         overwrite: whether other work in `output` may be replaced.
+        files_of: every file that may be written for a campaign, in its folder.
 
     Raises:
         InputError: `output` is a file, holds other work, or holds a file at the place of a result that no calibration
@@ -44,7 +53,7 @@ def claim(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaig
     """
     if output.exists() and not output.is_dir():
         raise InputError("is a file; give a folder for the results", file=output)
-    planned = [path for campaign in campaigns for path in result_files(campaign, folders[campaign.name])]
+    planned = [path for campaign in campaigns for path in files_of(campaign, folders[campaign.name])]
     planned += [output / CLAIM_FILE, *([output / SUMMARY_FILE] if len(campaigns) > 1 else [])]
     for folder in folders.values():
         if (folder / SOLVES).exists() and not (folder / SOLVES).is_dir():
@@ -67,13 +76,6 @@ def claim(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaig
     files = [path.relative_to(output).as_posix() for path in planned]
     content = {"schema": CLAIM_SCHEMA, "campaigns": dict(digests), "files": files}
     write_text(output / CLAIM_FILE, json.dumps(content, indent=2) + "\n")
-
-
-def result_files(campaign: Campaign, folder: Path) -> list[Path]:
-    """Every file that the calibration of a campaign may write."""
-    return [*(folder / f"{law}.material.json" for law in campaign.fit.laws), *(folder / name for name in TABLES),
-            *(folder / picture_file(name, kind) for name in _pictures(campaign) for kind in PICTURE_FORMATS),
-            folder / FIT_FILE]
 
 
 def picture_of_test(campaign: Campaign, number: int, what: str = "test") -> str:

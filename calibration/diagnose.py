@@ -1,0 +1,146 @@
+"""The diagnosis, whole: campaigns in; what a plain model misses, and models that have it, out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from calibration.campaign.campaign import Campaign, load_campaign
+from calibration.campaign.measured import MeasuredCurve, read_measured, scale_offsets
+from calibration.diagnosis.confirmation import gap, region_gaps, settled, unseen_replicates, unseen_tests
+from calibration.diagnosis.diagnosis import Diagnosis, Stage
+from calibration.diagnosis.evidence import Evidence, Measured, gather, whole_campaign
+from calibration.diagnosis.proposals import Proposals, propose
+from calibration.diagnosis.statements import candidate_statements, found_effects
+from calibration.diagnosis.verdict import judge
+from calibration.diagnosis.words import message
+from calibration.fit.assess import assess
+from calibration.fit.fit import Fit
+from calibration.fit.generalised import Generalised
+from calibration.fit.steps import Steps
+from calibration.fit.uncertainty import assess_uncertainty
+from calibration.forward.solves import Solves
+from calibration.tasks.executors import Workers, open_tasks
+from tissue_sim.errors import InputError
+
+if TYPE_CHECKING:
+    from calibration.fit.steps import Progress
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosed:
+    """A diagnosis and what it stands on.
+
+    Attributes:
+        diagnosis: the answer. before, after: evidence without and with what was added; after: None where nothing was.
+        proposals: the catalogue on the data.
+    """
+
+    diagnosis: Diagnosis
+    before: Evidence
+    after: Evidence | None
+    proposals: Proposals
+
+
+@dataclass
+class _Clock:
+    """What took how long."""
+
+    solves: Solves
+    stages: list[Stage] = field(default_factory=list)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        began, before = time.monotonic(), self.solves.counts.total()
+        yield
+        self.stages.append(Stage(name=name, wall_s=time.monotonic() - began,
+                                 simulations=self.solves.counts.total() - before))
+
+
+def diagnose_campaign(campaign: Campaign, measured: Measured, steps: Steps, solves: Solves | None = None) -> Diagnosed:
+    """Diagnose one campaign that has been read; nothing is written.
+
+    Args:
+        campaign: see `calibration.diagnosis.evidence.whole_campaign`. measured: all recordings, as `read_measured`
+            reads them for it. steps: where the parts run, and who is told. solves: what has been simulated.
+
+    Raises:
+        ConvergenceError: no start gets through the data.
+    """
+    solves = solves or Solves()
+    campaign = scale_offsets(campaign, measured)
+    clock = _Clock(solves)
+    with clock.stage("fit without any effect"):
+        before = gather(campaign, measured, solves, steps)
+    with clock.stage("scores of the catalogue"):
+        proposals = propose(before, steps)
+    with clock.stage("fits with the likeliest"):
+        judgement = judge(before, proposals, steps)
+    after: Evidence | None = None
+    with clock.stage("last fit and unseen data"):
+        steps.say("the last fit, and data that the fits have not seen")
+        if judgement.chosen is not None:
+            after = settled(before, judgement.evidence)
+        held_out = [*unseen_replicates(before, after), *unseen_tests(before, after)]
+        fit_before = _fit_of(before)
+        fit_after = None if after is None else _fit_of(after)
+        candidates = candidate_statements(proposals, judgement, before)
+        effects = [] if after is None else found_effects(judgement, before, after)
+        regions = region_gaps(before, after)
+    gaps = gap(before), None if after is None else gap(after)
+    noises = [curve.noise for curve in before.problem.measured]
+    noise = float(np.sqrt(np.mean([one.deviation**2 for one in noises])))
+    titles = {row.name: row.title for row in candidates}
+    jitter = (after or before).problem.jitter
+    diagnosis = Diagnosis(
+        campaign=campaign.name, law=campaign.fit.laws[0], verdict=judgement.verdict,
+        message=message(judgement.verdict, effects, [titles.get(name, name) for name in judgement.indistinguishable],
+                        regions, (*gaps, noise), sum(not row.testable for row in candidates)),
+        effects=effects, indistinguishable=judgement.indistinguishable, candidates=candidates, regions=regions,
+        gap_before_N=gaps[0], gap_after_N=gaps[1], noise_N=noise,
+        noise_correlation_s=float(np.mean([one.correlation_time for one in noises])),
+        contact_jitter_mm=1e3 * jitter.contact, zero_jitter_N=jitter.zero,
+        mesh_percent=100.0 * max(before.problem.mesh_error, default=0.0), held_out=held_out,
+        fit_before=fit_before, fit_after=fit_after, stages=clock.stages)
+    return Diagnosed(diagnosis, before, after, proposals)
+
+
+def _fit_of(evidence: Evidence) -> Fit:
+    """The fit as a calibration states it, without profiles."""
+    estimate = evidence.estimate
+    estimator = Generalised(evidence.campaign, evidence.measured, evidence.problem.solves)
+    spread = assess_uncertainty(evidence.problem, evidence.evaluation)
+    return assess(estimator, estimate, spread, [estimate], [], evidence.campaign)
+
+
+def read_for_diagnosis(path: str | Path, law: str | None = None
+                       ) -> tuple[Campaign, dict[str, tuple[MeasuredCurve, ...]]]:
+    """A campaign with one law, and its whole recordings.
+
+    Raises:
+        InputError: anything wrong in the campaign or a recording, an analytical campaign, a law that it does not list.
+    """
+    campaign = load_campaign(path)
+    if law is not None and law not in campaign.fit.laws:
+        raise InputError(f"{law!r} is not among its laws ({', '.join(campaign.fit.laws)})", file=campaign.path,
+                         field="fit.laws")
+    campaign = whole_campaign(campaign, law)
+    return campaign, read_measured(campaign)
+
+
+def diagnose_file(path: str | Path, *, law: str | None = None, workers: Workers | None = None,
+                  progress: Progress | None = None) -> Diagnosed:
+    """Diagnose one campaign file; nothing is written.
+
+    Raises:
+        InputError, ConvergenceError: as `diagnose`.
+    """
+    campaign, measured = read_for_diagnosis(path, law)
+    with open_tasks(workers or Workers()) as tasks:
+        return diagnose_campaign(campaign, measured, Steps(campaign.name, tasks, progress))

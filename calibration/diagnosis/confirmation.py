@@ -1,0 +1,245 @@
+"""Whether what was added holds: the gap region by region, and data that the fits have not seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy import linalg, special
+
+from calibration.campaign.measured import MeasuredCurve
+from calibration.diagnosis.diagnosis import HeldOut, RegionGap
+from calibration.diagnosis.evidence import Evidence
+from calibration.fit.estimate import Estimate, settle
+from calibration.fit.fit import Region
+from calibration.fit.generalised import Generalised
+from calibration.fit.levenberg_marquardt import descend
+from calibration.fit.problem import Problem
+from calibration.fit.regions import judge_regions
+from calibration.fit.uncertainty import assess_uncertainty
+from calibration.forward.contract import InfeasibleError
+from tissue_sim.errors import InputError
+
+#: Below this probability the logarithm of a chi-square tells the deviations.
+_SMALLEST = 1e-14
+#: A hold whose force changes by less than this many standard errors of its ends does not change.
+_STEADY = 4.0
+#: Share of a hold that its ends are averaged over.
+_END = 0.1
+
+
+def settled(before: Evidence, after: Evidence) -> Evidence:
+    """The evidence with an effect, its jitter and mesh corrections its own; as it was where that fails.
+
+    Args:
+        before: without the effect. after: with it, jitter and mesh as without it.
+    """
+    problem = after.problem
+    stated = Generalised(after.campaign, after.measured, problem.solves)._stated(problem)
+    estimate = settle(replace_problem(problem), after.estimate.theta, stated)
+    return Evidence(after.campaign, after.measured, estimate) if np.isfinite(estimate.error) else after
+
+
+def replace_problem(problem: Problem) -> Problem:
+    """A problem of its own, whose corrections and jitter may change without touching others."""
+    tests = tuple(replace(test, correction=list(getattr(test, "correction", ()))) if hasattr(test, "correction")
+                  else test for test in problem.tests)
+    return Problem(problem.space, tests, problem.solves, problem.jitter, problem.mesh_error)
+
+
+def deviations(region: Region) -> float:
+    """How improbable a region's residuals are, in deviations of a normal distribution."""
+    if region.p > _SMALLEST:
+        return float(max(-special.ndtri(0.5 * region.p), 0.0))
+    return float(np.sqrt(2.0 * region.statistic) - np.sqrt(2.0 * region.freedom - 1.0))
+
+
+def region_gaps(before: Evidence, after: Evidence | None) -> list[RegionGap]:
+    """Each region before and after, with a sentence."""
+    later = {(region.test, region.segment): region for region in (after.regions if after is not None else ())}
+    answers = []
+    for region in before.regions:
+        other = later.get((region.test, region.segment))
+        curves = [(curve, rows) for curve, rows in zip(before.problem.measured, before.problem.rows, strict=True)
+                  if curve.test.name == region.test]
+        inside = _inside(curves[0][0], region.segment)
+        answers.append(RegionGap(
+            test=region.test, segment=region.segment, speed_mm_s=_speed(curves[0][0], inside),
+            cycle=_cycle(region.segment), before_N=region.misfit_N, largest_before_N=-region.largest_N,
+            before_sigma=deviations(region), adequate_before=region.adequate,
+            after_N=None if other is None else other.misfit_N,
+            after_sigma=None if other is None else deviations(other),
+            adequate_after=None if other is None else other.adequate,
+            sentence=_sentence(region, curves, before)))
+    return answers
+
+
+def gap(evidence: Evidence) -> float:
+    """Root mean square of what is smooth in the residuals, over all samples, N."""
+    weights, total = 0.0, 0.0
+    for region in evidence.regions:
+        count = sum(int(_inside(curve, region.segment).sum()) for curve in evidence.problem.measured
+                    if curve.test.name == region.test)
+        weights += count
+        total += count * region.misfit_N**2
+    return float(np.sqrt(total / weights)) if weights else 0.0
+
+
+def unseen_replicates(before: Evidence, after: Evidence | None) -> list[HeldOut]:
+    """The last recording of each test that has three or more, predicted by fits to the others."""
+    plain = _without_last(before)
+    if plain is None:
+        return []
+    with_effect = None if after is None else _without_last(after)
+    first = _predicted(*plain)
+    second = [None] * len(first) if with_effect is None else _predicted(*with_effect)
+    return [_held_out(test.measured[0].name, "replicate", one, two, test.measured)
+            for test, one, two in zip(plain[1].tests, first, second, strict=True)]
+
+
+def unseen_tests(before: Evidence, after: Evidence | None) -> list[HeldOut]:
+    """The tests that the campaign holds out."""
+    found = []
+    for test in before.campaign.tests:
+        if not test.hold_out:
+            continue
+        pair = [None if evidence is None else _predict_test(evidence, test.name) for evidence in (before, after)]
+        found.append(_held_out(test.name, "test", pair[0] or "not predicted", pair[1], before.measured[test.name]))
+    return found
+
+
+Prediction = tuple[float, bool]
+
+
+def _held_out(name: str, kind: str, before: Prediction | str, after: Prediction | str | None,
+              curves: Sequence[MeasuredCurve]) -> HeldOut:
+    note = "; ".join(dict.fromkeys(each for each in (before, after) if isinstance(each, str)))
+    one = before if isinstance(before, tuple) else (None, None)
+    two = after if isinstance(after, tuple) else (None, None)
+    return HeldOut(name=name, kind=kind, before_N=one[0], adequate_before=one[1], after_N=two[0],
+                   adequate_after=two[1], noise_N=float(np.mean([curve.noise.deviation for curve in curves])),
+                   note=note)
+
+
+def _predict_test(evidence: Evidence, name: str) -> Prediction | str:
+    asked = next(test for test in evidence.campaign.tests if test.name == name)
+    problem = evidence.problem
+    try:
+        test, error = Generalised(evidence.campaign, evidence.measured, problem.solves).held_out(
+            asked, evidence.estimate)
+        unseen = Problem(problem.space, (test,), problem.solves, problem.jitter, (error,))
+        return _predicted_by(unseen, evidence.estimate.theta,
+                             assess_uncertainty(problem, evidence.evaluation).covariance)[0]
+    except (InfeasibleError, InputError) as failure:
+        return str(failure)
+
+
+def _without_last(evidence: Evidence) -> tuple[Estimate, Problem] | None:
+    """The fit without the last recording of each test that has three or more, and the problem of these."""
+    problem = evidence.problem
+    repeated = [len(test.measured) > 2 for test in problem.tests]
+    if not any(repeated):
+        return None
+
+    def part(test, first: int, last: int | None):
+        changes: dict = {"measured": test.measured[first:last]}
+        if hasattr(test, "motion_of"):
+            changes["motion_of"] = test.motion_of[first:last]
+        return replace(test, **changes)
+
+    rest = Problem(problem.space, tuple(part(test, 0, -1) if several else test
+                                        for test, several in zip(problem.tests, repeated, strict=True)),
+                   problem.solves, problem.jitter, problem.mesh_error)
+    chosen = [i for i, several in enumerate(repeated) if several]
+    last = Problem(problem.space, tuple(part(problem.tests[i], -1, None) for i in chosen), problem.solves,
+                   problem.jitter, tuple(problem.mesh_error[i] for i in chosen))
+    descent = descend(rest, evidence.estimate.theta, corrected=True)
+    estimate = Estimate(1, descent.theta, descent.error, descent.converged, descent.failure, (), {}, 0.0, problem=rest)
+    return estimate, last
+
+
+def _predicted(estimate: Estimate, last: Problem) -> list[Prediction | str]:
+    if not np.isfinite(estimate.error):
+        return [f"no fit to the others: {estimate.failure}"] * len(last.tests)
+    covariance = assess_uncertainty(estimate.problem, estimate.evaluation).covariance
+    try:
+        return list(_predicted_by(last, estimate.theta, covariance))
+    except InfeasibleError as failure:
+        return [str(failure)] * len(last.tests)
+
+
+def _predicted_by(unseen: Problem, theta: np.ndarray, covariance: np.ndarray) -> list[Prediction]:
+    """Error of each test, N, with contact and zero of its recordings, and whether what is left is chance.
+
+    The parameters' uncertainty counts as a prior of theirs.
+    """
+    evaluation = unseen.evaluate(theta)
+    sizes = unseen.sizes(theta)
+    scaled = covariance / np.outer(sizes, sizes)
+    values, axes = linalg.eigh(0.5 * (scaled + scaled.T))
+    known = values > 1e-14 * max(values.max(initial=0.0), 1e-300)
+    # What a bound holds has no uncertainty.
+    root = (axes[:, known] / np.sqrt(values[known])).T / sizes
+    held = (axes[:, ~known].T / sizes) * 1e6
+    rows = np.vstack([root, held])
+    judged = replace(evaluation, prior_residual=np.zeros(rows.shape[0]), prior_rates=rows)
+    regions = judge_regions(unseen, judged)
+    answers = []
+    for number, test in enumerate(unseen.tests):
+        gaps = np.concatenate([evaluation.force[rows] - unseen.data[rows] for rows, (t, _) in zip(
+            unseen.rows, unseen.places, strict=True) if t == number])
+        adequate = all(region.adequate for region in regions if region.test == test.name)
+        answers.append((float(np.sqrt(np.mean(gaps**2))), adequate))
+    return answers
+
+
+def _inside(curve: MeasuredCurve, segment: str) -> np.ndarray:
+    """Samples of a segment; of a third of a loading, all."""
+    if curve.segment is None or segment not in curve.segment:
+        return np.ones(curve.force.size, bool)
+    return curve.segment == segment
+
+
+def _speed(curve: MeasuredCurve, inside: np.ndarray) -> float | None:
+    if curve.time is None or inside.sum() < 2:
+        return None
+    time, displacement = curve.time[inside], curve.displacement[inside]
+    duration = time[-1] - time[0]
+    speed = abs(displacement[-1] - displacement[0]) / duration if duration > 0 else 0.0
+    return float(f"{1e3 * speed:.3g}")
+
+
+def _cycle(segment: str) -> int:
+    last = segment.rpartition(" ")[2]
+    return int(last) if last.isdigit() else 1
+
+
+def _sentence(region: Region, curves: Sequence[tuple[MeasuredCurve, slice]], evidence: Evidence) -> str:
+    place = f"{region.test} {region.segment}"
+    if region.adequate:
+        return f"{place} agrees"
+    sigma = deviations(region)
+    if region.segment.startswith("hold"):
+        (measured, error), (modelled, _) = _changes(region, curves, evidence, "data"), _changes(
+            region, curves, evidence, "model")
+        if abs(measured - modelled) > _STEADY * error:
+            what = "falls" if measured < 0 else "rises"
+            return (f"{place}: the force {what} by {abs(measured):.2g} N, the model's by "
+                    f"{-modelled if measured < 0 else modelled:.2g} N ({sigma:.0f} sigma)")
+    side = "above" if region.largest_N < 0 else "below"
+    return (f"{place}: the force is up to {abs(region.largest_N):.2g} N {side} the model, at {region.at:.3g} mm "
+            f"({sigma:.0f} sigma)")
+
+
+def _changes(region: Region, curves: Sequence[tuple[MeasuredCurve, slice]], evidence: Evidence,
+             of: str) -> tuple[float, float]:
+    """Change of the force over a hold, mean over its recordings, and the standard error, N."""
+    force = evidence.problem.data if of == "data" else evidence.evaluation.force
+    changes, errors = [], []
+    for curve, rows in curves:
+        inside = force[rows][_inside(curve, region.segment)]
+        end = max(int(_END * inside.size), 1)
+        changes.append(inside[-end:].mean() - inside[:end].mean())
+        errors.append(curve.noise.deviation * np.sqrt(2.0 / end))
+    return float(np.mean(changes)), float(np.mean(errors) / np.sqrt(len(errors)))

@@ -1,0 +1,118 @@
+"""What a diagnosis stands on: the tests from contact to the end, fitted without any effect."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from calibration.campaign.campaign import Campaign
+from calibration.campaign.measured import MeasuredCurve
+from calibration.effects.effect import Situation
+from calibration.fit.estimate import Estimate
+from calibration.fit.fit import Region
+from calibration.fit.generalised import Generalised
+from calibration.fit.problem import Evaluation, Problem
+from calibration.fit.regions import judge_regions
+from calibration.fit.steps import Steps
+from calibration.forward.solves import Solves
+from calibration.statistics.adequacy import span
+from tissue_sim.errors import ConvergenceError, InputError
+
+Measured = Mapping[str, tuple[MeasuredCurve, ...]]
+
+
+def whole_campaign(campaign: Campaign, law: str | None = None) -> Campaign:
+    """The campaign with one law, whose holds and returns count.
+
+    Raises:
+        InputError: an analytical campaign.
+    """
+    if campaign.fit.method != "inverse_fem":
+        raise InputError('a diagnosis simulates the tests; set method = "inverse_fem"', file=campaign.path,
+                         field="fit.method")
+    return replace(campaign, fit=replace(campaign.fit, whole=True, laws=(law or campaign.fit.laws[0],)))
+
+
+@dataclass(eq=False)
+class Evidence:
+    """A campaign at the minimum of its fit, and the residuals there.
+
+    Attributes:
+        campaign: with one law and whole recordings. measured: all recordings. estimate: the minimum.
+    """
+
+    campaign: Campaign
+    measured: Measured
+    estimate: Estimate
+
+    @property
+    def problem(self) -> Problem:
+        return self.estimate.problem
+
+    @property
+    def law(self) -> str:
+        return self.problem.space.law
+
+    @cached_property
+    def evaluation(self) -> Evaluation:
+        return self.estimate.evaluation
+
+    @cached_property
+    def values(self) -> dict[str, float]:
+        """All parameters by name, SI."""
+        return self.problem.space.values(self.estimate.theta)
+
+    @cached_property
+    def situation(self) -> Situation:
+        return Situation(self.campaign, self.measured, self.law)
+
+    @cached_property
+    def residual(self) -> np.ndarray:
+        """Model minus data, whitened, then nuisances and priors, shape (M,)."""
+        return self.evaluation.design[0]
+
+    @cached_property
+    def fitted(self) -> np.ndarray:
+        """Orthonormal columns that span all that is fitted, nuisances included, shape (M, k)."""
+        return span(self.evaluation.design[1])
+
+    @cached_property
+    def regions(self) -> list[Region]:
+        return judge_regions(self.problem, self.evaluation)
+
+    @property
+    def adequate(self) -> bool:
+        """Whether no smooth misfit is left in any region."""
+        return all(region.adequate for region in self.regions)
+
+    @cached_property
+    def samples(self) -> float:
+        """Independent samples that the recordings are worth."""
+        total = 0.0
+        for curve in self.problem.measured:
+            memory = 0.0
+            if curve.noise.correlation_time:
+                step = float(np.median(np.diff(curve.clock))) if curve.time is not None else 1.0
+                memory = float(np.exp(-step / curve.noise.correlation_time))
+            total += curve.force.size * (1.0 - memory) / (1.0 + memory)
+        return max(total, 2.0)
+
+
+def gather(campaign: Campaign, measured: Measured, solves: Solves, steps: Steps) -> Evidence:
+    """Fit a campaign without any effect.
+
+    Args:
+        campaign: see `whole_campaign`. measured: all recordings. solves: what has been simulated.
+
+    Raises:
+        ConvergenceError: no start gets through the data.
+    """
+    law = campaign.fit.laws[0]
+    _, estimate = Generalised(campaign, measured, solves).estimate((law,), steps)[law]
+    if not isinstance(estimate, Estimate):
+        raise ConvergenceError(f"{campaign.path}: no start of {law} gets through the data ({estimate}); state another "
+                               "one in fit.start, or take a smaller max_strain")
+    return Evidence(campaign, measured, estimate)

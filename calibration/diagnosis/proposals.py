@@ -1,0 +1,166 @@
+"""Which effects these tests could show, which of them the data show, and which are twins here."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from calibration.diagnosis.evidence import Evidence
+from calibration.diagnosis.extended import change_of
+from calibration.effects.catalogue import CATALOGUE
+from calibration.effects.effect import Candidate, Effect, NotTestableError
+from calibration.fit.problem import Evaluation, Problem
+from calibration.fit.steps import Steps
+from calibration.statistics.scores import Direction, alike, family_probability
+
+#: An effect is seen where chance alone makes any of the catalogue score as it does with less than this probability.
+LEVEL = 0.01
+#: Deviations at which a size is seen in nine of ten data sets: that of the level with a catalogue of this size, and
+#: 1.28 more.
+SEEN = 4.3 + 1.28
+#: Directions of which this share is the same are twins.
+TWINS = 0.97
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """A candidate and its direction in the data.
+
+    Attributes:
+        candidate: what it is. direction: see `Direction`. score: deviations along it, shape (q,).
+        p: that chance alone makes any candidate as improbable. absent: path -> value at which it is absent.
+    """
+
+    candidate: Candidate
+    direction: Direction
+    score: np.ndarray
+    p: float
+    absent: dict[str, float]
+
+    @property
+    def strength(self) -> float:
+        """Deviations that the data show, with the sign of the effect where it has one number."""
+        return float(self.score[0]) if self.direction.freedom == 1 else float(np.linalg.norm(self.score))
+
+    @property
+    def factor(self) -> float:
+        """Size by the score, in units of the size at which it was tried."""
+        return self.strength / self.direction.reach if self.direction.reach else 0.0
+
+    @cached_property
+    def improbability(self) -> float:
+        """Logarithm of the probability of its score alone; the less the more telling, without a floor."""
+        squares = float(np.sum(self.score**2))
+        if self.direction.positive and self.direction.freedom == 1 and self.strength < 0:
+            return 0.0
+        return -0.5 * squares
+
+    def sizes(self, factor: float | None = None) -> dict[str, float]:
+        """Path -> value of its numbers at a multiple of the size at which it was tried; None: by the score.
+
+        Paths whose absent value is not 0 lie as much farther from that.
+        """
+        factor = self.factor if factor is None else factor
+        return {path: absent + factor * (value - absent) for path, value in self.candidate.sizes.items()
+                for absent in (self.absent[path],)}
+
+
+@dataclass(frozen=True, eq=False)
+class Proposals:
+    """The catalogue, held against the data.
+
+    Attributes:
+        all: candidates that these tests could show. silent: name -> why they cannot, of the other effects.
+        effects: name -> effect, of the whole catalogue.
+    """
+
+    all: tuple[Proposal, ...]
+    silent: dict[str, str]
+    effects: dict[str, Effect]
+
+    @cached_property
+    def best(self) -> dict[str, Proposal]:
+        """Name -> the candidate of an effect that the data show most, strongest first."""
+        found: dict[str, Proposal] = {}
+        for each in sorted(self.all, key=lambda one: one.improbability):
+            found.setdefault(each.candidate.name, each)
+        return found
+
+    @property
+    def seen(self) -> dict[str, Proposal]:
+        """Name -> candidates that chance does not explain, strongest first."""
+        return {name: each for name, each in self.best.items() if each.p <= LEVEL}
+
+    def twins(self, name: str) -> list[str]:
+        """Names of others whose direction here is the same but for a few per cent, the likest first."""
+        mine = [each for each in self.all if each.candidate.name == name]
+        found: dict[str, float] = {}
+        for other in self.all:
+            if other.candidate.effect.name != mine[0].candidate.effect.name:
+                likeness = max(alike(one.direction, other.direction) for one in mine)
+                found[other.candidate.name] = max(found.get(other.candidate.name, 0.0), likeness)
+        return [other for other, likeness in sorted(found.items(), key=lambda pair: -pair[1]) if likeness > TWINS]
+
+
+def propose(evidence: Evidence, steps: Steps, words: str = "effects, one at a time",
+            known: Sequence[str] = ()) -> Proposals:
+    """Try every effect of the catalogue at a usual size, and score its direction.
+
+    Args:
+        evidence: at its minimum. steps: where the simulations run. words: for people.
+        known: names that are in the model already.
+    """
+    silent: dict[str, str] = {}
+    effects: dict[str, Effect] = {}
+    candidates: list[Candidate] = []
+    for name, kind in CATALOGUE.items():
+        effects[name] = effect = kind()
+        try:
+            candidates += [each for each in effect.candidates(evidence.situation) if each.name not in known]
+        except NotTestableError as reason:
+            silent[name] = str(reason)
+    problem, evaluation = evidence.problem, evidence.evaluation
+    changes = steps.all_of(probe, [(problem, evaluation, evidence.campaign, each, evidence.values)
+                                   for each in candidates], words)
+    rows = evidence.residual.size - problem.samples
+    found: list[tuple[Candidate, Direction]] = []
+    failures: dict[str, str] = {}
+    for candidate, change in zip(candidates, changes, strict=True):
+        if isinstance(change, str):
+            failures[candidate.name] = change
+            continue
+        columns = np.vstack([change, np.zeros((rows, change.shape[1]))])
+        direction = Direction.of(columns, evidence.fitted, positive=_one_sided(candidate, evidence))
+        if direction.freedom and direction.reach > 0:
+            found.append((candidate, direction))
+        else:
+            failures[candidate.name] = "the other parameters take all of it up" if direction.length > 1e-6 else \
+                "it changes nothing in these tests"
+    scores = [direction.score(evidence.residual) for _, direction in found]
+    chances = family_probability([direction for _, direction in found], scores)
+    proposals = tuple(Proposal(candidate, direction, score, float(p), {
+        path: candidate.absent_value(evidence.campaign, path) for path in candidate.sizes})
+        for (candidate, direction), score, p in zip(found, scores, chances, strict=True))
+    shown = {each.candidate.name for each in proposals}
+    silent |= {name: reason for name, reason in failures.items() if name not in shown}
+    return Proposals(proposals, silent, effects)
+
+
+def probe(problem: Problem, evaluation: Evaluation, campaign, candidate: Candidate,
+          values: dict[str, float]) -> np.ndarray | str:
+    """As `change_of`, for a task in another process."""
+    return change_of(problem, evaluation, campaign, candidate, values)
+
+
+def _one_sided(candidate: Candidate, evidence: Evidence) -> bool:
+    """Whether its number can only lie on one side of where it is absent."""
+    if len(candidate.sizes) != 1:
+        return False
+    (path, size), = candidate.sizes.items()
+    absent = candidate.absent_value(evidence.campaign, path)
+    prepared = candidate.prepared(evidence.campaign)
+    low, high = candidate.bounds.get(path, candidate.declaration(prepared, path).bounds)
+    return (low >= absent - 1e-12 * abs(absent)) if size > absent else (high <= absent + 1e-12 * abs(absent))

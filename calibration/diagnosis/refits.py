@@ -1,0 +1,140 @@
+"""Full fits with an effect: is it as good as its score says, with the finite elements and all parameters free?"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.campaign.campaign import Campaign
+from calibration.diagnosis.evidence import Evidence
+from calibration.diagnosis.extended import extend, unknowns
+from calibration.diagnosis.proposals import Proposal, Proposals
+from calibration.effects.effect import NotTestableError
+from calibration.fit.estimate import Estimate
+from calibration.fit.levenberg_marquardt import descend
+from calibration.fit.problem import Problem
+from calibration.fit.steps import Steps
+from tissue_sim.errors import InputError
+
+#: How many effects are fitted, and from how many values of what means nothing in their absence each.
+MOST, SHAPES = 6, 2
+#: A gain of the Schwarz criterion below this is none.
+LEAST_GAIN = 10.0
+#: A number this near to its bound, relative to the way between them or to itself, is on it.
+_ON_BOUND = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """The minimum with an effect.
+
+    Attributes:
+        proposal: what was added. problem, campaign: with it. theta: free parameters at the minimum; estimate of the
+            plain problem where it failed. error: sum of squares, infinite where no simulation got through.
+        gain: of the Schwarz criterion against the fit without it. failure: why there is none.
+    """
+
+    proposal: Proposal
+    problem: Problem
+    campaign: Campaign
+    theta: np.ndarray
+    error: float
+    gain: float
+    failure: str = ""
+
+    @property
+    def name(self) -> str:
+        return self.proposal.candidate.name
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """Name among the parameters -> value, SI, of the numbers of the effect."""
+        candidate, space = self.proposal.candidate, self.problem.space
+        mine = {**candidate.sizes, **candidate.shape}
+        values = space.values(self.theta)
+        return {each.name: values[each.name] for each in space.unknowns if each.path in mine}
+
+    @property
+    def on_bound(self) -> list[str]:
+        """Names of its numbers that ended on a bound which is not that of its absence."""
+        space, held = self.problem.space, []
+        for name in self.numbers:
+            if name not in space.free:
+                continue
+            place = space.free.index(name)
+            absent = self.proposal.absent.get(space.unknown(name).path)
+            value = self.theta[place]
+            for bound in (space.low[place], space.high[place]):
+                near = np.isfinite(bound) and abs(value - bound) <= _ON_BOUND * max(abs(bound), abs(value))
+                if near and bound != absent:
+                    held.append(name)
+        return held
+
+    @property
+    def absent(self) -> bool:
+        """Whether all of its sizes ended where it is absent."""
+        values = self.numbers
+        return all(abs(values[name] - self.proposal.absent[path]) <= 1e-6 * abs(size - self.proposal.absent[path])
+                   for path, size in self.proposal.candidate.sizes.items()
+                   for name in values if self.problem.space.unknown(name).path == path)
+
+    def evidence(self, before: Evidence) -> Evidence:
+        """As it would be if the effect had been in the campaign from the beginning; jitter and mesh as before."""
+        estimate = Estimate(1, self.theta, self.error, True, "", (), {}, 0.0, problem=self.problem,
+                            differences=before.estimate.differences, refreshes=before.estimate.refreshes)
+        return Evidence(self.campaign, before.measured, estimate)
+
+
+def refit(evidence: Evidence, proposals: Proposals, steps: Steps, words: str = "fits with an effect",
+          names: Sequence[str] | None = None) -> list[Refit]:
+    """Fit the effects that the data show most, best first.
+
+    Args:
+        evidence: without them. proposals: the catalogue on it. names: of candidates; None: the `MOST` strongest.
+    """
+    chosen = [name for name, each in proposals.best.items() if each.p <= 0.5][:MOST] if names is None else list(names)
+    tasks = []
+    for name in chosen:
+        ways = sorted((each for each in proposals.all if each.candidate.name == name),
+                      key=lambda each: each.improbability)
+        tasks += [(evidence.problem, evidence.campaign, way, evidence.values, evidence.estimate.error,
+                   evidence.samples) for way in ways[:SHAPES]]
+    fits = [each for each in steps.all_of(refit_one, tasks, words) if each is not None] if tasks else []
+    best: dict[str, Refit] = {}
+    for each in sorted(fits, key=lambda one: -one.gain):
+        # Tasks of other processes come with copies of what has been simulated.
+        each.problem.solves = evidence.problem.solves
+        best.setdefault(each.name, each)
+    return list(best.values())
+
+
+def refit_one(problem: Problem, campaign: Campaign, proposal: Proposal, values: Mapping[str, float], error: float,
+              samples: float) -> Refit | None:
+    """The minimum with one effect, from the size that its score says; None where no test has its numbers."""
+    candidate = proposal.candidate
+    prepared = candidate.prepared(campaign)
+    start = {}
+    for path, size in proposal.sizes().items():
+        low, high = candidate.bounds.get(path, candidate.declaration(prepared, path).bounds)
+        absent, trial = proposal.absent[path], candidate.sizes[path]
+        if proposal.direction.freedom > 1 or not np.isfinite(size):
+            size = trial
+        # Not beyond ten times the size of the trial, to where the linear score may point.
+        away = np.clip(size - absent, -10 * abs(trial - absent), 10 * abs(trial - absent))
+        inside = absent + away
+        margin = 1e-3 * abs(trial - absent)
+        start[path] = float(np.clip(inside, low + margin if np.isfinite(low) else low,
+                                    high - margin if np.isfinite(high) else high))
+    try:
+        extended, changed = extend(problem, campaign, candidate, start, free=True)
+    except (NotTestableError, InputError):
+        return None
+    theta = unknowns(extended.space, values, {**start, **candidate.shape})
+    descent = descend(extended, theta, corrected=True)
+    numbers = extended.space.low.size - problem.space.low.size
+    gain = error - descent.error - numbers * float(np.log(samples))
+    if not np.isfinite(descent.error):
+        gain = -np.inf
+    return Refit(proposal, extended, changed, descent.theta, descent.error, gain, descent.failure)

@@ -1,0 +1,77 @@
+"""From proposals, refits and fits to what a diagnosis states."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calibration.diagnosis.diagnosis import CandidateStatement, FoundEffect, Number
+from calibration.diagnosis.evidence import Evidence
+from calibration.diagnosis.proposals import SEEN, Proposal, Proposals
+from calibration.diagnosis.refits import Refit
+from calibration.diagnosis.verdict import Judgement, acts_in, odds, share_explained
+from calibration.effects.effect import Candidate
+from calibration.fit.uncertainty import assess_uncertainty
+
+
+def found_effects(judgement: Judgement, before: Evidence, after: Evidence) -> list[FoundEffect]:
+    """What was added, with the numbers of the last fit.
+
+    Args:
+        judgement: what was chosen. before: without it. after: with all of it, at the last minimum.
+    """
+    return [FoundEffect(name=each.proposal.candidate.effect.name, room=each.proposal.candidate.effect.room,
+                        title=each.proposal.candidate.effect.title, tests=list(each.proposal.candidate.tests or ())
+                        if each.proposal.candidate.mark else [],
+                        parameters=numbers_of(each.proposal.candidate, after), acts_in=acts_in(each.proposal, before))
+            for each in (judgement.chosen, judgement.second) if each is not None]
+
+
+def numbers_of(candidate: Candidate, evidence: Evidence) -> list[Number]:
+    """The numbers of an effect with their standard errors, where the fit has them."""
+    space = evidence.problem.space
+    spread = assess_uncertainty(evidence.problem, evidence.evaluation)
+    errors = dict(zip(space.free, spread.standard_errors, strict=True))
+    mine = {**candidate.sizes, **candidate.shape}
+    numbers = []
+    for each in space.unknowns:
+        if each.path not in mine:
+            continue
+        error = float(errors.get(each.name, 0.0))
+        absent = candidate.absent_value(evidence.campaign, each.path) if each.path in candidate.sizes else None
+        numbers.append(Number(path=each.name, symbol=space.symbols[each.name], unit=each.declaration.unit,
+                              value=evidence.values[each.name], absent=absent,
+                              standard_error=error if np.isfinite(error) else None))
+    return numbers
+
+
+def candidate_statements(proposals: Proposals, judgement: Judgement, before: Evidence) -> list[CandidateStatement]:
+    """The catalogue, best first: fitted ones by their gain, then by score, then those that these tests do not show."""
+    refits = {each.name: each for each in judgement.refits}
+    best = judgement.refits[0] if judgement.refits else None
+    rows = [_testable(name, proposal, proposals, refits.get(name), best, before)
+            for name, proposal in proposals.best.items()]
+    rows.sort(key=lambda row: (row.delta_BIC is None, -(row.delta_BIC or 0.0)))
+    for name, reason in proposals.silent.items():
+        effect = proposals.effects[name.partition("@")[0]]
+        rows.append(CandidateStatement(name=name, effect=effect.name, room=effect.room, title=effect.title,
+                                       testable=False, reason=reason))
+    return rows
+
+
+def _testable(name: str, proposal: Proposal, proposals: Proposals, fitted: Refit | None, best: Refit | None,
+              before: Evidence) -> CandidateStatement:
+    effect, finite = proposal.candidate.effect, fitted is not None and np.isfinite(fitted.gain)
+    # The value of what means nothing in its absence at which it is seen best.
+    mine = [each for each in proposals.all if each.candidate.name == name]
+    plainest = max(mine, key=lambda each: each.direction.reach)
+    smallest = plainest.sizes(SEEN / plainest.direction.reach)
+    after = fitted.evidence(before) if fitted is not None and finite else None
+    return CandidateStatement(
+        name=name, effect=effect.name, room=effect.room, title=effect.title, testable=True, seen_from=smallest,
+        twins=proposals.twins(name), score=proposal.strength, p=proposal.p, estimate=proposal.sizes(),
+        refitted=fitted is not None, delta_BIC=float(fitted.gain) if fitted is not None and finite else None,
+        explained_percent=None if after is None else 100.0 * share_explained(before.regions, after.regions),
+        evidence_ratio=odds(best, fitted) if fitted is not None and best is not None and finite else None,
+        parameters=[] if after is None else numbers_of(proposal.candidate, after),
+        on_bound=[] if fitted is None else [fitted.problem.space.symbols[held] for held in fitted.on_bound],
+        note="" if fitted is None else fitted.failure)

@@ -1,0 +1,137 @@
+"""From refits to a verdict: named, a set, looks like, unknown, or none."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.diagnosis.diagnosis import Verdict
+from calibration.diagnosis.evidence import Evidence
+from calibration.diagnosis.proposals import LEVEL, Proposals, propose
+from calibration.diagnosis.refits import LEAST_GAIN, Refit, refit
+from calibration.fit.fit import Region
+from calibration.fit.steps import Steps
+
+#: Odds against an effect from which on it is no longer held for possible.
+ODDS = 20.0
+#: An effect whose form is not confirmed explains at least this share of the gap.
+MOSTLY = 0.7
+#: Weakest evidence of a second effect: the Schwarz criterion must be better by this with both than with either.
+SECOND = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """What explains the gap.
+
+    Attributes:
+        verdict: in one word. refits: fits with one effect, best first. chosen: the fit that goes on, None where nothing
+            is added. second: the fit with a second effect beside it; None: one is enough.
+        indistinguishable: names that explain the gap as well. evidence: at the end: with what was added, or the plain
+            one.
+    """
+
+    verdict: Verdict
+    refits: list[Refit]
+    chosen: Refit | None
+    second: Refit | None
+    indistinguishable: list[str]
+    evidence: Evidence
+
+
+def judge(evidence: Evidence, proposals: Proposals, steps: Steps) -> Judgement:
+    """Fit what the data show, and say what can be said.
+
+    Args:
+        evidence: without any effect. proposals: the catalogue on it.
+    """
+    if not proposals.seen and evidence.adequate:
+        return Judgement("NONE", [], None, None, [], evidence)
+    refits = refit(evidence, proposals, steps)
+    good = [each for each in refits if each.gain >= LEAST_GAIN and not each.absent
+            and (each.proposal.p <= LEVEL or not evidence.adequate)]
+    if not good:
+        return Judgement("NONE" if evidence.adequate else "UNKNOWN", refits, None, None, [], evidence)
+    best = good[0]
+    after = best.evidence(evidence)
+    if not after.adequate:
+        pair = _pair(evidence, good, proposals, steps)
+        if pair is not None:
+            first, second, both = pair
+            together = second.evidence(both)
+            words: Verdict = "NAMED" if together.adequate else "LOOKS_LIKE"
+            return Judgement(words, refits, first, second, [first.name, second.name], together)
+        explained = share_explained(evidence.regions, after.regions)
+        if explained < MOSTLY:
+            return Judgement("UNKNOWN", refits, None, None, [], evidence)
+    possible = [each for each in good if odds(best, each) < ODDS]
+    names = list(dict.fromkeys([*(each.name for each in possible), *_twins(best, proposals)]))
+    if len(names) > 1:
+        return Judgement("SET", refits, best, None, names, after)
+    return Judgement("NAMED" if after.adequate else "LOOKS_LIKE", refits, best, None, names, after)
+
+
+def odds(best: Refit, other: Refit) -> float:
+    """Of one fit against another, by the Schwarz criterion."""
+    return float(np.exp(min(0.5 * (best.gain - other.gain), 700.0)))
+
+
+def share_explained(before: Sequence[Region], after: Sequence[Region]) -> float:
+    """Of the gap: the share of what the regions show beyond chance that is gone."""
+    def beyond(regions: Sequence[Region]) -> float:
+        return sum(max(region.statistic - region.freedom, 0.0) for region in regions)
+
+    first = beyond(before)
+    return 1.0 - beyond(after) / first if first > 0 else 0.0
+
+
+def _twins(best: Refit, proposals: Proposals) -> list[str]:
+    """What no force and displacement tell from it, as the catalogue says, where these tests could show it."""
+    return [name for name in best.proposal.candidate.effect.known_twins if name in proposals.best]
+
+
+def _pair(evidence: Evidence, good: Sequence[Refit], proposals: Proposals, steps: Steps
+          ) -> tuple[Refit, Refit, Evidence] | None:
+    """Two effects of which each is needed beside the other, where one alone leaves a gap.
+
+    Returns:
+        The fit with the first, the fit with both, and the evidence with the first.
+    """
+    found: list[tuple[float, Refit, Refit, Evidence]] = []
+    for first in good[:2]:
+        with_first = first.evidence(evidence)
+        others = propose(with_first, steps, f"effects beside {first.proposal.candidate.effect.title}",
+                         known=[first.name])
+        if not others.seen:
+            continue
+        both = [each for each in refit(with_first, others, steps, "fits with two effects", list(others.seen)[:3])
+                if each.gain >= SECOND and not each.absent]
+        if not both:
+            continue
+        second = both[0]
+        # Without the first, what the second leaves must be as much worse.
+        alone = next((each for each in good if each.name == second.name), None)
+        if alone is not None and alone.gain > first.gain + second.gain - SECOND:
+            continue
+        if acts_in(first.proposal, evidence)[:1] == acts_in(second.proposal, evidence)[:1]:
+            continue
+        found.append((first.gain + second.gain, first, second, with_first))
+    if not found:
+        return None
+    _, first, second, with_first = max(found, key=lambda each: each[0])
+    return first, second, with_first
+
+
+def acts_in(proposal, evidence: Evidence, most: int = 2) -> list[str]:
+    """Test and segment in which an effect moves the force most beyond what the fit takes up, at most so many."""
+    weights: dict[str, float] = {}
+    moved = np.sum(proposal.direction.basis**2, axis=1)
+    for rows, curve in zip(evidence.problem.rows, evidence.problem.measured, strict=True):
+        segments = curve.segment if curve.segment is not None else np.full(curve.force.size, "ramp")
+        for name in dict.fromkeys(segments.tolist()):
+            place = f"{curve.test.name} ({name})"
+            weights[place] = weights.get(place, 0.0) + float(moved[rows][segments == name].sum())
+    ranked = sorted(weights, key=lambda place: -weights[place])
+    return [place for place in ranked[:most] if weights[place] >= 0.3 * weights[ranked[0]]]

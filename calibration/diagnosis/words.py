@@ -1,0 +1,59 @@
+"""A diagnosis in sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from calibration.diagnosis.diagnosis import FoundEffect, Number, RegionGap, Verdict
+
+#: What a unit of SI is written in, and how many of these it is.
+_UNITS = {"m": ("mm", 1e3), "m/N": ("mm/N", 1e3), "m2/s": ("mm2/s", 1e6), "N s/m": ("N s/mm", 1e-3), "1": ("", 1.0)}
+
+
+def joined(words: Sequence[str], last: str = "and") -> str:
+    """``a, b and c``."""
+    return f" {last} ".join(filter(None, (", ".join(words[:-1]), words[-1]))) if words else ""
+
+
+def number_in_words(number: Number) -> str:
+    """``tau1 = 19.7 +- 0.3 s``."""
+    unit, factor = _UNITS.get(number.unit, (number.unit, 1.0))
+    error = "" if number.standard_error is None else f" ± {factor * number.standard_error:.2g}"
+    return f"{number.symbol} = {factor * number.value:.4g}{error}{' ' + unit if unit else ''}"
+
+
+def effect_in_words(effect: FoundEffect) -> str:
+    """``viscoelasticity (g1 = 0.0301 +- 0.0002, tau1 = 19.7 +- 0.3 s)``."""
+    where = f" in {joined(effect.tests)}" if effect.tests else ""
+    return f"{effect.title}{where} ({', '.join(map(number_in_words, effect.parameters))})"
+
+
+def message(verdict: Verdict, effects: Sequence[FoundEffect], titles: Sequence[str], regions: Sequence[RegionGap],
+            gaps: tuple[float, float | None, float], untestable: int) -> str:
+    """What was found, in a few sentences.
+
+    Args:
+        verdict: in one word. effects: that were added. titles: of all that explain the gap as well.
+        regions: of all tests. gaps: root mean square before and after, and noise, N.
+        untestable: how many effects these tests could not show.
+    """
+    before, after, noise = gaps
+    where = [region.sentence for region in regions if not region.adequate_before]
+    closed = "" if after is None else (f" The gap falls from {before:.2g} to {after:.2g} N ({before / noise:.2g} to "
+                                       f"{after / noise:.2g} of the noise).")
+    silent = f" {untestable} effects of the catalogue cannot be seen in these tests." if untestable else ""
+    match verdict:
+        case "NONE":
+            return f"Nothing is missing that these tests could show.{silent}"
+        case "UNKNOWN":
+            return ("Something is missing that no known effect explains: " + "; ".join(where[:3])
+                    + f". Nothing was added.{silent}")
+        case "SET":
+            return (f"{joined(titles, 'or')} is missing, and these tests do not tell which; the likeliest was added: "
+                    f"{effect_in_words(effects[0])}.{closed}")
+        case "LOOKS_LIKE":
+            return (f"It looks like {joined([effect_in_words(each) for each in effects])}, but its form is not "
+                    f"confirmed: something smooth is left.{closed}")
+        case _:
+            named = joined([effect_in_words(each) for each in effects])
+            return f"{named[:1].upper()}{named[1:]} {'were' if len(effects) > 1 else 'was'} missing.{closed}"
