@@ -1,4 +1,4 @@
-"""The hidden-effect study: effects that a diagnosis does not know of are hidden in virtual recordings; does it find them?
+"""The hidden-effect study: effects are hidden in virtual recordings; does the diagnosis find them?
 
     python benchmarks/hidden_effects.py [--quick] [--json] [--protocol full ramps] [--rooms hidden other none ...]
         [--effects NAME ...] [--seeds 1 3] [--none 380] [--shard 1/4] [--workers N | --dask ADDRESS] [--folder FOLDER]

@@ -29,8 +29,8 @@ from hidden_effects_truth import (
 
 Force = Callable[[VirtualTest, float], np.ndarray]
 _G, _TAU = "viscoelastic.terms[0].g", "viscoelastic.terms[0].tau"
-#: Relaxation time, s; diffusivity, m2/s (a needle drains in 6 s, a plate in 160 s); depths of puncture and step loss, m;
-#: thickness of a skin, m.
+#: Relaxation time, s; diffusivity, m2/s (a needle drains in 6 s, a plate in 160 s); depths of puncture and step loss,
+#: m; thickness of a skin, m.
 TAU, DIFFUSIVITY, PUNCTURED, LOST, SKIN = 5.0, 1e-5, 6e-3, 4e-3, 2e-3
 _STRIPS = 200
 
@@ -200,12 +200,12 @@ def _late(test: VirtualTest, true: np.ndarray, dt: float) -> np.ndarray:
 
 def _filtered(test: VirtualTest, true: np.ndarray, time_constant: float) -> np.ndarray:
     """A low-pass filter of first order instead of a delay."""
-    clock = np.arange(0.0, test.time[-1], 0.02)
-    force = np.interp(clock, test.time, true)
-    answer, keep = np.zeros_like(force), np.exp(-0.02 / time_constant)
-    for k in range(1, force.size):
-        answer[k] = keep * answer[k - 1] + (1.0 - keep) * 0.5 * (force[k] + force[k - 1])
-    return np.interp(test.time, clock, answer)
+    answer, step = np.zeros_like(true), np.diff(test.time)
+    for k, (dt, slope) in enumerate(zip(step, np.diff(true) / step, strict=True)):
+        # Exact between samples, where the true force is taken as straight.
+        behind = answer[k] - true[k] + time_constant * slope
+        answer[k + 1] = true[k + 1] - time_constant * slope + behind * np.exp(-dt / time_constant)
+    return answer
 
 
 def _lost(test: VirtualTest, s: float, depths: tuple[float, ...]) -> np.ndarray:

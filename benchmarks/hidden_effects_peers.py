@@ -1,4 +1,4 @@
-"""What people do with the same recordings otherwise: least squares and R2, the best BIC, a Gaussian-process discrepancy.
+"""What people do with the same recordings otherwise: least squares and R2, BIC, a Gaussian-process discrepancy.
 
 All know the plain model exactly: its force on a fine mesh, without an error of the mesh.
 """
@@ -19,8 +19,8 @@ from scipy.optimize import least_squares, minimize
 
 #: C20 / C10 at which the plain model is known; points of a test that the Gaussian process sees.
 RATIOS, POINTS = (0.0, 0.15, 0.3, 0.5, 0.75, 1.0, 1.5, 2.5), 40
-#: Smallest step that counts in BIC, and scale of the discrepancy and its length that a search starts from, as shares of
-#: the largest force and of the duration.
+#: Scale of the discrepancy and its length from which a search starts: logarithms of shares of the largest force and of
+#: the duration.
 _STARTS = ((-5.0, -1.5), (-3.5, -2.5))
 
 #: Recordings of a test: its motion, and forces, N, shape (replicates, n).
@@ -82,7 +82,7 @@ def best_by_bic(candidates: Sequence[Mapping], samples: float) -> dict:
         gains[row["effect"]] = max(gains.get(row["effect"], -math.inf), gain)
     best = max(gains, key=lambda name: gains[name], default=None)
     return {"name": best if best is not None and gains[best] > 0 else "NONE",
-            "gains": {name: gain for name, gain in sorted(gains.items(), key=lambda pair: -pair[1])[:6]}}
+            "gains": dict(sorted(gains.items(), key=lambda pair: -pair[1])[:6])}
 
 
 def _covariance(test: VirtualTest, rows: np.ndarray, largest: float, noise: float, replicates: int, scale: float,

@@ -1,4 +1,4 @@
-"""Recordings of the hidden-effect study: true curves with jitter, noise and rounding, and the campaign that has them."""
+"""Recordings of the hidden-effect study: true curves with jitter, noise and rounding, and their campaign."""
 
 from __future__ import annotations
 

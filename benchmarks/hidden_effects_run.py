@@ -33,7 +33,7 @@ HASHED = ("diagnosis", "effects", "statistics", "fit", "forward")
 #: Seeds below are for development, those from here on are sealed: drawn once, scored once.
 SEALED_FROM = 1000
 ROOMS = ("hidden", "other", "none", "outside", "look-alike", "pair")
-#: Effects that are hidden with their own file taken out of the catalogue, so that only those that look like them are in.
+#: Effects that are hidden while the catalogue lacks them, so that only those that look like them are in it.
 LEFT_OUT = ("viscoelasticity", "poroelasticity", "machine_compliance", "latency", "guide_friction", "softening", "tilt",
             "session_scale", "strain_stiffening", "backlash")
 _QUICK = ("viscoelasticity", "machine_compliance", "zero_offset", "partial_slip")

@@ -50,8 +50,9 @@ def size_of_set(run: Run) -> int:
 
 
 def outcome(run: Run) -> str:
-    """``right``, ``set`` (truth in it, three names or fewer), ``long set`` (truth among more), ``wrong`` (a unique name,
-    or one of two, that is not there), ``wrong set``, ``looks right``, ``looks wrong``, ``unknown`` or ``none``."""
+    """``right``, ``set`` (truth in it, three names or fewer), ``long set`` (truth among more), ``wrong`` (a unique
+    name, or one of two, that is not there), ``wrong set``, ``looks right``, ``looks wrong``, ``unknown``
+    or ``none``."""
     truth, names, verdict = set(run["effects"]), reported(run), run["verdict"]
     if verdict in ANSWERS:
         return verdict.lower()
@@ -198,8 +199,8 @@ def identified(runs: Sequence[Run]) -> dict:
 
 def gains(runs: Sequence[Run]) -> dict:
     """`sensor_gain`, which no test tells from C10: right in a set, or as not testable."""
-    return share(runs, lambda run: outcome(run) == "set" or "sensor_gain" in run["not_testable"]
-                 and outcome(run) in ("none", "unknown"))
+    return share(runs, lambda run: outcome(run) == "set" or ("sensor_gain" in run["not_testable"]
+                                                          and outcome(run) in ("none", "unknown")))
 
 
 def score(runs: Sequence[Run], truth: dict[str, float]) -> dict:
@@ -237,5 +238,6 @@ def score(runs: Sequence[Run], truth: dict[str, float]) -> dict:
         "sensor_gain": gains([run for run in rooms["hidden"] if run["effects"] == ["sensor_gain"]]),
         "held-out replicate": held_out(named, "replicate"), "held-out test": held_out(named, "test"),
         "bias": bias(right, truth), "words": words(one), "said at 20 : 1": said_at_20_to_1(runs),
-        "log score": {room: float(np.mean([log_score(run) for run in group])) for room, group in rooms.items() if group},
+        "log score": {room: float(np.mean(list(map(log_score, group)))) for room, group in rooms.items()
+                      if group},
         "error against coverage": error_against_coverage(one, levels, [outcome(run) == "wrong" for run in one])}

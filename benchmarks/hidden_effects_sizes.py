@@ -1,8 +1,8 @@
 """Which sizes are hidden, and what counts as testable: computed from the true curves, frozen in a table.
 
 The measure is the projected signal over noise: how much an effect moves the force beyond what C10, C20, the contact and
-the zero of each recording can take up, in deviations of white noise of 0.02 N, all recordings together. It knows nothing
-of the diagnosis.
+the zero of each recording can take up, in deviations of white noise of 0.02 N, all recordings together. It knows
+nothing of the diagnosis.
 """
 
 from __future__ import annotations
