@@ -1,6 +1,6 @@
 """Plates that are not as smooth as they should be."""
 
-from calibration.effects.effect import Candidate, Effect, Situation, beside_material, require_tests
+from calibration.effects.effect import Candidate, Effect, Situation, beside_material, experiment_of, require_tests
 
 #: Coefficient of friction that is tried first.
 _FIRST = 0.02
@@ -17,7 +17,7 @@ class PlateFriction(Effect):
     separated_by = "unloading, and tests whose faces hold the tissue"
 
     def candidates(self, situation: Situation) -> list[Candidate]:
-        tests = require_tests(situation.simulated(lambda test: test.experiment.tool.is_plate
-                                                  and test.experiment.friction == "frictionless"),
+        tests = require_tests(situation.simulated(lambda test: experiment_of(test).tool.is_plate
+                                                  and experiment_of(test).friction == "frictionless"),
                               "no test is done between frictionless plates")
         return beside_material(self, situation, "experiment.friction", tests, lambda _: _FIRST, both_ways=False)
