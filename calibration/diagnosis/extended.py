@@ -63,19 +63,30 @@ def change_of(problem: Problem, evaluation: Evaluation, campaign: Campaign, cand
         problem, evaluation: at the minimum without it. campaign: its own. values: all parameters there, by name.
     """
     try:
-        extended, _ = extend(problem, campaign, candidate, free=False)
-        space = extended.space
-        theta = unknowns(space, values, {})
-        answers = [test.solve(space, theta, extended.solves) for test in extended.tests]
-        residual = extended._linearise(answers, evaluation.nuisances)[0]
+        with_it = _residual(problem, evaluation, campaign, candidate, values, {})
+        without = evaluation.residual
+        if candidate.remeshes(campaign):
+            # What another mesh changes is no effect.
+            absent = {path: candidate.absent_value(campaign, path) for path in candidate.sizes}
+            without = _residual(problem, evaluation, campaign, candidate, values, absent)
     except (InfeasibleError, NotTestableError, InputError) as error:
         return str(error)
-    column = residual - evaluation.residual
+    column = with_it - without
     groups: dict[str, np.ndarray] = {}
     for rows, (t, _) in zip(problem.rows, problem.places, strict=True):
         mark = _group(problem.tests[t], candidate)
         groups.setdefault(mark, np.zeros(column.size))[rows] = column[rows]
     return np.column_stack(list(groups.values()))
+
+
+def _residual(problem: Problem, evaluation: Evaluation, campaign: Campaign, candidate: Candidate,
+              values: Mapping[str, float], sizes: Mapping[str, float]) -> np.ndarray:
+    """The whitened residual with an effect, of its trial size but for `sizes`, at parameters and nuisances known."""
+    extended, _ = extend(problem, campaign, candidate, sizes, free=False)
+    space = extended.space
+    theta = unknowns(space, values, {})
+    answers = [test.solve(space, theta, extended.solves) for test in extended.tests]
+    return extended._linearise(answers, evaluation.nuisances)[0]
 
 
 def _group(test: ForwardTest, candidate: Candidate) -> str:

@@ -217,6 +217,10 @@ class Candidate:
             raise TypeError(f"{self.effect.name}: {path} declares no value at which it is absent; give one")
         return stated
 
+    def remeshes(self, campaign: Campaign) -> bool:
+        """Whether its shape makes another mesh, even where it is absent."""
+        return any(self.declaration(campaign, path).shapes_mesh for path in self.shape)
+
     def prepared(self, campaign: Campaign) -> Campaign:
         """The campaign whose tests have the parts that its numbers belong to."""
         if self.prepare is None:
