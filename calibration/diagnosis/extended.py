@@ -74,6 +74,8 @@ def change_of(problem: Problem, evaluation: Evaluation, campaign: Campaign, cand
     column = with_it - without
     groups: dict[str, np.ndarray] = {}
     for rows, (t, _) in zip(problem.rows, problem.places, strict=True):
+        if candidate.tests is not None and problem.tests[t].name not in candidate.tests:
+            continue
         mark = _group(problem.tests[t], candidate)
         groups.setdefault(mark, np.zeros(column.size))[rows] = column[rows]
     return np.column_stack(list(groups.values()))

@@ -219,6 +219,7 @@ class Candidate:
 
     def remeshes(self, campaign: Campaign) -> bool:
         """Whether its shape makes another mesh, even where it is absent."""
+        campaign = self.prepared(campaign)
         return any(self.declaration(campaign, path).shapes_mesh for path in self.shape)
 
     def prepared(self, campaign: Campaign) -> Campaign:

@@ -11,7 +11,7 @@ import calibration.effects
 import tissue_sim as ts
 from calibration.effects.catalogue import CATALOGUE
 from calibration.effects.effect import ROOMS, NotTestableError
-from tests.calibration.effects.conftest import TESTS, measured_campaign, model_of, situation_of
+from tests.calibration.effects.virtual_campaign import TESTS, measured_campaign, model_of, situation_of
 
 #: What people know the effects by.
 NAMES = [
