@@ -29,16 +29,13 @@ _STEADY = 4.0
 _END = 0.1
 
 
-def settled(before: Evidence, after: Evidence) -> Evidence:
-    """The evidence with an effect, its jitter and mesh corrections its own; as it was where that fails.
-
-    Args:
-        before: without the effect. after: with it, jitter and mesh as without it.
-    """
-    problem = after.problem
-    stated = Generalised(after.campaign, after.measured, problem.solves)._stated(problem)
-    estimate = settle(replace_problem(problem), after.estimate.theta, stated)
-    return Evidence(after.campaign, after.measured, estimate) if np.isfinite(estimate.error) else after
+def settled(evidence: Evidence) -> Evidence:
+    """Evidence with an effect, whose jitter and mesh corrections are those of a fit without it, with its own; the same
+    where that fails."""
+    problem = evidence.problem
+    stated = Generalised(evidence.campaign, evidence.measured, problem.solves).stated(problem)
+    estimate = settle(replace_problem(problem), evidence.estimate.theta, stated)
+    return Evidence(evidence.campaign, evidence.measured, estimate) if np.isfinite(estimate.error) else evidence
 
 
 def replace_problem(problem: Problem) -> Problem:

@@ -19,6 +19,7 @@ import numpy as np
 from calibration.campaign.campaign import Campaign, FitSettings, Test
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameters import SHARED, Named, declared_around
+from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.laws import find_law
 from tissue_sim.material.material import law_declaration
@@ -112,13 +113,13 @@ class Situation:
 
     def contact_radius(self, test: Test) -> float:
         """About how wide the contact of a test with a tool is at its largest displacement, m."""
-        assert test.experiment is not None
-        return test.experiment.tool.contact_radius(self.depth(test), test.experiment.specimen.radius)
+        experiment = experiment_of(test)
+        return experiment.tool.contact_radius(self.depth(test), experiment.specimen.radius)
 
     def strain(self, test: Test) -> float:
         """About how much a test with a tool strains the tissue: its depth over the height, or the width of a needle."""
-        assert test.experiment is not None
-        size = test.experiment.specimen.height if test.experiment.tool.is_plate else 2.0 * self.contact_radius(test)
+        experiment = experiment_of(test)
+        size = experiment.specimen.height if experiment.tool.is_plate else 2.0 * self.contact_radius(test)
         return self.depth(test) / size
 
     def returns(self, test: Test) -> bool:
@@ -215,6 +216,11 @@ class Candidate:
         if stated is None:
             raise TypeError(f"{self.effect.name}: {path} declares no value at which it is absent; give one")
         return stated
+
+    def remeshes(self, campaign: Campaign) -> bool:
+        """Whether its shape makes another mesh, even where it is absent."""
+        campaign = self.prepared(campaign)
+        return any(self.declaration(campaign, path).shapes_mesh for path in self.shape)
 
     def prepared(self, campaign: Campaign) -> Campaign:
         """The campaign whose tests have the parts that its numbers belong to."""
@@ -323,6 +329,12 @@ def require_tests(tests: Sequence[Test], reason: str) -> Sequence[Test]:
     if not tests:
         raise NotTestableError(reason)
     return tests
+
+
+def experiment_of(test: Test) -> Experiment:
+    """What is done in a test with a tool."""
+    assert test.experiment is not None, test.name
+    return test.experiment
 
 
 def per_test(effect: Effect, tests: Sequence[Test], sizes: Callable[[Test], Mapping[str, float]],

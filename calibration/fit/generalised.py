@@ -61,7 +61,7 @@ class Generalised(Estimator):
             descents[law].append(end)
         best = {law: min(descents[law], key=lambda end: end.error) for law in laws}
         usable = [law for law in laws if np.isfinite(best[law].error)]
-        settled = steps.descents(run_settle, usable, [(problems[law], best[law], self._stated(problems[law]))
+        settled = steps.descents(run_settle, usable, [(problems[law], best[law], self.stated(problems[law]))
                                                       for law in usable], "the difference of the accurate mesh")
         found: dict[str, tuple[list[Descent], Estimate | str]] = {
             law: (descents[law], best[law].failure) for law in laws}
@@ -70,7 +70,7 @@ class Generalised(Estimator):
             found[law] = descents[law], estimate if np.isfinite(estimate.error) else estimate.failure
         return found
 
-    def _stated(self, problem: Problem) -> Noise:
+    def stated(self, problem: Problem) -> Noise:
         """The jitter that is not to be estimated: fitted offsets have their priors."""
         if self.campaign.fit.offset == "fit":
             return Noise(contact_jitter=problem.jitter.contact, zero_jitter=problem.jitter.zero)
