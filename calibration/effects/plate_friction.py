@@ -4,6 +4,7 @@ from dataclasses import replace
 
 from calibration.campaign.campaign import Test
 from calibration.effects.effect import Candidate, Effect, Situation, beside_material, experiment_of, require_tests
+from tissue_sim.experiment.interfaces import AS_TOOL
 
 #: Coefficient of friction that is tried first.
 _FIRST = 0.02
