@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import partial
+from html import escape
 from typing import NamedTuple
 
 import numpy as np
 
 from calibration.fit.fit import Fit, PopulationStatement
+from calibration.fit.population import in_words
 from calibration.report.drawing import COLOURS, Pictures, in_rows, legend_above, panels
 from calibration.report.page import html_table, title_of
 from calibration.report.rounding import error_text, interval_text, value_and_error
@@ -61,6 +63,9 @@ def populations(fits: Sequence[Fit], units: Units, pictures: Pictures) -> Iterat
         [title_of(fit.law), html_symbol(each.symbol), each.mean, each.mean_interval, each.spread, each.spread_interval,
          each.next_specimen, str(len(found.specimens))]
         for fit, found in having for each in scatter(fit, found, units)])
+    for fit, _ in having:
+        if fit.left_out_specimens:
+            yield f"<p>Not in the population of {title_of(fit.law)}: {escape(in_words(fit.left_out_specimens))}.</p>"
     for fit, found in having:
         yield pictures.show(f"population {fit.law}", partial(draw_population, fit, found, units),
                             f"Parameters of the specimens of {fit.law}",

@@ -134,6 +134,7 @@ def _with_titles(result: CalibrationResult) -> str:
 
 def _prediction_in_words(prediction: Prediction, test: Test, units: Units) -> str:
     how = "held out of every fit" if test.hold_out else f"fitted to {', '.join(prediction.fitted)} only"
+    how += f", its specimen by the mean of {len(prediction.mean_of)} others" if prediction.mean_of else ""
     name = f"<b>{escape(prediction.test)}</b>, {escape(how)}: "
     if prediction.percent is None:
         return name + f'<span class="bad">no prediction: {escape(prediction.note)}</span>'
