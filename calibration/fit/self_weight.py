@@ -19,16 +19,18 @@ WATER_DENSITY = 1000.0
 
 def sags(fit: Fit, campaign: Campaign) -> dict[str, float]:
     """Specimen that weighs -> its sag with this law and its own numbers, mm; without those that it does not carry."""
-    found = {specimen.name: _sag(specimen, fit, campaign) for specimen in _standing(campaign)
+    found = {specimen.name: _sag(specimen, fit, campaign) for specimen in _columns(campaign)
              if specimen.specific_weight}
     return {name: 1e3 * sag for name, sag in found.items() if sag is not None}
 
 
 def statement(campaign: Campaign, fit: Fit) -> str:
-    """What was assumed about gravity in the compression tests of a campaign, sags with this fit; for people."""
+    """What was assumed about gravity in a campaign, sags of compressed columns with this fit; for people."""
     alike: dict[str, dict[str, float | None]] = {}
-    for specimen in _standing(campaign):
-        words, sag = _sentence(specimen, fit, campaign)
+    columns = _columns(campaign)
+    for specimen in dict.fromkeys([*columns, *(test.specimen for test in campaign.tests if test.specimen is not None
+                                               and test.specimen.specific_weight)]):
+        words, sag = _sentence(specimen, fit, campaign, column=specimen in columns)
         alike.setdefault(words, {})[specimen.name] = sag
     several = sum(map(len, alike.values())) > 1
     sentences = [f"Self-weight{' of ' if several else ''}{', '.join(found) if several else ''}"
@@ -37,15 +39,16 @@ def statement(campaign: Campaign, fit: Fit) -> str:
     return " ".join(sentences) or "Self-weight is not included."
 
 
-def _sentence(specimen: Specimen, fit: Fit, campaign: Campaign) -> tuple[str, float | None]:
+def _sentence(specimen: Specimen, fit: Fit, campaign: Campaign, *, column: bool) -> tuple[str, float | None]:
     """What follows on "Self-weight of" the specimen, with a place for its sag in two digits or in three; and that,
     mm."""
     height = f"{specimen.height * 1e3:.4g} mm as {specimen.height_is}"
     if specimen.specific_weight:
         sag = fit.sag_mm.get(specimen.name)
-        settled = "sag {1} mm" if sag is not None else f"which {fit.law} does not carry"
+        # How far another face or base lets it sag, the finite elements know.
+        settled = ", sag {1} mm" if sag is not None else f", which {fit.law} does not carry" if column else ""
         return (f": {specimen.density:g} kg/m3 at {specimen.gravity:g} m/s2, settled before the "
-                f"test; height {height}, {settled}."), sag
+                f"test; height {height}{settled}."), sag
     density = specimen.density or WATER_DENSITY
     sag = _sag(replace(specimen, density=density, gravity=STANDARD_GRAVITY), fit, campaign)
     of_water = "" if specimen.density else " (water)"
@@ -60,8 +63,8 @@ def _range(sags: Collection[float | None], digits: int) -> str:
     return " to ".join(dict.fromkeys(f"{sag:.{digits}g}" for sag in known[:1] + known[-1:]))
 
 
-def _standing(campaign: Campaign) -> list[Specimen]:
-    """Specimens that a plate compresses, each once."""
+def _columns(campaign: Campaign) -> list[Specimen]:
+    """Specimens that a plate compresses between smooth faces, each once."""
     return list(dict.fromkeys(test.specimen for test in campaign.tests
                               if test.kind.settles and test.specimen is not None))
 

@@ -10,6 +10,7 @@ from scipy import stats
 
 import calibration
 import tissue_sim as ts
+from calibration.fit.self_weight import statement
 from calibration.report.page import shear_modulus_error
 from scenes.cli import main
 from tissue_sim.closed_form.column import Column
@@ -243,3 +244,26 @@ def test_the_error_of_the_youngs_modulus_is_that_of_the_mean(tmp_path):
     assert "E<sub>0</sub> = 8.5 ± 0.4 kPa" in report
     # Without weight the sentence says how far each would sag.
     assert "it would sag 0.2 to 0.26 mm" in report
+
+
+def test_a_bonded_specimen_that_weighs_is_not_said_to_have_no_weight(tmp_path):
+    """Without the sag of a column, which it is not."""
+    path = campaign(tmp_path, FIVE[:2])
+    fit = calibrated(path).best
+    path.write_text(path.read_text().replace('kind = "lubricated', 'kind = "bonded').replace(
+        "radius_mm", "density_kg_m3 = 1040.0\ngravity = true\nradius_mm").replace(
+        "[fit]", '[fit]\nmethod = "inverse_fem"'))
+    assert statement(calibration.load_campaign(path), fit) == (
+        "Self-weight of animal_1, animal_2: 1040 kg/m3 at 9.81 m/s2, settled before the test; height 20 mm as moulded.")
+
+
+def test_a_miss_within_the_scatter_of_specimens_is_no_failure_of_the_law(tmp_path):
+    """A further specimen stiffer by 0.3 than the mean of five that scatter by 0.17; one of three times the mean is."""
+    wide = FIVE.mean(axis=0) * np.array([0.8, 1.2, 0.9, 1.15, 0.95])[:, None]
+    usual = calibrated(campaign(tmp_path, [*wide, 1.3 * wide.mean(axis=0)], held=(6,)))
+    held, = (p for p in usual.predictions if p.test == "plates_6")
+    assert held.percent > 10.0 and "predicts held-out tests: plates_6 within" in usual.message
+    assert "by the mean of 5 other specimens, whose scatter makes" in usual.message
+    (tmp_path / "far").mkdir()
+    far = calibrated(campaign(tmp_path / "far", [*wide, 3 * wide.mean(axis=0)], held=(6,)))
+    assert "does not predict held-out tests: plates_6 within" in far.message
