@@ -22,19 +22,21 @@ AREA, ORDER = np.pi * RADIUS**2, ["C10", "C20"]
 FIVE = np.array([(1400.0, 700.0), (1250.0, 600.0), (1600.0, 820.0), (1350.0, 650.0), (1500.0, 760.0)])
 
 
-def campaign(folder, truth, *, law=LAW, scope=ORDER, held=(), fit="", after="", weighs=False, contact=0.0, depth=DEPTH):
+def campaign(folder, truth, *, law=LAW, scope=ORDER, held=(), fit="", after="", weighs=False, contact=0.0, depth=DEPTH,
+             short=()):
     """A campaign of specimens of these numbers, each compressed twice; its file.
 
     Args:
         held: numbers of the specimens whose test is held out. fit, after: lines of ``[fit]`` and behind it.
-        contact: deviation of the depth at which a recording begins to touch, m.
+        contact: deviation of the depth at which a recording begins to touch, m. short: numbers of those that are
+            compressed by a sixth of the depth only.
     """
     rng, text = np.random.default_rng(7), ""
     specimen = ts.Specimen(RADIUS, HEIGHT, density=1040.0, gravity=9.81)
     for k, numbers in enumerate(truth, 1):
         values = dict(zip(law.parameters, map(float, numbers), strict=True))
         for replicate in range(2):
-            displacement = np.linspace(0.0, depth, 61)
+            displacement = np.linspace(0.0, depth / 6 if k in short else depth, 61)
             way = np.maximum(displacement - contact * rng.standard_normal(), 0.0)
             stress = Column(specimen).nominal_stress(law, way, law.as_array(values)) if weighs else \
                 law.nominal_stress(1 - way / HEIGHT, values)
@@ -61,9 +63,10 @@ POSITIVE = "[fit.bounds]\nC20 = [0.0, 20000.0]\n"
 
 
 def test_specimens_that_are_left_out_are_named_with_the_reason(tmp_path, capsys):
-    path = campaign(tmp_path, [(1400, 700), (1250, -300), (1600, 820)], after=POSITIVE)
+    path = campaign(tmp_path, [(1400, 700), (1250, -300), (1600, 820), (1700, 900)], after=POSITIVE, held=(4,))
     assert main(["calibrate", str(path), "-o", str(tmp_path / "out")]) == 0
-    assert "no part of the population: animal_2 (C20 on its bound 0 Pa)" in " ".join(capsys.readouterr().out.split())
+    out = " ".join(capsys.readouterr().out.split())
+    assert "no part of the population: animal_2 (C20 on its bound 0 Pa)" in out and "held out, by the mean of 2" in out
     fit, = json.loads((tmp_path / "out" / "fit.json").read_text(encoding="utf-8"))["fits"]
     why = {"animal_2": "C20 on its bound 0 Pa"}
     assert fit["left_out_specimens"] == why
@@ -129,12 +132,10 @@ def linear_rates(displacement):
                             for a, b in ((1.0, 0.0), (0.0, 1.0))])
 
 
-def test_a_specimen_that_no_fit_has_seen_is_predicted_by_the_mean(tmp_path, capsys):
+def test_a_specimen_that_no_fit_has_seen_is_predicted_by_the_mean(tmp_path):
     """Error and band of the held-out test against the sums of the linear law, with Student's t of four degrees of
     freedom for what five specimens tell."""
-    path = campaign(tmp_path, [*FIVE, (1700, 900)], held=(6,))
-    assert main(["calibrate", str(path), "-o", str(tmp_path / "out")]) == 0
-    assert "held out, by the mean of 5" in " ".join(capsys.readouterr().out.split())
+    calibrated(campaign(tmp_path, [*FIVE, (1700, 900)], held=(6,)))
     content = json.loads((tmp_path / "out" / "fit.json").read_text(encoding="utf-8"))
     held, = (p for p in content["predictions"] if p["test"] == "plates_6")
     assert held["fitted"] == [] and held["mean_of"] == [f"animal_{k}" for k in range(1, 6)]
@@ -222,18 +223,16 @@ def test_a_fitted_contact_is_no_scatter_between_specimens(tmp_path):
     assert all(low == 0.0 for low, _ in population.spread_intervals)
 
 
-def test_specimens_that_weigh_sag_by_their_own_numbers(tmp_path, capsys):
+def test_specimens_that_weigh_sag_by_their_own_numbers(tmp_path):
     soft = FIVE[:3] / 4
-    path = campaign(tmp_path, soft, weighs=True)
-    assert main(["calibrate", str(path), "-o", str(tmp_path / "out")]) == 0
+    calibrated(campaign(tmp_path, soft, weighs=True))
     content = json.loads((tmp_path / "out" / "fit.json").read_text(encoding="utf-8"))
     fit, specimen = content["fits"][0], ts.Specimen(RADIUS, HEIGHT, density=1040.0, gravity=9.81)
     sags = [1e3 * Column(specimen).settle(LAW, numbers).sag for numbers in soft]
     assert [fit["sag_mm"][f"animal_{k}"] for k in (1, 2, 3)] == pytest.approx(sags, rel=0.02)
-    out = " ".join(capsys.readouterr().out.split())
-    # From the stiffest to the softest; of the mean it would be the first specimen's.
-    assert f"sag {min(fit['sag_mm'].values()):.3g} to {max(fit['sag_mm'].values()):.3g} mm" in out
-    assert "animal_1, animal_2, animal_3: 1040 kg/m3" in out
+    # From the stiffest to the softest.
+    assert f"sag {min(fit['sag_mm'].values()):.3g} to {max(fit['sag_mm'].values()):.3g} mm" in content["self_weight"]
+    assert "animal_1, animal_2, animal_3: 1040 kg/m3" in content["self_weight"]
 
 
 def test_the_error_of_the_youngs_modulus_is_that_of_the_mean(tmp_path):
@@ -267,3 +266,14 @@ def test_a_miss_within_the_scatter_of_specimens_is_no_failure_of_the_law(tmp_pat
     (tmp_path / "far").mkdir()
     far = calibrated(campaign(tmp_path / "far", [*wide, 3 * wide.mean(axis=0)], held=(6,)))
     assert "does not predict held-out tests: plates_6 within" in far.message
+
+
+def test_a_further_test_tells_the_numbers_of_its_specimen_alone(tmp_path):
+    """C20 of the third, which was hardly compressed, is the weakest: the test that is suggested is of that specimen."""
+    fit = calibrated(campaign(tmp_path, FIVE[:3], short=(3,), fit='method = "inverse_fem"\nstarts = 1\n',
+                              after="contact_jitter_mm = 0.01\nzero_jitter_N = 0.002\n")).best
+    best = fit.suggestions[0]
+    assert best.test.endswith(", of animal_3")
+    assert best.standard_errors["C20@animal_3"] < 0.1 * fit.standard_errors["C20@animal_3"]
+    for name in ("C10@animal_1", "C20@animal_1", "C10@animal_2", "C20@animal_2"):
+        assert best.standard_errors[name] == pytest.approx(fit.standard_errors[name], rel=1e-6)
