@@ -68,7 +68,7 @@ def material_file(fit: Fit, result: CalibrationResult, measured: Mapping[str, Se
     complete = all(path in errors or path in held for path in order) and set(law.parameters) <= set(order)
     covariance = material.covariance[np.ix_(kept, kept)] if complete else None
     values = fit.parameters | {each.name: material.parameters[each.path] for each in space.unknowns
-                               if each.specimen is not None and each.of_material}
+                               if each.specimen is not None and each.path in material.parameters}
     population, whose = None, {}
     if fit.material_of:
         whose = {"material_of": fit.material_of, "left_out_specimens": fit.left_out_specimens}
