@@ -43,9 +43,10 @@ class Specimens:
         if self.population is not None or len(self.names) < FEWEST_SPECIMENS:
             return None
         first = self.material_of[0]
+        alone = "" if first in self.left_out else f", or fit {first} in a campaign of its own"
         return (f"no population: of {len(self.names)} specimens these are not determined: {in_words(self.left_out)}; "
                 f"so no material file is written, and E0 and mu0 are those of {first} alone: widen fit.bounds, give "
-                f"what the tests do not tell the scope 'shared', or fit {first} in a campaign of its own")
+                f"what the tests do not tell the scope 'shared'{alone}")
 
     def warnings(self, unusable: str | None) -> list[str]:
         """What to mind of whom the material stands for, beside what makes it `unusable`."""
