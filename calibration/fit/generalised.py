@@ -15,6 +15,7 @@ from calibration.fit.estimator import Estimator, Findings
 from calibration.fit.fit import JitterStatement, MeshCorrection, Minimum, Nuisance
 from calibration.fit.identifiability import condition, suggest_tests, weak_directions
 from calibration.fit.levenberg_marquardt import ENOUGH_OF_A_START, Descent, Listener, descend, distinct
+from calibration.fit.predictor import Predictor
 from calibration.fit.problem import Evaluation, Problem
 from calibration.fit.regions import judge_regions, name_misfits
 from calibration.fit.starts import starts
@@ -120,12 +121,12 @@ class Generalised(Estimator):
                      for test, difference, error in zip(problem.tests, estimate.differences, problem.mesh_error,
                                                         strict=True)]}
 
-    def held_out(self, test: Test, estimate: Estimate) -> tuple[ForwardTest, float]:
+    def held_out(self, test: Test, estimate: Estimate, predictor: Predictor) -> tuple[ForwardTest, float]:
         """With a mesh difference of its own."""
         problem = estimate.problem
         found = build_test(test, self.measured[test.name], self.campaign.fit, problem.jitter.contact)
         try:
-            found.refine(problem.space, estimate.theta, self.solves)
+            found.refine(predictor.space, predictor.theta, self.solves)
             error = REMAINDERS
         except InfeasibleError:
             found.forget()
