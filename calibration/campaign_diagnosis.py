@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign, load_campaign
 from calibration.campaign.digest import digest_of
@@ -166,6 +167,7 @@ class CampaignDiagnosis:
         self.digest = content_key("diagnosis", digest_of(campaign, self.recordings), campaign.fit.laws[0],
                                   sorted(CATALOGUE), _source())
         self.solves = Solves()
+        self._clock = _Clock(self.solves)
 
     def check(self) -> None:
         """Refuse what cannot be fitted, before anything is written; not asked of what is finished.
@@ -176,7 +178,8 @@ class CampaignDiagnosis:
         self.solves.read_from(self.folder / SOLVES)
         self.steps.say("looking at the start")
         campaign = scale_offsets(self.campaign, self.measured)
-        Generalised(campaign, self.measured, self.solves).check(campaign.fit.laws[0], 0)
+        with self._clock.stage("look at the start"):
+            Generalised(campaign, self.measured, self.solves).check(campaign.fit.laws[0], 0)
 
     def run(self, *, figures: bool, figures_format: str | None = None) -> DiagnosisResult:
         """Diagnose it and write everything into the folder; ``diagnosis.json`` last, because it says that it is
@@ -188,7 +191,8 @@ class CampaignDiagnosis:
         self.solves.move_to(self.folder / SOLVES)
         found = diagnose_campaign(self.campaign, self.measured, self.steps, self.solves)
         self.steps.say("writing the report")
-        return write_diagnosis(DiagnosisResult(self.campaign, found.diagnosis, self.folder, self.digest), found.before,
+        diagnosis = replace(found.diagnosis, stages=[*self._clock.stages, *found.diagnosis.stages])
+        return write_diagnosis(DiagnosisResult(self.campaign, diagnosis, self.folder, self.digest), found.before,
                                found.after, found.proposals.effects, self.measured, figures=figures,
                                figures_format=figures_format)
 

@@ -57,4 +57,4 @@ def _residuals(before: Evidence, after: Evidence | None) -> str:
                          None if curve.time is None else float(curve.time[i]), factor * float(curve.displacement[i]),
                          float(force), models[0], None if after is None else models[1], curve.noise.deviation])
     return format_table(["replicate", "segment", "time [s]", "displacement [mm]", "measured [N]",
-                         "model, nothing added [N]", "model, with what was added [N]", "noise [N]"], rows)
+                         "model before [N]", "model after [N]", "noise [N]"], rows)
