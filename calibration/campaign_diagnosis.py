@@ -20,6 +20,7 @@ from calibration.campaign.measured import MeasuredCurve, read_measured, scale_of
 from calibration.diagnosis.confirmation import gap, region_gaps, settled, unseen_replicates, unseen_tests
 from calibration.diagnosis.diagnosis import Diagnosis, Stage
 from calibration.diagnosis.evidence import Evidence, Measured, gather, whole_campaign
+from calibration.diagnosis.next_experiment import next_experiments
 from calibration.diagnosis.proposals import Proposals, propose
 from calibration.diagnosis.result import DiagnosisResult
 from calibration.diagnosis.statements import candidate_statements, found_effects
@@ -100,6 +101,8 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: Steps, solv
         candidates = candidate_statements(proposals, judgement, before)
         effects = [] if after is None else found_effects(judgement, before, after)
         regions = region_gaps(before, after)
+    with clock.stage("the next experiment"):
+        further = next_experiments(before, proposals, judgement)
     gaps = gap(before), None if after is None else gap(after)
     noises = [curve.noise for curve in before.problem.measured]
     noise = float(np.sqrt(np.mean([one.deviation**2 for one in noises])))
@@ -114,7 +117,7 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: Steps, solv
         noise_correlation_s=float(np.mean([one.correlation_time for one in noises])),
         contact_jitter_mm=1e3 * jitter.contact, zero_jitter_N=jitter.zero,
         mesh_percent=100.0 * max(before.problem.mesh_error, default=0.0), held_out=held_out,
-        fit_before=fit_before, fit_after=fit_after, stages=clock.stages)
+        next_experiment=further, fit_before=fit_before, fit_after=fit_after, stages=clock.stages)
     return Diagnosed(diagnosis, before, after, proposals)
 
 

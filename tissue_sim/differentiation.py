@@ -46,10 +46,10 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
     Those with the material are exact: the equations of every converged step are differentiated, history, slip and
     anchors included; bulk modulus as the material states it, so that `bulk.bulk_ratio` is held while the law changes
     where the bulk response is a ratio, and `bulk.K_Pa` where it is a modulus. Where the start or the motion depends on
-    the material (self-weight, a rig that gives way), the tool adheres or leans, an effect was added to the material or
-    a law to the contact, or the parameter is one of the experiment, the rig or the mesh, it is a central difference of
-    two simulations `SIMULATION_WIDTH` apart, one-sided at the end of the parameter's range. Geometry moves the nodes of
-    one mesh, so that such a difference has no jumps of remeshing.
+    the material (self-weight, a rig that gives way), the tool adheres, leans or slips in part, an effect was added to
+    the material or a law to the contact, or the parameter is one of the experiment, the rig or the mesh, it is a
+    central difference of two simulations `SIMULATION_WIDTH` apart, one-sided at the end of its range. Geometry moves the
+    nodes of one mesh, so that such a difference has no jumps of remeshing.
 
     Args:
         model: experiment, material, rig; forces are those on the tool, before the sensor of the rig reads them.
@@ -109,7 +109,8 @@ class _Watch:
 def _exact(model: Model, parameter: Parameter) -> bool:
     """Whether the solver differentiates its equations with respect to a parameter of the material."""
     experiment, pores = model.experiment, model.material.poroelasticity
-    if experiment.specimen.specific_weight or experiment.acting_laws or experiment.tilt or model.rig.compliance:
+    if (experiment.specimen.specific_weight or experiment.acting_laws or experiment.tilt or experiment.slip
+            or model.rig.compliance):
         return False
     added = [effect for effect in model.material.effects.values() if not isinstance(effect, ReducedEffect)]
     if issubclass(parameter.part, TissueEffect) or added or parameter.declaration.shapes_mesh:

@@ -16,6 +16,7 @@ from tissue_sim.material.effect import ReducedForce
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose, Screw, between, scaled
 from tissue_sim.recording.recording import Recording
+from tissue_sim.slip import slipped
 from tissue_sim.tilt import tilted
 
 #: A step is cut until it is this small a part of the way between two samples.
@@ -43,7 +44,9 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
     """Simulate a whole test quasi-statically.
 
     The protocol is the motion that the rig's stage reports; where the load train gives way the tool's true place is
-    found together with its force. Between two samples the law's stress changes linearly in time.
+    found together with its force. Of faces that slip in part the bonded and the frictionless test are simulated, each
+    behind a load train of its own; fields are those of the bonded one. Between two samples the law's stress changes
+    linearly in time.
 
     Args:
         model: experiment, material, rig.
@@ -72,6 +75,13 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
     started = time.perf_counter()
     protocol, rig = model.experiment.protocol, model.rig
     rig.readings(protocol.time)  # refused now or never
+    if share := model.experiment.slip:
+        held, free = (
+            simulate(replace(model, experiment=experiment, rig=rig.motion_only), resolution=resolution, mesh=mesh,
+                     fields=fields, progress=follow, watch=watched, solver=solver, topology=topology)
+            for experiment, follow, watched in ((replace(model.experiment, slip=0.0), progress, watch),
+                                                (model.experiment.with_free_faces(), None, None)))
+        return rig.read(slipped(held, free, share))
     tissue = SOLVERS.find(solver, "solver")(model, resolution=resolution, mesh=mesh, topology=topology)
     if watch:
         watch.begin(tissue)

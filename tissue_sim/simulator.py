@@ -85,7 +85,8 @@ class Simulator:
         solver: name in `tissue_sim.fem.solver.SOLVERS`.
 
     Raises:
-        InputError: an unknown solver, resolution or inertia, a tilted tool, a bulk response or layers that do not fit.
+        InputError: an unknown solver, resolution or inertia, a tool that leans or slips in part, a bulk response or
+            layers that do not fit.
         ConvergenceError: the specimen does not stand under its own weight.
         MissingBackendError: Taichi is not there.
     """
@@ -100,6 +101,9 @@ class Simulator:
         if model.experiment.tilt:
             raise InputError("a tilted tool is a correction of whole recordings and has no place in real time; leave "
                              "the tilt out", field="tilt")
+        if model.experiment.slip:
+            raise InputError("a face that slips in part is a correction of whole recordings and has no place in real "
+                             "time; leave the slip out, or use a coefficient of friction", field="slip")
         self.model, self.budget, self.inertia, self.tolerance = model, budget, inertia, tolerance
         self._solver = SOLVERS.find(solver, "solver")(model, resolution=resolution, mesh=mesh)
         self._solver.ask_for_stiffness()

@@ -79,6 +79,7 @@ class Test:
         rig: what stands between the tissue and the recordings; without noise and resolution.
         contact: displacement at which it touches, m; ``"recorded"``: the recording's own zero; ``"find"``: found.
         failure: what becomes of a recording from its failure on: ``"cut"``, ``"keep"`` or ``"refuse"``.
+        protocol: its motion, where it is planned and has no recordings.
     """
 
     name: str
@@ -93,6 +94,7 @@ class Test:
     rig: Rig = field(default_factory=Rig)
     contact: float | Literal["recorded", "find"] = "recorded"
     failure: Literal["cut", "keep", "refuse"] = "cut"
+    protocol: str | None = None
 
 
 @dataclass(frozen=True)
@@ -189,8 +191,11 @@ class Campaign:
         return self.path.stem
 
 
-def load_campaign(path: str | Path) -> Campaign:
+def load_campaign(path: str | Path, *, planned: bool = False) -> Campaign:
     """Read and check a campaign file; recordings are resolved (globs expanded, sorted) but not read.
+
+    Args:
+        path: of the file. planned: whether a test may have a protocol instead of recordings.
 
     Raises:
         InputError: anything wrong in the file, with the file and the dotted field.
@@ -199,7 +204,7 @@ def load_campaign(path: str | Path) -> Campaign:
     table, data, defaults = decode_campaign(path)
     try:
         specimens = _specimens(table)
-        tests = _tests(table, specimens, path.parent)
+        tests = _tests(table, specimens, path.parent, planned)
         return Campaign(path, _read_only(specimens), tests, _fit_settings(table.fit, table.noise, tests),
                         _noise(table.noise, table.fit.method), hashlib.sha256(data).hexdigest(), _density(tests))
     except InputError as error:
@@ -244,7 +249,7 @@ def _density(tests: tuple[Test, ...]) -> float | None:
     return fitted.pop() if len(fitted) == 1 else None
 
 
-def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path) -> tuple[Test, ...]:
+def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path, planned: bool) -> tuple[Test, ...]:
     if not table.test:
         raise InputError("a campaign needs at least one [[test]]", field="test")
     tests: dict[str, Test] = {}
@@ -256,7 +261,7 @@ def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path
             raise InputError(f"the name {name!r} is taken by another test; names must be unique", field=f"{field}.name")
         if table.fit.method == "analytical":
             check_available(entry, field)
-        elif entry.protocol is not None:
+        elif entry.protocol is not None and not planned:
             raise InputError("the motion of a test is that of its recordings; leave the protocol out",
                              field=f"{field}.protocol")
         require_positive(entry.speed_mm_s, f"{field}.speed_mm_s", " mm/s")
@@ -279,10 +284,11 @@ def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path
             check_delimiter(entry.delimiter, f"{field}.delimiter")
         specimen = _find_specimen(entry, specimens, table, field)
         tests[name] = Test(
-            name, kind, specimen, find_recordings(entry.recordings, folder, f"{field}.recordings"),
+            name, kind, specimen, () if entry.protocol is not None and not entry.recordings else
+            find_recordings(entry.recordings, folder, f"{field}.recordings"),
             _reading(entry, columns), entry.max_strain, entry.hold_out, field,
             read_experiment(entry, specimen, folder, field), read_rig(entry, folder, field),
-            entry.contact if isinstance(entry.contact, str) else 1e-3 * entry.contact, entry.failure)
+            entry.contact if isinstance(entry.contact, str) else 1e-3 * entry.contact, entry.failure, entry.protocol)
     if all(test.hold_out for test in tests.values()):
         raise InputError("every test is held out, so there is nothing to fit; set hold_out = false on one",
                          field="test[0].hold_out")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -149,6 +149,12 @@ class ParameterSpace:
         """Values with the geometry that the fit begins with, whose mesh is moved."""
         return {**values, **{each.name: self.start[each.name] for each in self.unknowns
                              if each.declaration.shapes_mesh and each.name in self.start}}
+
+    def held(self, values: Mapping[str, float]) -> ParameterSpace:
+        """The space in which nothing is free; `values`: of what was, by name."""
+        nothing = np.zeros(0)
+        return replace(self, free=(), fixed={**self.fixed, **values}, low=nothing, high=nothing, prior_mean=nothing,
+                       prior_deviation=nothing)
 
     def unknown(self, name: str) -> Unknown:
         """The number of that name."""

@@ -54,19 +54,21 @@ def unknowns(space: ParameterSpace, values: Mapping[str, float], sizes: Mapping[
 
 
 def change_of(problem: Problem, evaluation: Evaluation, campaign: Campaign, candidate: Candidate,
-              values: Mapping[str, float]) -> np.ndarray | str:
+              share: float = 1.0) -> np.ndarray | str:
     """What an effect of its trial size adds to the whitened model, shape (N, q); why there is none, in words.
 
     One column for all tests, or one for each specimen or test where it has numbers of its own there.
 
     Args:
-        problem, evaluation: at the minimum without it. campaign: its own. values: all parameters there, by name.
+        problem, evaluation: at the minimum without it. campaign: its own. share: of the trial size.
     """
     try:
-        extended, _ = extend(problem, campaign, candidate, free=False)
-        space = extended.space
-        theta = unknowns(space, values, {})
-        answers = [test.solve(space, theta, extended.solves) for test in extended.tests]
+        sizes = {path: absent + share * (size - absent) for path, size in candidate.sizes.items()
+                 for absent in (candidate.absent_value(campaign, path),)}
+        extended, _ = extend(problem, campaign, candidate, sizes, free=False)
+        # Held, all of them: derivatives would cost as much as the simulation.
+        extended.space = extended.space.held(dict(zip(problem.space.free, evaluation.theta, strict=True)))
+        answers = [test.solve(extended.space, np.zeros(0), extended.solves) for test in extended.tests]
         residual = extended._linearise(answers, evaluation.nuisances)[0]
     except (InfeasibleError, NotTestableError, InputError) as error:
         return str(error)

@@ -12,7 +12,6 @@ from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.extended import change_of
 from calibration.effects.catalogue import CATALOGUE
 from calibration.effects.effect import Candidate, Effect, NotTestableError
-from calibration.fit.problem import Evaluation, Problem
 from calibration.fit.steps import Steps
 from calibration.statistics.scores import Direction, alike, family_probability
 
@@ -21,6 +20,8 @@ LEVEL = 0.01
 #: Deviations at which a size is seen in nine of ten data sets: that of the level with a catalogue of this size, and
 #: 1.28 more.
 SEEN = 4.3 + 1.28
+#: Below this share of a change that the fit leaves, it is tried at half its size too.
+_BENT = 0.05
 #: Directions of which this share is the same are twins.
 TWINS = 0.97
 
@@ -123,36 +124,41 @@ def propose(evidence: Evidence, steps: Steps, words: str = "effects, one at a ti
         except NotTestableError as reason:
             silent[name] = str(reason)
     problem, evaluation = evidence.problem, evidence.evaluation
-    changes = steps.all_of(probe, [(problem, evaluation, evidence.campaign, each, evidence.values)
-                                   for each in candidates], words)
-    rows = evidence.residual.size - problem.samples
-    found: list[tuple[Candidate, Direction]] = []
+    changes = steps.all_of(change_of, [(problem, evaluation, evidence.campaign, each) for each in candidates], words)
+    found: dict[int, Direction] = {}
     failures: dict[str, str] = {}
-    for candidate, change in zip(candidates, changes, strict=True):
+    for number, (candidate, change) in enumerate(zip(candidates, changes, strict=True)):
         if isinstance(change, str):
             failures[candidate.name] = change
-            continue
-        columns = np.vstack([change, np.zeros((rows, change.shape[1]))])
-        direction = Direction.of(columns, evidence.fitted, positive=_one_sided(candidate, evidence))
-        if direction.freedom and direction.reach > 0:
-            found.append((candidate, direction))
         else:
-            failures[candidate.name] = "the other parameters take all of it up" if direction.length > 1e-6 else \
-                "it changes nothing in these tests"
-    scores = [direction.score(evidence.residual) for _, direction in found]
-    chances = family_probability([direction for _, direction in found], scores)
-    proposals = tuple(Proposal(candidate, direction, score, float(p), {
-        path: candidate.absent_value(evidence.campaign, path) for path in candidate.sizes})
-        for (candidate, direction), score, p in zip(found, scores, chances, strict=True))
+            found[number] = _direction(candidate, change, evidence)
+    # Where the fit takes nearly all of it up, what is left may be how the change bends with the size.
+    bent = [number for number, direction in found.items() if direction.reach < _BENT * direction.length]
+    halves = steps.all_of(change_of, [(problem, evaluation, evidence.campaign, candidates[number], 0.5)
+                                      for number in bent], words) if bent else []
+    for number, half in zip(bent, halves, strict=True):
+        if not isinstance(half, str):
+            found[number] = _direction(candidates[number], 4.0 * half - changes[number], evidence)
+    for number, direction in list(found.items()):
+        if not direction.freedom:
+            del found[number]
+            failures[candidates[number].name] = "the other parameters take all of it up" \
+                if direction.length > 1e-6 else "it changes nothing in these tests"
+    directions = list(found.values())
+    scores = [direction.score(evidence.residual) for direction in directions]
+    chances = family_probability(directions, scores)
+    proposals = tuple(Proposal(candidates[number], direction, score, float(p), {
+        path: candidates[number].absent_value(evidence.campaign, path) for path in candidates[number].sizes})
+        for (number, direction), score, p in zip(found.items(), scores, chances, strict=True))
     shown = {each.candidate.name for each in proposals}
     silent |= {name: reason for name, reason in failures.items() if name not in shown}
     return Proposals(proposals, silent, effects)
 
 
-def probe(problem: Problem, evaluation: Evaluation, campaign, candidate: Candidate,
-          values: dict[str, float]) -> np.ndarray | str:
-    """As `change_of`, for a task in another process."""
-    return change_of(problem, evaluation, campaign, candidate, values)
+def _direction(candidate: Candidate, change: np.ndarray, evidence: Evidence) -> Direction:
+    rows = evidence.residual.size - evidence.problem.samples
+    columns = np.vstack([change, np.zeros((rows, change.shape[1]))])
+    return Direction.of(columns, evidence.fitted, positive=_one_sided(candidate, evidence))
 
 
 def _one_sided(candidate: Candidate, evidence: Evidence) -> bool:

@@ -18,8 +18,9 @@ from calibration.fit.problem import Problem
 from calibration.fit.steps import Steps
 from tissue_sim.errors import InputError
 
-#: How many effects are fitted, and from how many values of what means nothing in their absence each.
-MOST, SHAPES = 6, 2
+#: How many effects are fitted; and from which value of what means nothing in their absence beside the likeliest: the
+#: next one, where its score is as good but for so much in its square.
+MOST, AS_GOOD = 6, 20.0
 #: A gain of the Schwarz criterion below this is none.
 LEAST_GAIN = 10.0
 #: A number this near to its bound, relative to the way between them or to itself, is on it.
@@ -100,7 +101,7 @@ def refit(evidence: Evidence, proposals: Proposals, steps: Steps, words: str = "
         ways = sorted((each for each in proposals.all if each.candidate.name == name),
                       key=lambda each: each.improbability)
         tasks += [(evidence.problem, evidence.campaign, way, evidence.values, evidence.estimate.error,
-                   evidence.samples) for way in ways[:SHAPES]]
+                   evidence.samples) for way in ways[:2] if way.improbability < ways[0].improbability + 0.5 * AS_GOOD]
     fits = [each for each in steps.all_of(refit_one, tasks, words) if each is not None] if tasks else []
     best: dict[str, Refit] = {}
     for each in sorted(fits, key=lambda one: -one.gain):

@@ -24,12 +24,18 @@ from tissue_sim.laws import find_law
 from tissue_sim.material.material import law_declaration
 from tissue_sim.material.parts import find_declaration, with_parts
 from tissue_sim.model import Model
-from tissue_sim.parameters import Declaration, symbol_at, with_values
+from tissue_sim.parameters import Declaration, parameters, symbol_at, with_values
 
 Room = Literal["tissue", "contact", "geometry", "rig", "population"]
 #: What writes an effect down: material file, campaign, rig file, or nothing (scatter between specimens is no effect of
 #: a model).
 ROOMS: tuple[Room, ...] = ("tissue", "contact", "geometry", "rig", "population")
+
+
+#: A tool has come back where it went this share of its largest displacement against its way.
+RETURNED = 0.05
+#: A refit may go so many times as far from absence as what is tried first.
+REACH = 50.0
 
 
 class NotTestableError(Exception):
@@ -88,6 +94,58 @@ class Situation:
         return float(np.median([np.median(np.diff(clock)) for clock in clocks])), \
             max(float(clock[-1] - clock[0]) for clock in clocks)
 
+    @cached_property
+    def modulus(self) -> float:
+        """About the shear modulus of the tissue, Pa, for the size of what is tried first: the middle one of those that
+        the largest force of each test gives in linear elasticity."""
+        found = []
+        for test in self.tests:
+            force, depth = self.force(test), self.depth(test)
+            if test.experiment is None or self.measured[test.name][0].stressed:
+                area, height = (1.0, 1.0) if test.specimen is None else (test.specimen.area, test.specimen.height)
+                found.append(force * height / (3.0 * area * depth))
+            elif test.experiment.tool.is_plate:
+                found.append(force * test.experiment.specimen.height / (3.0 * test.experiment.specimen.area * depth))
+            else:
+                found.append(force / (8.0 * self.contact_radius(test) * depth))
+        return float(np.median(found))
+
+    def contact_radius(self, test: Test) -> float:
+        """About how wide the contact of a test with a tool is at its largest displacement, m."""
+        assert test.experiment is not None
+        return test.experiment.tool.contact_radius(self.depth(test), test.experiment.specimen.radius)
+
+    def strain(self, test: Test) -> float:
+        """About how much a test with a tool strains the tissue: its depth over the height, or the width of a needle."""
+        assert test.experiment is not None
+        size = test.experiment.specimen.height if test.experiment.tool.is_plate else 2.0 * self.contact_radius(test)
+        return self.depth(test) / size
+
+    def returns(self, test: Test) -> bool:
+        """Whether the tool comes back in any recording of a test."""
+        return any(float(np.max(np.maximum.accumulate(curve.displacement) - curve.displacement))
+                   > RETURNED * self.depth(test) for curve in self.measured[test.name])
+
+    def fastest(self, tests: Iterable[Test]) -> float:
+        """Speed of the fastest loading, m/s.
+
+        Raises:
+            NotTestableError: the recordings have no time.
+        """
+        speeds = [curve.speed for curve in self.curves(tests) if self.timed and curve.speed]
+        if not speeds:
+            raise NotTestableError("the recordings have no time")
+        return max(speeds)
+
+    def require_new(self, path: str) -> None:
+        """Refuse a number that the campaign fits or holds.
+
+        Raises:
+            NotTestableError: it does.
+        """
+        if path in self.campaign.fit.start or path in self.campaign.fit.fixed:
+            raise NotTestableError("the campaign names it already, so it is fitted, or held where it was put")
+
     def relaxation_times(self, per_decade: float = 2.0) -> list[float]:
         """Times that these recordings could resolve, s, evenly on a logarithmic axis: from three samples to the
         longest recording."""
@@ -109,8 +167,8 @@ class Candidate:
         shape: path -> value, SI, of numbers that mean nothing where the effect is absent (a relaxation time); other
             candidates try other values, and a refit lets them free.
         bounds: path -> lowest and highest value that a refit may take, where they are narrower than declared.
-        tests: names of those that share the numbers; None: all that have them.
-        scope: ``per_specimen`` or ``per_test`` where each has numbers of its own.
+        tests: names of those that have the numbers; None: all that could.
+        scope: ``per_specimen`` or ``per_test`` where each of them has numbers of its own; else they share them.
         law: the wider law that has the numbers; None: the one that is fitted.
         prepare: a test -> the same with the part that the numbers belong to (an adhesion of no force).
         mark: what tells it from the effect's other candidates where that is no number: the name of a test.
@@ -186,7 +244,9 @@ class Candidate:
             of_law = path in wider
             having = everywhere if not path.startswith(("experiment.", "rig.")) else tuple(
                 test.name for test in campaign.tests if path in declared_around(test.experiment, test.rig))
-            scope = self.scope if self.tests is None else tuple(name for name in self.tests if name in having)
+            if self.tests is not None:
+                having = tuple(name for name in self.tests if name in having)
+            scope = self.scope if self.tests is None or self.scope != SHARED else having
             named[path] = Named(path, what, of_law, scope, having)
             if path in self.bounds:
                 bounds[path] = self.bounds[path]
@@ -224,6 +284,8 @@ class Effect(ABC):
     signature: ClassVar[str]
     separated_by: ClassVar[str]
     known_twins: ClassVar[tuple[str, ...]] = ()
+    #: The wider law that its numbers belong to; None: they belong to no law.
+    law: ClassVar[str | None] = None
 
     @abstractmethod
     def candidates(self, situation: Situation) -> list[Candidate]:
@@ -244,6 +306,9 @@ class Effect(ABC):
         """
         around = {path: value for path, value in values.items() if path.startswith(("experiment.", "rig."))}
         within = {path.removeprefix("material."): value for path, value in values.items() if path not in around}
+        if self.law is not None:
+            wider = {**dict.fromkeys(find_law(self.law).parameters, 0.0), **model.material.parameters}
+            model = replace(model, material=replace(model.material, law=self.law, parameters=wider))
         if within:
             model = replace(model, material=with_parts(model.material, within))
         return with_values(model, around) if around else model
@@ -265,3 +330,39 @@ def per_test(effect: Effect, tests: Sequence[Test], sizes: Callable[[Test], Mapp
     """A candidate for each test alone, of an effect that every test has a size of its own of."""
     return [Candidate(effect, sizes(test), tests=(test.name,), mark=test.name, **options) for test in tests]
 
+
+def stated_value(test: Test, path: str) -> float:
+    """What a test with a tool states of a number beside the material, SI."""
+    part, _, inside = path.partition(".")
+    return parameters(getattr(test, part))[inside].value
+
+
+def beside_material(effect: Effect, situation: Situation, path: str, tests: Sequence[Test],
+                    size: Callable[[Sequence[Test]], float], *, each: bool = False, both_ways: bool = True,
+                    **options) -> list[Candidate]:
+    """The candidates of one number of the experiment or the rig, counted from what the tests state of it.
+
+    Args:
+        effect, situation: as the candidates have them. path: of the number. tests: that have it.
+        size: what is tried first, beyond what is stated, of tests that share the number.
+        each: whether each test has a number of its own; else those share it that state the same.
+        both_ways: whether it may be less than stated. options: of `Candidate`.
+
+    Raises:
+        NotTestableError: the campaign fits it already.
+    """
+    situation.require_new(path)
+    groups: dict[object, list[Test]] = {}
+    for test in tests:
+        groups.setdefault(test.name if each else stated_value(test, path), []).append(test)
+    found = []
+    for group in groups.values():
+        stated, step = stated_value(group[0], path), size(group)
+        part, _, inside = path.partition(".")
+        low, high = parameters(getattr(group[0], part))[inside].declaration.bounds
+        least = stated - REACH * step if both_ways else stated
+        found.append(Candidate(
+            effect, {path: stated + step}, absent={path: stated},
+            bounds={path: (max(low, least), min(high, stated + REACH * step))},
+            tests=tuple(test.name for test in group), mark=group[0].name if each or len(groups) > 1 else "", **options))
+    return found

@@ -1,6 +1,6 @@
 """A load train that gives way."""
 
-from calibration.effects.effect import Candidate, Effect, Situation, require_tests
+from calibration.effects.effect import Candidate, Effect, Situation, beside_material, require_tests
 
 #: Share of the largest displacement that the load train takes up, which is tried first.
 _SHARE = 0.01
@@ -19,5 +19,4 @@ class MachineCompliance(Effect):
         tests = require_tests(situation.simulated(), "no test was recorded as force and displacement")
         stiffest = max(tests, key=lambda test: situation.force(test) / situation.depth(test))
         size = _SHARE * situation.depth(stiffest) / situation.force(stiffest)
-        return [Candidate(self, {"rig.compliance": size}, bounds={"rig.compliance": (0.0, 100 * size)},
-                          tests=tuple(test.name for test in tests))]
+        return beside_material(self, situation, "rig.compliance", tests, lambda _: size, both_ways=False)

@@ -11,7 +11,7 @@ from scipy import special
 from calibration.statistics.adequacy import INDEPENDENT
 
 #: A direction of which the fit absorbs all but this share of its length cannot be tested.
-ABSORBED = 0.02
+ABSORBED = 1e-3
 #: Draws of the noise, and the seed of them: the same answer each time.
 DRAWS, SEED = 20_000, 1
 

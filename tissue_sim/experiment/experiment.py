@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -39,6 +39,8 @@ class Experiment:
         friction_wall: interface of a needle's shaft; tissue meets it during the test, so it cannot be bonded.
         adhesion: pull of a tool that lifts off; None: none.
         tilt: height difference across the contact, m; see `tissue_sim.tilt`.
+        slip: share of bonded faces that slips; see `tissue_sim.slip`. Under a plate it is that of both faces, as far as
+            they are bonded; under a needle that of its face alone.
         contact_laws: what was added beside these, by name; see `tissue_sim.experiment.contact_law`. A sequence of laws
             is taken, too.
 
@@ -54,6 +56,7 @@ class Experiment:
     friction_wall: str | float = _friction("mu_wall", "friction_wall", "frictionless")
     adhesion: Adhesion | None = None
     tilt: float = parameter("delta", "m", key="tilt_mm", factor=1e-3, bounds=(0.0, 1.0), absent=0.0, default=0.0)
+    slip: float = parameter("s", "1", key="slip", bounds=(0.0, 1.0), absent=0.0, default=0.0)
     contact_laws: Mapping[str, ContactLaw] = field(default_factory=dict)
 
     def __post_init__(self):
@@ -66,6 +69,11 @@ class Experiment:
                              "'frictionless' or a coefficient of friction", field="friction_wall")
         if not (np.isfinite(self.tilt) and self.tilt >= 0):
             raise InputError(f"{self.tilt:g} m is not a height difference; give 0 or more", field="tilt")
+        if not 0 <= self.slip <= 1:
+            raise InputError(f"{self.slip:g} is no share; give 0 to 1", field="slip")
+        if self.slip and self.friction != "bonded":
+            raise InputError("a part of a bonded face slips; use friction 'bonded', or leave the slip out",
+                             field="slip")
         if self.protocol.depth >= self.specimen.height:
             raise InputError(f"{self.protocol.depth * 1e3:g} mm is deeper than the specimen is high "
                              f"({self.specimen.height * 1e3:g} mm)", field="protocol")
@@ -87,6 +95,17 @@ class Experiment:
         if slides and self.tool.sharp_edge:
             raise InputError("tissue that slides round a sharp edge has no direction there; give the tool an edge "
                              "radius, or friction 'stick' or 'bonded'", field="tool.edge_radius")
+        if self.slip:
+            self.with_free_faces()
+
+    def with_free_faces(self) -> Experiment:
+        """The experiment with those faces frictionless of which a share slips, and all of them doing so.
+
+        Raises:
+            InputError: tissue that slides round a sharp edge.
+        """
+        base = "frictionless" if self.tool.is_plate and self.friction_base == "bonded" else self.friction_base
+        return replace(self, friction="frictionless", friction_base=base, slip=0.0)
 
     def tool_pose(self, displacement: float) -> Pose:
         """Where the tool is when the protocol says this displacement, m: pushed in along the axis."""

@@ -4,6 +4,7 @@ Adding a law: write its class in a file beside these and add one line to `LAWS` 
 one by an entry point of the group ``tissue_sim.laws``, a program by `register`.
 """
 
+from tissue_sim.laws.biderman import Biderman
 from tissue_sim.laws.law import InvariantLaw, KernelEnergy, Law, StretchLaw
 from tissue_sim.laws.mooney_rivlin import MooneyRivlin
 from tissue_sim.laws.neo_hooke import NeoHooke
@@ -17,6 +18,7 @@ LAWS: Registry[Law] = Registry("law", "tissue_sim.laws", {law.name: law for law 
     NeoHooke(),
     MooneyRivlin(),
     ReducedPolynomial(1), ReducedPolynomial(2), ReducedPolynomial(3),
+    Biderman(),
     Ogden(1), Ogden(2), Ogden(3),
 )}, accepts=lambda law: isinstance(law, Law), expected="an object of a class derived from InvariantLaw or StretchLaw")
 

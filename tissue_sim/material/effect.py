@@ -125,5 +125,6 @@ class ReducedForce:
 
 #: Name -> class.
 EFFECTS: Registry[type[TissueEffect]] = Registry(
-    "effect of the tissue", "tissue_sim.effects", {}, accepts=declaring(TissueEffect),
+    "effect of the tissue", "tissue_sim.effects",
+    {"stiffness_scale": "tissue_sim.material.stiffness_scale:StiffnessScale"}, accepts=declaring(TissueEffect),
     expected="a frozen dataclass that derives from tissue_sim.TissueEffect and declares its parameters")

@@ -49,5 +49,6 @@ class RigFault:
 
 #: Name -> class.
 FAULTS: Registry[type[RigFault]] = Registry(
-    "fault of a rig", "tissue_sim.rig_faults", {}, accepts=declaring(RigFault),
+    "fault of a rig", "tissue_sim.rig_faults", {"inertia": "tissue_sim.rig.inertia:Inertia"},
+    accepts=declaring(RigFault),
     expected="a frozen dataclass that derives from tissue_sim.RigFault and declares its parameters")

@@ -1,0 +1,26 @@
+"""A motor that loses steps."""
+
+from calibration.effects.effect import Candidate, Effect, Situation, beside_material, require_tests
+
+#: Loss that is tried first, in largest displacements; and depths at which it may happen, likewise.
+_SHARE, _DEPTHS = 0.01, (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)
+
+
+class StepLoss(Effect):
+    """A way that is lost for good at one depth, of each test its own."""
+
+    name = "step_loss"
+    room = "rig"
+    title = "step loss"
+    signature = "the force of one test drops at once at one depth, as if the tool had been set back, and stays so"
+    separated_by = "counting the steps back to zero"
+
+    def candidates(self, situation: Situation) -> list[Candidate]:
+        tests = require_tests(situation.simulated(), "no test was recorded as force and displacement")
+        loss, depth, found = "rig.step_loss", "rig.step_loss_depth", []
+        for share in _DEPTHS:
+            for test in tests:
+                found += beside_material(self, situation, loss, [test],
+                                         lambda group: _SHARE * situation.depth(group[0]), each=True, both_ways=False,
+                                         shape={depth: share * situation.depth(test)})
+        return found

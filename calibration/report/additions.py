@@ -1,0 +1,174 @@
+"""What a diagnosis found, written down where it belongs: tissue into a material file, the rig into rig files, contact
+and geometry into a campaign."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from msgspec.structs import replace
+
+from calibration.campaign.campaign import Campaign, Test
+from calibration.diagnosis.diagnosis import Diagnosis, FoundEffect
+from calibration.diagnosis.evidence import Evidence
+from calibration.fit.result import CalibrationResult
+from calibration.report.outputs import material_file
+from tissue_sim.atomic_write import write_text
+from tissue_sim.material.file import MaterialFile, write_material_file
+from tissue_sim.parameters import to_keys, with_values
+from tissue_sim.rig.file import write_rig
+from tissue_sim.rig.rig import Rig
+
+#: The campaign that has what was found.
+CAMPAIGN_FILE = "diagnosed.toml"
+
+
+def addition_files(campaign: Campaign, laws: Sequence[str], folder: Path) -> list[Path]:
+    """Every file that `write_additions` may write."""
+    return [*(folder / f"{law}.material.json" for law in laws), folder / CAMPAIGN_FILE, folder / "rig.rig.json",
+            *(folder / _rig_file(number) for number in range(len(campaign.tests)))]
+
+
+def write_additions(diagnosis: Diagnosis, after: Evidence | None, folder: Path) -> Diagnosis:
+    """Write material, rigs and campaign with what was added; the files of the calibration stay as they are.
+
+    Args:
+        diagnosis: the answer. after: evidence with what was added; None where nothing was. folder: of the results.
+
+    Returns:
+        The diagnosis with the names of the files.
+    """
+    if after is None or diagnosis.fit_after is None:
+        return diagnosis
+    files = {}
+    name = f"{after.law}.material.json"
+    write_material_file(_material(diagnosis, after, folder), folder / name)
+    files["material"] = name
+    rigs = {test.name: _rig(after, test) for test in after.situation.tests if test.experiment is not None}
+    if any(effect.room == "rig" for effect in diagnosis.effects):
+        if len({json.dumps(to_keys(rig), sort_keys=True) for rig in rigs.values()}) == 1:
+            write_rig(next(iter(rigs.values())), folder / "rig.rig.json")
+            files["rig"] = "rig.rig.json"
+        else:
+            for number, test in enumerate(after.campaign.tests):
+                if test.name in rigs:
+                    write_rig(rigs[test.name], folder / _rig_file(number))
+                    files[f"rig of {test.name}"] = _rig_file(number)
+    write_text(folder / CAMPAIGN_FILE, _campaign_text(diagnosis, after))
+    files["campaign"] = CAMPAIGN_FILE
+    places = {"tissue": name, "rig": files.get("rig", "rig files of the tests"), "population": name}
+    effects = [replace(effect, written_to=CAMPAIGN_FILE if _of_one_test(effect) and effect.room == "tissue"
+                       else places.get(effect.room, CAMPAIGN_FILE)) for effect in diagnosis.effects]
+    return replace(diagnosis, effects=effects, files=files)
+
+
+def _of_one_test(effect: FoundEffect) -> bool:
+    return bool(effect.tests)
+
+
+def _rig_file(number: int) -> str:
+    return f"test_{number + 1}.rig.json"
+
+
+def _material(diagnosis: Diagnosis, after: Evidence, folder: Path) -> MaterialFile:
+    fit = diagnosis.fit_after
+    assert fit is not None
+    # What one session or one test had is no property of the tissue.
+    passing = {number.path: number.absent for effect in diagnosis.effects if _of_one_test(effect)
+               for number in effect.parameters if number.absent is not None}
+    fit = replace(fit, parameters={**fit.parameters, **passing})
+    result = CalibrationResult(after.campaign, (fit,), (), diagnosis.message, folder, "", None, "estimated")
+    file = material_file(fit, result, after.measured, "inverse FEM with a diagnosed effect")
+    added = [{"name": effect.name, "room": effect.room, "tests": effect.tests,
+              "parameters": {number.path: number.value for number in effect.parameters}}
+             for effect in diagnosis.effects]
+    provenance = file.provenance
+    assert provenance is not None
+    settings = {**(provenance.settings or {}), "diagnosis": {
+        "campaign": diagnosis.campaign, "verdict": diagnosis.verdict, "effects": added}}
+    return replace(file, provenance=replace(provenance, settings=settings))
+
+
+def _rig(after: Evidence, test: Test) -> Rig:
+    """Of a test, with what was found."""
+    space = after.problem.space
+    values = {each.path.removeprefix("rig."): after.values[each.name] for each in space.unknowns
+              if each.path.startswith("rig.") and each.acts_in(test.name, None) and each.recording is None}
+    return with_values(test.rig, values) if values else test.rig
+
+
+def _campaign_text(diagnosis: Diagnosis, after: Evidence) -> str:
+    """The campaign with what was found as starts of further unknowns, so that it can be fitted again."""
+    campaign = after.campaign
+    content: dict[str, Any] = tomllib.loads(campaign.path.read_text(encoding="utf-8"))
+    folder = campaign.path.parent.resolve()
+    for place in (content.get("defaults", {}), *content["test"]):
+        if "recordings" in place:
+            place["recordings"] = [str(folder / name) for name in place["recordings"]]
+        for key in ("rig", "tool"):
+            if isinstance(place.get(key), str) and (folder / place[key]).is_file():
+                place[key] = str(folder / place[key])
+    for table, test in zip(content["test"], campaign.tests, strict=True):
+        if test.experiment is not None and test.experiment.contact_laws:
+            table["contact_laws"] = {name: to_keys(law) for name, law in test.experiment.contact_laws.items()}
+    densities = {test.experiment.specimen.name: test.experiment.specimen.density for test in campaign.tests
+                 if test.experiment is not None}
+    for table in content.get("specimen", []):
+        density = densities.get(table.get("name", "specimen"))
+        if density is not None:
+            table["density_kg_m3"] = density
+    fit, settings = content["fit"], campaign.fit
+    fit["laws"] = [after.law]
+    start: dict[str, dict[str, Any]] = {"start": {}, "fixed": {}, "bounds": {}, "scope": {}}
+    for path, named in settings.named.items():
+        factor = named.declaration.factor
+        if path in settings.bounds:
+            start["bounds"][path] = [end / factor for end in settings.bounds[path]]
+        if named.scope != "shared":
+            start["scope"][path] = list(named.scope) if isinstance(named.scope, tuple) else named.scope
+    for each in after.problem.space.unknowns:
+        kind = "fixed" if each.name in after.problem.space.fixed else "start"
+        start[kind].setdefault(each.path, after.values[each.name] / each.declaration.factor)
+    fit.update({key: table for key, table in start.items() if table})
+    words = "; ".join(effect.title for effect in diagnosis.effects)
+    return f"# {campaign.path.name} with what a diagnosis found in it: {words}.\n{to_toml(content)}"
+
+
+def to_toml(content: Mapping[str, Any]) -> str:
+    """Tables, lists of tables and plain values as TOML."""
+    plain = [f"{_key(name)} = {_value(value)}" for name, value in content.items()
+             if not isinstance(value, Mapping) and not _is_tables(value)]
+    parts = ["\n".join(plain)] if plain else []
+    for name, value in content.items():
+        if isinstance(value, Mapping):
+            inner = {key: each for key, each in value.items() if not isinstance(each, Mapping)}
+            parts.append(f"[{_key(name)}]\n{to_toml(inner)}".rstrip())
+            parts += [f"[{_key(name)}.{_key(key)}]\n{to_toml(each)}".rstrip() for key, each in value.items()
+                      if isinstance(each, Mapping)]
+        elif _is_tables(value):
+            parts += [f"[[{_key(name)}]]\n" + "\n".join(f"{_key(key)} = {_value(each)}" for key, each in table.items())
+                      for table in value]
+    return "\n\n".join(parts) + "\n"
+
+
+def _is_tables(value: Any) -> bool:
+    return isinstance(value, list) and bool(value) and all(isinstance(each, Mapping) for each in value)
+
+
+def _key(name: str) -> str:
+    return name if name.replace("_", "").replace("-", "").isalnum() and name.isascii() else json.dumps(name)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        return repr(value) if value == value and abs(value) != float("inf") else f"{value}"
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{_key(key)} = {_value(each)}" for key, each in value.items()) + " }"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_value, value)) + "]"
+    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else str(value)
