@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from calibration.campaign.campaign import load_campaign
 from calibration.campaign.measured import read_measured
-from calibration.output_folder import PICTURE_FORMATS, SUMMARY_FILE, claim, diagnosis_files, pictures_written
+from calibration.output_folder import PICTURE_FORMATS, SUMMARY_FILE, claim, pictures_written
 from calibration.tasks.executors import Workers, open_tasks
 from tissue_sim.errors import ConvergenceError, InputError
 
@@ -89,8 +89,8 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
              workers: Workers | None = None, law: str | None = None) -> list[DiagnosisResult]:
     """Find what a plain model misses in every campaign, name it, and write the results.
 
-    ``diagnosis.json``, ``report.html`` and ``residuals.csv`` go into `output`, or into one subfolder a campaign, named
-    by its file's stem. Folders are resumed as those of `calibrate` are.
+    ``diagnosis.json``, ``report.html``, ``residuals.csv`` and the files that carry what was found go into `output`, or
+    into one subfolder a campaign, named by its file's stem. Folders are resumed as those of `calibrate` are.
 
     Args:
         paths: campaign files, of ``method = "inverse_fem"``. law: one of each campaign; None: its first.
@@ -110,6 +110,7 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
     from calibration.campaign_diagnosis import CampaignDiagnosis
     from calibration.diagnosis.result import read_diagnosis
     from calibration.fit.steps import Steps
+    from calibration.report.diagnosis_outputs import files_of_diagnosis
 
     with open_tasks(workers or Workers()) as tasks:
         parts = [CampaignDiagnosis(campaign, curves, output / campaign.name if len(campaigns) > 1 else output,
@@ -123,7 +124,7 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
                 part.check()
         claim(output, {part.campaign.name: part.folder for part in parts}, campaigns,
               [recording for part in parts for recording in part.recordings],
-              {part.campaign.name: part.digest for part in parts}, overwrite, diagnosis_files)
+              {part.campaign.name: part.digest for part in parts}, overwrite, files_of_diagnosis)
         results, failures = [], []
         for part, result in zip(parts, finished, strict=True):
             try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from calibration.report.curve_figures import MISFIT, Abscissa, binned, draw_view
 from calibration.report.drawing import COLOURS, legend_above, new_figure, panels
 from calibration.report.rounding import gain_text
 from calibration.report.units import Units
-from calibration.report.views import is_timed, views
+from calibration.report.views import Trace, is_timed, views
 
 #: Without and with what was added: colour and dashes.
 BEFORE: dict = {"color": MISFIT, "ls": (0, (5, 2))}
@@ -59,6 +60,11 @@ def draw_gap(before: TestCurves, after: TestCurves | None, regions: Sequence[Reg
     figure, axes = panels([len(shown) + 1], 3.4)
     for panel, view in zip(axes, shown, strict=False):
         draw_view(panel, drawn, view)
+        # Recordings lie apart by their offsets and zeros: each has its own line.
+        for curves, _, look in drawn:
+            for m, fitted in zip(curves.measured[1:], curves.fitted[1:], strict=True):
+                for along, force, _ in view.lines(replace(Trace.of(m), force=fitted)):
+                    panel.plot(along, force, **look, lw=1.2, zorder=3)
     x = Abscissa(units.travel(before.test), units.load(before.test), timed, "time [s]" if timed else seen[0].x)
     spans = [(region, span) for region in regions if not region.adequate
              for span in x.spans(region, before.measured)]
@@ -171,7 +177,8 @@ def draw_candidates(candidates: Sequence[CandidateStatement], names: Sequence[st
     known = [each.delta_BIC for each in candidates if each.delta_BIC is not None]
     for place, each, colour in zip(places, candidates, colours, strict=True):
         if each.delta_BIC is None:
-            gain.text(0.0, place, "  not fitted", va="center", fontsize=8.5, color="0.5")
+            gain.annotate("not fitted", (0.0, place), (7, 0), textcoords="offset points", va="center", fontsize=8.5,
+                          color="0.5", bbox={"fc": "white", "ec": "none", "pad": 0.8})
             continue
         gain.barh(place, each.delta_BIC, 0.62, color=colour)
         gain.text(max(each.delta_BIC, 0.0), place, f"  {gain_text(each.delta_BIC)}{_odds(each)}", va="center",

@@ -5,19 +5,28 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 from msgspec.structs import replace
 
+from calibration.campaign.campaign import Campaign
 from calibration.campaign.measured import MeasuredCurve
 from calibration.diagnosis.diagnosis import Stage
 from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.result import DiagnosisResult, diagnosis_to_json
 from calibration.effects.effect import Effect
-from calibration.output_folder import DIAGNOSIS_FILE
+from calibration.output_folder import DIAGNOSIS_FILE, diagnosis_files
+from calibration.report.additions import addition_files, write_additions
 from calibration.report.diagnosis_page import diagnosis_page
 from calibration.report.drawing import Pictures
 from calibration.report.outputs import format_table
 from tissue_sim.atomic_write import write_text
+from tissue_sim.laws import LAWS
+
+
+def files_of_diagnosis(campaign: Campaign, folder: Path) -> list[Path]:
+    """Every file that the diagnosis of a campaign may write; an effect may need a wider law."""
+    return [*diagnosis_files(campaign, folder), *addition_files(campaign, sorted(LAWS), folder)]
 
 
 def write_diagnosis(result: DiagnosisResult, before: Evidence, after: Evidence | None, effects: Mapping[str, Effect],
@@ -30,15 +39,16 @@ def write_diagnosis(result: DiagnosisResult, before: Evidence, after: Evidence |
             pictures. figures_format: ``svg``, ``pdf`` or ``png`` of the pictures as files beside it; None: no files.
 
     Returns:
-        The answer, with the time that this took.
+        The answer, with the names of the files and the time that this took.
     """
     began = time.monotonic()
+    diagnosis = write_additions(result.diagnosis, after, result.output)
     write_text(result.output / "residuals.csv", _residuals(before, after))
     pictures = Pictures(result.output, figures_format) if figures else None
     write_text(result.output / "report.html",
-               diagnosis_page(result.diagnosis, before, after, effects, measured, pictures))
-    stages = [*result.diagnosis.stages, Stage(name="report", wall_s=time.monotonic() - began)]
-    result = DiagnosisResult(result.campaign, replace(result.diagnosis, stages=stages), result.output, result.digest)
+               diagnosis_page(diagnosis, before, after, effects, measured, pictures))
+    stages = [*diagnosis.stages, Stage(name="report", wall_s=time.monotonic() - began)]
+    result = DiagnosisResult(result.campaign, replace(diagnosis, stages=stages), result.output, result.digest)
     text = json.dumps(diagnosis_to_json([result]), indent=2, ensure_ascii=False, allow_nan=False)
     write_text(result.output / DIAGNOSIS_FILE, text + "\n")
     return result

@@ -9,6 +9,7 @@ from html import escape
 from calibration.campaign.measured import MeasuredCurve
 from calibration.diagnosis.diagnosis import VERDICTS, CandidateStatement, Diagnosis, Verdict
 from calibration.diagnosis.evidence import Evidence
+from calibration.diagnosis.proposals import LEVEL
 from calibration.diagnosis.words import joined
 from calibration.effects.effect import Effect
 from calibration.fit.fit import Fit
@@ -16,7 +17,7 @@ from calibration.output_folder import picture_of_test
 from calibration.report.diagnosis_figures import curves_of, draw_candidates, draw_evidence, draw_gap
 from calibration.report.diagnosis_tables import (
     absorbed,
-    candidate_table,
+    fitted_table,
     held_out_table,
     label_of,
     labels_of,
@@ -24,6 +25,7 @@ from calibration.report.diagnosis_tables import (
     region_table,
     silent_table,
     stage_table,
+    testable_table,
 )
 from calibration.report.drawing import Pictures, counted
 from calibration.report.page import estimate_of, html_list, html_page, recording_list, symbol_of, title_of, with_minus
@@ -34,6 +36,8 @@ HEADINGS: dict[Verdict, str] = {"NAMED": "Named", "SET": "A set", "LOOKS_LIKE": 
                                 "NONE": "Nothing missing"}
 #: Regions that the summary names; the picture has all.
 _MOST_REGIONS = 4
+#: Effects in the picture; the table has all.
+_MOST_DRAWN = 14
 #: A parameter that moved by less than this share had absorbed nothing worth a sentence.
 _MOVED = 0.005
 _NOTE = ("Models have the offset and the zero of each recording. Shaded: regions whose residuals are more than noise "
@@ -176,16 +180,20 @@ def _where(diagnosis: Diagnosis, before: Evidence, after: Evidence | None, units
 def _catalogue(diagnosis: Diagnosis, units: Units, pictures: Pictures | None) -> Iterator[str]:
     seen = [each for each in diagnosis.candidates if each.testable]
     yield "<h2>The catalogue, held against these tests</h2>"
-    if seen and pictures is not None:
-        chosen = _chosen(diagnosis, seen)
-        yield pictures.show("candidates", partial(draw_candidates, seen, [label_of(each) for each in seen], chosen),
-                            "Score and gain of each effect")
+    drawn = [each for each in seen if each.refitted or (each.p is not None and each.p <= LEVEL)][:_MOST_DRAWN]
+    if drawn and pictures is not None:
+        yield pictures.show("candidates", partial(draw_candidates, drawn, [label_of(each) for each in drawn],
+                                                  _chosen(diagnosis, drawn)), "Score and gain of each effect")
+    yield fitted_table(diagnosis.candidates, units)
     if seen:
-        yield candidate_table(diagnosis.candidates, units)
+        yield "<h3>What these tests can show</h3>"
+        yield testable_table(diagnosis.candidates, units)
         yield ('<p class="quiet">Smallest size seen: nine of ten such data sets would show it. Score: deviations along '
                "what the effect changes and the fitted parameters cannot take up. p: that chance makes any effect of "
                "the catalogue score so. Explains: share of what the regions show beyond chance. Twins: change these "
                "tests in the same way but for a few per cent.</p>")
+    if len(seen) < len(diagnosis.candidates):
+        yield "<h3>What they cannot show</h3>"
     yield silent_table(diagnosis.candidates)
 
 

@@ -6,14 +6,19 @@ from collections.abc import Iterable, Sequence
 from html import escape
 
 from calibration.diagnosis.diagnosis import CandidateStatement, Diagnosis, HeldOut, Number, RegionGap
+from calibration.effects.effect import ROOMS
 from calibration.fit.fit import Fit
 from calibration.report.page import estimate_of, html_table, interval_of, symbol_of, with_minus
 from calibration.report.rounding import gain_text, value_and_error
 from calibration.report.symbols import html_symbol, plain_symbol
 from calibration.report.units import Unit, Units
 
-#: A probability below this is no number that anybody needs.
-_SMALLEST = 1e-6
+#: Draws tell no smaller probability.
+_SMALLEST = 1e-4
+#: Deviations of a score that an effect cannot have, from which on its sign is worth a word.
+_TELLING = 3.0
+#: A relative change beyond this is told by both values.
+_LARGE = 0.5
 
 
 def label_of(candidate: CandidateStatement) -> str:
@@ -37,10 +42,13 @@ def sizes_in_words(candidate: CandidateStatement, units: Units) -> str:
     words = []
     for path, value in candidate.seen_from.items():
         absent = candidate.absent.get(path, 0.0)
-        text = unit_of(path, candidate.units.get(path, "1"), units).text(abs(value - absent), 2)
+        unit = unit_of(path, candidate.units.get(path, "1"), units)
+        text = unit.text(abs(value - absent), 2)
         if absent:
-            share = Unit("%", 0.01).text(abs(value / absent - 1.0), 2)
-            text = share if absent == 1.0 else f"{text} ({share})"
+            share = abs(value / absent - 1.0)
+            in_percent = Unit("%", 0.01).text(share, 2)
+            text = f"{unit.text(value, 2)} instead of {unit.text(absent, 2)}" if share > _LARGE else \
+                in_percent if absent == 1.0 else f"{text} ({in_percent})"
         words.append(f"{plain_symbol(candidate.symbols.get(path, path.rpartition('.')[2]))} {text}")
     return ", ".join(words)
 
@@ -52,25 +60,48 @@ def number_in_words(number: Number, units: Units) -> str:
     return f"{html_symbol(number.symbol)} = {with_minus(text)}".replace(" ", "\u00a0")
 
 
-def candidate_table(candidates: Sequence[CandidateStatement], units: Units) -> str:
-    """Effects that these tests can show, best first."""
-    labels, rows = labels_of(candidates), []
-    for each in (each for each in candidates if each.testable):
+def fitted_table(candidates: Sequence[CandidateStatement], units: Units) -> str:
+    """Effects that were fitted, best first."""
+    rows = []
+    for each in (each for each in candidates if each.refitted):
         fitted = "<br>".join(number_in_words(number, units) for number in each.parameters)
         notes = [f"{', '.join(map(plain_symbol, each.on_bound))} on a bound"] if each.on_bound else []
         notes += [each.note] if each.note else []
         fitted += f'<br><span class="bad">{escape("; ".join(notes))}</span>' if notes else ""
-        rows.append([escape(label_of(each)), escape(each.room), escape(sizes_in_words(each, units)),
-                     "-" if each.score is None else with_minus(f"{each.score:.1f}"), chance(each.p), fitted or "-",
-                     "-" if each.delta_BIC is None else gain_text(each.delta_BIC),
-                     "-" if each.explained_percent is None else f"{each.explained_percent:.3g}\u00a0%",
-                     odds(each.evidence_ratio),
+        rows.append([escape(label_of(each)), fitted or "-", "-" if each.score is None else with_minus(
+            f"{each.score:.1f}"), "-" if each.delta_BIC is None else gain_text(each.delta_BIC),
+            "-" if each.explained_percent is None else f"{each.explained_percent:.3g}\u00a0%",
+            odds(each.evidence_ratio)])
+    return html_table(["Fitted", "Numbers", "Score", "ΔBIC", "Explains", "Odds against"], rows, text=(1,),
+                      narrow=True) if rows else ""
+
+
+def testable_table(candidates: Sequence[CandidateStatement], units: Units) -> str:
+    """Every effect that these tests can show, by room: the smallest size, and what the data show of it."""
+    labels = labels_of(candidates)
+    seen = sorted((each for each in candidates if each.testable),
+                  key=lambda each: (ROOMS.index(each.room), each.title))
+    rows: list[list[str | None]] = []
+    last = CandidateStatement(name="", effect="", room="", title="", testable=True)
+    for each in seen:
+        test = each.name.partition("@")[2]
+        rows.append([None if each.room == last.room else escape(each.room),
+                     None if each.effect == last.effect else escape(each.title), escape(test),
+                     escape(sizes_in_words(each, units)),
+                     "-" if each.score is None else with_minus(f"{each.score:.1f}"), _likelihood(each),
                      escape(", ".join(labels.get(name, name) for name in each.twins)) or "-"])
-    labelled = ["Effect", "Room", "Smallest size seen", "Score", "p", "Fitted", "ΔBIC", "Explains", "Odds against",
-                "Twins here"]
-    kept = [j for j in range(len(labelled)) if j < 5 or any(row[j] != "-" for row in rows)]
+        last = each
+    labelled = ["Room", "Effect", "Test", "Smallest size seen", "Score", "p", "Twins here"]
+    kept = [j for j in range(len(labelled)) if j not in (2, 6) or any(row[j] not in ("", "-") for row in rows)]
     return html_table([labelled[j] for j in kept], [[row[j] for j in kept] for row in rows],
-                      text=[kept.index(j) for j in (1, 2, 5, 9) if j in kept])
+                      text=[kept.index(j) for j in (1, 2, 3, 6) if j in kept])
+
+
+def _likelihood(each: CandidateStatement) -> str:
+    """That chance makes such a score; or that no size of the effect does."""
+    if each.score is not None and each.p is not None and each.score < -_TELLING and each.p > 0.5:
+        return '<span class="bad">wrong sign</span>'
+    return chance(each.p)
 
 
 def silent_table(candidates: Sequence[CandidateStatement]) -> str:
@@ -89,8 +120,8 @@ def _sentence(reason: str) -> str:
 
 
 def chance(p: float | None) -> str:
-    """``0.031``, ``2e-5``; ``-`` for None."""
-    return "-" if p is None else "&lt; 10⁻⁶" if p < _SMALLEST else f"{p:.2g}".replace("e-0", "e-")
+    """``0.031``, ``< 10⁻⁴``; ``-`` for None."""
+    return "-" if p is None else "&lt; 10⁻⁴" if p < _SMALLEST else f"{p:.2g}".replace("e-0", "e-")
 
 
 def odds(ratio: float | None) -> str:
