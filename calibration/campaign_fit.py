@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from msgspec.structs import replace
 
-import tissue_sim
 from calibration.campaign.campaign import Campaign
+from calibration.campaign.digest import digest_of
 from calibration.campaign.measured import MeasuredCurve, scale_offsets
 from calibration.campaign.segmented import notes_in_short
 from calibration.fit.assess import assess
@@ -54,7 +53,7 @@ class CampaignFit:
         self.campaign = campaign = scale_offsets(campaign, measured)
         self.measured, self.folder, self.steps = measured, folder, steps
         self.recordings = [curve for curves in measured.values() for curve in curves]
-        self.digest = _digest(campaign, self.recordings)
+        self.digest = digest_of(campaign, self.recordings)
         self.solves = Solves()
         self.estimator: Estimator = ESTIMATORS[campaign.fit.method](campaign, self.measured, self.solves)
         #: Law -> simulations that the check of its start took.
@@ -170,13 +169,3 @@ class CampaignFit:
             for (law, _), answer in zip(tasks, answers, strict=True):
                 found[law].append(answer)
         return sides_of, left_of
-
-
-def _digest(campaign: Campaign, recordings: Sequence[MeasuredCurve]) -> str:
-    """Of everything that the results depend on: campaign, recordings, rigs, tool profiles, version."""
-    content = [campaign.sha256, *(f"{curve.name} {curve.sha256}" for curve in recordings)]
-    for test in campaign.tests:
-        if test.experiment is not None:
-            outline = test.experiment.tool.profile.vertices.tolist()
-            content.append(hashlib.sha256(repr((test.rig, outline)).encode()).hexdigest())
-    return hashlib.sha256("\n".join([*content, tissue_sim.__version__]).encode()).hexdigest()

@@ -48,7 +48,7 @@ def replace_problem(problem: Problem) -> Problem:
 def deviations(region: Region) -> float:
     """How improbable a region's residuals are, in deviations of a normal distribution."""
     if region.p > _SMALLEST:
-        return float(max(-special.ndtri(0.5 * region.p), 0.0))
+        return max(float(-special.ndtri(0.5 * region.p)), 0.0) + 0.0  # a zero has no sign
     return float(np.sqrt(2.0 * region.statistic) - np.sqrt(2.0 * region.freedom - 1.0))
 
 
@@ -221,9 +221,10 @@ def _sentence(region: Region, curves: Sequence[tuple[MeasuredCurve, slice]], evi
         (measured, error), (modelled, _) = _changes(region, curves, evidence, "data"), _changes(
             region, curves, evidence, "model")
         if abs(measured - modelled) > _STEADY * error:
-            what = "falls" if measured < 0 else "rises"
-            return (f"{place}: the force {what} by {abs(measured):.2g} N, the model's by "
-                    f"{-modelled if measured < 0 else modelled:.2g} N ({sigma:.0f} sigma)")
+            what, sign = ("falls", -1) if measured < 0 else ("rises", 1)
+            predicted = f"{sign * modelled:.2g} N" if abs(modelled) > 0.1 * error else "nothing"
+            return (f"{place}: the force {what} by {abs(measured):.2g} N, the model's by {predicted} "
+                    f"({sigma:.0f} sigma)")
     side = "above" if region.largest_N < 0 else "below"
     return (f"{place}: the force is up to {abs(region.largest_N):.2g} N {side} the model, at {region.at:.3g} mm "
             f"({sigma:.0f} sigma)")

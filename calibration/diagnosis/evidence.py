@@ -28,11 +28,14 @@ def whole_campaign(campaign: Campaign, law: str | None = None) -> Campaign:
     """The campaign with one law, whose holds and returns count.
 
     Raises:
-        InputError: an analytical campaign.
+        InputError: an analytical campaign, or a law that it does not list.
     """
     if campaign.fit.method != "inverse_fem":
         raise InputError('a diagnosis simulates the tests; set method = "inverse_fem"', file=campaign.path,
                          field="fit.method")
+    if law is not None and law not in campaign.fit.laws:
+        raise InputError(f"{law!r} is not among its laws ({', '.join(campaign.fit.laws)})", file=campaign.path,
+                         field="fit.laws")
     return replace(campaign, fit=replace(campaign.fit, whole=True, laws=(law or campaign.fit.laws[0],)))
 
 
