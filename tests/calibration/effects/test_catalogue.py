@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from virtual_campaign import TESTS, measured_campaign, model_of, situation_of
 
 import calibration.effects
 import tissue_sim as ts
 from calibration.effects.catalogue import CATALOGUE
 from calibration.effects.effect import ROOMS, NotTestableError
-from tests.calibration.effects.virtual_campaign import TESTS, measured_campaign, model_of, situation_of
 
 #: What people know the effects by.
 NAMES = [
