@@ -14,6 +14,7 @@ class SessionScale(Effect):
     title = "stiffness of one session (temperature)"
     signature = "every force of one test is too high, or too low, by the same share"
     separated_by = "a thermometer, or repeating the first test after the last"
+    known_twins = ("radius_error",)
 
     def candidates(self, situation: Situation) -> list[Candidate]:
         path = "effects.stiffness_scale.ratio"
