@@ -1,6 +1,7 @@
 """Plates that are not as smooth as they should be."""
 
-from calibration.effects.effect import Candidate, Effect, Situation, beside_material, experiment_of, require_tests
+from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.effect import Candidate, Effect, Situation, experiment_of
 
 #: Coefficient of friction that is tried first.
 _FIRST = 0.02

@@ -1,6 +1,7 @@
 """A test on a warmer or colder day."""
 
-from calibration.effects.effect import Candidate, Effect, Situation, per_test, require_tests
+from calibration.effects.candidates import per_test, require_tests
+from calibration.effects.effect import Candidate, Effect, Situation
 
 #: Relative change of the stiffness that is tried first, and the largest factor that a refit may find.
 _CHANGE, _LARGEST = 0.02, 5.0
