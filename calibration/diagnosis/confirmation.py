@@ -15,6 +15,7 @@ from calibration.fit.estimate import Estimate, settle
 from calibration.fit.fit import Region
 from calibration.fit.generalised import Generalised
 from calibration.fit.levenberg_marquardt import descend
+from calibration.fit.predictor import Predictor
 from calibration.fit.problem import Problem
 from calibration.fit.regions import judge_regions
 from calibration.fit.uncertainty import assess_uncertainty
@@ -123,11 +124,11 @@ def _predict_test(evidence: Evidence, name: str) -> Prediction | str:
     asked = next(test for test in evidence.campaign.tests if test.name == name)
     problem = evidence.problem
     try:
+        own = Predictor.of(problem.space, evidence.estimate.theta, assess_uncertainty(problem, evidence.evaluation))
         test, error = Generalised(evidence.campaign, evidence.measured, problem.solves).held_out(
-            asked, evidence.estimate)
+            asked, evidence.estimate, own)
         unseen = Problem(problem.space, (test,), problem.solves, problem.jitter, (error,))
-        return _predicted_by(unseen, evidence.estimate.theta,
-                             assess_uncertainty(problem, evidence.evaluation).covariance)[0]
+        return _predicted_by(unseen, own.theta, own.covariance)[0]
     except (InfeasibleError, InputError) as failure:
         return str(failure)
 

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from calibration.campaign.campaign import Test
-from calibration.effects.effect import Candidate, Effect, Situation, beside_material, experiment_of, require_tests
+from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.effect import Candidate, Effect, Situation, experiment_of
 from tissue_sim.experiment.adhesion import Adhesion as Pull
 from tissue_sim.model import Model
 

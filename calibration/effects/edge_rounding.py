@@ -1,6 +1,7 @@
 """A needle whose edge is rounder than stated."""
 
-from calibration.effects.effect import Candidate, Effect, Situation, beside_material, experiment_of, require_tests
+from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.effect import Candidate, Effect, Situation, experiment_of
 from tissue_sim.parameters import declared
 
 #: Rounding that is tried first, in radii of the needle.

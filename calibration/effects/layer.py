@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation, experiment_of, require_tests
+from calibration.effects.candidates import require_tests
+from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation, experiment_of
 
 #: Ratio of the moduli that is tried first, and the largest that a refit may find.
 _RATIO, _LARGEST = 1.2, 30.0

@@ -1,7 +1,8 @@
 """Faces that do not hold the tissue as they should."""
 
 from calibration.campaign.campaign import Test
-from calibration.effects.effect import Candidate, Effect, Situation, beside_material, experiment_of, require_tests
+from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.effect import Candidate, Effect, Situation, experiment_of
 from tissue_sim.errors import InputError
 
 #: Share of the face that is tried first.

@@ -3,7 +3,8 @@
 from dataclasses import replace
 
 from calibration.campaign.campaign import Test
-from calibration.effects.effect import Candidate, Effect, Situation, beside_material, experiment_of, require_tests
+from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.effect import Candidate, Effect, Situation, experiment_of
 from tissue_sim.experiment.interfaces import AS_TOOL
 
 #: Coefficient of friction that is tried first.

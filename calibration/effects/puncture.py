@@ -1,6 +1,7 @@
 """A surface that gives way under the needle."""
 
-from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation, experiment_of, require_tests
+from calibration.effects.candidates import require_tests
+from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation, experiment_of
 
 #: Share of the force that is tried first, and the largest that a refit may find.
 _SHARE, _LARGEST = 0.05, 0.95

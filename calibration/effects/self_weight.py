@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from calibration.campaign.campaign import Test
-from calibration.effects.effect import Candidate, Effect, Situation, experiment_of, require_tests
+from calibration.effects.candidates import require_tests
+from calibration.effects.effect import Candidate, Effect, Situation, experiment_of
 from tissue_sim.model import Model
 from tissue_sim.specimen import STANDARD_GRAVITY
 

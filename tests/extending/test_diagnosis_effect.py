@@ -1,11 +1,11 @@
 """An effect of a diagnosis from one file: in the catalogue, among the candidates, and found where it is hidden."""
 
 import pytest
+from virtual_campaign import fitted, measured_campaign
 
 import tissue_sim as ts
 from calibration.effects.catalogue import CATALOGUE
 from calibration.effects.effect import Effect, NotTestableError
-from tests.calibration.effects.virtual_campaign import fitted, measured_campaign
 from tissue_sim.rig.fault import FAULTS
 
 

@@ -1,8 +1,7 @@
 """What tests of the effects share."""
 
 import pytest
-
-from tests.calibration.effects.virtual_campaign import fitted, measured_campaign
+from virtual_campaign import fitted, measured_campaign
 
 
 @pytest.fixture(scope="session")

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from virtual_campaign import TESTS, measured_campaign, model_of, situation_of
 
 import calibration.effects
 import tissue_sim as ts
 from calibration.effects.catalogue import CATALOGUE
 from calibration.effects.effect import ROOMS, NotTestableError
-from tests.calibration.effects.virtual_campaign import TESTS, measured_campaign, model_of, situation_of
 
 #: What people know the effects by.
 NAMES = [
@@ -179,3 +179,16 @@ def test_what_the_rig_states_is_where_it_is_counted_from(tmp_path):
     candidate, = candidates(situation_of(path), "machine_compliance")
     assert candidate.absent == {"rig.compliance": 1e-4} and candidate.sizes["rig.compliance"] > 1e-4
     assert candidate.bounds["rig.compliance"][0] == 1e-4
+
+
+def test_a_campaign_states_slip(tmp_path):
+    """What is known of it is where it is counted from, and a share that no face has is refused with its place."""
+    path = measured_campaign(tmp_path, tests={"glued": TESTS["glued"]})
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace("[fit]", "slip = 0.1\n[fit]"), encoding="utf-8")
+    candidate, = candidates(situation_of(path), "partial_slip")
+    assert candidate.absent == {"experiment.slip": 0.1} and candidate.sizes["experiment.slip"] > 0.1
+    path.write_text(text.replace("[fit]", "slip = 1.1\n[fit]"), encoding="utf-8")
+    with pytest.raises(ts.InputError, match="no share") as caught:
+        situation_of(path)
+    assert caught.value.field == "test[0].slip"

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from virtual_campaign import TESTS, fitted, measured_campaign
 
 from calibration.effects.catalogue import CATALOGUE
 from calibration.effects.effect import NotTestableError
-from tests.calibration.effects.virtual_campaign import TESTS, fitted, measured_campaign
 
 #: Effects that cost next to nothing to score, and one candidate each of some others.
 CHEAP = ("session_scale", "partial_slip", "contact_offset", "backlash", "zero_offset", "sensor_drift", "sensor_gain",
@@ -59,7 +59,7 @@ def test_specimens_that_differ(tmp_path):
 
 def test_adhesion_shows_past_the_contact(tmp_path, monkeypatch):
     """A plate that is drawn back past the touch holds on by 0.1 N over 0.3 mm."""
-    monkeypatch.setattr("tests.calibration.effects.virtual_campaign.PROTOCOL",
+    monkeypatch.setattr("virtual_campaign.PROTOCOL",
                         "ramp 4mm @0.5mm/s; unload @0.5mm/s; retract 0.5mm @0.5mm/s")
     values = {"experiment.adhesion.force": 0.1, "experiment.adhesion.length": 0.3e-3}
     adhesion = CATALOGUE["adhesion"]()
@@ -71,7 +71,7 @@ def test_adhesion_shows_past_the_contact(tmp_path, monkeypatch):
 
 def test_inertia_shows_at_speed(tmp_path, monkeypatch):
     """A tool of 0.3 kg that is at 60 mm/s at once; the jolt at the end of the ramp is no failure of the tissue."""
-    monkeypatch.setattr("tests.calibration.effects.virtual_campaign.PROTOCOL",
+    monkeypatch.setattr("virtual_campaign.PROTOCOL",
                         "ramp 8mm @60mm/s; hold 0.2s; unload 0.2mm @60mm/s")
     inertia = CATALOGUE["inertia"]()
     path = measured_campaign(tmp_path, lambda name, model: inertia.apply(model, {"rig.faults.inertia.mass": 0.3}))

@@ -3,7 +3,8 @@
 from dataclasses import dataclass, replace
 
 import tissue_sim as ts
-from calibration.effects.effect import Effect, beside_material, require_tests
+from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.effect import Effect
 
 
 @dataclass(frozen=True)
