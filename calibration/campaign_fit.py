@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from msgspec.structs import replace
 
-import tissue_sim
 from calibration.campaign.campaign import Campaign
+from calibration.campaign.digest import digest_of
 from calibration.campaign.measured import MeasuredCurve, scale_offsets
 from calibration.campaign.segmented import notes_in_short
 from calibration.fit.assess import assess
@@ -22,6 +21,7 @@ from calibration.fit.fit import SensorStatement
 from calibration.fit.generalised import Generalised
 from calibration.fit.influence import add_influence
 from calibration.fit.ordinary import Ordinary
+from calibration.fit.predictor import Predictor, predictor_of_held_out
 from calibration.fit.profiles import ProfileSide, profile_side
 from calibration.fit.ranking import Fitted, rank, rank_message
 from calibration.fit.result import CalibrationResult
@@ -53,7 +53,7 @@ class CampaignFit:
         self.campaign = campaign = scale_offsets(campaign, measured)
         self.measured, self.folder, self.steps = measured, folder, steps
         self.recordings = [curve for curves in measured.values() for curve in curves]
-        self.digest = _digest(campaign, self.recordings)
+        self.digest = digest_of(campaign, self.recordings)
         self.solves = Solves()
         self.estimator: Estimator = ESTIMATORS[campaign.fit.method](campaign, self.measured, self.solves)
         #: Law -> simulations that the check of its start took.
@@ -128,12 +128,16 @@ class CampaignFit:
             fit = assess(self.estimator, estimate, spread, descents, sides, campaign)
             fit = add_influence(fit, estimate.problem, estimate.evaluation)
             fitted = zip(estimate.problem.tests, estimate.problem.mesh_error, strict=True)
-            tests = [self.estimator.held_out(test, estimate) if test.hold_out else next(fitted)
-                     for test in campaign.tests]
+            own = Predictor.of(estimate.problem.space, estimate.theta, spread)
+            predictors = {test.name: predictor_of_held_out(test, own, fit.population)
+                          for test in campaign.tests if test.hold_out}
+            tests = [self.estimator.held_out(test, estimate, predictors[test.name] or own) if test.hold_out
+                     else next(fitted) for test in campaign.tests]
             scatter = self.estimator.scatter(estimate)
-            held_out = [predict_held_out(test, estimate, spread, scatter) for (test, _), asked in zip(
-                tests, campaign.tests, strict=True) if asked.hold_out]
-            curves = draw_curves(estimate, spread, tests, scatter)
+            held_out = [predict_held_out(estimate.problem, test, predictors[test.name], scatter)
+                        for test, _ in tests if test.name in predictors]
+            curves = draw_curves(estimate, spread, tests, scatter, {name: predictor for name, predictor
+                                                                    in predictors.items() if predictor is not None})
             parts: list[Any] = [*descents, estimate, *sides, *left]
             costs = [spent(), *((part.simulations, part.cpu_s) for part in parts)]
             best = min(descents, key=lambda end: end.error)
@@ -165,13 +169,3 @@ class CampaignFit:
             for (law, _), answer in zip(tasks, answers, strict=True):
                 found[law].append(answer)
         return sides_of, left_of
-
-
-def _digest(campaign: Campaign, recordings: Sequence[MeasuredCurve]) -> str:
-    """Of everything that the results depend on: campaign, recordings, rigs, tool profiles, version."""
-    content = [campaign.sha256, *(f"{curve.name} {curve.sha256}" for curve in recordings)]
-    for test in campaign.tests:
-        if test.experiment is not None:
-            outline = test.experiment.tool.profile.vertices.tolist()
-            content.append(hashlib.sha256(repr((test.rig, outline)).encode()).hexdigest())
-    return hashlib.sha256("\n".join([*content, tissue_sim.__version__]).encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""The folder of a calibration: which campaigns it holds, and which of its files an earlier calibration wrote."""
+"""The folder of a calibration or a diagnosis: which campaigns it holds, and which of its files were written before."""
 
 from __future__ import annotations
 
@@ -15,13 +15,17 @@ from tissue_sim.atomic_write import write_text
 from tissue_sim.errors import InputError
 
 CLAIM_FILE, FIT_FILE, SUMMARY_FILE = "work.json", "fit.json", "summary.csv"
+#: Says that a diagnosis is finished.
+DIAGNOSIS_FILE = "diagnosis.json"
 #: Folder of the simulations of an inverse fit, beside its results.
 SOLVES = "solves"
 TABLES = ("report.html", "methods.txt", "curves.csv", "residuals.csv")
+TABLES_OF_DIAGNOSIS = ("report.html", "residuals.csv")
 #: Formats in which the pictures of a report are written as files beside it.
 PICTURE_FORMATS = ("svg", "pdf", "png")
 #: Names of the pictures of a campaign, and of those of each law in it.
 PICTURES = ("predictions", "regions", "specimens", "convergence")
+PICTURES_OF_DIAGNOSIS = ("regions", "candidates")
 PICTURES_OF_LAW = ("profiles", "windows", "correlation", "population")
 CLAIM_SCHEMA = "tissue_sim/calibration/2"
 
@@ -31,6 +35,14 @@ def result_files(campaign: Campaign, folder: Path) -> list[Path]:
     return [*(folder / f"{law}.material.json" for law in campaign.fit.laws), *(folder / name for name in TABLES),
             *(folder / picture_file(name, kind) for name in _pictures(campaign) for kind in PICTURE_FORMATS),
             folder / FIT_FILE]
+
+
+def diagnosis_files(campaign: Campaign, folder: Path) -> list[Path]:
+    """Every file that the diagnosis of a campaign may write."""
+    pictures = [*(picture_of_test(campaign, number) for number in range(len(campaign.tests))), *PICTURES_OF_DIAGNOSIS]
+    return [*(folder / name for name in TABLES_OF_DIAGNOSIS),
+            *(folder / picture_file(name, kind) for name in pictures for kind in PICTURE_FORMATS),
+            folder / DIAGNOSIS_FILE]
 
 
 def claim(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaign], recordings: Sequence[MeasuredCurve],
@@ -69,7 +81,7 @@ def claim(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaig
     earlier = [output / name for name in found.get("files", ())]
     for path in planned:
         if path.exists() and path not in earlier:
-            raise InputError("is in the way: no earlier calibration in this folder wrote it; move it away or choose "
+            raise InputError("is in the way: no earlier work in this folder wrote it; move it away or choose "
                              "another folder", file=path)
     _clear_solves({path.parent for path in earlier})
     _remove(earlier, output)
@@ -109,7 +121,7 @@ def _protect_inputs(planned: Sequence[Path], campaigns: Sequence[Campaign],
     for path in planned:
         # By identity: links, and names that a file system does not tell apart, are the same file.
         if path.exists() and any(path.samefile(other) for other in existing):
-            raise InputError("is read by this calibration and would be replaced by its results; choose another folder",
+            raise InputError("is read here and would be replaced by the results; choose another folder",
                              file=path)
 
 

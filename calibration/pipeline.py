@@ -1,4 +1,4 @@
-"""The calibration, whole: campaign files in; material files, tables and a report out."""
+"""The calibration and the diagnosis, whole: campaign files in; material files, tables and a report out."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from calibration.tasks.executors import Workers, open_tasks
 from tissue_sim.errors import ConvergenceError, InputError
 
 if TYPE_CHECKING:
+    from calibration.campaign.campaign import Campaign
+    from calibration.diagnosis.result import DiagnosisResult
     from calibration.fit.result import CalibrationResult
     from calibration.fit.steps import IterationListener, Progress
 
@@ -46,16 +48,8 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
         WorkerError: a worker process dies each time that it is given a part.
     """
     output = Path(output)
-    if figures_format not in (None, *PICTURE_FORMATS):
-        raise InputError(f"pictures are written as {', '.join(PICTURE_FORMATS)}, not as {figures_format!r}",
-                         field="figures_format")
-    campaigns = [load_campaign(path) for path in paths]
-    if not campaigns:
-        raise InputError("give at least one campaign file")
-    for i, campaign in enumerate(campaigns):
-        if any(other.name == campaign.name for other in campaigns[:i]):
-            raise InputError(f"two campaign files are called {campaign.name!r}; results go into a folder of that name, "
-                             "so rename one", file=campaign.path)
+    _check_format(figures_format)
+    campaigns = _distinct([load_campaign(path) for path in paths])
     measured = [read_measured(campaign) for campaign in campaigns]
     # On use: what is wrong in a file is said at once, before the fit and all of scipy are there.
     from calibration.campaign_fit import CampaignFit
@@ -88,3 +82,72 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
     if failures:
         raise ConvergenceError("; ".join(failures))
     return results
+
+
+def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool = False,
+             progress: Progress | None = None, figures: bool = True, figures_format: str | None = None,
+             workers: Workers | None = None, law: str | None = None) -> list[DiagnosisResult]:
+    """Find what a plain model misses in every campaign, name it, and write the results.
+
+    ``diagnosis.json``, ``report.html``, ``residuals.csv`` and the files that carry what was found go into `output`, or
+    into one subfolder a campaign, named by its file's stem. Folders are resumed as those of `calibrate` are.
+
+    Args:
+        paths: campaign files, of ``method = "inverse_fem"``. law: one of each campaign; None: its first.
+        output, overwrite, progress, figures, figures_format, workers: as in `calibrate`.
+
+    Raises:
+        InputError: anything wrong in a campaign or a recording, or `output` holds something else; nothing is written.
+        ConvergenceError: a campaign could not be fitted; the others are written.
+        WorkerError: a worker process dies each time that it is given a part.
+    """
+    output = Path(output)
+    _check_format(figures_format)
+    from calibration.diagnosis.evidence import whole_campaign
+
+    campaigns = _distinct([whole_campaign(load_campaign(path), law) for path in paths])
+    measured = [read_measured(campaign) for campaign in campaigns]
+    from calibration.campaign_diagnosis import CampaignDiagnosis
+    from calibration.diagnosis.result import read_diagnosis
+    from calibration.fit.steps import Steps
+    from calibration.report.diagnosis_outputs import files_of_diagnosis
+
+    with open_tasks(workers or Workers()) as tasks:
+        parts = [CampaignDiagnosis(campaign, curves, output / campaign.name if len(campaigns) > 1 else output,
+                                   Steps(campaign.name, tasks, progress))
+                 for campaign, curves in zip(campaigns, measured, strict=True)]
+        finished = [None if overwrite or not (figures_format is None or pictures_written(
+            part.campaign, part.folder, figures_format)) else read_diagnosis(part.campaign, part.folder, part.digest)
+            for part in parts]
+        for part, result in zip(parts, finished, strict=True):
+            if result is None:
+                part.check()
+        claim(output, {part.campaign.name: part.folder for part in parts}, campaigns,
+              [recording for part in parts for recording in part.recordings],
+              {part.campaign.name: part.digest for part in parts}, overwrite, files_of_diagnosis)
+        results, failures = [], []
+        for part, result in zip(parts, finished, strict=True):
+            try:
+                results.append(result or part.run(figures=figures, figures_format=figures_format))
+            except ConvergenceError as failure:
+                failures.append(str(failure))
+    if failures:
+        raise ConvergenceError("; ".join(failures))
+    return results
+
+
+def _check_format(figures_format: str | None) -> None:
+    if figures_format not in (None, *PICTURE_FORMATS):
+        raise InputError(f"pictures are written as {', '.join(PICTURE_FORMATS)}, not as {figures_format!r}",
+                         field="figures_format")
+
+
+def _distinct(campaigns: list[Campaign]) -> list[Campaign]:
+    """The campaigns, which must be some, of different names."""
+    if not campaigns:
+        raise InputError("give at least one campaign file")
+    for i, campaign in enumerate(campaigns):
+        if any(other.name == campaign.name for other in campaigns[:i]):
+            raise InputError(f"two campaign files are called {campaign.name!r}; results go into a folder of that name, "
+                             "so rename one", file=campaign.path)
+    return campaigns

@@ -11,10 +11,12 @@ from scipy import linalg, special
 from calibration.campaign.measured import MeasuredCurve
 from calibration.diagnosis.diagnosis import HeldOut, RegionGap
 from calibration.diagnosis.evidence import Evidence
+from calibration.diagnosis.refits import with_own_corrections
 from calibration.fit.estimate import Estimate, settle
 from calibration.fit.fit import Region
 from calibration.fit.generalised import Generalised
 from calibration.fit.levenberg_marquardt import descend
+from calibration.fit.predictor import Predictor
 from calibration.fit.problem import Problem
 from calibration.fit.regions import judge_regions
 from calibration.fit.uncertainty import assess_uncertainty
@@ -29,29 +31,19 @@ _STEADY = 4.0
 _END = 0.1
 
 
-def settled(before: Evidence, after: Evidence) -> Evidence:
-    """The evidence with an effect, its jitter and mesh corrections its own; as it was where that fails.
-
-    Args:
-        before: without the effect. after: with it, jitter and mesh as without it.
-    """
-    problem = after.problem
-    stated = Generalised(after.campaign, after.measured, problem.solves)._stated(problem)
-    estimate = settle(replace_problem(problem), after.estimate.theta, stated)
-    return Evidence(after.campaign, after.measured, estimate) if np.isfinite(estimate.error) else after
-
-
-def replace_problem(problem: Problem) -> Problem:
-    """A problem of its own, whose corrections and jitter may change without touching others."""
-    tests = tuple(replace(test, correction=list(getattr(test, "correction", ()))) if hasattr(test, "correction")
-                  else test for test in problem.tests)
-    return Problem(problem.space, tests, problem.solves, problem.jitter, problem.mesh_error)
+def settled(evidence: Evidence) -> Evidence:
+    """Evidence with an effect, whose jitter and mesh corrections are those of a fit without it, with its own; the same
+    where that fails."""
+    problem = evidence.problem
+    stated = Generalised(evidence.campaign, evidence.measured, problem.solves).stated(problem)
+    estimate = settle(with_own_corrections(problem), evidence.estimate.theta, stated)
+    return Evidence(evidence.campaign, evidence.measured, estimate) if np.isfinite(estimate.error) else evidence
 
 
 def deviations(region: Region) -> float:
     """How improbable a region's residuals are, in deviations of a normal distribution."""
     if region.p > _SMALLEST:
-        return float(max(-special.ndtri(0.5 * region.p), 0.0))
+        return max(float(-special.ndtri(0.5 * region.p)), 0.0) + 0.0  # a zero has no sign
     return float(np.sqrt(2.0 * region.statistic) - np.sqrt(2.0 * region.freedom - 1.0))
 
 
@@ -126,11 +118,11 @@ def _predict_test(evidence: Evidence, name: str) -> Prediction | str:
     asked = next(test for test in evidence.campaign.tests if test.name == name)
     problem = evidence.problem
     try:
+        own = Predictor.of(problem.space, evidence.estimate.theta, assess_uncertainty(problem, evidence.evaluation))
         test, error = Generalised(evidence.campaign, evidence.measured, problem.solves).held_out(
-            asked, evidence.estimate)
+            asked, evidence.estimate, own)
         unseen = Problem(problem.space, (test,), problem.solves, problem.jitter, (error,))
-        return _predicted_by(unseen, evidence.estimate.theta,
-                             assess_uncertainty(problem, evidence.evaluation).covariance)[0]
+        return _predicted_by(unseen, own.theta, own.covariance)[0]
     except (InfeasibleError, InputError) as failure:
         return str(failure)
 
@@ -224,9 +216,10 @@ def _sentence(region: Region, curves: Sequence[tuple[MeasuredCurve, slice]], evi
         (measured, error), (modelled, _) = _changes(region, curves, evidence, "data"), _changes(
             region, curves, evidence, "model")
         if abs(measured - modelled) > _STEADY * error:
-            what = "falls" if measured < 0 else "rises"
-            return (f"{place}: the force {what} by {abs(measured):.2g} N, the model's by "
-                    f"{-modelled if measured < 0 else modelled:.2g} N ({sigma:.0f} sigma)")
+            what, sign = ("falls", -1) if measured < 0 else ("rises", 1)
+            predicted = f"{sign * modelled:.2g} N" if abs(modelled) > 0.1 * error else "nothing"
+            return (f"{place}: the force {what} by {abs(measured):.2g} N, the model's by {predicted} "
+                    f"({sigma:.0f} sigma)")
     side = "above" if region.largest_N < 0 else "below"
     return (f"{place}: the force is up to {abs(region.largest_N):.2g} N {side} the model, at {region.at:.3g} mm "
             f"({sigma:.0f} sigma)")

@@ -58,6 +58,7 @@ class CandidateStatement(msgspec.Struct, frozen=True, kw_only=True):
         name: of the effect, with its test where it acts in one only. effect, room, title: of the catalogue.
         testable: whether these tests could show it. reason: why not; empty where they could.
         seen_from: path -> smallest size that nine of ten such data sets would show, SI.
+        symbols, units, absent: path -> symbol, unit (SI) and value at which it is not there, of these sizes.
         twins: names of others whose signature here is the same but for a few per cent.
         score: deviations that the data show of it, with its sign. p: that chance makes any effect score so.
         estimate: path -> size by the score, SI. refitted: whether it was fitted with the finite elements.
@@ -73,6 +74,9 @@ class CandidateStatement(msgspec.Struct, frozen=True, kw_only=True):
     testable: bool
     reason: str = ""
     seen_from: dict[str, float] = {}
+    symbols: dict[str, str] = {}
+    units: dict[str, str] = {}
+    absent: dict[str, float] = {}
     twins: list[str] = []
     score: float | None = None
     p: float | None = None

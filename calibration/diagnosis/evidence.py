@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import msgspec
 import numpy as np
 
 from calibration.campaign.campaign import Campaign
@@ -21,6 +22,8 @@ from calibration.forward.solves import Solves
 from calibration.statistics.adequacy import span
 from tissue_sim.errors import ConvergenceError, InputError
 
+#: A region disagrees where chance makes it, or any other of the tests, look so with less than this probability.
+LEVEL = 0.005
 Measured = Mapping[str, tuple[MeasuredCurve, ...]]
 
 
@@ -28,11 +31,14 @@ def whole_campaign(campaign: Campaign, law: str | None = None) -> Campaign:
     """The campaign with one law, whose holds and returns count.
 
     Raises:
-        InputError: an analytical campaign.
+        InputError: an analytical campaign, or a law that it does not list.
     """
     if campaign.fit.method != "inverse_fem":
         raise InputError('a diagnosis simulates the tests; set method = "inverse_fem"', file=campaign.path,
                          field="fit.method")
+    if law is not None and law not in campaign.fit.laws:
+        raise InputError(f"{law!r} is not among its laws ({', '.join(campaign.fit.laws)})", file=campaign.path,
+                         field="fit.laws")
     return replace(campaign, fit=replace(campaign.fit, whole=True, laws=(law or campaign.fit.laws[0],)))
 
 
@@ -81,7 +87,9 @@ class Evidence:
 
     @cached_property
     def regions(self) -> list[Region]:
-        return judge_regions(self.problem, self.evaluation)
+        """Those of all tests; adequate where `LEVEL` does not speak against it."""
+        return [msgspec.structs.replace(region, adequate=region.p > LEVEL)
+                for region in judge_regions(self.problem, self.evaluation)]
 
     @property
     def adequate(self) -> bool:

@@ -66,8 +66,11 @@ def _testable(name: str, proposal: Proposal, proposals: Proposals, fitted: Refit
     plainest = max(mine, key=lambda each: each.direction.reach)
     smallest = plainest.sizes(SEEN / plainest.direction.reach)
     after = fitted.evidence(before) if fitted is not None and finite else None
+    prepared, symbols = plainest.candidate.prepared(before.campaign), plainest.candidate.symbols(before.campaign)
     return CandidateStatement(
         name=name, effect=effect.name, room=effect.room, title=effect.title, testable=True, seen_from=smallest,
+        symbols={path: symbols[path] for path in smallest}, absent=plainest.absent,
+        units={path: plainest.candidate.declaration(prepared, path).unit for path in smallest},
         twins=proposals.twins(name), score=proposal.strength, p=proposal.p, estimate=proposal.sizes(),
         refitted=fitted is not None, delta_BIC=float(fitted.gain) if fitted is not None and finite else None,
         explained_percent=None if after is None else 100.0 * share_explained(before.regions, after.regions),

@@ -45,10 +45,11 @@ def draw_test(fits: Sequence[Fit], curves: Mapping[str, TestCurves], units: Unit
     seen = views(best, units)
     figure, axes = panels([*in_rows(len(seen)), 2], _ROW)
     band, residual = axes[-2:]
+    titled = [(each, find_law(its.law).title, style) for each, its, style in drawn]
     for panel, view in zip(axes, seen, strict=False):
-        _draw_view(panel, drawn, view)
+        draw_view(panel, titled, view)
     timed = is_timed(best.measured)
-    x = _Abscissa(units.travel(best.test), units.load(best.test), timed, "time [s]" if timed else seen[0].x)
+    x = Abscissa(units.travel(best.test), units.load(best.test), timed, "time [s]" if timed else seen[0].x)
     spans = [(r, span) for r in fit.regions if r.test == best.test.name and not r.adequate
              for span in x.spans(r, best.measured)]
     for _, (start, end) in spans:
@@ -67,8 +68,12 @@ def draw_test(fits: Sequence[Fit], curves: Mapping[str, TestCurves], units: Unit
     return figure
 
 
-def _draw_view(axes, drawn, view: View) -> None:
-    """Recordings and laws alike, so that what a view does to the one it does to the other."""
+def draw_view(axes, drawn: Sequence[tuple[TestCurves, str, dict]], view: View) -> None:
+    """Recordings and laws alike, so that what a view does to the one it does to the other.
+
+    Args:
+        drawn: curves, label and look of each law, best first; a band that is not a number is not drawn.
+    """
     best = drawn[0][0]
     points = sum(m.force.size for m in best.measured)
     shown = []
@@ -78,14 +83,14 @@ def _draw_view(axes, drawn, view: View) -> None:
             thin = thinned(x.size)
             axes.plot(x[thin], y[thin], "o", ms=4 if points < _DENSE else 3, label=label, **cloud(points))
             shown.append(y)
-    for rank, (curves, fit, look) in enumerate(drawn):
+    for rank, (curves, title, look) in enumerate(drawn):
         style = {**look, "lw": 1.8 if rank == 0 else 1.2, "zorder": 4 - rank / len(drawn)}
         trace = trace_of_law(curves, view.own)
         for x, y, band in () if trace is None else view.lines(trace):
-            axes.plot(x, y, label=find_law(fit.law).title, **style)
+            axes.plot(x, y, label=title, **style)
             if rank == 0:
                 shown.append(y)
-                if band is not None:
+                if band is not None and np.isfinite(band).any():
                     axes.fill_between(x, y - band, y + band, color=look["color"], alpha=0.25, lw=0, zorder=2,
                                       label=BAND)
     _scale(axes, np.concatenate(shown), view.rates)
@@ -106,7 +111,7 @@ def _scale(axes, shown: np.ndarray, rates: bool) -> None:
 
 
 @dataclass(frozen=True)
-class _Abscissa:
+class Abscissa:
     """What residuals are drawn against: time where a displacement is passed more than once, else displacement."""
 
     travel: Unit
@@ -134,7 +139,7 @@ class _Abscissa:
                 yield float(measured.clock[first]), float(measured.clock[after - 1])
 
 
-def _draw_band(axes, best: TestCurves, colour: str, x: _Abscissa) -> None:
+def _draw_band(axes, best: TestCurves, colour: str, x: Abscissa) -> None:
     """The law's curve as it stands minus the recordings, without their offsets and zeros, in its prediction band."""
     axes.set_title("Recordings as they came, in the prediction band")
     axes.axhline(0.0, color=colour, lw=1.6)
@@ -162,7 +167,7 @@ def _draw_band(axes, best: TestCurves, colour: str, x: _Abscissa) -> None:
         axes.plot(x.of(m)[thin], away[thin], "o", ms=4 if points < _DENSE else 2.2, **cloud(points))
 
 
-def _draw_residuals(axes, drawn, x: _Abscissa) -> None:
+def _draw_residuals(axes, drawn, x: Abscissa) -> None:
     """Residuals, means of bins, of each recording and of all; those of the other laws thin."""
     best = drawn[0][0]
     y = 1 / x.load.size
@@ -173,7 +178,7 @@ def _draw_residuals(axes, drawn, x: _Abscissa) -> None:
     for rank, (curves, _, other) in enumerate(drawn):
         by_run: dict[int, list[np.ndarray]] = {}
         for m, fitted in zip(curves.measured, curves.fitted, strict=True):
-            for run, (means, spread) in enumerate(_binned(m, y * (fitted - m.force), x, edges)):
+            for run, (means, spread) in enumerate(binned(m, y * (fitted - m.force), x, edges)):
                 by_run.setdefault(run, []).append(means)
                 if rank == 0:
                     reach.append(np.abs(means[1][np.isfinite(means[1])]).max(initial=0.0))
@@ -193,7 +198,7 @@ def _draw_residuals(axes, drawn, x: _Abscissa) -> None:
     axes.set_title(f"Residuals{own}, means of bins")
 
 
-def _binned(measured: MeasuredCurve, residual: np.ndarray, x: _Abscissa, edges: np.ndarray):
+def binned(measured: MeasuredCurve, residual: np.ndarray, x: Abscissa, edges: np.ndarray):
     """Places and means, shape (2, bins), and the standard deviation that noise gives them, of each run: all samples, or
     those of each segment where a displacement may be passed more than once."""
     at, noise = x.of(measured), measured.noise

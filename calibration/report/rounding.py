@@ -62,6 +62,12 @@ def error_text(error: float) -> str:
     return _at(error, last_place(error), 0) if _usable(error) and _SMALLEST / 10 < error < _LARGEST else f"{error:.2g}"
 
 
+def gain_text(gain: float) -> str:
+    """A difference of a criterion: ``24 964``, ``−3.2``."""
+    text = f"{gain:.2g}" if abs(gain) < 10 else f"{gain:,.0f}"
+    return text.replace(",", "\u202f").replace("-", "−")
+
+
 def _usable(error: float | None) -> TypeGuard[float]:
     return error is not None and error > 0 and math.isfinite(error)
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from calibration.campaign.campaign import Test
-    from calibration.fit.fit import JitterStatement
+    from calibration.fit.fit import Fit, JitterStatement
     from calibration.fit.result import CalibrationResult
 
 #: Unit -> its size in SI, largest first.
@@ -48,10 +48,14 @@ class Units:
     def of(cls, result: CalibrationResult) -> Units:
         """Pressure: by the shear modulus of the best law. Force and length: mm and N, smaller ones where the tests
         are: 2 µm of travel are no 0.002 mm."""
-        best = result.best
-        travel = max((region.end * 1e-3 for region in best.regions), default=1e-3)
-        force = 1.0 if best.RMSE_N is None else best.RMSE_N / _ERROR_SHARE
-        return cls(_unit(_LENGTH_UNITS, 10 * travel), _unit(_FORCE_UNITS, 10 * force), Unit(*pressure_unit(best.mu0)))
+        return cls.of_fit(result.best)
+
+    @classmethod
+    def of_fit(cls, fit: Fit) -> Units:
+        """As `of`, by one fit."""
+        travel = max((region.end * 1e-3 for region in fit.regions), default=1e-3)
+        force = 1.0 if fit.RMSE_N is None else fit.RMSE_N / _ERROR_SHARE
+        return cls(_unit(_LENGTH_UNITS, 10 * travel), _unit(_FORCE_UNITS, 10 * force), Unit(*pressure_unit(fit.mu0)))
 
     def load(self, test: Test) -> Unit:
         """Of a force, or of a stress where the test has no specimen."""
@@ -76,7 +80,10 @@ class Units:
 
     def of_parameter(self, unit: str) -> Unit:
         """That in which a parameter is written whose unit in SI is `unit`."""
-        return {"Pa": self.pressure, "N": self.force, "m": self.length, "1": Unit("", 1.0)}.get(unit, Unit(unit, 1.0))
+        known = {"Pa": self.pressure, "N": self.force, "m": self.length, "1": Unit("", 1.0),
+                 "m/N": Unit("mm/N", 1e-3), "m2/s": Unit("mm²/s", 1e-6), "N s/m": Unit("N s/mm", 1e3),
+                 "1/m": Unit("1/mm", 1e3), "rad": Unit("°", math.pi / 180)}
+        return known.get(unit, Unit(unit, 1.0))
 
 
 def _unit(units: Mapping[str, float], size: float) -> Unit:

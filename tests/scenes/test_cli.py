@@ -91,6 +91,8 @@ def fails(capsys, words, code=2) -> str:
     (["doctor", "--clock-seconds", "x"], "'x' is not a positive number"),
     (["calibrate", "-o", "out"], "required: CAMPAIGN.toml"),
     (["calibrate", "missing.toml", "-o", "out"], "missing.toml"),
+    (["diagnose", "-o", "out"], "required: CAMPAIGN.toml"),
+    (["diagnose", "missing.toml", "-o", "out"], "missing.toml"),
     (["demo", "--seed", "-1"], "whole number of at least 0"),
 ], ids=lambda value: " ".join(value) if isinstance(value, list) else None)
 def test_bad_words_get_one_sentence(words, expected, capsys, tmp_path, monkeypatch):

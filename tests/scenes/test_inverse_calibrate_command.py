@@ -20,7 +20,7 @@ import tissue_sim as ts
 from calibration.tasks.errors import WorkerError
 from calibration.tasks.executors import open_tasks
 from scenes.cli import main
-from scenes.commands.calibrate.progress import CalibrationProgress
+from scenes.commands.shared.progress import CampaignProgress
 from tissue_sim.errors import ConvergenceError
 
 HEAD = """
@@ -181,7 +181,7 @@ def test_what_the_tests_do_not_tell(write, tmp_path, capsys):
 def watched(monkeypatch, height=24):
     """Everything that a terminal of 80 columns is told on stderr."""
     stream = io.StringIO()
-    monkeypatch.setattr("scenes.commands.calibrate.progress_console",
+    monkeypatch.setattr("scenes.commands.shared.progress_console",
                         lambda quiet: Console(file=stream, force_terminal=True, width=80, height=height, quiet=quiet,
                                               legacy_windows=False, _environ={"TERM": "xterm"}))
     return stream
@@ -215,9 +215,9 @@ def test_iteration_table_is_live_on_a_terminal(joint, tmp_path, capsys, monkeypa
 
 def test_what_is_left_follows_from_the_tasks_that_are_done(monkeypatch):
     stream, now = watched(monkeypatch), [100.0]
-    monkeypatch.setattr("scenes.commands.calibrate.progress.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("scenes.commands.shared.progress.time.monotonic", lambda: now[0])
     console = Console(file=stream, force_terminal=True, width=120, quiet=True)
-    progress = CalibrationProgress(console)
+    progress = CampaignProgress(console)
 
     def shown():
         with console.capture() as captured:
@@ -292,7 +292,7 @@ KILLED = """
 import os, signal, sys
 from calibration.forward.solves import Solves
 from scenes.cli import main
-from scenes.commands.calibrate.progress import CalibrationProgress
+from scenes.commands.shared.progress import CampaignProgress
 
 keep, kept = Solves.keep, []
 

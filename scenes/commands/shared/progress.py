@@ -1,4 +1,4 @@
-"""A calibration as it goes: what is being done, and the iteration table of the fit that is under way."""
+"""A calibration or a diagnosis as it goes: what is being done, and the iteration table of a fit that is under way."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ _TOLD_AFTER = 1.0
 _COMPILING = "loading the solver (a machine's first run compiles it, about half a minute)"
 
 
-class CalibrationProgress:
-    """What `calibration.calibrate` reports, live on a terminal; gone when the block ends.
+class CampaignProgress:
+    """What `calibration.calibrate` and `calibration.diagnose` report, live on a terminal; gone when the block ends.
 
     Args:
         console: of the progress; when it is quiet nothing is shown.
-        campaigns: how many are calibrated.
+        campaigns: how many there are.
     """
 
     def __init__(self, console: Console, campaigns: int = 1):
@@ -44,13 +44,13 @@ class CalibrationProgress:
         self._part_began = self._began
         self._place, self._solves = ("", ""), 0
         self._rows: list[Iteration] = []
-        self._done, self._of = 0, 0
+        self._done, self._of, self._worked = 0, 0, False
         self._seen: list[str] = []
         self._spinner = Spinner("dots")
         self._live = Live(console=console, get_renderable=self.render, transient=True, refresh_per_second=8,
                           redirect_stdout=False, redirect_stderr=False)
 
-    def __enter__(self) -> CalibrationProgress:
+    def __enter__(self) -> CampaignProgress:
         if not self._console.quiet:
             self._live.start()
         return self
@@ -64,6 +64,7 @@ class CalibrationProgress:
         if (sentence, of) != (self._sentence, self._of) or done < self._done:
             self._part_began = now
         self._sentence, self._said, self._done, self._of = sentence, now, done, of
+        self._worked = self._worked or done > 0
         if self._live.is_started:
             # At once: a kernel that is compiled, or runs, keeps the refreshing thread waiting.
             self._live.refresh()
@@ -90,7 +91,7 @@ class CalibrationProgress:
                      Text(f"campaign {max(len(self._seen), 1)} of {self._campaigns}" if self._campaigns > 1 else ""))
         parts: list[RenderableType] = [self._table()] if self._rows else []
         parts += [Text(self._sentence), line]
-        if not self._solves and now - self._said > _PATIENCE:
+        if not (self._solves or self._worked) and now - self._said > _PATIENCE:
             parts.append(Text(_COMPILING, style="dim"))
         return Group(*parts)
 

@@ -1,34 +1,41 @@
-"""The diagnosis, whole: campaigns in; what a plain model misses, and models that have it, out."""
+"""One campaign, from its recordings to what a plain model misses in them."""
 
 from __future__ import annotations
 
+import hashlib
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign, load_campaign
+from calibration.campaign.digest import digest_of
 from calibration.campaign.measured import MeasuredCurve, read_measured, scale_offsets
-from calibration.diagnosis.confirmation import gap, region_gaps, settled, unseen_replicates, unseen_tests
+from calibration.diagnosis.confirmation import gap, region_gaps, unseen_replicates, unseen_tests
 from calibration.diagnosis.diagnosis import Diagnosis, Stage
 from calibration.diagnosis.evidence import Evidence, Measured, gather, whole_campaign
 from calibration.diagnosis.next_experiment import next_experiments
 from calibration.diagnosis.proposals import Proposals, propose
+from calibration.diagnosis.result import DiagnosisResult
 from calibration.diagnosis.statements import candidate_statements, found_effects
 from calibration.diagnosis.verdict import judge
 from calibration.diagnosis.words import message
+from calibration.effects.catalogue import CATALOGUE
 from calibration.fit.assess import assess
 from calibration.fit.fit import Fit
 from calibration.fit.generalised import Generalised
 from calibration.fit.steps import Steps
 from calibration.fit.uncertainty import assess_uncertainty
-from calibration.forward.solves import Solves
+from calibration.forward.solves import Solves, content_key
+from calibration.output_folder import SOLVES
+from calibration.report.diagnosis_outputs import write_diagnosis
 from calibration.tasks.executors import Workers, open_tasks
-from tissue_sim.errors import InputError
 
 if TYPE_CHECKING:
     from calibration.fit.steps import Progress
@@ -87,7 +94,7 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: Steps, solv
     with clock.stage("last fit and unseen data"):
         steps.say("the last fit, and data that the fits have not seen")
         if judgement.chosen is not None:
-            after = settled(before, judgement.evidence)
+            after = judgement.evidence
         held_out = [*unseen_replicates(before, after), *unseen_tests(before, after)]
         fit_before = _fit_of(before)
         fit_after = None if after is None else _fit_of(after)
@@ -129,11 +136,7 @@ def read_for_diagnosis(path: str | Path, law: str | None = None
     Raises:
         InputError: anything wrong in the campaign or a recording, an analytical campaign, a law that it does not list.
     """
-    campaign = load_campaign(path)
-    if law is not None and law not in campaign.fit.laws:
-        raise InputError(f"{law!r} is not among its laws ({', '.join(campaign.fit.laws)})", file=campaign.path,
-                         field="fit.laws")
-    campaign = whole_campaign(campaign, law)
+    campaign = whole_campaign(load_campaign(path), law)
     return campaign, read_measured(campaign)
 
 
@@ -147,3 +150,60 @@ def diagnose_file(path: str | Path, *, law: str | None = None, workers: Workers 
     campaign, measured = read_for_diagnosis(path, law)
     with open_tasks(workers or Workers()) as tasks:
         return diagnose_campaign(campaign, measured, Steps(campaign.name, tasks, progress))
+
+
+class CampaignDiagnosis:
+    """A campaign that has been read, in a folder.
+
+    Args:
+        campaign, measured: as `read_for_diagnosis` reads them. folder: of its results. steps: where its parts run, and
+            who is told.
+
+    Attributes:
+        recordings: all of them. digest: of everything that the answer depends on: campaign, recordings, law, catalogue,
+            and the source of solver and calibration.
+    """
+
+    def __init__(self, campaign: Campaign, measured: Measured, folder: Path, steps: Steps):
+        self.campaign, self.measured, self.folder, self.steps = campaign, measured, folder, steps
+        self.recordings = [curve for curves in measured.values() for curve in curves]
+        self.digest = content_key("diagnosis", digest_of(campaign, self.recordings), campaign.fit.laws[0],
+                                  sorted(CATALOGUE), _source())
+        self.solves = Solves()
+        self._clock = _Clock(self.solves)
+
+    def check(self) -> None:
+        """Refuse what cannot be fitted, before anything is written; not asked of what is finished.
+
+        Raises:
+            InputError: with file and field.
+        """
+        self.solves.read_from(self.folder / SOLVES)
+        self.steps.say("looking at the start")
+        campaign = scale_offsets(self.campaign, self.measured)
+        with self._clock.stage("look at the start"):
+            Generalised(campaign, self.measured, self.solves).check(campaign.fit.laws[0], 0)
+
+    def run(self, *, figures: bool, figures_format: str | None = None) -> DiagnosisResult:
+        """Diagnose it and write everything into the folder; ``diagnosis.json`` last, because it says that it is
+        finished.
+
+        Raises:
+            ConvergenceError: no start gets through the data.
+        """
+        self.solves.move_to(self.folder / SOLVES)
+        found = diagnose_campaign(self.campaign, self.measured, self.steps, self.solves)
+        self.steps.say("writing the report")
+        diagnosis = replace(found.diagnosis, stages=[*self._clock.stages, *found.diagnosis.stages])
+        return write_diagnosis(DiagnosisResult(self.campaign, diagnosis, self.folder, self.digest), found.before,
+                               found.after, found.proposals.effects, self.measured, figures=figures,
+                               figures_format=figures_format)
+
+
+@cache
+def _source() -> str:
+    """What would make the same data another answer: the source of the package."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()

@@ -1,0 +1,20 @@
+"""What the results of a campaign depend on, in one number."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+
+import tissue_sim
+from calibration.campaign.campaign import Campaign
+from calibration.campaign.measured import MeasuredCurve
+
+
+def digest_of(campaign: Campaign, recordings: Sequence[MeasuredCurve]) -> str:
+    """Of everything that the results depend on: campaign, recordings, rigs, tool profiles, version."""
+    content = [campaign.sha256, *(f"{curve.name} {curve.sha256}" for curve in recordings)]
+    for test in campaign.tests:
+        if test.experiment is not None:
+            outline = test.experiment.tool.profile.vertices.tolist()
+            content.append(hashlib.sha256(repr((test.rig, outline)).encode()).hexdigest())
+    return hashlib.sha256("\n".join([*content, tissue_sim.__version__]).encode()).hexdigest()

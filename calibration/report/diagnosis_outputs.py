@@ -1,0 +1,70 @@
+"""Files of a diagnosed campaign."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from msgspec.structs import replace
+
+from calibration.campaign.campaign import Campaign
+from calibration.campaign.measured import MeasuredCurve
+from calibration.diagnosis.diagnosis import Stage
+from calibration.diagnosis.evidence import Evidence
+from calibration.diagnosis.result import DiagnosisResult, diagnosis_to_json
+from calibration.effects.effect import Effect
+from calibration.output_folder import DIAGNOSIS_FILE, diagnosis_files
+from calibration.report.additions import addition_files, write_additions
+from calibration.report.diagnosis_page import diagnosis_page
+from calibration.report.drawing import Pictures
+from calibration.report.outputs import format_table
+from tissue_sim.atomic_write import write_text
+from tissue_sim.laws import LAWS
+
+
+def files_of_diagnosis(campaign: Campaign, folder: Path) -> list[Path]:
+    """Every file that the diagnosis of a campaign may write; an effect may need a wider law."""
+    return [*diagnosis_files(campaign, folder), *addition_files(campaign, sorted(LAWS), folder)]
+
+
+def write_diagnosis(result: DiagnosisResult, before: Evidence, after: Evidence | None, effects: Mapping[str, Effect],
+                    measured: Mapping[str, Sequence[MeasuredCurve]], *, figures: bool = True,
+                    figures_format: str | None = None) -> DiagnosisResult:
+    """Write everything; ``diagnosis.json`` last, because it says that the campaign is finished.
+
+    Args:
+        result: the answer. before, after, effects, measured: as `diagnosis_page`. figures: whether the page gets its
+            pictures. figures_format: ``svg``, ``pdf`` or ``png`` of the pictures as files beside it; None: no files.
+
+    Returns:
+        The answer, with the names of the files and the time that this took.
+    """
+    began = time.monotonic()
+    diagnosis = write_additions(result.diagnosis, after, result.output)
+    write_text(result.output / "residuals.csv", _residuals(before, after))
+    pictures = Pictures(result.output, figures_format) if figures else None
+    write_text(result.output / "report.html",
+               diagnosis_page(diagnosis, before, after, effects, measured, pictures))
+    stages = [*diagnosis.stages, Stage(name="report", wall_s=time.monotonic() - began)]
+    result = DiagnosisResult(result.campaign, replace(diagnosis, stages=stages), result.output, result.digest)
+    text = json.dumps(diagnosis_to_json([result]), indent=2, ensure_ascii=False, allow_nan=False)
+    write_text(result.output / DIAGNOSIS_FILE, text + "\n")
+    return result
+
+
+def _residuals(before: Evidence, after: Evidence | None) -> str:
+    """Every sample: measured, and the models with the recording's offset and zero, N (Pa and strain where stress was
+    recorded)."""
+    rows = []
+    forces = [before.evaluation.force, before.evaluation.force if after is None else after.evaluation.force]
+    for curve, place in zip(before.problem.measured, before.problem.rows, strict=True):
+        factor = 1.0 if curve.test.specimen is None else 1e3
+        for i, force in enumerate(curve.force):
+            models = [float(force_of[place][i]) for force_of in forces]
+            rows.append([curve.name, None if curve.segment is None else str(curve.segment[i]),
+                         None if curve.time is None else float(curve.time[i]), factor * float(curve.displacement[i]),
+                         float(force), models[0], None if after is None else models[1], curve.noise.deviation])
+    return format_table(["replicate", "segment", "time [s]", "displacement [mm]", "measured [N]",
+                         "model before [N]", "model after [N]", "noise [N]"], rows)
