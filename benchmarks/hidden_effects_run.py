@@ -20,7 +20,7 @@ from hidden_effects_recordings import draw_scatter, write_campaign
 from hidden_effects_sizes import NOISE, REPLICATES, TABLE, frozen
 from hidden_effects_truth import PROTOCOLS, VirtualTest, plain
 
-from calibration.diagnose import Diagnosed, diagnose_campaign, read_for_diagnosis
+from calibration.campaign_diagnosis import Diagnosed, diagnose_campaign, read_for_diagnosis
 from calibration.diagnosis import proposals
 from calibration.effects.catalogue import CATALOGUE
 from calibration.fit.steps import Steps
@@ -66,7 +66,7 @@ class Planned:
 def code_hash() -> str:
     """Of the code of the diagnosis, its thresholds and the frozen table of sizes."""
     digest = hashlib.sha256()
-    files = [ROOT / "calibration" / "diagnose.py",
+    files = [ROOT / "calibration" / "campaign_diagnosis.py",
              *(file for folder in HASHED for file in sorted((ROOT / "calibration" / folder).rglob("*.py"))), TABLE]
     for file in files:
         digest.update(file.name.encode() + b"\0" + file.read_bytes())
