@@ -33,8 +33,7 @@ def test_nothing_hidden_gives_nothing(plain):
 @pytest.mark.parametrize(("name", "values", "where", "found_as"), [
     ("session_scale", {"effects.stiffness_scale.ratio": 1.06}, "needle", "session_scale@needle"),
     ("backlash", {"rig.backlash": 5e-5}, None, "backlash"),
-    ("softening", {"softening.loss": 0.03, "softening.share": 0.7}, None, "softening"),
-    ("partial_slip", {"experiment.slip": 0.1}, "glued", "partial_slip@glued")])
+    ("softening", {"softening.loss": 0.03, "softening.share": 0.7}, None, "softening")])
 def test_the_hidden_effect_has_the_best_score(tmp_path, name, values, where, found_as):
     effect = CATALOGUE[name]()
     study = fitted(measured_campaign(
