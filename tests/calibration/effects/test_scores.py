@@ -92,7 +92,7 @@ def test_a_puncture_is_a_jump_at_a_sample(plain):
     for test, before in zip(problem.tests, plain.problem.tests, strict=True):
         force, rates, _ = test.evaluate(test.solve(problem.space, theta, problem.solves), 0, 0.0)
         whole, whole_rates, _ = before.evaluate(before.solve(plain.problem.space, base, problem.solves), 0, 0.0)
-        left = np.where(test.name == "needle" and np.maximum.accumulate(test.measured[0].displacement) > depth,
+        left = np.where((test.name == "needle") & (np.maximum.accumulate(test.measured[0].displacement) > depth),
                         1.0 - drop, 1.0)
         np.testing.assert_allclose(force, left * whole, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(rates[:, :2], left[:, None] * whole_rates, rtol=1e-9, atol=1e-12)
