@@ -111,7 +111,7 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: Steps, solv
     diagnosis = Diagnosis(
         campaign=campaign.name, law=campaign.fit.laws[0], verdict=judgement.verdict,
         message=message(judgement.verdict, effects, [titles.get(name, name) for name in judgement.indistinguishable],
-                        regions, (*gaps, noise), sum(not row.testable for row in candidates)),
+                        regions, (*gaps, noise), sum(not row.testable for row in candidates), held_out),
         effects=effects, indistinguishable=judgement.indistinguishable, candidates=candidates, regions=regions,
         gap_before_N=gaps[0], gap_after_N=gaps[1], noise_N=noise,
         noise_correlation_s=float(np.mean([one.correlation_time for one in noises])),
