@@ -110,13 +110,14 @@ def silent_table(candidates: Sequence[CandidateStatement]) -> str:
     for each in candidates:
         if not each.testable:
             reasons.setdefault(each.reason, []).append(each)
-    rows = [[escape(", ".join(map(label_of, several))), escape(_sentence(reason))]
+    rows = [[escape(", ".join(map(label_of, several))), escape(capital(reason))]
             for reason, several in reasons.items()]
     return html_table(["Cannot be seen", "Because"], rows, text=(0, 1), narrow=True) if rows else ""
 
 
-def _sentence(reason: str) -> str:
-    return reason[:1].upper() + reason[1:]
+def capital(words: str) -> str:
+    """With a capital at its beginning."""
+    return words[:1].upper() + words[1:]
 
 
 def chance(p: float | None) -> str:
