@@ -17,7 +17,7 @@ from msgspec.structs import replace
 from calibration.campaign.campaign import Campaign, load_campaign
 from calibration.campaign.digest import digest_of
 from calibration.campaign.measured import MeasuredCurve, read_measured, scale_offsets
-from calibration.diagnosis.confirmation import gap, region_gaps, settled, unseen_replicates, unseen_tests
+from calibration.diagnosis.confirmation import gap, region_gaps, unseen_replicates, unseen_tests
 from calibration.diagnosis.diagnosis import Diagnosis, Stage
 from calibration.diagnosis.evidence import Evidence, Measured, gather, whole_campaign
 from calibration.diagnosis.next_experiment import next_experiments
@@ -94,7 +94,7 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: Steps, solv
     with clock.stage("last fit and unseen data"):
         steps.say("the last fit, and data that the fits have not seen")
         if judgement.chosen is not None:
-            after = settled(before, judgement.evidence)
+            after = judgement.evidence
         held_out = [*unseen_replicates(before, after), *unseen_tests(before, after)]
         fit_before = _fit_of(before)
         fit_after = None if after is None else _fit_of(after)

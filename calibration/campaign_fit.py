@@ -21,6 +21,7 @@ from calibration.fit.fit import SensorStatement
 from calibration.fit.generalised import Generalised
 from calibration.fit.influence import add_influence
 from calibration.fit.ordinary import Ordinary
+from calibration.fit.predictor import Predictor, predictor_of_held_out
 from calibration.fit.profiles import ProfileSide, profile_side
 from calibration.fit.ranking import Fitted, rank, rank_message
 from calibration.fit.result import CalibrationResult
@@ -127,12 +128,16 @@ class CampaignFit:
             fit = assess(self.estimator, estimate, spread, descents, sides, campaign)
             fit = add_influence(fit, estimate.problem, estimate.evaluation)
             fitted = zip(estimate.problem.tests, estimate.problem.mesh_error, strict=True)
-            tests = [self.estimator.held_out(test, estimate) if test.hold_out else next(fitted)
-                     for test in campaign.tests]
+            own = Predictor.of(estimate.problem.space, estimate.theta, spread)
+            predictors = {test.name: predictor_of_held_out(test, own, fit.population)
+                          for test in campaign.tests if test.hold_out}
+            tests = [self.estimator.held_out(test, estimate, predictors[test.name] or own) if test.hold_out
+                     else next(fitted) for test in campaign.tests]
             scatter = self.estimator.scatter(estimate)
-            held_out = [predict_held_out(test, estimate, spread, scatter) for (test, _), asked in zip(
-                tests, campaign.tests, strict=True) if asked.hold_out]
-            curves = draw_curves(estimate, spread, tests, scatter)
+            held_out = [predict_held_out(estimate.problem, test, predictors[test.name], scatter)
+                        for test, _ in tests if test.name in predictors]
+            curves = draw_curves(estimate, spread, tests, scatter, {name: predictor for name, predictor
+                                                                    in predictors.items() if predictor is not None})
             parts: list[Any] = [*descents, estimate, *sides, *left]
             costs = [spent(), *((part.simulations, part.cpu_s) for part in parts)]
             best = min(descents, key=lambda end: end.error)

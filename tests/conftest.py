@@ -14,13 +14,15 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 gc.set_threshold(50_000)
 
 ROOT = Path(__file__).resolve().parents[1]
+# What tests of several folders share is a module beside this one.
+sys.path.insert(0, str(ROOT / "tests"))
 #: Tests that use no finite elements, but for those of the calibration that do; they take more than a minute.
 WITHOUT_KERNELS = (
     "tests/calibration/", "tests/scenes/test_calibrate_command", "tests/scenes/test_material_command",
     "tests/tissue_sim/test_column", "tests/tissue_sim/test_formats", "tests/tissue_sim/test_laws",
     "tests/tissue_sim/test_material_file", "tests/tissue_sim/test_protocol", "tests/tissue_sim/test_recording",
     "tests/tissue_sim/test_viscoelasticity")
-BUT = ("tests/calibration/test_coverage_small", "tests/calibration/test_inverse_fem",
+BUT = ("tests/calibration/effects/", "tests/calibration/test_coverage_small", "tests/calibration/test_inverse_fem",
        "tests/calibration/test_inverse_measured")
 
 

@@ -26,7 +26,7 @@ from tissue_sim.specimen import Specimen
 
 #: Field of an experiment or a tool -> key of the campaign, beside those of the sizes of tools.
 _KEYS = {"tool": "tool", "tool.profile_file": "tool", "friction": "friction", "friction_base": "friction_base",
-         "friction_wall": "friction_wall", "tilt": "tilt_mm"}
+         "friction_wall": "friction_wall", "tilt": "tilt_mm", "slip": "slip"}
 
 
 def read_experiment(entry: TestTable, specimen: Specimen | None, folder: Path, place: str) -> Experiment | None:
@@ -41,7 +41,7 @@ def read_experiment(entry: TestTable, specimen: Specimen | None, folder: Path, p
     """
     kind = KINDS[entry.kind]
     if kind.gripped:
-        for key in (*entry.tool_sizes, *kind.faces, "contact_laws", "tilt_mm", "rig"):
+        for key in (*entry.tool_sizes, *kind.faces, "contact_laws", "tilt_mm", "slip", "rig"):
             face = kind.faces.get(key)
             if getattr(entry, key) not in (None, face.usual if face is not None and face.fixed else None):
                 raise InputError(f"a test of kind {entry.kind!r} is gripped on both sides and has none; leave it out",
@@ -56,7 +56,7 @@ def read_experiment(entry: TestTable, specimen: Specimen | None, folder: Path, p
     try:
         return kind.experiment(specimen=specimen, protocol=Protocol.ramp(1e-3 * specimen.height, 2),
                                tool=_tool(entry, kind, folder, place), contact_laws=laws,
-                               tilt=1e-3 * (entry.tilt_mm or 0.0), **interfaces)
+                               tilt=1e-3 * (entry.tilt_mm or 0.0), slip=entry.slip or 0.0, **interfaces)
     except InputError as error:
         keys = _KEYS | {f"tool.{name}": key for key, (_, name, _) in tool_sizes().items()}
         if error.field not in keys:

@@ -160,6 +160,27 @@ class ParameterSpace:
         """The number of that name."""
         return next(each for each in self.unknowns if each.name == name)
 
+    def with_specimen(self, specimen: str, tests: Sequence[str]) -> ParameterSpace:
+        """With numbers for a specimen that no fitted test has, after the others; itself where nothing is the
+        specimen's own.
+
+        Args:
+            specimen: its name. tests: names of its tests.
+        """
+        theirs = [each for each in self.unknowns if each.of_material and each.specimen is not None]
+        if any(each.specimen == specimen for each in theirs):
+            return self
+        added = {each.name: replace(each, name=f"{path}@{specimen}", tests=tuple(tests), specimen=specimen)
+                 for path, each in {each.path: each for each in theirs}.items()}
+        free = {name: each for name, each in added.items() if name in self.free}
+        places = [self.free.index(name) for name in free]
+        low, high, mean, deviation = (np.append(each, each[places]) for each in (
+            self.low, self.high, self.prior_mean, self.prior_deviation))
+        fixed = {each.name: self.fixed[name] for name, each in added.items() if name in self.fixed}
+        return replace(self, unknowns=(*self.unknowns, *added.values()), fixed=self.fixed | fixed,
+                       free=(*self.free, *(each.name for each in free.values())), low=low, high=high, prior_mean=mean,
+                       prior_deviation=deviation)
+
     @cached_property
     def varied(self) -> tuple[Unknown, ...]:
         """The free numbers."""
@@ -174,9 +195,10 @@ class ParameterSpace:
                 known[name] = float(np.copysign(SMALLEST_EXPONENT, known[name]))
         return {name: known[name] for name in self.names}
 
-    def of_law(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Parameters of the law, by their names in the law; the first of those that differ between tests."""
-        return {path: values[each.name] for path, each in self._acting(None, None).items() if each.of_law}
+    def of_law(self, values: Mapping[str, float], test: str | None = None) -> dict[str, float]:
+        """Parameters of the law, by their names in the law, as they are in a test (None: the first of those that differ
+        between tests)."""
+        return {path: values[each.name] for path, each in self._acting(test, None).items() if each.of_law}
 
     def material(self, values: Mapping[str, float], density: float | None = None, name: str = "", *,
                  test: str | None = None, recording: str | None = None) -> Material:

@@ -62,6 +62,7 @@ class TestTable(_Table, frozen=True, kw_only=True):
     friction_wall: float | None = None
     contact_laws: dict[str, dict[str, float]] | None = None
     tilt_mm: float | None = None
+    slip: float | None = None
     speed_mm_s: float | None = None
     protocol: str | None = None
     max_strain: float | None = None

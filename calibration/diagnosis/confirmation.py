@@ -15,6 +15,7 @@ from calibration.fit.estimate import Estimate, settle
 from calibration.fit.fit import Region
 from calibration.fit.generalised import Generalised
 from calibration.fit.levenberg_marquardt import descend
+from calibration.fit.predictor import Predictor
 from calibration.fit.problem import Problem
 from calibration.fit.regions import judge_regions
 from calibration.fit.uncertainty import assess_uncertainty
@@ -29,16 +30,13 @@ _STEADY = 4.0
 _END = 0.1
 
 
-def settled(before: Evidence, after: Evidence) -> Evidence:
-    """The evidence with an effect, its jitter and mesh corrections its own; as it was where that fails.
-
-    Args:
-        before: without the effect. after: with it, jitter and mesh as without it.
-    """
-    problem = after.problem
-    stated = Generalised(after.campaign, after.measured, problem.solves)._stated(problem)
-    estimate = settle(replace_problem(problem), after.estimate.theta, stated)
-    return Evidence(after.campaign, after.measured, estimate) if np.isfinite(estimate.error) else after
+def settled(evidence: Evidence) -> Evidence:
+    """Evidence with an effect, whose jitter and mesh corrections are those of a fit without it, with its own; the same
+    where that fails."""
+    problem = evidence.problem
+    stated = Generalised(evidence.campaign, evidence.measured, problem.solves).stated(problem)
+    estimate = settle(replace_problem(problem), evidence.estimate.theta, stated)
+    return Evidence(evidence.campaign, evidence.measured, estimate) if np.isfinite(estimate.error) else evidence
 
 
 def replace_problem(problem: Problem) -> Problem:
@@ -126,11 +124,11 @@ def _predict_test(evidence: Evidence, name: str) -> Prediction | str:
     asked = next(test for test in evidence.campaign.tests if test.name == name)
     problem = evidence.problem
     try:
+        own = Predictor.of(problem.space, evidence.estimate.theta, assess_uncertainty(problem, evidence.evaluation))
         test, error = Generalised(evidence.campaign, evidence.measured, problem.solves).held_out(
-            asked, evidence.estimate)
+            asked, evidence.estimate, own)
         unseen = Problem(problem.space, (test,), problem.solves, problem.jitter, (error,))
-        return _predicted_by(unseen, evidence.estimate.theta,
-                             assess_uncertainty(problem, evidence.evaluation).covariance)[0]
+        return _predicted_by(unseen, own.theta, own.covariance)[0]
     except (InfeasibleError, InputError) as failure:
         return str(failure)
 

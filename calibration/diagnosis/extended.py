@@ -63,21 +63,32 @@ def change_of(problem: Problem, evaluation: Evaluation, campaign: Campaign, cand
         problem, evaluation: at the minimum without it. campaign: its own. share: of the trial size.
     """
     try:
-        sizes = {path: absent + share * (size - absent) for path, size in candidate.sizes.items()
-                 for absent in (candidate.absent_value(campaign, path),)}
-        extended, _ = extend(problem, campaign, candidate, sizes, free=False)
-        # Held, all of them: derivatives would cost as much as the simulation.
-        extended.space = extended.space.held(dict(zip(problem.space.free, evaluation.theta, strict=True)))
-        answers = [test.solve(extended.space, np.zeros(0), extended.solves) for test in extended.tests]
-        residual = extended._linearise(answers, evaluation.nuisances)[0]
+        absent = {path: candidate.absent_value(campaign, path) for path in candidate.sizes}
+        sizes = {path: absent[path] + share * (size - absent[path]) for path, size in candidate.sizes.items()}
+        with_it = _residual(problem, evaluation, campaign, candidate, sizes)
+        # What another mesh changes is no effect.
+        without = _residual(problem, evaluation, campaign, candidate, absent) if candidate.remeshes(campaign) else \
+            evaluation.residual
     except (InfeasibleError, NotTestableError, InputError) as error:
         return str(error)
-    column = residual - evaluation.residual
+    column = with_it - without
     groups: dict[str, np.ndarray] = {}
     for rows, (t, _) in zip(problem.rows, problem.places, strict=True):
+        if candidate.tests is not None and problem.tests[t].name not in candidate.tests:
+            continue
         mark = _group(problem.tests[t], candidate)
         groups.setdefault(mark, np.zeros(column.size))[rows] = column[rows]
     return np.column_stack(list(groups.values()))
+
+
+def _residual(problem: Problem, evaluation: Evaluation, campaign: Campaign, candidate: Candidate,
+              sizes: Mapping[str, float]) -> np.ndarray:
+    """The whitened residual with an effect of these sizes, at parameters and nuisances known."""
+    extended, _ = extend(problem, campaign, candidate, sizes, free=False)
+    # Held, all of them: derivatives would cost as much as the simulation.
+    extended.space = extended.space.held(dict(zip(problem.space.free, evaluation.theta, strict=True)))
+    answers = [test.solve(extended.space, np.zeros(0), extended.solves) for test in extended.tests]
+    return extended._linearise(answers, evaluation.nuisances)[0]
 
 
 def _group(test: ForwardTest, candidate: Candidate) -> str:

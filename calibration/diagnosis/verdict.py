@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibration.diagnosis.confirmation import settled
 from calibration.diagnosis.diagnosis import Verdict
 from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.proposals import LEVEL, Proposals, propose
@@ -29,8 +30,8 @@ class Judgement:
     Attributes:
         verdict: in one word. refits: fits with one effect, best first. chosen: the fit that goes on, None where nothing
             is added. second: the fit with a second effect beside it; None: one is enough.
-        indistinguishable: names that explain the gap as well. evidence: at the end: with what was added, or the plain
-            one.
+        indistinguishable: names that explain the gap as well. evidence: at the end: with what was added, its jitter
+            and its mesh corrections, or the plain one.
     """
 
     verdict: Verdict
@@ -55,12 +56,12 @@ def judge(evidence: Evidence, proposals: Proposals, steps: Steps) -> Judgement:
     if not good:
         return Judgement("NONE" if evidence.adequate else "UNKNOWN", refits, None, None, [], evidence)
     best = good[0]
-    after = best.evidence(evidence)
+    after = settled(best.evidence(evidence))
     if not after.adequate:
         pair = _pair(evidence, good, proposals, steps)
         if pair is not None:
             first, second, both = pair
-            together = second.evidence(both)
+            together = settled(second.evidence(both))
             words: Verdict = "NAMED" if together.adequate else "LOOKS_LIKE"
             return Judgement(words, refits, first, second, [first.name, second.name], together)
         explained = share_explained(evidence.regions, after.regions)

@@ -1,6 +1,7 @@
 """Play between screw and nut."""
 
-from calibration.effects.effect import Candidate, Effect, Situation, beside_material, require_tests
+from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.effect import Candidate, Effect, Situation
 
 #: Play that is tried first, in largest displacements.
 _SHARE = 0.01

@@ -1,6 +1,7 @@
 """A touch that is elsewhere than it was taken for."""
 
-from calibration.effects.effect import Candidate, Effect, Situation, beside_material, require_tests
+from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.effect import Candidate, Effect, Situation
 
 #: Shift that is tried first, in largest displacements.
 _SHARE = 0.005

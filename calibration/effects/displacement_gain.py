@@ -1,6 +1,7 @@
 """A lead screw of another pitch than it is taken for."""
 
-from calibration.effects.effect import Candidate, Effect, Situation, beside_material, require_tests
+from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.effect import Candidate, Effect, Situation
 
 #: Relative error that is tried first.
 _ERROR = 0.01

@@ -1,6 +1,7 @@
 """A needle whose edge is rounder than stated."""
 
-from calibration.effects.effect import Candidate, Effect, Situation, beside_material, require_tests
+from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.effect import Candidate, Effect, Situation, experiment_of
 from tissue_sim.parameters import declared
 
 #: Rounding that is tried first, in radii of the needle.
@@ -18,6 +19,6 @@ class EdgeRounding(Effect):
 
     def candidates(self, situation: Situation) -> list[Candidate]:
         needles = require_tests(situation.simulated(
-            lambda test: "edge_radius" in declared(type(test.experiment.tool))), "no test has a tool with an edge")
+            lambda test: "edge_radius" in declared(type(experiment_of(test).tool))), "no test has a tool with an edge")
         return beside_material(self, situation, "experiment.tool.edge_radius", needles,
-                               lambda tests: _SHARE * tests[0].experiment.tool.radius, both_ways=False)
+                               lambda tests: _SHARE * experiment_of(tests[0]).tool.require_radius(), both_ways=False)

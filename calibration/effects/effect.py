@@ -19,12 +19,13 @@ import numpy as np
 from calibration.campaign.campaign import Campaign, FitSettings, Test
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameters import SHARED, Named, declared_around
+from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.laws import find_law
 from tissue_sim.material.material import law_declaration
 from tissue_sim.material.parts import find_declaration, with_parts
 from tissue_sim.model import Model
-from tissue_sim.parameters import Declaration, parameters, symbol_at, with_values
+from tissue_sim.parameters import Declaration, symbol_at, with_values
 
 Room = Literal["tissue", "contact", "geometry", "rig", "population"]
 #: What writes an effect down: material file, campaign, rig file, or nothing (scatter between specimens is no effect of
@@ -34,8 +35,6 @@ ROOMS: tuple[Room, ...] = ("tissue", "contact", "geometry", "rig", "population")
 
 #: A tool has come back where it went this share of its largest displacement against its way.
 RETURNED = 0.05
-#: A refit may go so many times as far from absence as what is tried first.
-REACH = 50.0
 
 
 class NotTestableError(Exception):
@@ -112,13 +111,13 @@ class Situation:
 
     def contact_radius(self, test: Test) -> float:
         """About how wide the contact of a test with a tool is at its largest displacement, m."""
-        assert test.experiment is not None
-        return test.experiment.tool.contact_radius(self.depth(test), test.experiment.specimen.radius)
+        experiment = experiment_of(test)
+        return experiment.tool.contact_radius(self.depth(test), experiment.specimen.radius)
 
     def strain(self, test: Test) -> float:
         """About how much a test with a tool strains the tissue: its depth over the height, or the width of a needle."""
-        assert test.experiment is not None
-        size = test.experiment.specimen.height if test.experiment.tool.is_plate else 2.0 * self.contact_radius(test)
+        experiment = experiment_of(test)
+        size = experiment.specimen.height if experiment.tool.is_plate else 2.0 * self.contact_radius(test)
         return self.depth(test) / size
 
     def returns(self, test: Test) -> bool:
@@ -215,6 +214,11 @@ class Candidate:
         if stated is None:
             raise TypeError(f"{self.effect.name}: {path} declares no value at which it is absent; give one")
         return stated
+
+    def remeshes(self, campaign: Campaign) -> bool:
+        """Whether its shape makes another mesh, even where it is absent."""
+        campaign = self.prepared(campaign)
+        return any(self.declaration(campaign, path).shapes_mesh for path in self.shape)
 
     def prepared(self, campaign: Campaign) -> Campaign:
         """The campaign whose tests have the parts that its numbers belong to."""
@@ -314,55 +318,7 @@ class Effect(ABC):
         return with_values(model, around) if around else model
 
 
-def require_tests(tests: Sequence[Test], reason: str) -> Sequence[Test]:
-    """The tests, of which there must be one.
-
-    Raises:
-        NotTestableError: there is none; with the reason.
-    """
-    if not tests:
-        raise NotTestableError(reason)
-    return tests
-
-
-def per_test(effect: Effect, tests: Sequence[Test], sizes: Callable[[Test], Mapping[str, float]],
-             **options) -> list[Candidate]:
-    """A candidate for each test alone, of an effect that every test has a size of its own of."""
-    return [Candidate(effect, sizes(test), tests=(test.name,), mark=test.name, **options) for test in tests]
-
-
-def stated_value(test: Test, path: str) -> float:
-    """What a test with a tool states of a number beside the material, SI."""
-    part, _, inside = path.partition(".")
-    return parameters(getattr(test, part))[inside].value
-
-
-def beside_material(effect: Effect, situation: Situation, path: str, tests: Sequence[Test],
-                    size: Callable[[Sequence[Test]], float], *, each: bool = False, both_ways: bool = True,
-                    **options) -> list[Candidate]:
-    """The candidates of one number of the experiment or the rig, counted from what the tests state of it.
-
-    Args:
-        effect, situation: as the candidates have them. path: of the number. tests: that have it.
-        size: what is tried first, beyond what is stated, of tests that share the number.
-        each: whether each test has a number of its own; else those share it that state the same.
-        both_ways: whether it may be less than stated. options: of `Candidate`.
-
-    Raises:
-        NotTestableError: the campaign fits it already.
-    """
-    situation.require_new(path)
-    groups: dict[object, list[Test]] = {}
-    for test in tests:
-        groups.setdefault(test.name if each else stated_value(test, path), []).append(test)
-    found = []
-    for group in groups.values():
-        stated, step = stated_value(group[0], path), size(group)
-        part, _, inside = path.partition(".")
-        low, high = parameters(getattr(group[0], part))[inside].declaration.bounds
-        least = stated - REACH * step if both_ways else stated
-        found.append(Candidate(
-            effect, {path: stated + step}, absent={path: stated},
-            bounds={path: (max(low, least), min(high, stated + REACH * step))},
-            tests=tuple(test.name for test in group), mark=group[0].name if each or len(groups) > 1 else "", **options))
-    return found
+def experiment_of(test: Test) -> Experiment:
+    """What is done in a test with a tool."""
+    assert test.experiment is not None, test.name
+    return test.experiment

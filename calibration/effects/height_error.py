@@ -1,6 +1,7 @@
 """A specimen that is higher or lower than stated."""
 
-from calibration.effects.effect import Candidate, Effect, Situation, require_tests
+from calibration.effects.candidates import require_tests
+from calibration.effects.effect import Candidate, Effect, Situation
 from calibration.effects.specimen_size import sizes_of_specimens
 
 #: Relative error that is tried first.

@@ -4,7 +4,7 @@ from calibration.effects.effect import Candidate, Effect, NotTestableError, Situ
 from calibration.effects.wider_law import WIDER, require_contained
 
 #: Share of the shear modulus that is tried first, and the largest that a refit may find.
-_SHARE, _LARGEST = 0.1, 2.0
+_SHARE, _LARGEST = 0.05, 2.0
 
 
 class I2Term(Effect):

@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from calibration.campaign.campaign import Test
-from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation, beside_material, require_tests
+from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation
 from tissue_sim.model import Model
 from tissue_sim.rig.inertia import Inertia as Mass
 

@@ -1,6 +1,7 @@
 """Force that is read later than displacement."""
 
-from calibration.effects.effect import Candidate, Effect, Situation, beside_material, require_tests
+from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.effect import Candidate, Effect, Situation
 
 #: Delay that is tried first, in times of the fastest loading.
 _SHARE = 0.01

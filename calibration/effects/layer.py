@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation, require_tests
+from calibration.effects.candidates import require_tests
+from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation, experiment_of
 
 #: Ratio of the moduli that is tried first, and the largest that a refit may find.
 _RATIO, _LARGEST = 1.2, 30.0
@@ -22,9 +23,9 @@ class Layer(Effect):
     def candidates(self, situation: Situation) -> list[Candidate]:
         if situation.campaign.fit.material.layers:
             raise NotTestableError("the material that is fitted has layers already")
-        needles = require_tests(situation.simulated(lambda test: not test.experiment.tool.is_plate),
+        needles = require_tests(situation.simulated(lambda test: not experiment_of(test).tool.is_plate),
                                 "no test has a needle, and plates feel the mean of all layers")
-        height = min(test.experiment.specimen.height for test in situation.simulated())
+        height = min(experiment_of(test).specimen.height for test in situation.simulated())
         size = min(map(situation.contact_radius, needles))
         thicknesses = np.minimum(size * np.array(_THICKNESSES), _THICKEST * height)
         ratio, thickness = "layers[0].ratio", "layers[0].thickness"

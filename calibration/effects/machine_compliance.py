@@ -1,6 +1,7 @@
 """A load train that gives way."""
 
-from calibration.effects.effect import Candidate, Effect, Situation, beside_material, require_tests
+from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.effect import Candidate, Effect, Situation
 
 #: Share of the largest displacement that the load train takes up, which is tried first.
 _SHARE = 0.01

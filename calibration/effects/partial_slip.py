@@ -1,7 +1,8 @@
 """Faces that do not hold the tissue as they should."""
 
 from calibration.campaign.campaign import Test
-from calibration.effects.effect import Candidate, Effect, Situation, beside_material, require_tests
+from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.effect import Candidate, Effect, Situation, experiment_of
 from tissue_sim.errors import InputError
 
 #: Share of the face that is tried first.
@@ -25,10 +26,10 @@ class PartialSlip(Effect):
 
 def _slips(test: Test) -> bool:
     """Whether a face is bonded, and the same without friction can be simulated."""
-    if test.experiment is None or test.experiment.friction != "bonded":
+    if experiment_of(test).friction != "bonded":
         return False
     try:
-        test.experiment.with_free_faces()
+        experiment_of(test).with_free_faces()
     except InputError:
         return False
     return True

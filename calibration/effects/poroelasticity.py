@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation, require_tests
+from calibration.effects.candidates import require_tests
+from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation
 
 #: Share of the stiffness that is tried first, and the largest that a refit may find.
 _SHARE, _LARGEST = 0.1, 0.95

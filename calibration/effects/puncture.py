@@ -1,6 +1,7 @@
 """A surface that gives way under the needle."""
 
-from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation, require_tests
+from calibration.effects.candidates import require_tests
+from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation, experiment_of
 
 #: Share of the force that is tried first, and the largest that a refit may find.
 _SHARE, _LARGEST = 0.05, 0.95
@@ -20,7 +21,7 @@ class Puncture(Effect):
     def candidates(self, situation: Situation) -> list[Candidate]:
         if situation.campaign.fit.material.puncture is not None:
             raise NotTestableError("the material that is fitted is punctured already")
-        needles = require_tests(situation.simulated(lambda test: not test.experiment.tool.is_plate),
+        needles = require_tests(situation.simulated(lambda test: not experiment_of(test).tool.is_plate),
                                 "no test has a needle")
         deepest = max(map(situation.depth, needles))
         drop, depth = "puncture.drop", "puncture.depth"

@@ -1,6 +1,7 @@
 """A drag that grows with the speed."""
 
-from calibration.effects.effect import Candidate, Effect, Situation, beside_material, require_tests
+from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.effect import Candidate, Effect, Situation
 
 #: Share of the smallest test's largest force at the fastest loading, which is tried first.
 _SHARE = 0.005

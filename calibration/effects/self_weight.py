@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from calibration.campaign.campaign import Test
-from calibration.effects.effect import Candidate, Effect, Situation, require_tests
+from calibration.effects.candidates import require_tests
+from calibration.effects.effect import Candidate, Effect, Situation, experiment_of
 from tissue_sim.model import Model
 from tissue_sim.specimen import STANDARD_GRAVITY
 
@@ -24,7 +25,7 @@ class SelfWeight(Effect):
 
     def candidates(self, situation: Situation) -> list[Candidate]:
         situation.require_new(_GRAVITY)
-        tests = require_tests(situation.simulated(lambda test: not test.experiment.specimen.gravity),
+        tests = require_tests(situation.simulated(lambda test: not experiment_of(test).specimen.gravity),
                               "the specimens weigh already")
         return [Candidate(self, {_GRAVITY: STANDARD_GRAVITY}, bounds={_GRAVITY: (0.0, 1.5 * STANDARD_GRAVITY)},
                           tests=tuple(test.name for test in tests), prepare=_with_density)]
@@ -37,7 +38,7 @@ class SelfWeight(Effect):
 
 
 def _with_density(test: Test) -> Test:
-    if test.experiment is None or test.experiment.specimen.density is not None:
+    if test.experiment is None or experiment_of(test).specimen.density is not None:
         return test
-    specimen = replace(test.experiment.specimen, density=DENSITY)
+    specimen = replace(experiment_of(test).specimen, density=DENSITY)
     return replace(test, experiment=replace(test.experiment, specimen=specimen))

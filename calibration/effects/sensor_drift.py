@@ -1,6 +1,7 @@
 """A sensor whose zero wanders."""
 
-from calibration.effects.effect import Candidate, Effect, Situation, beside_material, require_tests
+from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.effect import Candidate, Effect, Situation
 
 #: Share of the smallest test's largest force by which the zero wanders in the longest recording, tried first.
 _SHARE = 0.01

@@ -1,6 +1,7 @@
 """A sensor whose every reading is off by one share."""
 
-from calibration.effects.effect import Candidate, Effect, Situation, beside_material, require_tests
+from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.effect import Candidate, Effect, Situation
 
 #: Relative error that is tried first.
 _ERROR = 0.01

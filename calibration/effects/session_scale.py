@@ -1,6 +1,7 @@
 """A test on a warmer or colder day."""
 
-from calibration.effects.effect import Candidate, Effect, Situation, per_test, require_tests
+from calibration.effects.candidates import per_test, require_tests
+from calibration.effects.effect import Candidate, Effect, Situation
 
 #: Relative change of the stiffness that is tried first, and the largest factor that a refit may find.
 _CHANGE, _LARGEST = 0.02, 5.0
@@ -14,6 +15,7 @@ class SessionScale(Effect):
     title = "stiffness of one session (temperature)"
     signature = "every force of one test is too high, or too low, by the same share"
     separated_by = "a thermometer, or repeating the first test after the last"
+    known_twins = ("radius_error",)
 
     def candidates(self, situation: Situation) -> list[Candidate]:
         path = "effects.stiffness_scale.ratio"

@@ -1,6 +1,7 @@
 """Tissue that is weaker below the largest load it has seen."""
 
-from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation, require_tests
+from calibration.effects.candidates import require_tests
+from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation
 
 #: Share of the stress that is tried first, and the largest that a refit may find.
 _SHARE, _LARGEST = 0.1, 0.95

@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 
 from calibration.campaign.campaign import Test
-from calibration.effects.effect import Candidate, Effect, Situation, stated_value
+from calibration.effects.candidates import stated_value
+from calibration.effects.effect import Candidate, Effect, Situation
 
 #: Largest error that a refit may find, as a share.
 _LARGEST = 0.2

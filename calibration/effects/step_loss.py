@@ -1,6 +1,7 @@
 """A motor that loses steps."""
 
-from calibration.effects.effect import Candidate, Effect, Situation, beside_material, require_tests
+from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.effect import Candidate, Effect, Situation
 
 #: Loss that is tried first, in largest displacements; and depths at which it may happen, likewise.
 _SHARE, _DEPTHS = 0.01, (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)

@@ -1,6 +1,7 @@
 """A tissue that stiffens more than the law can."""
 
-from calibration.effects.effect import REACH, Candidate, Effect, Situation
+from calibration.effects.candidates import REACH
+from calibration.effects.effect import Candidate, Effect, Situation
 from calibration.effects.wider_law import WIDER, absent_order
 
 #: Share by which the new term changes the stress at the largest strain, which is tried first.

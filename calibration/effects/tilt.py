@@ -1,6 +1,7 @@
 """A face that leans."""
 
-from calibration.effects.effect import Candidate, Effect, Situation, beside_material, require_tests
+from calibration.effects.candidates import beside_material, require_tests
+from calibration.effects.effect import Candidate, Effect, Situation
 
 #: Height difference that is tried first, in largest displacements.
 _SHARE = 0.03

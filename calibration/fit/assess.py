@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign
 from calibration.fit.estimate import Estimate
@@ -12,7 +13,7 @@ from calibration.fit.estimator import Estimator, Findings
 from calibration.fit.fit import Covariance, Fit, Profile
 from calibration.fit.identifiability import not_identifiable
 from calibration.fit.levenberg_marquardt import Descent
-from calibration.fit.population import differing_specimens, left_out_of_population, population_of, typical
+from calibration.fit.population import Specimens, differing_specimens, find_specimens
 from calibration.fit.profiles import ProfileSide
 from calibration.fit.self_weight import sags
 from calibration.forward.contract import Reached
@@ -38,8 +39,9 @@ def assess(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descen
     law = find_law(space.law)
     theta = estimate.theta[: len(space.free)]
     values = space.values(theta)
-    population = population_of(space, theta, spread.covariance, spread.standard_errors)
-    moduli = space.of_law(typical(space, values, population))
+    free = slice(0, len(space.free))
+    specimens = find_specimens(space, theta, spread.covariance[free, free], spread.standard_errors[free])
+    moduli = space.of_law(specimens.typical(space, values))
     errors: dict[str, float | None] = dict.fromkeys(space.fixed, 0.0)
     errors |= {name: float(e) if np.isfinite(e) else None
                for name, e in zip(space.free, spread.standard_errors, strict=False)}
@@ -49,14 +51,14 @@ def assess(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descen
                                                             max(STRETCH_RANGE[1], stretches[1])))
     mu0 = law.mu0(moduli)
     misfits, missed = _misfits(estimate)
-    status, unusable = _verdict(estimate, stability, reached, mu0, missed)
+    status, unusable = _verdict(estimate, stability, reached, mu0, missed, specimens)
     loose = not_identifiable(space, spread)
     profiles, intervals, notes = _profiles(estimate, spread, sides)
     aic, bic = information_criteria(*spread.criteria, problem.bounds[0].size)
     order = list(space.names)
     covariance = np.zeros((len(order), len(order)))
-    free = [order.index(name) for name in space.free]
-    covariance[np.ix_(free, free)] = spread.covariance[: len(free), : len(free)]
+    places = [order.index(name) for name in space.free]
+    covariance[np.ix_(places, places)] = spread.covariance[free, free]
     shared = {
         "law": law.name, "formula": law.formula(), "parameters": values, "symbols": space.symbols,
         "units": {each.name: each.declaration.unit for each in space.unknowns},
@@ -66,15 +68,18 @@ def assess(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descen
         "not_identifiable": loose, "noise_ratio": spread.ratio, "AIC": aic, "BIC": bic, "E0": law.E0(moduli),
         "mu0": mu0, "stable_from": stability.stable_from, "stable_to": stability.stable_to,
         "stability": stability.describe(), "stretch_range": (float(stretches[0]), float(stretches[1])),
-        "sag_mm": sags(law, law.as_array(moduli), campaign), "minima": list(estimate.minima), "starts": len(descents),
+        "minima": list(estimate.minima), "starts": len(descents),
         "misfits": misfits, "status": status, "unusable": unusable, "cpu_s": 0.0,
         "interval_notes": notes, "profiles": profiles,
         "iterations": sum(len(descent.history) for descent in descents) + len(estimate.history),
-        "population": population, "material_file": f"{law.name}.material.json" if mu0 > 0 else None}
+        "population": specimens.population, "material_of": list(specimens.material_of),
+        "left_out_specimens": dict(specimens.left_out),
+        "material_file": f"{law.name}.material.json" if mu0 > 0 and not specimens.missing_population else None}
     lost = [*_other_losses(stability, reached, stretches), *differing_specimens(estimate),
-            *left_out_of_population(space, population)]
+            *specimens.warnings(unusable)]
     found = Findings(estimate, spread, descents, values, loose, status, unusable, lost)
-    return Fit(**shared | estimator.describe(found))
+    fit = Fit(**shared | estimator.describe(found))
+    return replace(fit, sag_mm=sags(fit, campaign))
 
 
 def _derivatives(estimate: Estimate, theta: np.ndarray) -> dict[str, str]:
@@ -110,8 +115,8 @@ def _misfits(estimate: Estimate) -> tuple[dict[str, float], list[str]]:
 
 
 def _verdict(estimate: Estimate, stability: Stability, reached: Mapping[str, Reached], mu0: float,
-             missed: Sequence[str]) -> tuple[str, str | None]:
-    """Status, and why the law is not usable over the data."""
+             missed: Sequence[str], specimens: Specimens) -> tuple[str, str | None]:
+    """Status, and why the law is not usable."""
     if not mu0 > 0:
         return "not_physical", f"its shear modulus at rest is {mu0:.4g} Pa"
     if not estimate.converged:
@@ -124,6 +129,8 @@ def _verdict(estimate: Estimate, stability: Stability, reached: Mapping[str, Rea
     if missed:
         return "misfit", (f"does not describe the data: {' and '.join(missed)}; end the test before something else "
                           "begins, such as failure (max_strain), or take another law")
+    if specimens.missing_population:
+        return "no_population", specimens.missing_population
     return "converged", None
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,9 @@ from calibration.campaign.campaign import Test
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.deviations import Deviations, assess_deviations
 from calibration.fit.estimate import Estimate
+from calibration.fit.predictor import Predictor
 from calibration.forward.contract import ForwardTest, InfeasibleError
+from calibration.forward.solves import Solves
 from calibration.statistics.bands import CERTAIN, Scatter, prediction_bands
 from calibration.statistics.jitter import Jitter
 from calibration.statistics.uncertainty import Uncertainty
@@ -51,7 +53,7 @@ class TestCurves:
 
 
 def draw_curves(estimate: Estimate, spread: Uncertainty, tests: Sequence[tuple[ForwardTest, float]],
-                scatter: Jitter | None) -> list[TestCurves]:
+                scatter: Jitter | None, predictors: Mapping[str, Predictor] | None = None) -> list[TestCurves]:
     """The curves of each test; not a number where the model does not get through.
 
     The bands of a test that was fitted follow its recordings; those of one that was held out, or that the model does
@@ -60,16 +62,18 @@ def draw_curves(estimate: Estimate, spread: Uncertainty, tests: Sequence[tuple[F
     Args:
         estimate: the minimum. spread: its uncertainty. tests: with the relative error of the mesh in each.
         scatter: between recordings; None where nobody says.
+        predictors: test -> what predicts it, where that is not the estimate itself.
     """
     problem, found = estimate.problem, []
+    own, others = Predictor.of(problem.space, estimate.theta, spread), predictors or {}
     along = estimate.evaluation.force
     fitted = {curve.name: along[rows] for curve, rows in zip(problem.measured, problem.rows, strict=True)}
-    theta = estimate.theta[: len(problem.space.free)]
     for test, mesh_error in tests:
         path = _path(test)
         time = path.time if test.timed else None
         try:
-            answer = test.solve(problem.space, theta, problem.solves)
+            predictor = others.get(test.name, own)
+            answer = test.solve(predictor.space, predictor.theta, problem.solves)
             seen = [test.evaluate(answer, number, 0.0) for number in range(len(test.measured))]
             models = tuple(fitted.get(curve.name, force)
                            for curve, (force, *_) in zip(test.measured, seen, strict=True))
@@ -79,7 +83,7 @@ def draw_curves(estimate: Estimate, spread: Uncertainty, tests: Sequence[tuple[F
             told = scatter if not known or count < ENOUGH or (scatter and scatter.freedom is None) else None
             deviations = assess_deviations(test.measured, gaps, [contact for *_, contact in seen], path, told) \
                 if known else None
-            force, error, bands = _along(estimate, spread, test, path, mesh_error, told, deviations)
+            force, error, bands = _along(problem.solves, predictor, test, path, mesh_error, told, deviations)
         except InfeasibleError:
             force = error = np.full(path.displacement.size, np.nan)
             bands = force, force
@@ -89,17 +93,15 @@ def draw_curves(estimate: Estimate, spread: Uncertainty, tests: Sequence[tuple[F
     return found
 
 
-def _along(estimate: Estimate, spread: Uncertainty, test: ForwardTest, path: MeasuredCurve, mesh_error: float,
+def _along(solves: Solves, predictor: Predictor, test: ForwardTest, path: MeasuredCurve, mesh_error: float,
            scatter: Jitter | None, deviations: Deviations | None):
     """Force along the path, its standard error, and half widths of the bands of a new recording."""
-    space = estimate.problem.space
-    free = len(space.free)
     # The path is that of a recording without scatter, seen by the same test.
     seen: ForwardTest = replace(test, measured=(path,))
-    answer = seen.solve(space, estimate.theta[:free], estimate.problem.solves)
+    answer = seen.solve(predictor.space, predictor.theta, solves)
     force, rates, contact = seen.evaluate(answer, 0, 0.0)
-    values, vectors = np.linalg.eigh(spread.covariance[:free, :free])
-    unsure = Scatter(np.column_stack([rates @ (vectors * np.sqrt(np.clip(values, 0.0, None))), mesh_error * force]))
+    first, *sampled = predictor.scatters(rates)
+    unsure = [Scatter(np.column_stack([first.columns, mesh_error * force])), *sampled]
     found = deviations or Deviations(np.zeros(force.size), [], np.full(force.size, path.noise.deviation))
     scatters, count = list(found.scatters), len(test.measured)
     # The mean of the recordings, as far as the curve is off, says what the parameters err by; it errs itself.
@@ -114,9 +116,10 @@ def _along(estimate: Estimate, spread: Uncertainty, test: ForwardTest, path: Mea
         errs = sum(scatter.variance for scatter in scatters) / (count + 1.0)
         bias = np.sign(bias) * np.sqrt(np.maximum(bias**2 - errs, 0.0))
     else:
-        scatters.append(unsure)
+        scatters += unsure
     samples = np.mean([curve.force.size for curve in test.measured]) / force.size
-    return force, np.sqrt(unsure.variance), prediction_bands(bias, scatters, found.noise, float(samples))
+    error = np.sqrt(sum(each.variance for each in unsure))
+    return force, error, prediction_bands(bias, scatters, found.noise, float(samples))
 
 
 def _path(test: ForwardTest) -> MeasuredCurve:

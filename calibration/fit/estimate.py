@@ -111,7 +111,8 @@ def _estimate_jitter(problem: Problem, theta: np.ndarray, stated: Noise) -> None
     """New jitter; where no test has two recordings the first guess stays, with freedom 0."""
     if all(len(test.measured) < 2 for test in problem.tests):
         return
-    replicates = problem.replicates(problem.evaluate(theta))
+    problem.forget()
+    replicates = problem.replicates(theta)
     problem.jitter = estimate_jitter(replicates, contact=stated.contact_jitter, zero=stated.zero_jitter)
     problem.forget()
 

@@ -11,6 +11,7 @@ from calibration.campaign.campaign import Campaign, Test
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.estimate import Estimate
 from calibration.fit.levenberg_marquardt import Descent
+from calibration.fit.predictor import Predictor
 from calibration.fit.problem import Evaluation
 from calibration.fit.steps import Steps
 from calibration.forward.contract import ForwardTest
@@ -80,8 +81,9 @@ class Estimator(ABC):
         """Fields of the `Fit` that say it in words, and those that only this way to weigh has."""
 
     @abstractmethod
-    def held_out(self, test: Test, estimate: Estimate) -> tuple[ForwardTest, float]:
-        """A test that was not fitted, ready to be predicted, with the relative error of its mesh."""
+    def held_out(self, test: Test, estimate: Estimate, predictor: Predictor) -> tuple[ForwardTest, float]:
+        """A test that was not fitted, ready to be predicted with these parameters, and the relative error of its
+        mesh."""
 
     def scatter(self, estimate: Estimate) -> Jitter | None:
         """What differs from recording to recording beside the noise; None where nobody says."""

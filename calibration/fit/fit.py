@@ -51,6 +51,8 @@ class Prediction(msgspec.Struct, frozen=True, kw_only=True):
         expected_N: RMSE that noise, jitter and the uncertainty of the parameters would make; None where unknown.
         fitted: tests that the law was fitted to for this; empty: all that are not held out.
         note: why there is no prediction; empty where there is one.
+        mean_of: specimens whose mean predicts, as nothing else tells the numbers of the test's own; empty: they are
+            known. What is expected then includes the scatter between specimens.
         parameters: free ones of the fit that predicts, name -> value, SI, of an inverse fit.
 
     Errors are None where the law does not carry the specimen as far as the test went, or where the other tests leave a
@@ -65,6 +67,7 @@ class Prediction(msgspec.Struct, frozen=True, kw_only=True):
     expected_N: float | None = None
     fitted: list[str] = []
     note: str = ""
+    mean_of: list[str] = []
     parameters: dict[str, float] = {}
 
 
@@ -228,8 +231,9 @@ class PopulationStatement(msgspec.Struct, frozen=True, kw_only=True):
     `calibration.statistics.population.Population`.
 
     Attributes:
-        order: paths of the parameters. specimens: names of those that were measured.
-        mean, mean_errors, mean_intervals, mean_covariance: of the population.
+        order: paths of the parameters. specimens: names of those that went in; `Fit.left_out_specimens` are the others.
+        mean, mean_errors, mean_intervals, mean_covariance: of the population. covariance: of the mean together with the
+            numbers that all specimens share.
         between: covariance between specimens. spread, spread_intervals: its standard deviations.
         next_specimen: 95 % interval for a specimen that was not measured.
         estimates, errors: of each specimen alone. shrunken, shrunken_errors: of each with what the others tell.
@@ -241,6 +245,7 @@ class PopulationStatement(msgspec.Struct, frozen=True, kw_only=True):
     mean_errors: list[float]
     mean_intervals: list[tuple[float, float]]
     mean_covariance: list[list[float]]
+    covariance: Covariance
     between: list[list[float]]
     spread: list[float]
     spread_intervals: list[tuple[float, float]]
@@ -272,13 +277,15 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
         E0, mu0: initial Young's and shear modulus of the incompressible law, Pa.
         stable_from, stable_to: stretches that are Drucker-stable in all three modes of loading; stability: the same
             in words; stretch_range: of all principal stretches of the data.
-        sag_mm: specimen that weighs -> by how much it sags with this law.
+        sag_mm: specimen that weighs -> by how much it sags with this law and its own numbers (of one that was not
+            fitted, those of the material).
         nuisances: of the replicates when offsets are fitted or their jitter is marginalised.
         minima: best first. starts: how many were tried.
         misfits: fitted test -> root mean square residual, % of its largest force.
         status: ``"converged"``, ``"misfit"`` (does not describe the data), ``"unstable"`` (in the measured loading over
-            the data), ``"not_physical"`` or ``"not_converged"``. Only the first is usable.
-        unusable: why it is not usable over the data; None where it is.
+            the data), ``"not_physical"``, ``"not_converged"`` or ``"no_population"`` (specimens with numbers of their
+            own, of which fewer than two are determined). Only the first is usable.
+        unusable: why it is not usable; None where it is.
         warnings: what to mind, usable or not: bounds that hold unknowns, loss of stability in other loading.
         message: for people; holds both.
         iterations: evaluations of the model. fem_solves: simulated tests; 0 for a closed form. cpu_s: processor
@@ -287,6 +294,8 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
         odd_recordings: those that disagree with the others. windows: parameters from parts of the strain.
         material_file: name of the file, None where the fit gives no material.
         population: of the specimens, where each has numbers of its own; the material is then its mean.
+        material_of: specimens whose mean the material, E0, mu0 and stability are; one: its own; empty: all share them.
+        left_out_specimens: specimen -> why its numbers are not in that mean.
         left_out: percent, root mean square over the tests, of the predictions that rank the laws.
 
     Of an inverse fit only:
@@ -341,6 +350,8 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
     windows: list[Window] = []
     material_file: str | None = None
     population: PopulationStatement | None = None
+    material_of: list[str] = []
+    left_out_specimens: dict[str, str] = {}
     interval_notes: dict[str, str] = {}
     profiles: dict[str, Profile] = {}
     regions: list[Region] = []

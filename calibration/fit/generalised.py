@@ -15,6 +15,7 @@ from calibration.fit.estimator import Estimator, Findings
 from calibration.fit.fit import JitterStatement, MeshCorrection, Minimum, Nuisance
 from calibration.fit.identifiability import condition, suggest_tests, weak_directions
 from calibration.fit.levenberg_marquardt import ENOUGH_OF_A_START, Descent, Listener, descend, distinct
+from calibration.fit.predictor import Predictor
 from calibration.fit.problem import Evaluation, Problem
 from calibration.fit.regions import judge_regions, name_misfits
 from calibration.fit.starts import starts
@@ -61,7 +62,7 @@ class Generalised(Estimator):
             descents[law].append(end)
         best = {law: min(descents[law], key=lambda end: end.error) for law in laws}
         usable = [law for law in laws if np.isfinite(best[law].error)]
-        settled = steps.descents(run_settle, usable, [(problems[law], best[law], self._stated(problems[law]))
+        settled = steps.descents(run_settle, usable, [(problems[law], best[law], self.stated(problems[law]))
                                                       for law in usable], "the difference of the accurate mesh")
         found: dict[str, tuple[list[Descent], Estimate | str]] = {
             law: (descents[law], best[law].failure) for law in laws}
@@ -70,7 +71,7 @@ class Generalised(Estimator):
             found[law] = descents[law], estimate if np.isfinite(estimate.error) else estimate.failure
         return found
 
-    def _stated(self, problem: Problem) -> Noise:
+    def stated(self, problem: Problem) -> Noise:
         """The jitter that is not to be estimated: fitted offsets have their priors."""
         if self.campaign.fit.offset == "fit":
             return Noise(contact_jitter=problem.jitter.contact, zero_jitter=problem.jitter.zero)
@@ -120,12 +121,12 @@ class Generalised(Estimator):
                      for test, difference, error in zip(problem.tests, estimate.differences, problem.mesh_error,
                                                         strict=True)]}
 
-    def held_out(self, test: Test, estimate: Estimate) -> tuple[ForwardTest, float]:
+    def held_out(self, test: Test, estimate: Estimate, predictor: Predictor) -> tuple[ForwardTest, float]:
         """With a mesh difference of its own."""
         problem = estimate.problem
         found = build_test(test, self.measured[test.name], self.campaign.fit, problem.jitter.contact)
         try:
-            found.refine(problem.space, estimate.theta, self.solves)
+            found.refine(predictor.space, predictor.theta, self.solves)
             error = REMAINDERS
         except InfeasibleError:
             found.forget()

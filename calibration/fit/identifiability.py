@@ -9,6 +9,7 @@ import numpy as np
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.fit import Direction, Suggestion
 from calibration.fit.problem import Problem
+from calibration.forward.contract import ForwardTest
 from calibration.forward.motion import offset_rate
 from calibration.statistics.uncertainty import Uncertainty
 from tissue_sim.differentiation import sensitivities
@@ -65,7 +66,8 @@ def not_identifiable(space: ParameterSpace, spread: Uncertainty) -> list[str]:
 def suggest_tests(problem: Problem, theta: np.ndarray, spread: Uncertainty) -> list[Suggestion]:
     """Further tests that tell the weakest direction better, best first; each is simulated once.
 
-    A test counts as three recordings of 400 samples with the noise and jitter of the campaign.
+    They are of the specimen that the weakest direction is about, and tell no other's numbers. A test counts as three
+    recordings of 400 samples with the noise and jitter of the campaign.
     """
     free = np.flatnonzero(~spread.on_bound)
     rated = []
@@ -74,13 +76,17 @@ def suggest_tests(problem: Problem, theta: np.ndarray, spread: Uncertainty) -> l
     mechanical = [curve.noise.deviation for curve in problem.measured if curve.test.specimen is not None]
     noise, jitter = _RIG if not mechanical else (
         float(np.median(mechanical)), (problem.jitter.contact, problem.jitter.zero))
-    for words, experiment in _candidates(problem, theta):
-        gained = _information(problem, theta, experiment, spread, noise, jitter)
+    about = problem.space.varied[free[np.argmax(np.abs(axis))]]
+    acting = [test for test in problem.tests if about.acts_in(test.name, None)] or list(problem.tests)
+    of = next((test for test in acting if test.specimen is not None), acting[0])
+    for words, experiment in _candidates(problem, theta, of):
+        gained = _information(problem, theta, experiment, of.name, spread, noise, jitter)
         if gained is None:
             continue
         together = information + gained[np.ix_(free, free)]
         covariance = np.linalg.pinv(together, hermitian=True) * np.outer(spread.sizes[free], spread.sizes[free])
         errors = {problem.space.free[i]: float(np.sqrt(covariance[j, j])) for j, i in enumerate(free)}
+        words += f", of {about.specimen}" if about.specimen is not None else ""
         rated.append((float(axis @ gained[np.ix_(free, free)] @ axis), Suggestion(test=words, standard_errors=errors)))
     rated.sort(key=lambda item: -item[0])
     # What tells the weak direction less than the tests that are there is no remedy.
@@ -88,10 +94,10 @@ def suggest_tests(problem: Problem, theta: np.ndarray, spread: Uncertainty) -> l
     return [suggestion for gain, suggestion in rated[:_MOST_SUGGESTIONS] if gain > worth]
 
 
-def _candidates(problem: Problem, theta: np.ndarray) -> Sequence[tuple[str, Experiment]]:
-    """Tests in words, as experiments on the campaign's specimen."""
-    specimen = next((test.specimen for test in problem.tests if test.specimen is not None), _SPECIMEN)
-    ageing = problem.space.material(problem.space.values(theta)).remembers
+def _candidates(problem: Problem, theta: np.ndarray, of: ForwardTest) -> Sequence[tuple[str, Experiment]]:
+    """Tests in words, as experiments on the specimen of a test."""
+    specimen = of.specimen or _SPECIMEN
+    ageing = problem.space.material(problem.space.values(theta), test=of.name).remembers
     found = []
     for strain in (_STRAIN, min(_DEEPER * _STRAIN, 0.3)):
         depth = strain * specimen.height
@@ -116,13 +122,15 @@ def _protocols(depth: float, ageing: bool) -> list[tuple[str, Protocol]]:
                 text.replace(f"@{STUDY_SPEED * 1e3:.6g}", f"@{STUDY_SPEED * 1e4:.6g}"), points=_POINTS))]
 
 
-def _information(problem: Problem, theta: np.ndarray, experiment: Experiment, spread: Uncertainty, noise: float,
-                 jitter: tuple[float, float]) -> np.ndarray | None:
-    """Scaled information of three recordings with the jitter marginalised; None where it stops."""
+def _information(problem: Problem, theta: np.ndarray, experiment: Experiment, test: str, spread: Uncertainty,
+                 noise: float, jitter: tuple[float, float]) -> np.ndarray | None:
+    """Scaled information of three recordings with the jitter marginalised, about the numbers that act in a test too;
+    None where it stops."""
     space = problem.space
     try:
-        own = [i for i, each in enumerate(space.varied) if each.of_material]
-        answer = sensitivities(Model(experiment, space.material(space.values(theta))),
+        own = [i for i, each in enumerate(space.varied) if each.of_material and each.recording is None
+               and each.acts_in(test, None)]
+        answer = sensitivities(Model(experiment, space.material(space.values(theta), test=test)),
                                [space.varied[i].path for i in own])
     except (ConvergenceError, InputError):
         return None

@@ -18,6 +18,7 @@ from calibration.fit.estimator import Estimator, Findings
 from calibration.fit.fit import Minimum, Nuisance
 from calibration.fit.levenberg_marquardt import Descent, descend, distinct
 from calibration.fit.ordinary_problem import OrdinaryProblem
+from calibration.fit.predictor import Predictor
 from calibration.fit.problem import Evaluation
 from calibration.fit.steps import Steps
 from calibration.forward.closed import ClosedTest
@@ -138,7 +139,7 @@ class Ordinary(Estimator):
         stated = noise.contact_jitter or noise.zero_jitter
         return Jitter(noise.contact_jitter or 0.0, noise.zero_jitter or 0.0, None) if stated else None
 
-    def held_out(self, test: Test, estimate: Estimate) -> tuple[ForwardTest, float]:
+    def held_out(self, test: Test, estimate: Estimate, predictor: Predictor) -> tuple[ForwardTest, float]:
         """A closed form is exact."""
         return self._test(test), 0.0
 

@@ -2,26 +2,77 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import special
 
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.estimate import Estimate
-from calibration.fit.fit import PopulationStatement
+from calibration.fit.fit import Covariance, PopulationStatement
 from calibration.statistics.adequacy import span
 from calibration.statistics.population import FEWEST_SPECIMENS, estimate_population
-from calibration.statistics.uncertainty import Uncertainty
 
 #: Specimens differ where so large a share of the squares that are left is theirs, and chance has this probability.
 _SHARE, _CHANCE = 0.3, 1e-3
 
 
-def population_of(space: ParameterSpace, theta: np.ndarray, covariance: np.ndarray,
-                  errors: np.ndarray) -> PopulationStatement | None:
-    """The population of the specimens whose material has free numbers of its own; None where there are none, or fewer
-    than two of them are determined.
+@dataclass(frozen=True, eq=False)
+class Specimens:
+    """What a fit says of specimens whose material has free numbers of its own; empty where there are none.
+
+    Attributes:
+        population: that they come from; None where fewer than two are determined.
+        material_of: names of those whose mean stands for all; without a population of one alone.
+        left_out: name -> why its numbers are in no mean.
+    """
+
+    population: PopulationStatement | None = None
+    material_of: tuple[str, ...] = ()
+    left_out: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of all of them."""
+        return tuple(dict.fromkeys([*self.material_of, *self.left_out]))
+
+    @property
+    def missing_population(self) -> str | None:
+        """Why several specimens have no mean, for people; None where they have one, or there are not several."""
+        if self.population is not None or len(self.names) < FEWEST_SPECIMENS:
+            return None
+        first = self.material_of[0]
+        alone = "" if first in self.left_out else f", or fit {first} in a campaign of its own"
+        return (f"no population: of {len(self.names)} specimens these are not determined: {in_words(self.left_out)}; "
+                f"so no material file is written, and E0 and mu0 are those of {first} alone: widen fit.bounds, give "
+                f"what the tests do not tell the scope 'shared'{alone}")
+
+    def warnings(self, unusable: str | None) -> list[str]:
+        """What to mind of whom the material stands for, beside what makes it `unusable`."""
+        missing = self.missing_population
+        if missing is not None:
+            return [] if missing == unusable else [missing]
+        if self.population is not None and self.left_out:
+            return [f"no part of the population: {in_words(self.left_out)}; mean, spread and material are those of "
+                    f"the other {len(self.material_of)} specimens"]
+        if self.population is None and self.names:
+            return [f"the material is that of {self.names[0]}: a single specimen says nothing about the scatter "
+                    "between specimens"]
+        return []
+
+    def typical(self, space: ParameterSpace, values: Mapping[str, float]) -> dict[str, float]:
+        """The values with those of the material for each specimen: the mean, or those of the one that it is of."""
+        if self.population is not None:
+            known = dict(zip(self.population.order, self.population.mean, strict=True))
+        else:
+            known = {each.path: values[each.name] for each in space.varied if each.specimen in self.material_of}
+        return {**values, **{each.name: known[each.path] for each in space.varied
+                             if each.specimen is not None and each.path in known}}
+
+
+def find_specimens(space: ParameterSpace, theta: np.ndarray, covariance: np.ndarray, errors: np.ndarray) -> Specimens:
+    """Which specimens are determined, and the population that these come from.
 
     Args:
         space: of the parameters. theta: the free ones, SI, shape (p,). covariance: of these, shape (p, p).
@@ -30,13 +81,13 @@ def population_of(space: ParameterSpace, theta: np.ndarray, covariance: np.ndarr
     places = {(each.path, each.specimen): place for place, each in enumerate(space.varied)
               if each.specimen is not None and each.of_material}
     order = list(dict.fromkeys(path for path, _ in places))
-    rows = {specimen: [places[path, specimen] for path in order] for _, specimen in places
-            if all((path, specimen) in places for path in order)}
-    told = {specimen: row for specimen, row in rows.items()
-            if np.isfinite(errors[row]).all() and (errors[row] > 0).all()}
-    if not order or len(told) < FEWEST_SPECIMENS:
-        return None
-    table = np.array(list(told.values()))
+    rows = {specimen: [places[path, specimen] for path in order] for _, specimen in places}
+    left_out = {specimen: "; ".join(reasons) for specimen, row in rows.items()
+                if (reasons := _lacking(space, theta, errors, row))}
+    told = [specimen for specimen in rows if specimen not in left_out]
+    if len(told) < FEWEST_SPECIMENS:
+        return Specimens(None, tuple(told or list(rows)[:1]), left_out)
+    table = np.array([rows[specimen] for specimen in told])
     # Beside numbers that are shared each specimen errs by itself only where these stand still.
     others = np.setdiff1d(np.flatnonzero(np.diag(covariance) > 0), [place for row in rows.values() for place in row])
     shared = covariance[np.ix_(others, others)]
@@ -46,59 +97,36 @@ def population_of(space: ParameterSpace, theta: np.ndarray, covariance: np.ndarr
     unit = axes[:, kept] / np.sqrt(sizes[kept]) / np.sqrt(np.diag(shared))[:, None]
     common = np.array([covariance[np.ix_(row, others)] @ unit for row in table])
     alone = np.array([covariance[np.ix_(row, row)] - moved @ moved.T for row, moved in zip(table, common, strict=True)])
-    found = estimate_population(order, list(told), theta[table], alone, common)
-    numbers = ("mean", "mean_errors", "mean_intervals", "mean_covariance", "between", "spread", "spread_intervals",
-               "next_specimen", "estimates", "errors", "shrunken", "shrunken_errors")
-    return PopulationStatement(order=order, specimens=list(told),
-                               **{name: getattr(found, name).tolist() for name in numbers})
+    found = estimate_population(order, told, theta[table], alone, common)
+    # Of one value in all tests: those of single tests and recordings are no part of a further specimen.
+    everywhere = [k for k, place in enumerate(others) if space.varied[place].name == space.varied[place].path]
+    cross = (found.mean_moves @ unit.T @ shared)[:, everywhere]
+    together = np.block([[found.mean_covariance, cross], [cross.T, shared[np.ix_(everywhere, everywhere)]]])
+    names = ("mean", "mean_errors", "mean_intervals", "mean_covariance", "between", "spread", "spread_intervals",
+             "next_specimen", "estimates", "errors", "shrunken", "shrunken_errors")
+    return Specimens(PopulationStatement(
+        order=order, specimens=told, covariance=Covariance(
+            order=[*order, *(space.free[others[k]] for k in everywhere)], matrix=together.tolist()),
+        **{name: getattr(found, name).tolist() for name in names}), tuple(told), left_out)
 
 
-def left_out_of_population(space: ParameterSpace, population: PopulationStatement | None) -> list[str]:
-    """A warning where specimens with numbers of their own are no part of the population."""
-    names = list(dict.fromkeys(each.specimen for each in space.varied
-                               if each.specimen is not None and each.of_material))
-    missing = [name for name in names if population is None or name not in population.specimens]
-    if not missing or len(names) < FEWEST_SPECIMENS:
-        return []
-    rest = "no population: the material is that of the first specimen" if population is None else \
-        f"population and material are those of the other {len(population.specimens)}"
-    return [f"not all numbers of {', '.join(missing)} are determined inside their bounds, so {rest}"]
+def _lacking(space: ParameterSpace, theta: np.ndarray, errors: np.ndarray, row: Sequence[int]) -> list[str]:
+    """Why numbers of a specimen are not determined, in words."""
+    reasons: dict[str, list[str]] = {}
+    for place in row:
+        if np.isfinite(errors[place]) and errors[place] > 0:
+            continue
+        unit, ends = space.varied[place].declaration.unit, (space.low[place], space.high[place])
+        bound = min(ends, key=lambda end: abs(end - theta[place]))
+        why = f"on its bound {bound:.4g}{'' if unit == '1' else f' {unit}'}" if np.isnan(errors[place]) else \
+            "not determined by its tests"
+        reasons.setdefault(why, []).append(space.symbols[space.free[place]].partition("@")[0])
+    return [f"{', '.join(symbols)} {why}" for why, symbols in reasons.items()]
 
 
-def as_another_specimen(space: ParameterSpace, theta: np.ndarray, spread: Uncertainty,
-                        names: Collection[str]) -> tuple[np.ndarray, np.ndarray] | None:
-    """Free parameters, shape (p,), and their covariance with the mean of the other specimens for numbers of a specimen
-    that nothing tells; None where there is no such population.
-
-    Args:
-        space: of the parameters. theta: the free ones, SI, shape (p,). spread: their uncertainty.
-        names: those that nothing tells.
-    """
-    places = [place for place, name in enumerate(space.free) if name in names]
-    free = len(space.free)
-    errors, covariance = spread.standard_errors[:free].copy(), spread.covariance[:free, :free].copy()
-    errors[places] = np.inf
-    found = population_of(space, theta, covariance, errors)
-    if found is None or any(space.varied[place].path not in found.order or space.varied[place].specimen is None
-                            for place in places):
-        return None
-    of_order = [found.order.index(space.varied[place].path) for place in places]
-    further = np.array(found.between) + np.array(found.mean_covariance)
-    theta = theta.copy()
-    theta[places] = np.array(found.mean)[of_order]
-    covariance[places], covariance[:, places] = 0.0, 0.0
-    covariance[np.ix_(places, places)] = further[np.ix_(of_order, of_order)]
-    return theta, covariance
-
-
-def typical(space: ParameterSpace, values: dict[str, float],
-            population: PopulationStatement | None) -> dict[str, float]:
-    """The values with the mean of the population for each specimen."""
-    if population is None:
-        return values
-    mean = dict(zip(population.order, population.mean, strict=True))
-    return values | {each.name: mean[each.path] for each in space.varied
-                     if each.specimen is not None and each.path in mean}
+def in_words(left_out: Mapping[str, str]) -> str:
+    """Specimens and why they are in no mean: ``animal_2 (C20 on its bound 0 Pa)``."""
+    return ", ".join(f"{name} ({why})" for name, why in left_out.items())
 
 
 def differing_specimens(estimate: Estimate) -> list[str]:

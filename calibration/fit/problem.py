@@ -322,9 +322,9 @@ class Problem(LeastSquares):
         along = 2.0 * measured.displacement / np.abs(measured.displacement).max() - 1.0
         return self.mesh_error[number] * np.column_stack([force, along * force])
 
-    def replicates(self, evaluation: Evaluation) -> list[list[WhitenedReplicate]]:
-        """What `calibration.statistics.jitter` needs of each test, at these parameters."""
-        answers = [test.solve(self.space, evaluation.theta, self.solves) for test in self.tests]
+    def replicates(self, theta: np.ndarray) -> list[list[WhitenedReplicate]]:
+        """What `calibration.statistics.jitter` needs of each test, at these parameters, shape (p,)."""
+        answers = [test.solve(self.space, theta, self.solves) for test in self.tests]
         found: list[list[WhitenedReplicate]] = [[] for _ in self.tests]
         for t, r in self.places:
             measured = self.tests[t].measured[r]

@@ -17,6 +17,8 @@ from calibration.statistics.statistics import CURVATURE_RATIO, MODEL_ERROR_RATIO
 ALIKE = 0.1
 #: A prediction error, in %, that nobody would call a prediction.
 FAR_OFF = 10.0
+#: Times what chance makes of the prediction of a further specimen, up to which it is the scatter between specimens.
+SCATTER = 2.0
 
 Fitted = tuple[Fit, list[Prediction], Sequence[TestCurves]]
 
@@ -104,7 +106,8 @@ def _predicting(fits: Sequence[Fit], predictions: Sequence[Prediction]) -> list[
     held_out = ranked_by_held_out(predictions)
     words = ", ".join(_words(p) for p in mine if bool(p.fitted) != held_out)
     what = "held-out tests" if held_out else "each test from the others"
-    if (best.left_out or 0.0) > FAR_OFF:
+    if (best.left_out or 0.0) > FAR_OFF and not all(_is_scatter(p) for p in mine if bool(p.fitted) != held_out
+                                                    and (p.percent is None or p.percent > FAR_OFF)):
         parts = [f"no law predicts {what}; the least wrong is {best.law}: {words}" if len(fits) > 1 else
                  f"{best.law} does not predict {what}: {words}"]
     else:
@@ -147,4 +150,12 @@ def _words(prediction: Prediction) -> str:
         return f"{prediction.test} not ({prediction.note})"
     force = f"{prediction.RMSE_N:.3g} N, " if prediction.RMSE_N is not None else "" if prediction.RMSE_Pa is None \
         else f"{prediction.RMSE_Pa:.3g} Pa, "
-    return f"{prediction.test} within {force}{float(f'{prediction.percent:.2g}'):g} %"
+    chance = "" if not prediction.mean_of else f" by the mean of {len(prediction.mean_of)} other specimens" + (
+        "" if prediction.expected_N is None else f", whose scatter makes {prediction.expected_N:.2g} N")
+    return f"{prediction.test} within {force}{float(f'{prediction.percent:.2g}'):g} %{chance}"
+
+
+def _is_scatter(prediction: Prediction) -> bool:
+    """Whether an error is no larger than what the scatter between specimens makes by chance."""
+    rmse, expected = prediction.RMSE_N, prediction.expected_N
+    return bool(prediction.mean_of) and rmse is not None and expected is not None and rmse <= SCATTER * expected

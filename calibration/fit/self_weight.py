@@ -2,61 +2,89 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 
 from calibration.campaign.campaign import Campaign
 from calibration.fit.fit import Fit
+from calibration.fit.typical_material import typical_material
 from tissue_sim.closed_form.column import Column
 from tissue_sim.errors import InputError
-from tissue_sim.laws import Law, find_law
+from tissue_sim.laws import find_law
 from tissue_sim.specimen import STANDARD_GRAVITY, Specimen
 
 #: Of water, kg/m3: what a specimen of unknown density is taken for when its sag is estimated.
 WATER_DENSITY = 1000.0
 
 
-def sags(law: Law, values, campaign: Campaign) -> dict[str, float]:
-    """Specimen that weighs -> its sag with this law, mm; without those that it does not carry."""
-    found = {specimen.name: _sag(specimen, law, values) for specimen in _standing(campaign)
+def sags(fit: Fit, campaign: Campaign) -> dict[str, float]:
+    """Specimen that weighs -> its sag with this law and its own numbers, mm; without those that it does not carry."""
+    found = {specimen.name: _sag(specimen, fit, campaign) for specimen in _columns(campaign)
              if specimen.specific_weight}
     return {name: 1e3 * sag for name, sag in found.items() if sag is not None}
 
 
 def statement(campaign: Campaign, fit: Fit) -> str:
-    """What was assumed about gravity in the compression tests of a campaign, sags with this fit; for people."""
-    alike: dict[str, list[str]] = {}
-    for specimen in _standing(campaign):
-        alike.setdefault(_sentence(specimen, fit), []).append(specimen.name)
+    """What was assumed about gravity in a campaign, sags of compressed columns with this fit; for people."""
+    alike: dict[str, dict[str, float | None]] = {}
+    columns = _columns(campaign)
+    for specimen in dict.fromkeys([*columns, *(test.specimen for test in campaign.tests if test.specimen is not None
+                                               and test.specimen.specific_weight)]):
+        words, sag = _sentence(specimen, fit, campaign, column=specimen in columns)
+        alike.setdefault(words, {})[specimen.name] = sag
     several = sum(map(len, alike.values())) > 1
-    sentences = [f"Self-weight{' of ' if several else ''}{', '.join(names) if several else ''}{words}"
-                 for words, names in alike.items()]
+    sentences = [f"Self-weight{' of ' if several else ''}{', '.join(found) if several else ''}"
+                 f"{words.format(*(_range(found.values(), digits) for digits in (2, 3)))}"
+                 for words, found in alike.items()]
     return " ".join(sentences) or "Self-weight is not included."
 
 
-def _sentence(specimen: Specimen, fit: Fit) -> str:
-    """What follows on "Self-weight of" the specimen."""
+def _sentence(specimen: Specimen, fit: Fit, campaign: Campaign, *, column: bool) -> tuple[str, float | None]:
+    """What follows on "Self-weight of" the specimen, with a place for its sag in two digits or in three; and that,
+    mm."""
     height = f"{specimen.height * 1e3:.4g} mm as {specimen.height_is}"
     if specimen.specific_weight:
         sag = fit.sag_mm.get(specimen.name)
-        settled = f"sag {sag:.3g} mm" if sag is not None else f"which {fit.law} does not carry"
+        # How far another face or base lets it sag, the finite elements know.
+        settled = ", sag {1} mm" if sag is not None else f", which {fit.law} does not carry" if column else ""
         return (f": {specimen.density:g} kg/m3 at {specimen.gravity:g} m/s2, settled before the "
-                f"test; height {height}, {settled}.")
+                f"test; height {height}{settled}."), sag
     density = specimen.density or WATER_DENSITY
-    sag = _sag(replace(specimen, density=density, gravity=STANDARD_GRAVITY), find_law(fit.law), fit.parameters)
+    sag = _sag(replace(specimen, density=density, gravity=STANDARD_GRAVITY), fit, campaign)
     of_water = "" if specimen.density else " (water)"
-    would = "" if sag is None else f"; standing at {density:g} kg/m3{of_water} it would sag {sag * 1e3:.2g} mm"
-    return f" is not included: the height, {height}, is taken for the undeformed one{would}."
+    would = "" if sag is None else f"; standing at {density:g} kg/m3{of_water} it would sag {{0}} mm"
+    return (f" is not included: the height, {height}, is taken for the undeformed one{would}.",
+            None if sag is None else 1e3 * sag)
 
 
-def _standing(campaign: Campaign) -> list[Specimen]:
-    """Specimens that a plate compresses, each once."""
+def _range(sags: Collection[float | None], digits: int) -> str:
+    """``2.8``, or of specimens that differ ``2.5 to 3.1``."""
+    known = sorted(sag for sag in sags if sag is not None)
+    return " to ".join(dict.fromkeys(f"{sag:.{digits}g}" for sag in known[:1] + known[-1:]))
+
+
+def _columns(campaign: Campaign) -> list[Specimen]:
+    """Specimens that a plate compresses between smooth faces, each once."""
     return list(dict.fromkeys(test.specimen for test in campaign.tests
                               if test.kind.settles and test.specimen is not None))
 
 
-def _sag(specimen: Specimen, law: Law, values) -> float | None:
-    """m; None where the law does not carry the specimen."""
+def _sag(specimen: Specimen, fit: Fit, campaign: Campaign) -> float | None:
+    """m; None where the law does not carry the specimen, or nothing tells a number of it."""
+    law, material = find_law(fit.law), typical_material(fit)
+    values = {path: _own_number(path, specimen, fit, campaign, material.parameters.get(path))
+              for path in law.parameters}
     try:
-        return Column(specimen).settle(law, values).sag
+        return None if None in values.values() else Column(specimen).settle(law, law.as_array(values)).sag
     except InputError:
         return None
+
+
+def _own_number(path: str, specimen: Specimen, fit: Fit, campaign: Campaign, typical: float | None) -> float | None:
+    """A number of the law in a specimen: its own, that of the first of its tests or recordings, or that of all."""
+    tests = [test.name for test in campaign.tests if test.specimen is not None and test.specimen.name == specimen.name]
+    for mark in (specimen.name, *tests):
+        if f"{path}@{mark}" in fit.parameters:
+            return fit.parameters[f"{path}@{mark}"]
+    return next((value for name, value in fit.parameters.items()
+                 if any(name.startswith(f"{path}@{test}/") for test in tests)), typical)

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from calibration.fit.estimate import Estimate
+from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.fit import Prediction
 from calibration.fit.identifiability import not_identifiable
 from calibration.fit.levenberg_marquardt import descend
-from calibration.fit.population import as_another_specimen
+from calibration.fit.predictor import Predictor, predictor_without
 from calibration.fit.problem import Evaluation, LeastSquares
 from calibration.forward.contract import ForwardTest, InfeasibleError
 from calibration.statistics.jitter import Jitter
@@ -42,48 +42,62 @@ def leave_out(problem: LeastSquares, theta: np.ndarray, number: int,
         uncertainty: of the unknowns at a minimum. scatter: between recordings; None where nobody says.
     """
     spent = problem.solves.meter()
-    test, free = problem.tests[number], len(problem.space.free)
+    test = problem.tests[number]
     rest, theta = problem.without(number, theta)
     names = [other.name for other in rest.tests]
     descent = descend(rest, theta, corrected=True)
     if not np.isfinite(descent.error):
         return LeftOut(unpredicted(problem, test, names, f"no fit to the others: {descent.failure}"), *spent())
     spread = uncertainty(rest, rest.evaluate(descent.theta))
-    told: tuple[np.ndarray, np.ndarray] | None = descent.theta[:free], spread.covariance[:free, :free]
-    # What the others do not tell would stay where this test has put it.
-    if open_names := not_identifiable(problem.space, spread):
-        told = as_another_specimen(problem.space, descent.theta[:free], spread, open_names)
+    untold = _untold(problem.space, spread, test.name, names)
+    predictor = predictor_without(Predictor.of(problem.space, descent.theta, spread), spread, untold)
     answer = unpredicted(problem, test, names, "the other tests do not determine "
-                         f"{problem.space.in_symbols(open_names)}") if told is None else \
-        predict(problem, test, *told, names, scatter)
+                         f"{problem.space.in_symbols(untold)}") if predictor is None else \
+        predict(problem, test, predictor, names, scatter)
     return LeftOut(answer, *spent())
 
 
-def predict_held_out(test: ForwardTest, estimate: Estimate, spread: Uncertainty, scatter: Jitter | None) -> Prediction:
-    """How an estimate predicts a test that the campaign holds out."""
-    free = len(estimate.problem.space.free)
-    return predict(estimate.problem, test, estimate.theta[:free], spread.covariance[:free, :free], [], scatter)
+def _untold(space: ParameterSpace, spread: Uncertainty, test: str, others: Sequence[str]) -> list[str]:
+    """What acts in a test and would stay where this test has put it, as its fit to the others does not tell."""
+    loose = set(not_identifiable(space, spread))
+    # A bound that it stays on without data is no answer of the others either.
+    return [each.name for place, each in enumerate(space.varied) if each.acts_in(test, None) and (
+        each.name in loose or not (np.isfinite(space.prior_deviation[place])
+                                   or any(each.acts_in(other, None) for other in others)))]
 
 
-def predict(problem: LeastSquares, test: ForwardTest, theta: np.ndarray, covariance: np.ndarray, fitted: list[str],
+def predict_held_out(problem: LeastSquares, test: ForwardTest, predictor: Predictor | None,
+                     scatter: Jitter | None) -> Prediction:
+    """How an estimate predicts a test that the campaign holds out, where anything does."""
+    if predictor is not None:
+        return predict(problem, test, predictor, [], scatter)
+    specimen = test.measured[0].test.specimen
+    return unpredicted(problem, test, [], f"no test of {'it' if specimen is None else specimen.name} is fitted, and "
+                       "there is no mean of other specimens to predict it by")
+
+
+def predict(problem: LeastSquares, test: ForwardTest, predictor: Predictor, fitted: list[str],
             scatter: Jitter | None) -> Prediction:
     """How parameters predict a test, with no offset and no zero of its own.
 
     Args:
-        problem: for the parameters and what is simulated. test: with its recordings.
-        theta, covariance: SI, shapes (p,) and (p, p). fitted: tests that these come from. scatter: between recordings.
+        problem: for what is simulated. test: with its recordings. predictor: the parameters.
+        fitted: tests that these come from. scatter: between recordings.
     """
+    space, covariance = predictor.space, predictor.covariance
+    # What specimens differ by is known where that of recordings is not, and is the larger by far.
+    jitter = Jitter(0.0, 0.0, None) if scatter is None and predictor.mean_of else scatter
     try:
-        answer = test.solve(problem.space, theta, problem.solves)
+        answer = test.solve(space, predictor.theta, problem.solves)
         seen = [test.evaluate(answer, recording, 0.0) for recording in range(len(test.measured))]
     except InfeasibleError as failure:
         return unpredicted(problem, test, fitted, str(failure))
     squares, expected, largest, samples = 0.0, 0.0, 0.0, 0
     for measured, (force, rates, contact) in zip(test.measured, seen, strict=True):
         squares += float(np.sum((force - measured.force)**2))
-        if scatter is not None:
+        if jitter is not None:
             variance = np.einsum("np,pq,nq->n", rates, covariance, rates) + measured.noise.deviation**2
-            expected += float(np.sum(variance + (scatter.contact * contact)**2 + scatter.zero**2))
+            expected += float(np.sum(variance + (jitter.contact * contact)**2 + jitter.zero**2))
         largest = max(largest, float(np.abs(measured.force).max()))
         samples += measured.force.size
     rmse = float(np.sqrt(squares / samples))
@@ -92,9 +106,9 @@ def predict(problem: LeastSquares, test: ForwardTest, theta: np.ndarray, covaria
         return unpredicted(problem, test, fitted, "the law gives no finite force")
     return Prediction(test=test.name, law=problem.space.law, RMSE_N=None if stressed else rmse,
                       RMSE_Pa=None if test.area is None else rmse / test.area, percent=100.0 * rmse / largest,
-                      expected_N=None if stressed or scatter is None else float(np.sqrt(expected / samples)),
-                      fitted=fitted,
-                      parameters={} if scatter is None else dict(zip(problem.space.free, np.asarray(theta).tolist(),
+                      expected_N=None if stressed or jitter is None else float(np.sqrt(expected / samples)),
+                      fitted=fitted, mean_of=list(predictor.mean_of),
+                      parameters={} if scatter is None else dict(zip(space.free, predictor.theta.tolist(),
                                                                      strict=True)))
 
 

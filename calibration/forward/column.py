@@ -47,8 +47,8 @@ class ColumnTest(ClosedTest):
 
     def reached(self, space: ParameterSpace, theta: np.ndarray) -> Reached:
         """The base at the deepest state, and the top at rest."""
-        law, values = find_law(space.law), space.values(theta)
+        law, values = find_law(space.law), space.of_law(space.values(theta), self.name)
         displacement = np.concatenate([curve.displacement for curve in self.measured])
-        base = Column(self.specimen).base_stretch(law, displacement, [values[name] for name in law.parameters])
+        base = Column(self.specimen).base_stretch(law, displacement, law.as_array(values))
         low = float(np.nanmin(base))
         return Reached(self.closed_form.mode, low, 1.0, self.closed_form.extremes(low, 1.0))

@@ -50,7 +50,7 @@ def _of_closed_forms(result: CalibrationResult, units: Units) -> list[str]:
 
 def _of_simulations(result: CalibrationResult, units: Units) -> list[str]:
     best, campaign = result.best, result.campaign
-    whose = "One material in all tests" if best.population is None else "Each specimen has a material of its own"
+    whose = "One material in all tests" if not best.material_of else "Each specimen has a material of its own"
     lines = [f"{whose}; each recording has a contact offset and a zero of its own, which are "
              "marginalised, not trusted."]
     if best.jitter is not None:

@@ -92,6 +92,7 @@ def draw_predictions(predictions: Sequence[Prediction], tests: Sequence[Test], u
     from matplotlib.patches import Patch
 
     laws = list(dict.fromkeys(p.law for p in predictions))
+    several = {p.test: len(p.mean_of) for p in predictions if p.mean_of}
     cases = list(dict.fromkeys((p.test, tuple(p.fitted)) for p in predictions))
     by_name = {test.name: test for test in tests}
     height, looks = 0.8 / len(laws), dict(zip(laws, line_styles(), strict=False))
@@ -121,7 +122,7 @@ def draw_predictions(predictions: Sequence[Prediction], tests: Sequence[Test], u
                   va="center", fontsize=9)
     axes.set(xlim=(0, 1.16 * limit), ylim=(-0.5, len(cases) - 0.5), yticks=range(len(cases)),
              xlabel="root mean square error, % of the largest measured force (or stress)",
-             yticklabels=[_case(by_name[test], fitted) for test, fitted in cases])
+             yticklabels=[_case(by_name[test], fitted, several.get(test, 0)) for test, fitted in cases])
     axes.invert_yaxis()
     axes.set_axisbelow(True)
     axes.grid(visible=False, axis="y")
@@ -129,7 +130,7 @@ def draw_predictions(predictions: Sequence[Prediction], tests: Sequence[Test], u
     axes.spines["left"].set_visible(False)
     handles = [Patch(color=looks[law]["color"], alpha=0.85, label=find_law(law).title) for law in laws]
     if expected is not None:
-        expected.set_label("from noise, jitter and the parameters' errors alone")
+        expected.set_label(f"from noise, jitter{', specimens' if several else ''} and the parameters' errors alone")
         handles.append(expected)
     figure.legend(handles=handles, loc="outside upper left", ncols=4, fontsize=9.5)
     return figure
@@ -140,10 +141,11 @@ def percent(value: float) -> str:
     return f"{value:.2g}\u00a0%" if value < 99.5 else f"{value:.0f}\u00a0%"
 
 
-def _case(test: Test, fitted: Sequence[str]) -> str:
-    if test.hold_out:
-        return f"{test.name}\nheld out"
-    return f"{test.name}\nfrom {', '.join(fitted) if len(fitted) < 3 else f'{len(fitted)} others'}"
+def _case(test: Test, fitted: Sequence[str], of_mean: int) -> str:
+    if of_mean:
+        return f"{test.name}\n{'held' if test.hold_out else 'left'} out, mean of {of_mean}"
+    others = f"{len(fitted)} others" if len(fitted) >= 3 else ", ".join(fitted)
+    return f"{test.name}\n{'held out' if test.hold_out else f'from {others}'}"
 
 
 def draw_history(fits: Sequence[Fit]):

@@ -9,6 +9,7 @@ import tissue_sim
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.segmented import notes_in_short
 from calibration.fit.fit import Fit
+from calibration.fit.population import in_words
 from calibration.fit.result import CalibrationResult
 from calibration.report.drawing import counted
 from calibration.report.figures import percent
@@ -166,11 +167,13 @@ def _numbers(result: CalibrationResult, units: Units, cite) -> str:
             several = ", ".join(with_minus(
                 f"{plain_symbol(each.symbol)} = {each.mean} [{each.mean_interval}], standard deviation between "
                 f"specimens {each.spread} [{each.spread_interval}]") for each in scatter(fit, fit.population, units))
+            left_out = f"; not in it: {in_words(fit.left_out_specimens)}" if fit.left_out_specimens else ""
             sentences.append(f"Of the {len(fit.population.specimens)} specimens as a population (restricted maximum "
-                             f"likelihood {cite('population')}): {several}.")
+                             f"likelihood {cite('population')}): {several}{left_out}.")
     for p in result.predictions:
         if p.law == result.best.law and p.percent is not None:
-            sentences.append(f"{find_law(p.law).title} predicts {p.test}, which it was not fitted to, within "
+            of_mean = f", by the mean of {counted(len(p.mean_of), 'other specimen')}," if p.mean_of else ","
+            sentences.append(f"{find_law(p.law).title} predicts {p.test}, which it was not fitted to{of_mean} within "
                              f"{percent(p.percent)} of the largest load (root mean square).")
     return f"Results. {' '.join(sentences)}"
 

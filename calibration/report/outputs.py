@@ -14,9 +14,9 @@ from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.curves import TestCurves
 from calibration.fit.fit import Fit
-from calibration.fit.population import typical
 from calibration.fit.result import CalibrationResult, to_json
 from calibration.fit.self_weight import statement
+from calibration.fit.typical_material import typical_material
 from calibration.output_folder import FIT_FILE
 from calibration.report.drawing import Pictures
 from calibration.report.methods import methods_text
@@ -59,23 +59,26 @@ def material_file(fit: Fit, result: CalibrationResult, measured: Mapping[str, Se
     space = ParameterSpace.of(fit.law, campaign, {name: [curve.name for curve in curves]
                                                   for name, curves in measured.items()})
     # Of the bulk response the schema keeps no standard error; experiment and rig are no part of a material.
-    kept = [i for i, name in enumerate(fit.covariance.order) if not name.startswith("bulk.")
-            and space.unknown(name).of_material and space.unknown(name).name == space.unknown(name).path]
-    order = [fit.covariance.order[i] for i in kept]
-    errors = {name: error for name, error in fit.standard_errors.items() if error is not None and name in order}
+    material, of_material = typical_material(fit), {each.path for each in space.unknowns if each.of_material}
+    kept = [i for i, path in enumerate(material.parameters) if path in of_material and not path.startswith("bulk.")]
+    order = [path for i, path in enumerate(material.parameters) if i in kept]
+    errors = {path: error for path, error in material.errors.items() if error is not None and path in order}
     # The covariance of the others holds for a parameter that stays on its bound, as it does for a fixed one.
-    complete = all(name in errors or name in fit.on_bound for name in order) and set(law.parameters) <= set(order)
-    covariance = np.array(fit.covariance.matrix)[np.ix_(kept, kept)] if complete else None
-    values, population = typical(space, fit.parameters, fit.population), None
+    held = {name.partition("@")[0] for name in fit.on_bound}
+    complete = all(path in errors or path in held for path in order) and set(law.parameters) <= set(order)
+    covariance = material.covariance[np.ix_(kept, kept)] if complete else None
+    values = fit.parameters | {each.name: material.parameters[each.path] for each in space.unknowns
+                               if each.specimen is not None and each.path in material.parameters}
+    population, whose = None, {}
+    if fit.material_of:
+        whose = {"material_of": fit.material_of, "left_out_specimens": fit.left_out_specimens}
     if fit.population is not None:
         found = fit.population
-        errors |= dict(zip(found.order, found.mean_errors, strict=True))
-        if tuple(found.order) == law.parameters and not order:
-            order, covariance = found.order, np.array(found.mean_covariance)
         population = {"order": found.order, "mean": found.mean, "spread": found.spread,
                       "between_specimens": found.between, "mean_interval95": found.mean_intervals,
                       "spread_interval95": found.spread_intervals,
-                      "specimens": dict(zip(found.specimens, found.estimates, strict=True))}
+                      "specimens": dict(zip(found.specimens, found.estimates, strict=True)),
+                      "left_out": fit.left_out_specimens}
     residual = {key: value for key, value in (("RMSE_N", fit.RMSE_N), ("RMSE_Pa", fit.RMSE_Pa), ("R2", fit.R2))
                 if value is not None}
     fitted = [curve for test in campaign.tests if not test.hold_out for curve in measured[test.name]]
@@ -95,7 +98,7 @@ def material_file(fit: Fit, result: CalibrationResult, measured: Mapping[str, Se
                                          if pair is not None},
                          "not_identifiable": fit.not_identifiable, "left_out_percent": fit.left_out,
                          "self_weight": statement(campaign, fit), "status": fit.status, "BIC": fit.BIC,
-                         "covariance_from": fit.covariance_from}})
+                         "covariance_from": fit.covariance_from, **whose}})
 
 
 def write_summary(results: Sequence[CalibrationResult], path: Path) -> None:

@@ -9,6 +9,7 @@ from html import escape
 
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.fit import Fit
+from calibration.fit.typical_material import typical_material
 from calibration.report.drawing import as_data_uri, draw_formula, natural_width
 from calibration.report.rounding import interval_text, value_and_error, value_text
 from calibration.report.symbols import html_symbol
@@ -124,11 +125,11 @@ def interval_of(fit: Fit, name: str, units: Units) -> str:
 
 
 def shear_modulus_error(fit: Fit) -> float | None:
-    """Standard error of mu0, Pa, by the covariance of the law's parameters; None where one of them has no error, or
-    differs between tests."""
-    law = find_law(fit.law)
-    values = {name: fit.parameters[name] for name in law.parameters if name in fit.parameters}
-    if any(fit.standard_errors.get(name) is None for name in law.parameters):
+    """Standard error of mu0, Pa, by the covariance of the law's parameters, of specimens that differ by that of their
+    mean; None where one of them has no error, or differs between tests."""
+    law, material = find_law(fit.law), typical_material(fit)
+    values = {name: material.parameters[name] for name in law.parameters if name in material.parameters}
+    if any(material.errors.get(name) is None for name in law.parameters):
         return None
 
     def rate(name: str) -> float:
@@ -137,8 +138,9 @@ def shear_modulus_error(fit: Fit) -> float | None:
         return (next(ends) - next(ends)) / (2 * step)
 
     rates = [rate(name) for name in law.parameters]
-    place = [fit.covariance.order.index(name) for name in law.parameters]
-    variance = sum(rates[a] * rates[b] * fit.covariance.matrix[i][j]
+    order = list(material.parameters)
+    place = [order.index(name) for name in law.parameters]
+    variance = sum(rates[a] * rates[b] * float(material.covariance[i, j])
                    for a, i in enumerate(place) for b, j in enumerate(place))
     return math.sqrt(variance) if variance > 0 else None
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import partial
+from html import escape
 from typing import NamedTuple
 
 import numpy as np
 
 from calibration.fit.fit import Fit, PopulationStatement
+from calibration.fit.population import in_words
 from calibration.report.drawing import COLOURS, Pictures, in_rows, legend_above, panels
-from calibration.report.page import html_table, title_of
+from calibration.report.page import html_table, title_of, with_minus
 from calibration.report.rounding import error_text, interval_text, value_and_error
 from calibration.report.symbols import html_symbol, math_symbol
 from calibration.report.units import Unit, Units
@@ -57,10 +59,14 @@ def populations(fits: Sequence[Fit], units: Units, pictures: Pictures) -> Iterat
     if not having:
         return
     yield "<h2>Specimens as a population</h2>"
-    yield html_table(["Law", "Parameter", "Mean", "95 %", "Spread", "95 %", "Next specimen, 95 %", "Specimens"], [
-        [title_of(fit.law), html_symbol(each.symbol), each.mean, each.mean_interval, each.spread, each.spread_interval,
-         each.next_specimen, str(len(found.specimens))]
+    yield html_table(["Law", "Parameter", "Mean", "95 %", "Spread", "95 %", "Next specimen, 95\u00a0%", "Specimens"], [
+        [title_of(fit.law), html_symbol(each.symbol), *map(with_minus, (
+            each.mean, each.mean_interval, each.spread, each.spread_interval, each.next_specimen)),
+         str(len(found.specimens))]
         for fit, found in having for each in scatter(fit, found, units)])
+    for fit, _ in having:
+        if fit.left_out_specimens:
+            yield f"<p>Not in the population of {title_of(fit.law)}: {escape(in_words(fit.left_out_specimens))}.</p>"
     for fit, found in having:
         yield pictures.show(f"population {fit.law}", partial(draw_population, fit, found, units),
                             f"Parameters of the specimens of {fit.law}",

@@ -10,6 +10,7 @@ from html import escape
 from calibration.campaign.campaign import Campaign, Test
 from calibration.fit.curves import TestCurves
 from calibration.fit.fit import Fit, Prediction
+from calibration.fit.population import in_words
 from calibration.fit.result import CalibrationResult
 from calibration.output_folder import picture_of_test
 from calibration.report.assumptions import assumptions
@@ -134,6 +135,7 @@ def _with_titles(result: CalibrationResult) -> str:
 
 def _prediction_in_words(prediction: Prediction, test: Test, units: Units) -> str:
     how = "held out of every fit" if test.hold_out else f"fitted to {', '.join(prediction.fitted)} only"
+    how += f", its specimen by the mean of {len(prediction.mean_of)} others" if prediction.mean_of else ""
     name = f"<b>{escape(prediction.test)}</b>, {escape(how)}: "
     if prediction.percent is None:
         return name + f'<span class="bad">no prediction: {escape(prediction.note)}</span>'
@@ -163,6 +165,9 @@ def _untold(fits: Sequence[Fit], units: Units) -> Iterator[str]:
             remedy = "".join(f"; {escape(suggestion_in_words(each, fit, units, plain_symbol))}"
                              for each in fit.suggestions[:1])
             yield f'<span class="bad">{names}</span> of {title_of(fit.law)} from these tests{remedy}.'
+        elif i == 0 and fit.left_out_specimens:
+            left_out = escape(in_words(fit.left_out_specimens))
+            yield f'<span class="bad">The numbers of {left_out}</span> of {title_of(fit.law)}.'
         elif i == 0:
             yield f"These tests determine every parameter of {title_of(fit.law)}."
 
@@ -172,12 +177,15 @@ def _pictures(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurve
     campaign, fits = result.campaign, result.fits
     # Where nobody knows what chance alone would make, the table says as much.
     if any(p.percent is not None and (p.expected_N is not None or p.fitted) for p in result.predictions):
+        of_mean = "" if not any(p.mean_of for p in result.predictions) else \
+            " A specimen that the mean of others predicts is off by the scatter between specimens: one in three is " \
+            "beyond the mark, one in twenty beyond twice as far, and more where few specimens tell that scatter."
         yield "<h2>Tests that the laws had not seen</h2>"
         yield pictures.show("predictions", partial(draw_predictions, result.predictions, campaign.tests, units),
                             "Errors of the predictions",
                             "No test is predicted by a fit to itself. Up to the black mark, chance could make the "
                             "error: noise, offsets, zeros and the errors of the parameters. Beyond it, the error is "
-                            "the law's.")
+                            f"the law's.{of_mean}")
     yield "<h2>Recordings and laws</h2>"
     yield f'<p class="quiet">{_NOTE}</p>'
     for i, test in enumerate(campaign.tests):

@@ -41,6 +41,7 @@ def prediction_table(predictions: Iterable[Prediction], tests: Mapping[str, Test
     for p in predictions:
         test = tests[p.test]
         how = "held out of all fits" if test.hold_out else f"left out; fitted to {', '.join(p.fitted)}"
+        how += f"; its specimen by the mean of {len(p.mean_of)} others" if p.mean_of else ""
         how += f"; none: {p.note}" if p.percent is None and p.note else ""
         load = units.load(test)
         error, chance = (None if value is None else load.text(value, 2) for value in (

@@ -30,7 +30,7 @@ class Population:
         order: names of the parameters. specimens: names of the specimens.
         estimates, errors: of each specimen alone, and their standard errors, shape (n, p).
         mean: of the population, shape (p,). mean_covariance: of its estimate, shape (p, p). mean_intervals: 95 %, shape
-            (p, 2).
+            (p, 2). mean_moves: of the mean with the errors that all specimens share, shape (p, h).
         between: covariance between specimens, shape (p, p). spread: its standard deviations, shape (p,).
         spread_intervals: 95 %, shape (p, 2).
         next_specimen: 95 % interval for the parameters of a specimen that was not measured, shape (p, 2).
@@ -44,6 +44,7 @@ class Population:
     mean: np.ndarray
     mean_covariance: np.ndarray
     mean_intervals: np.ndarray
+    mean_moves: np.ndarray
     between: np.ndarray
     spread: np.ndarray
     spread_intervals: np.ndarray
@@ -109,9 +110,9 @@ def estimate_population(order: Sequence[str], specimens: Sequence[str], estimate
     both = scale[:, None]
     return Population(
         tuple(order), tuple(specimens), x * scale, np.sqrt(variances + np.sum(shared**2, axis=2)) * scale, mean * scale,
-        (mean_covariance + together) * np.outer(scale, scale),
-        mean_intervals * both, W * np.outer(scale, scale), spread * scale, spread_intervals * both,
-        next_specimen * both, shrunken * scale, np.sqrt(np.maximum(shrunken_variances, 0.0)) * scale)
+        (mean_covariance + together) * np.outer(scale, scale), mean_intervals * both, moved * both,
+        W * np.outer(scale, scale), spread * scale, spread_intervals * both, next_specimen * both, shrunken * scale,
+        np.sqrt(np.maximum(shrunken_variances, 0.0)) * scale)
 
 
 def _between(x: np.ndarray, V: np.ndarray) -> np.ndarray:

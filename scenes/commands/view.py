@@ -68,6 +68,9 @@ def run(arguments) -> int:
     if arguments.tilt_mm is not None:
         raise InputError("a tilted tool is a correction of whole recordings and has no place in real time; leave it "
                          "out", field="--tilt-mm")
+    if arguments.slip:
+        raise InputError("a face that slips in part is a correction of whole recordings and has no place in real time; "
+                         "leave it out, or use --friction", field="--slip")
     check_solver(arguments.solver)
 
     from scenes.viewer.live_simulation import SETTINGS

@@ -38,6 +38,7 @@ def test_the_error_of_a_modulus_follows_from_the_covariance():
     """mu0 = mu1 + mu2 of Ogden; of a reduced polynomial it is 2 C10."""
     ogden = SimpleNamespace(
         law="ogden_2", parameters={"mu1": 500.0, "alpha1": 2.0, "mu2": 300.0, "alpha2": -3.0}, E0=2400.0, mu0=800.0,
+        material_of=[], population=None,
         standard_errors=dict.fromkeys(("mu1", "alpha1", "mu2", "alpha2"), 1.0), covariance=SimpleNamespace(
             order=["mu1", "alpha1", "mu2", "alpha2"],
             matrix=[[100.0, 3.0, -90.0, 0.0], [3.0, 1.0, 0.0, 0.0], [-90.0, 0.0, 144.0, 0.0], [0.0, 0.0, 0.0, 1.0]]))

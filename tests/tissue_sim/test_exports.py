@@ -15,6 +15,7 @@ MATERIALS = {
     "neo_hooke": ts.Material("neo_hooke", {"C10": 1500.0}, BULK),
     "mooney_rivlin": ts.Material("mooney_rivlin", {"C10": 800.0, "C01": 760.0}, BULK),
     "yeoh": ts.Material("reduced_polynomial_3", {"C10": 1404.9, "C20": 699.4, "C30": 30.0}, BULK),
+    "biderman": ts.Material("biderman", {"C10": 900.0, "C01": 500.0, "C20": 699.4, "C30": 30.0}, BULK),
     "ogden": ts.Material("ogden_2", {"mu1": 1500.0, "alpha1": 3.0, "mu2": 800.0, "alpha2": -2.5}, BULK),
 }
 #: A cube of 1 m between three planes of symmetry, compressed by 20 %.
@@ -68,6 +69,8 @@ def test_numbers_are_those_of_the_manual():
                                 "*VISCOELASTIC, TIME=PRONY\n0.3, 0, 2\n0.1, 0, 40\n*DENSITY\n1040\n")
     incompressible = export(ts.Material("ogden_3", {"mu1": 1.0, "alpha1": 2.0, "mu2": 3.0, "alpha2": 4.0, "mu3": 5.0,
                                                     "alpha3": 6.0}))
+    full = export(ts.Material("biderman", {"C10": 1.0, "C01": 2.0, "C20": 3.0, "C30": 4.0}))
+    assert full == "*MATERIAL, NAME=BIDERMAN\n*HYPERELASTIC, POLYNOMIAL, N=3\n1, 2, 3, 0, 0, 4, 0, 0\n0, 0, 0, 0\n"
     assert incompressible == "*MATERIAL, NAME=OGDEN_3\n*HYPERELASTIC, OGDEN, N=3\n1, 2, 3, 4, 5, 6, 0, 0\n0\n"
 
 

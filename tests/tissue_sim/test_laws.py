@@ -11,6 +11,7 @@ from tissue_sim.laws.law import MODES
 PARAMETERS = {
     "neo_hooke": [1461.6],
     "mooney_rivlin": [624.3, 746.1],
+    "biderman": [800.0, 600.0, 699.4, 20.0],
     "reduced_polynomial_1": [1461.6],
     "reduced_polynomial_2": [1404.9, 699.4],
     "reduced_polynomial_3": [7702.0, -63.0, 248.0],
@@ -38,6 +39,16 @@ def test_uniaxial_stress_is_the_published_equation(name, formula):
     law = ts.find_law(name)
     np.testing.assert_allclose(law.nominal_stress(STRETCHES, PARAMETERS[name]), formula(STRETCHES, *PARAMETERS[name]),
                                rtol=1e-12, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["neo_hooke", "mooney_rivlin", "reduced_polynomial_2", "reduced_polynomial_3"])
+def test_biderman_contains_the_simpler_laws(name):
+    law, wider, stretches = ts.find_law(name), ts.find_law("biderman"), np.array([0.4, 0.9, 1.5])
+    values = {parameter: 100.0 * (1 + place) for place, parameter in enumerate(law.parameters)}
+    for mode in MODES:
+        np.testing.assert_allclose(
+            wider.nominal_stress(stretches, dict.fromkeys(wider.parameters, 0.0) | values, mode),
+            law.nominal_stress(stretches, values, mode), rtol=1e-13)
 
 
 @every_law

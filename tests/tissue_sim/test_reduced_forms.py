@@ -1,4 +1,4 @@
-"""Effects that are stated and not solved for, in whole simulations: drainage, puncture, tilt."""
+"""Effects that are stated and not solved for, in whole simulations: drainage, puncture, tilt, slip, a scale."""
 
 import numpy as np
 import pytest
@@ -124,3 +124,73 @@ class TestTilt:
                 assert (back[1:-1] < 0.97 * ramp[1:-1]).all()
             else:
                 np.testing.assert_allclose(back, ramp, rtol=1e-6, atol=1e-9)
+
+
+class TestSlip:
+    PROTOCOL = ts.Protocol.parse("ramp 6mm @1mm/s; unload", points=9)
+
+    def slipping(self, share, rig=None, tool=PLATE, **material):
+        experiment = ts.Experiment(ts.Specimen(RADIUS, HEIGHT), self.PROTOCOL, tool=tool, slip=share)
+        return ts.simulate(ts.Model(experiment, ts.Material(LAW, STUDY, ts.Bulk("bulk_ratio", 1e4), **material),
+                                    rig or ts.Rig()))
+
+    @pytest.mark.parametrize("material", [{}, {"viscoelastic": ts.Prony((ts.PronyTerm(0.3, 2.0),))}],
+                             ids=["elastic", "relaxing"])
+    def test_between_bonded_and_frictionless(self, material):
+        bonded, free = (simulated(self.PROTOCOL, friction=face, base=face, **material).force
+                        for face in ("bonded", "frictionless"))
+        assert bonded.max() > 1.1 * free.max()
+        np.testing.assert_allclose(self.slipping(0.3, **material).force, 0.7 * bonded + 0.3 * free, rtol=1e-12)
+        np.testing.assert_array_equal(self.slipping(0.0, **material).force, bonded)
+
+    def test_the_sensor_reads_once(self):
+        rig = ts.Rig(zero_offset=0.5, contact_offset=2e-4)
+        plain = self.slipping(0.3, ts.Rig(contact_offset=2e-4)).force
+        np.testing.assert_allclose(self.slipping(0.3, rig).force, plain + 0.5, rtol=1e-12)
+
+    def test_a_needle_keeps_its_base(self):
+        """Only its own face slips, round a rounded edge."""
+        blunt = ts.Tool("flat", 8e-3, edge_radius=2e-3)
+        bonded, free = (simulated(self.PROTOCOL, blunt, face).force for face in ("bonded", "frictionless"))
+        np.testing.assert_allclose(self.slipping(0.5, tool=blunt).force, 0.5 * (bonded + free), rtol=1e-12)
+
+    def test_derivative_with_the_share(self):
+        experiment = ts.Experiment(ts.Specimen(RADIUS, HEIGHT), self.PROTOCOL, slip=0.2)
+        model = ts.Model(experiment, ts.Material(LAW, STUDY, ts.Bulk("bulk_ratio", 1e4)))
+        rates = ts.sensitivities(model, ["experiment.slip", "C10"])
+        bonded, free = (simulated(self.PROTOCOL, friction=face, base=face).force for face in ("bonded", "frictionless"))
+        np.testing.assert_allclose(rates.values[:, 0], free - bonded, atol=1e-6 * bonded.max())
+        assert not rates.exact.any() and rates.values[8, 1] > 0
+
+    @pytest.mark.parametrize(("changes", "field", "words"), [
+        ({"slip": 0.1, "friction": "frictionless"}, "slip", "a part of a bonded face slips"),
+        ({"slip": 1.5}, "slip", "no share"),
+        ({"slip": 0.1, "tool": NEEDLE}, "tool.edge_radius", "sharp edge")])
+    def test_what_does_not_fit_is_refused(self, changes, field, words):
+        with pytest.raises(ts.InputError, match=words) as caught:
+            ts.Experiment(ts.Specimen(RADIUS, HEIGHT), self.PROTOCOL, **changes)
+        assert caught.value.field == field
+
+    def test_not_in_real_time(self):
+        experiment = ts.Experiment(ts.Specimen(RADIUS, HEIGHT), self.PROTOCOL, slip=0.1)
+        with pytest.raises(ts.InputError, match="slips in part"):
+            ts.Simulator(ts.Model(experiment, ts.Material(LAW, STUDY, ts.Bulk("bulk_ratio", 1e4))))
+
+
+class TestStiffnessScale:
+    def test_all_moduli_times_the_ratio(self, tmp_path):
+        """With and without a load train that gives way: the same as a material with moduli of that ratio."""
+        protocol, scale = ts.Protocol.ramp(6e-3, 9), ts.EFFECTS["stiffness_scale"](1.2)
+        stiffer = {name: 1.2 * value for name, value in STUDY.items()}
+        for rig in (ts.Rig(), ts.Rig(compliance=2e-4)):
+            scaled = simulated(protocol, NEEDLE, rig=rig, effects=[scale])
+            experiment = ts.Experiment(ts.Specimen(RADIUS, HEIGHT), protocol, tool=NEEDLE)
+            same = ts.simulate(ts.Model(experiment, ts.Material(LAW, stiffer, ts.Bulk("bulk_ratio", 1e4)), rig))
+            np.testing.assert_allclose(scaled.force, same.force, rtol=1e-6)
+        file = ts.MaterialFile.of(ts.Material(LAW, STUDY, effects=[scale]))
+        ts.write_material_file(file, tmp_path / "m.material.json")
+        assert ts.load_material(tmp_path / "m.material.json").effects["stiffness_scale"].ratio == 1.2
+
+    def test_no_ratio(self):
+        with pytest.raises(ts.InputError, match="not a positive ratio"):
+            ts.EFFECTS["stiffness_scale"](0.0)

@@ -320,6 +320,27 @@ class TestSensor:
             Rig(latency=0.1).measure(without)
 
 
+class TestInertia:
+    def test_mass_times_acceleration_of_the_report(self):
+        """Of a motion that starts gently, and in air as in the tissue."""
+        time = np.linspace(0.0, 0.5, 201)
+        way = 5e-3 * (1 - np.cos(2 * np.pi * time / 0.5))
+        true = Recording({"time": time, "displacement": way, "force": 100.0 * way})
+        read = Rig(faults=[ts.FAULTS["inertia"](0.3)]).read(true)
+        expected = 0.3 * 5e-3 * (2 * np.pi / 0.5)**2 * np.cos(2 * np.pi * time / 0.5)
+        np.testing.assert_allclose((read.force - true.force)[2:-2], expected[2:-2], rtol=0, atol=1e-3 * expected.max())
+
+    def test_none_of_an_even_motion(self):
+        true = Recording({"time": TIME[RAMP], "displacement": WAY[RAMP], "force": WAY[RAMP]})
+        rig = Rig(faults=[ts.FAULTS["inertia"](0.3)])
+        np.testing.assert_allclose(rig.read(true).force, true.force, atol=1e-12)
+        assert rig.needs_time and not rig.motion_only.faults
+
+    def test_no_mass(self):
+        with pytest.raises(ts.InputError, match="not a mass"):
+            ts.FAULTS["inertia"](-0.1)
+
+
 class TestNoise:
     TIMES = np.cumsum(np.random.default_rng(5).uniform(0.01, 0.09, 40_000))
 

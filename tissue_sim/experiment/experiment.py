@@ -11,7 +11,7 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.adhesion import Adhesion
 from tissue_sim.experiment.contact_law import ContactLaw
-from tissue_sim.experiment.interfaces import LARGEST_FRICTION, checked_interface
+from tissue_sim.experiment.interfaces import AS_TOOL, LARGEST_FRICTION, checked_interface
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.frozen_mapping import read_only
@@ -35,7 +35,7 @@ class Experiment:
         tool: what is pushed in.
         friction: interface of the tool's face; see `tissue_sim.experiment.interfaces`. A bonded needle holds what its
             flat face touches at the start, and its rounded edge holds what it meets.
-        friction_base: interface of the base plate.
+        friction_base: interface of the base plate; ``"as_tool"``: that of a plate on top.
         friction_wall: interface of a needle's shaft; tissue meets it during the test, so it cannot be bonded.
         adhesion: pull of a tool that lifts off; None: none.
         tilt: height difference across the contact, m; see `tissue_sim.tilt`.
@@ -80,6 +80,9 @@ class Experiment:
         if (self.adhesion or self.contact_laws) and self.friction == "bonded":
             raise InputError("a bonded face never lifts off; use 'stick', 'frictionless' or a coefficient of friction "
                              f"with {next(iter(self.contact_laws), 'adhesion')}", field="friction")
+        if self.friction_base == AS_TOOL and not self.tool.is_plate:
+            raise InputError("a needle's face is no plate that the base could be like; name the interface of the base",
+                             field="friction_base")
         if not self.tool.has_shaft and self.friction_wall != "frictionless":
             raise InputError(f"a {self.tool.shape} has no shaft; leave it out", field="friction_wall")
         radius = self.tool.radius
@@ -104,12 +107,17 @@ class Experiment:
         Raises:
             InputError: tissue that slides round a sharp edge.
         """
-        base = "frictionless" if self.tool.is_plate and self.friction_base == "bonded" else self.friction_base
+        base = "frictionless" if self.tool.is_plate and self.base_interface == "bonded" else self.friction_base
         return replace(self, friction="frictionless", friction_base=base, slip=0.0)
 
     def tool_pose(self, displacement: float) -> Pose:
         """Where the tool is when the protocol says this displacement, m: pushed in along the axis."""
         return Pose.at_depth(displacement)
+
+    @property
+    def base_interface(self) -> str | float:
+        """How the base holds the tissue."""
+        return self.friction if self.friction_base == AS_TOOL else self.friction_base
 
     @property
     def acting_laws(self) -> tuple[ContactLaw, ...]:
@@ -128,10 +136,10 @@ class Experiment:
         """Whether the force depends on the way of the tool and not on its place alone: tissue may slip against
         friction, or a law of the contact acts on what has touched the tool."""
         return self.adhesion is not None or bool(self.contact_laws) or any(isinstance(value, float) for value in (
-            self.friction, self.friction_base, self.friction_wall))
+            self.friction, self.base_interface, self.friction_wall))
 
     @property
     def homogeneous(self) -> bool:
         """Whether a specimen of one material deforms homogeneously, so that closed forms hold."""
-        return (self.tool.is_plate and self.friction == self.friction_base == "frictionless"
+        return (self.tool.is_plate and self.friction == self.base_interface == "frictionless"
                 and not self.specimen.specific_weight and not self.contact_laws)

@@ -11,18 +11,20 @@ from tissue_sim.errors import InputError, nearest
 #: ``"frictionless"``, or a number: Coulomb's coefficient of friction. All but the bonded one can lift off; the base
 #: keeps the specimen on itself.
 INTERFACES = ("bonded", "stick", "frictionless")
+#: A base that holds the tissue as the tool's face does, whatever that is.
+AS_TOOL = "as_tool"
 #: Above this a coefficient of friction is taken for a mistake.
 LARGEST_FRICTION = 10.0
 
 
 def checked_interface(value: str | float, name: str) -> str | float:
-    """An interface of `INTERFACES` or a coefficient of friction above 0; 0 is frictionless.
+    """An interface of `INTERFACES` or a coefficient of friction above 0; 0 is frictionless; of the base also `AS_TOOL`.
 
     Raises:
         InputError: neither, with the field.
     """
     if isinstance(value, str):
-        if value not in INTERFACES:
+        if value not in INTERFACES and not (value == AS_TOOL and name == "friction_base"):
             raise InputError(f"{value!r} is not an interface{nearest(value, INTERFACES)}, or a coefficient of friction",
                              field=name)
         return value

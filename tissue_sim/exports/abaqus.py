@@ -16,6 +16,8 @@ _PER_LINE = 8
 #: D_i, 1/Pa, of a volumetric term that is not there; CalculiX takes 0 for a number that it has to choose.
 _ABSENT = 1e20
 _LAWS = {"neo_hooke": "NEO HOOKE", "mooney_rivlin": "MOONEY-RIVLIN"}
+#: Laws that are written as the full polynomial of (I1 - 3, I2 - 3), with as many D_i as its order.
+_POLYNOMIALS = {"biderman": 3}
 _SERIES = {"reduced_polynomial": "REDUCED POLYNOMIAL", "ogden": "OGDEN"}
 
 
@@ -38,7 +40,9 @@ def export(material: Material) -> str:
     keyword, terms = _law(material.law)
     K = material.bulk_modulus
     volumetric = [0.0] * terms if material.bulk.kind == "incompressible" else [2.0 / K, *[_ABSENT] * (terms - 1)]
-    numbers = [*material.values, *volumetric]
+    law = material.energy_law
+    own = law.kernel_coefficients(material.values) if law.name in _POLYNOMIALS else material.values
+    numbers = [*own, *volumetric]
     lines = [f"*MATERIAL, NAME={_name(material)}", f"*HYPERELASTIC, {keyword}{moduli and f', MODULI={moduli}'}"]
     lines += [", ".join(f"{number:.12g}" for number in numbers[i:i + _PER_LINE])
               for i in range(0, len(numbers), _PER_LINE)]
@@ -52,6 +56,8 @@ def export(material: Material) -> str:
 
 def _law(name: str) -> tuple[str, int]:
     """Words of the keyword, and the number of terms."""
+    if name in _POLYNOMIALS:
+        return f"POLYNOMIAL, N={_POLYNOMIALS[name]}", _POLYNOMIALS[name]
     series = re.fullmatch(r"(\w+?)_(\d+)", name)
     if name in _LAWS:
         return _LAWS[name], 1

@@ -19,7 +19,8 @@ class PopulationEntry(Entry, frozen=True, kw_only=True):
     """The specimens that the material stands for: its parameters in `order` are their mean.
 
     In the units of the file, one entry for each parameter: `mean`, `spread` (standard deviation between specimens),
-    their 95 % intervals, `between_specimens` (covariance), and the values of each of the measured `specimens`.
+    their 95 % intervals, `between_specimens` (covariance), and the values of each of the measured `specimens` that went
+    in; `left_out` says why others did not.
     """
 
     order: tuple[str, ...]
@@ -27,6 +28,7 @@ class PopulationEntry(Entry, frozen=True, kw_only=True):
     spread: tuple[float, ...]
     between_specimens: tuple[tuple[float, ...], ...]
     specimens: dict[str, tuple[float, ...]]
+    left_out: dict[str, str] = {}
     mean_interval95: tuple[Range, ...] | None = None
     spread_interval95: tuple[Range, ...] | None = None
 
@@ -38,7 +40,8 @@ class PopulationEntry(Entry, frozen=True, kw_only=True):
         return decode(as_json_types({
             "order": list(order), **{key: value for key, value in lists.items() if value is not None},
             "between_specimens": (np.outer(sizes, sizes) * np.array(self.between_specimens)).tolist(),
-            "specimens": {name: (sizes * values).tolist() for name, values in self.specimens.items()}}),
+            "specimens": {name: (sizes * values).tolist() for name, values in self.specimens.items()},
+            "left_out": self.left_out}),
             PopulationEntry, "population")
 
 
@@ -78,4 +81,7 @@ def _check(entry: PopulationEntry, known: Mapping[str, Any]) -> None:
         if len(values) != len(entry.order):
             raise InputError(f"{len(values)} entries for the {len(entry.order)} parameters in order",
                              field=f"population.{key}")
+    for name in entry.left_out:
+        if name in entry.specimens:
+            raise InputError("is among the specimens too; keep it in one of them", field=f"population.left_out.{name}")
     check_covariance(np.array(entry.between_specimens), len(entry.order), "population.between_specimens")

@@ -50,6 +50,8 @@ def print_fits(result: CalibrationResult, console: Console) -> None:
     if result.predictions:
         console.print(_prediction_table(result.predictions, tests, units))
         chance = "; by chance: what noise, jitter and the errors of the parameters would make"
+        several = any(prediction.mean_of for prediction in result.predictions)
+        chance += "; by the mean: of other specimens, whose scatter is chance too" if several else ""
         known = any(prediction.expected_N is not None for prediction in result.predictions)
         print_sentence(console, f"%: of the largest force or stress{chance if known else ''}")
         console.print()
@@ -143,7 +145,8 @@ def _prediction_table(predictions: Sequence[Prediction], tests: Mapping[str, Tes
         error = p.RMSE_Pa if test.specimen is None else p.RMSE_N
         load = units.load(test)
         chance = "-" if p.expected_N is None else load.text(p.expected_N, 2)
-        table.add_row(p.law if p.law != last else "", Text(p.test), "left out" if p.fitted else "held out",
+        how = f"{'left out' if p.fitted else 'held out'}{f', by the mean of {len(p.mean_of)}' if p.mean_of else ''}"
+        table.add_row(p.law if p.law != last else "", Text(p.test), how,
                       "none" if error is None else load.text(error, 3), number(p.percent, 2), chance)
         last = p.law
     return table

@@ -59,6 +59,7 @@ def add_experiment_flags(parser: Parser) -> None:
     tool.add_argument("--contact-law", action="append", default=[], metavar="NAME:KEY=N,...",
                       help="a law of the contact beside these, from an installed package; once for each")
     tool.add_argument("--tilt-mm", type=positive, metavar="N", help="height difference across the tool's face")
+    tool.add_argument("--slip", type=between(0.0, 1.0), metavar="N", help="share of bonded faces that slips")
 
 
 def check_scene(name: str) -> None:
@@ -124,6 +125,8 @@ def make_experiment(arguments, protocol: Protocol, material: Material) -> Experi
         changes["contact_laws"] = [_contact_law(text) for text in arguments.contact_law]
     if arguments.tilt_mm is not None:
         changes["tilt"] = arguments.tilt_mm * 1e-3
+    if arguments.slip is not None:
+        changes["slip"] = arguments.slip
     return scene.experiment(
         specimen=ts.Specimen(arguments.radius_mm * 1e-3, arguments.height_mm * 1e-3, **weight), protocol=protocol,
         tool=_tool(arguments, shape, profile, usual), **changes)

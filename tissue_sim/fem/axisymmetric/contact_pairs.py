@@ -63,9 +63,9 @@ def _base(experiment: Experiment, mesh: Mesh, side: np.ndarray | None) -> list[P
     """The side may bulge onto the base; a base with friction also holds the bottom, which stays on it."""
     bottom = mesh.nodes[:, 1].min()
     plane = Profile(np.array([[PLATE_RADIUS, bottom], [0.0, bottom]]), 0.0, 1)
-    mu = coefficient(experiment.friction_base)
+    mu = coefficient(experiment.base_interface)
     pairs = []
-    if experiment.friction_base not in ("bonded", "frictionless"):
+    if experiment.base_interface not in ("bonded", "frictionless"):
         pairs.append(Pair(plane, mesh.edges("base"), (mu, mu), moves=False, tied=mu == STICK, stays=True,
                           at_nodes=True))
     if side is not None:

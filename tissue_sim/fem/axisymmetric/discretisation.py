@@ -150,7 +150,7 @@ def element_layers(mesh: Mesh, layers: tuple[Layer, ...]) -> np.ndarray:
 
 
 def _supports(experiment: Experiment) -> dict[str, str]:
-    return {"base": _HELD[experiment.friction_base]} if experiment.friction_base in _HELD else {}
+    return {"base": _HELD[experiment.base_interface]} if experiment.base_interface in _HELD else {}
 
 
 def _settled(model: Model, mesh: Mesh, layers: np.ndarray) -> AxisymmetricSolver:

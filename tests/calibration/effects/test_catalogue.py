@@ -1,0 +1,194 @@
+"""What every effect of the catalogue promises."""
+
+import importlib
+import pkgutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from virtual_campaign import TESTS, measured_campaign, model_of, situation_of
+
+import calibration.effects
+import tissue_sim as ts
+from calibration.effects.catalogue import CATALOGUE
+from calibration.effects.effect import ROOMS, NotTestableError
+
+#: What people know the effects by.
+NAMES = [
+    "self_weight", "strain_stiffening", "i2_term", "compressibility", "viscoelasticity", "poroelasticity", "softening",
+    "layer", "puncture", "plate_friction", "partial_slip", "adhesion", "edge_rounding", "radius_error", "height_error",
+    "tilt", "contact_offset", "machine_compliance", "displacement_gain", "backlash", "step_loss", "zero_offset",
+    "sensor_drift", "sensor_gain", "latency", "guide_friction", "rate_damping", "session_scale", "inertia",
+    "population"]
+#: Effects that tests of one specimen, slow, whose tools stay on the tissue cannot hold, and a word of why.
+REFUSED = {"adhesion": "past where it touched", "inertia": "quasi-static", "population": "one specimen"}
+EFFECTS = pytest.mark.parametrize("name", NAMES)
+
+
+def candidates(situation, name):
+    return CATALOGUE[name]().candidates(situation)
+
+
+def test_the_catalogue_has_all_of_them():
+    assert sorted(CATALOGUE) == sorted(NAMES)
+
+
+def test_every_file_with_an_effect_is_in_the_catalogue():
+    modules = [importlib.import_module(f"calibration.effects.{module.name}")
+               for module in pkgutil.iter_modules(calibration.effects.__path__)]
+    found = {kind.name for module in modules for kind in vars(module).values()
+             if isinstance(kind, type) and kind.__module__ == module.__name__ and hasattr(kind, "candidates")
+             and hasattr(kind, "room")}
+    assert found == set(NAMES)
+
+
+@EFFECTS
+def test_it_says_what_it_is(name):
+    effect = CATALOGUE[name]()
+    assert effect.name == name and effect.room in ROOMS and type(effect).__module__.endswith(f".{name}")
+    for sentence in (effect.title, effect.signature, effect.separated_by):
+        assert len(sentence) > 5 and not sentence.endswith(".") and "\n" not in sentence
+    assert set(effect.known_twins) <= set(NAMES) - {name}
+
+
+@EFFECTS
+def test_candidates_can_be_asked_and_added(plain, name):
+    if name in REFUSED:
+        with pytest.raises(NotTestableError, match=REFUSED[name]):
+            candidates(plain.situation, name)
+        return
+    known = [test.name for test in plain.campaign.tests]
+    found = candidates(plain.situation, name)
+    assert found and len({(each.name, tuple(each.shape.values())) for each in found}) == len(found)
+    for candidate in found:
+        assert candidate.effect.name == name and set(candidate.tests or known) <= set(known)
+        assert set(candidate.bounds) >= set(candidate.sizes)
+        for path, size in candidate.sizes.items():
+            low, high = candidate.bounds[path]
+            absent = candidate.absent_value(plain.campaign, path)
+            assert low <= min(absent, size) and max(absent, size) <= high and size != absent, path
+        for path, value in candidate.shape.items():
+            low, high = candidate.bounds.get(path, (-np.inf, np.inf))
+            assert low <= value <= high, path
+        for free in (True, False):
+            fit = candidate.added_to(plain.campaign, free=free).fit
+            held, varied = (fit.start, fit.fixed) if free else (fit.fixed, fit.start)
+            assert set(candidate.sizes) | set(candidate.shape) <= set(held) and not set(candidate.sizes) & set(varied)
+        assert all(candidate.symbols(plain.campaign).values())
+
+
+@EFFECTS
+def test_a_model_gets_it_and_at_absence_nothing_changes(plain, name):
+    if name in REFUSED:
+        pytest.skip("not in these tests; see the tests of its own")
+    candidate = candidates(plain.situation, name)[0]
+    test = candidate.tests[0] if candidate.tests else "needle"
+    model = model_of(test, points=13)
+    force = ts.simulate(model).force
+    with_it = ts.simulate(candidate.effect.apply(model, {**candidate.sizes, **candidate.shape})).force
+    changed = np.abs(with_it - force).max() / force.max()
+    # Gravity is no small one.
+    assert 5e-4 < changed < (0.3 if name == "self_weight" else 0.12), changed
+    absent = {path: candidate.absent_value(plain.campaign, path) for path in candidate.sizes}
+    if name == "viscoelasticity":
+        # A relaxing term of no share is refused; it is left out.
+        absent = dict.fromkeys(absent, 1e-12)
+    without = ts.simulate(candidate.effect.apply(model, {**absent, **candidate.shape})).force
+    # A layer makes another mesh, and the change that it is scored by is that on one mesh.
+    np.testing.assert_allclose(without, force, atol=(3e-3 if name == "layer" else 1e-9) * force.max())
+    assert candidate.remeshes(plain.campaign) == (name == "layer")
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in REFUSED])
+def test_the_change_is_there_where_it_acts(plain, name):
+    """Whitened, in the tests that share the numbers, and far above what a simulation rounds."""
+    candidate = candidates(plain.situation, name)[-1]
+    column = plain.change(candidate)
+    assert column.shape == (plain.evaluation.residual.size, 1) and np.linalg.norm(column) > 0.1
+    for rows, (number, _) in zip(plain.problem.rows, plain.problem.places, strict=True):
+        if candidate.tests is not None and plain.problem.tests[number].name not in candidate.tests:
+            assert np.abs(column[rows]).max() < 1e-7 * np.abs(column).max()
+
+
+@pytest.fixture(scope="module")
+def plates(tmp_path_factory):
+    """Ramps between lubricated plates, of two specimens, without time."""
+    folder = tmp_path_factory.mktemp("plates")
+    path = measured_campaign(folder, tests={"plates": TESTS["plates"]}, specimens=("one", "two"))
+    for file in folder.glob("*.csv"):
+        recording = ts.read_recording(file)
+        loading = recording.time <= 16.0
+        ts.write_recording(ts.Recording({name: recording.channels[name][loading]
+                                         for name in ("displacement", "force")}), file)
+    return situation_of(path)
+
+
+class TestRefusals:
+    """What tests cannot hold is said in words."""
+
+    @pytest.mark.parametrize(("name", "words"), [
+        ("viscoelasticity", "no time"), ("poroelasticity", "no time"), ("sensor_drift", "no time"),
+        ("latency", "no time"), ("rate_damping", "no time"), ("inertia", "no time"), ("softening", "comes back"),
+        ("backlash", "comes back"), ("adhesion", "comes back"), ("layer", "no test has a needle"),
+        ("puncture", "no test has a needle"), ("edge_rounding", "no test has a tool with an edge"),
+        ("partial_slip", "no test is done with bonded faces")])
+    def test_of_ramps_between_plates(self, plates, name, words):
+        with pytest.raises(NotTestableError, match=words):
+            candidates(plates, name)
+
+    def test_population_has_a_number_of_each_other_specimen(self, plates):
+        candidate, = candidates(plates, "population")
+        named = candidate.added_to(plates.campaign, free=True).fit.named["effects.stiffness_scale.ratio"]
+        assert named.scope == "per_specimen" and named.tests == candidate.tests == ("plates_two",)
+
+    @pytest.mark.parametrize(("law", "name", "words"), [
+        ("ogden_1", "i2_term", "no polynomial"), ("ogden_2", "strain_stiffening", "no polynomial"),
+        ("mooney_rivlin", "i2_term", "already"), ("reduced_polynomial_3", "strain_stiffening", "third power")])
+    def test_of_laws(self, plain, law, name, words):
+        with pytest.raises(NotTestableError, match=words):
+            candidates(replace(plain.situation, law=law), name)
+
+    @pytest.mark.parametrize(("law", "path"), [("neo_hooke", "C20"), ("mooney_rivlin", "C20"),
+                                               ("reduced_polynomial_2", "C30")])
+    def test_the_next_power(self, plain, law, path):
+        candidate, = candidates(replace(plain.situation, law=law), "strain_stiffening")
+        assert set(candidate.sizes) == {path}
+
+    def test_what_the_campaign_fits_is_not_looked_for(self, tmp_path):
+        path = measured_campaign(tmp_path, tests={"plates": TESTS["plates"]})
+        text = path.read_text(encoding="utf-8").replace("C20 = 700.0", 'C20 = 700.0, "rig.compliance" = 1e-6')
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(NotTestableError, match="names it already"):
+            candidates(situation_of(path), "machine_compliance")
+
+
+class TestWiderLaw:
+    def test_the_missing_numbers_are_held_at_nothing(self, plain):
+        candidate, = candidates(plain.situation, "strain_stiffening")
+        fit = candidate.added_to(plain.campaign, free=True).fit
+        assert fit.laws == ("biderman",) and fit.fixed["C01"] == 0.0 and "C01" not in fit.start
+        assert fit.start["C30"] == candidate.sizes["C30"] and "C10" not in fit.fixed
+
+
+def test_what_the_rig_states_is_where_it_is_counted_from(tmp_path):
+    """A known compliance is no effect; another tenth of it is."""
+    path = measured_campaign(tmp_path, tests={"plates": TESTS["plates"]})
+    ts.write_rig(ts.Rig(compliance=1e-4), tmp_path / "soft.rig.json")
+    text = path.read_text(encoding="utf-8").replace("[fit]", 'rig = "soft.rig.json"\n[fit]')
+    path.write_text(text, encoding="utf-8")
+    candidate, = candidates(situation_of(path), "machine_compliance")
+    assert candidate.absent == {"rig.compliance": 1e-4} and candidate.sizes["rig.compliance"] > 1e-4
+    assert candidate.bounds["rig.compliance"][0] == 1e-4
+
+
+def test_a_campaign_states_slip(tmp_path):
+    """What is known of it is where it is counted from, and a share that no face has is refused with its place."""
+    path = measured_campaign(tmp_path, tests={"glued": TESTS["glued"]})
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace("[fit]", "slip = 0.1\n[fit]"), encoding="utf-8")
+    candidate, = candidates(situation_of(path), "partial_slip")
+    assert candidate.absent == {"experiment.slip": 0.1} and candidate.sizes["experiment.slip"] > 0.1
+    path.write_text(text.replace("[fit]", "slip = 1.1\n[fit]"), encoding="utf-8")
+    with pytest.raises(ts.InputError, match="no share") as caught:
+        situation_of(path)
+    assert caught.value.field == "test[0].slip"

@@ -1,0 +1,95 @@
+"""Campaigns of virtual recordings with a hold and a return, and what a fit of them knows."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+import tissue_sim as ts
+from calibration.campaign.campaign import Campaign, load_campaign
+from calibration.campaign.measured import read_measured, scale_offsets
+from calibration.diagnosis.extended import change_of
+from calibration.effects.effect import Candidate, Situation
+from calibration.fit.campaign_problem import build_problem
+from calibration.fit.problem import Evaluation, Problem
+from calibration.forward.solves import Solves
+from calibration.statistics.adequacy import span
+from calibration.statistics.scores import Direction
+
+LAW, TRUTH = "reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}
+TESTS = {"plates": ("lubricated_compression", ts.Tool(), "frictionless"),
+         "glued": ("bonded_compression", ts.Tool(), "bonded"),
+         "needle": ("needle_indentation", ts.Tool("flat", 0.008), "bonded")}
+NOISE = 0.01
+PROTOCOL = "ramp 8mm @0.5mm/s; hold 20s; unload 0.2mm @0.5mm/s"
+
+
+def model_of(name, points=41):
+    """The model of a test, without any effect."""
+    kind, tool, friction = TESTS[name]
+    protocol = ts.Protocol.parse(PROTOCOL, points=points)
+    experiment = ts.KINDS[kind].experiment(specimen=ts.Specimen(0.04, 0.07, density=1000.0), protocol=protocol,
+                                           tool=tool, friction=friction)
+    return ts.Model(experiment, ts.Material(LAW, TRUTH, ts.Bulk("bulk_ratio", 1e4)))
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A campaign at the true parameters of its law."""
+
+    situation: Situation
+    problem: Problem
+    evaluation: Evaluation
+
+    @property
+    def campaign(self) -> Campaign:
+        return self.situation.campaign
+
+    def change(self, candidate: Candidate) -> np.ndarray:
+        """What an effect of its trial size adds to the whitened forces, (N, q)."""
+        column = change_of(self.problem, self.evaluation, self.campaign, candidate, TRUTH)
+        assert isinstance(column, np.ndarray), (candidate.name, column)
+        return column
+
+    def score(self, candidate: Candidate) -> float:
+        """What the data say of it, in standard deviations, with the sign of the trial size."""
+        residual, design = self.evaluation.design
+        column = self.change(candidate)
+        direction = Direction.of(np.vstack([column, np.zeros((residual.size - len(column), column.shape[1]))]),
+                                 span(design), positive=True)
+        return float(direction.score(residual)[0]) if direction.freedom else 0.0
+
+
+def measured_campaign(folder, change=lambda name, model: model, *, tests=TESTS, specimens=("one",), fit="", seed=1):
+    """A campaign of virtual recordings; `change` hides something in the model of a test."""
+    rng, text = np.random.default_rng(seed), ""
+    for specimen in specimens:
+        text += f'[[specimen]]\nname = "{specimen}"\nradius_mm = 40.0\nheight_mm = 70.0\ndensity_kg_m3 = 1000.0\n'
+    for specimen in specimens:
+        for test in tests:
+            name = test if len(specimens) == 1 else f"{test}_{specimen}"
+            true = ts.simulate(change(name, model_of(test)))
+            read = true.with_channels(force=true.force + rng.normal(0.0, NOISE, len(true)))
+            ts.write_recording(read, folder / f"{name}.csv")
+            text += f'[[test]]\nname = "{name}"\nspecimen = "{specimen}"\nkind = "{TESTS[test][0]}"\n' \
+                    f'recordings = ["{name}.csv"]\n'
+            text += 'tool = "flat"\ntool_radius_mm = 8.0\nfriction = "bonded"\n' if test == "needle" else ""
+    path = folder / "campaign.toml"
+    path.write_text(f'{text}[fit]\nmethod = "inverse_fem"\nlaws = ["{LAW}"]\nbulk_ratio = 10000.0\n'
+                    f'start = {{ C10 = 1400.0, C20 = 700.0 }}\n{fit}\n[noise]\nforce_N = {NOISE}\n'
+                    'contact_jitter_mm = 0.01\nzero_jitter_N = 0.005\n', encoding="utf-8")
+    return path
+
+
+def situation_of(path):
+    campaign = load_campaign(path)
+    campaign = replace(campaign, fit=replace(campaign.fit, whole=True))
+    measured = read_measured(campaign)
+    campaign = scale_offsets(campaign, measured)
+    return Situation(campaign, measured, campaign.fit.laws[0])
+
+
+def fitted(path):
+    situation = situation_of(path)
+    problem = build_problem(situation.law, situation.campaign, situation.measured, Solves())
+    theta = np.array([TRUTH[name] for name in problem.space.free])
+    return Fitted(situation, problem, problem.evaluate(theta))
