@@ -121,7 +121,7 @@ def _separations(diagnosis: Diagnosis, effects: Mapping[str, Effect]) -> Iterato
         if effect is None:
             continue
         ratio = ratios.get(name)
-        against = "" if ratio is None or ratio <= 1.0 else f" (1 : {ratio:.2g} against the likeliest)"
+        against = "" if ratio is None or ratio < 1.05 else f" (1 : {ratio:.2g} against the likeliest)"
         yield f"{escape(capital(labels.get(name, effect.title)))}{against}: {escape(effect.separated_by)}."
 
 
@@ -137,7 +137,7 @@ def _moved(before: Fit, after: Fit | None, units: Units) -> Iterator[str]:
 
 
 def _unseen(diagnosis: Diagnosis, units: Units) -> Iterator[str]:
-    for kind, words in (("replicate", "recordings left out"), ("test", "tests held out")):
+    for kind, noun, how in (("replicate", "recording", "left out"), ("test", "test", "held out")):
         mine = [each for each in diagnosis.held_out if each.kind == kind and each.before_N is not None]
         if not mine:
             continue
@@ -147,7 +147,7 @@ def _unseen(diagnosis: Diagnosis, units: Units) -> Iterator[str]:
         judged = [each.adequate_before if each.after_N is None else each.adequate_after for each in mine]
         held = sum(each is True for each in judged)
         added = f", with what was added {after}" if after else ""
-        yield (f"Error in {len(mine)} {words}: {before}{added}; in {held} of {len(mine)} nothing but noise, jitter and "
+        yield (f"Error in {counted(len(mine), noun)} {how}: {before}{added}; in {held} of {len(mine)} nothing but noise, jitter and "
                "the parameters' uncertainty is left.")
 
 
