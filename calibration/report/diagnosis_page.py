@@ -147,8 +147,8 @@ def _unseen(diagnosis: Diagnosis, units: Units) -> Iterator[str]:
         judged = [each.adequate_before if each.after_N is None else each.adequate_after for each in mine]
         held = sum(each is True for each in judged)
         added = f", with what was added {after}" if after else ""
-        yield (f"Error in {counted(len(mine), noun)} {how}: {before}{added}; in {held} of {len(mine)} nothing but noise, jitter and "
-               "the parameters' uncertainty is left.")
+        yield (f"Error in {counted(len(mine), noun)} {how}: {before}{added}; in {held} of {len(mine)} nothing but "
+               "noise, jitter and the parameters' uncertainty is left.")
 
 
 def _ends(sizes: Sequence[float | None]) -> list[float]:
