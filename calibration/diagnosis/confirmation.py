@@ -11,6 +11,7 @@ from scipy import linalg, special
 from calibration.campaign.measured import MeasuredCurve
 from calibration.diagnosis.diagnosis import HeldOut, RegionGap
 from calibration.diagnosis.evidence import Evidence
+from calibration.diagnosis.refits import with_own_corrections
 from calibration.fit.estimate import Estimate, settle
 from calibration.fit.fit import Region
 from calibration.fit.generalised import Generalised
@@ -35,15 +36,8 @@ def settled(evidence: Evidence) -> Evidence:
     where that fails."""
     problem = evidence.problem
     stated = Generalised(evidence.campaign, evidence.measured, problem.solves).stated(problem)
-    estimate = settle(replace_problem(problem), evidence.estimate.theta, stated)
+    estimate = settle(with_own_corrections(problem), evidence.estimate.theta, stated)
     return Evidence(evidence.campaign, evidence.measured, estimate) if np.isfinite(estimate.error) else evidence
-
-
-def replace_problem(problem: Problem) -> Problem:
-    """A problem of its own, whose corrections and jitter may change without touching others."""
-    tests = tuple(replace(test, correction=list(getattr(test, "correction", ()))) if hasattr(test, "correction")
-                  else test for test in problem.tests)
-    return Problem(problem.space, tests, problem.solves, problem.jitter, problem.mesh_error)
 
 
 def deviations(region: Region) -> float:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import msgspec
 import numpy as np
 
 from calibration.campaign.campaign import Campaign
@@ -21,6 +22,8 @@ from calibration.forward.solves import Solves
 from calibration.statistics.adequacy import span
 from tissue_sim.errors import ConvergenceError, InputError
 
+#: A region disagrees where chance makes it, or any other of the tests, look so with less than this probability.
+LEVEL = 0.005
 Measured = Mapping[str, tuple[MeasuredCurve, ...]]
 
 
@@ -84,7 +87,9 @@ class Evidence:
 
     @cached_property
     def regions(self) -> list[Region]:
-        return judge_regions(self.problem, self.evaluation)
+        """Those of all tests; adequate where `LEVEL` does not speak against it."""
+        return [msgspec.structs.replace(region, adequate=region.p > LEVEL)
+                for region in judge_regions(self.problem, self.evaluation)]
 
     @property
     def adequate(self) -> bool:

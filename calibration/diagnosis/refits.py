@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,6 +16,8 @@ from calibration.fit.estimate import Estimate
 from calibration.fit.levenberg_marquardt import descend
 from calibration.fit.problem import Problem
 from calibration.fit.steps import Steps
+from calibration.forward.contract import InfeasibleError
+from calibration.forward.forms import REMAINDERS, remainder
 from tissue_sim.errors import InputError
 
 #: How many effects are fitted; and from which value of what means nothing in their absence beside the likeliest: the
@@ -23,6 +25,11 @@ from tissue_sim.errors import InputError
 MOST, AS_GOOD = 6, 20.0
 #: A gain of the Schwarz criterion below this is none.
 LEAST_GAIN = 10.0
+#: An effect is fitted where its score alone would gain this share of the least gain.
+_PROMISING = 0.5
+#: The mesh corrections of a fit with an effect are its own where its gain is this near to the best, as a share of that,
+#: and in any case within so much.
+_NEAR, _NEAR_AT_LEAST = 0.3, 40.0
 #: A number this near to its bound, relative to the way between them or to itself, is on it.
 _ON_BOUND = 1e-4
 
@@ -95,20 +102,62 @@ def refit(evidence: Evidence, proposals: Proposals, steps: Steps, words: str = "
     Args:
         evidence: without them. proposals: the catalogue on it. names: of candidates; None: the `MOST` strongest.
     """
-    chosen = [name for name, each in proposals.best.items() if each.p <= 0.5][:MOST] if names is None else list(names)
+    promising = _PROMISING * (LEAST_GAIN + float(np.log(evidence.samples)))
+    chosen = [name for name, each in proposals.best.items() if -2.0 * each.improbability > promising][:MOST] \
+        if names is None else list(names)
+    # Tests that are homogeneous without an effect need no mesh error, with it they may: the determinant counts.
+    error = evidence.estimate.error + evidence.evaluation.log_determinant
     tasks = []
     for name in chosen:
         ways = sorted((each for each in proposals.all if each.candidate.name == name),
                       key=lambda each: each.improbability)
-        tasks += [(evidence.problem, evidence.campaign, way, evidence.values, evidence.estimate.error,
-                   evidence.samples) for way in ways[:2] if way.improbability < ways[0].improbability + 0.5 * AS_GOOD]
+        tasks += [(evidence.problem, evidence.campaign, way, evidence.values, error, evidence.samples)
+                  for way in ways[:2] if way.improbability < ways[0].improbability + 0.5 * AS_GOOD]
     fits = [each for each in steps.all_of(refit_one, tasks, words) if each is not None] if tasks else []
     best: dict[str, Refit] = {}
     for each in sorted(fits, key=lambda one: -one.gain):
         # Tasks of other processes come with copies of what has been simulated.
         each.problem.solves = evidence.problem.solves
         best.setdefault(each.name, each)
-    return list(best.values())
+    if not best:
+        return []
+    limit = next(iter(best.values())).gain
+    limit -= max(_NEAR * limit, _NEAR_AT_LEAST)
+    near = [each for each in best.values() if each.gain >= limit]
+    if len(near) > 1:
+        # What the accurate mesh has more depends on the effect, and may decide between two that are alike.
+        again = steps.all_of(corrected, [(each, evidence.problem, error, evidence.samples) for each in near],
+                             "their mesh corrections")
+        for each in again:
+            each.problem.solves = evidence.problem.solves
+            best[each.name] = each
+    return sorted(best.values(), key=lambda one: -one.gain)
+
+
+def corrected(fitted: Refit, plain: Problem, error: float, samples: float) -> Refit:
+    """The fit with mesh corrections of its own; as it was where the accurate mesh does not get through."""
+    problem = with_own_corrections(fitted.problem)
+    try:
+        for test in problem.tests:
+            test.refine(problem.space, fitted.theta, problem.solves)
+    except InfeasibleError:
+        return fitted
+    problem.mesh_error = tuple(remainder(test, REMAINDERS) for test in problem.tests)
+    problem.forget()
+    descent = descend(problem, fitted.theta, corrected=True)
+    if not np.isfinite(descent.error):
+        return fitted
+    numbers = problem.space.low.size - plain.space.low.size
+    determinant = problem.evaluate(descent.theta).log_determinant
+    gain = error - (descent.error + determinant) - numbers * float(np.log(samples))
+    return replace(fitted, problem=problem, theta=descent.theta, error=descent.error, gain=gain)
+
+
+def with_own_corrections(problem: Problem) -> Problem:
+    """A problem of its own, whose corrections and jitter may change without touching others."""
+    tests = tuple(replace(test, correction=list(getattr(test, "correction", ()))) if hasattr(test, "correction")
+                  else test for test in problem.tests)
+    return Problem(problem.space, tests, problem.solves, problem.jitter, problem.mesh_error)
 
 
 def refit_one(problem: Problem, campaign: Campaign, proposal: Proposal, values: Mapping[str, float], error: float,
@@ -135,7 +184,8 @@ def refit_one(problem: Problem, campaign: Campaign, proposal: Proposal, values: 
     theta = unknowns(extended.space, values, {**start, **candidate.shape})
     descent = descend(extended, theta, corrected=True)
     numbers = extended.space.low.size - problem.space.low.size
-    gain = error - descent.error - numbers * float(np.log(samples))
-    if not np.isfinite(descent.error):
-        gain = -np.inf
+    gain = -np.inf
+    if np.isfinite(descent.error):
+        determinant = extended.evaluate(descent.theta).log_determinant
+        gain = error - (descent.error + determinant) - numbers * float(np.log(samples))
     return Refit(proposal, extended, changed, descent.theta, descent.error, gain, descent.failure)
