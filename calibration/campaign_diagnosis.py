@@ -65,10 +65,15 @@ class _Clock:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        began, before = time.monotonic(), self.solves.counts.total()
+        began, before = time.monotonic(), self._simulations()
         yield
         self.stages.append(Stage(name=name, wall_s=time.monotonic() - began,
-                                 simulations=self.solves.counts.total() - before))
+                                 simulations=self._simulations() - before))
+
+    def _simulations(self) -> int:
+        # Other processes count their own; all keep them in the folder.
+        folder = self.solves.folder
+        return self.solves.counts.total() if folder is None else sum(1 for _ in folder.glob("*.msgpack"))
 
 
 def diagnose_campaign(campaign: Campaign, measured: Measured, steps: Steps, solves: Solves | None = None) -> Diagnosed:

@@ -55,8 +55,9 @@ def message(verdict: Verdict, effects: Sequence[FoundEffect], titles: Sequence[s
             return ("Something is missing that no known effect explains: " + "; ".join(where[:3])
                     + f". Nothing was added.{silent}")
         case "SET":
-            return (f"{joined(titles, 'or')} is missing, and these tests do not tell which; the likeliest was added: "
-                    f"{effect_in_words(effects[0])}.{closed}")
+            names = joined(titles, "or")
+            return (f"{names[:1].upper()}{names[1:]} is missing, and these tests do not tell which; the likeliest "
+                    f"was added: {effect_in_words(effects[0])}.{closed}")
         case "LOOKS_LIKE":
             return (f"It looks like {joined([effect_in_words(each) for each in effects])}, but its form is not "
                     f"confirmed: something smooth is left.{closed}")
