@@ -29,6 +29,8 @@ from hidden_effects_truth import (
 
 Force = Callable[[VirtualTest, float], np.ndarray]
 _G, _TAU = "viscoelastic.terms[0].g", "viscoelastic.terms[0].tau"
+#: Stiffness of four specimens: deviations from the first, in units of the size.
+SPECIMENS = (0.0, 0.9, -1.3, 0.4)
 #: Relaxation time, s; diffusivity, m2/s (a needle drains in 6 s, a plate in 160 s); depths of puncture and step loss,
 #: m; thickness of a skin, m.
 TAU, DIFFUSIVITY, PUNCTURED, LOST, SKIN = 5.0, 1e-5, 6e-3, 4e-3, 2e-3
@@ -217,6 +219,13 @@ def _warming(test: VirtualTest, true: np.ndarray, change: float) -> np.ndarray:
     return true * (1.0 + change * test.time / test.time[-1])
 
 
+def _individuals(test: VirtualTest, size: float) -> np.ndarray:
+    """Specimens whose C20 differs twice as much as their C10."""
+    true, change = plain(test.kind, test.displacement), size * SPECIMENS[test.specimen]
+    by_second = C20 * moduli_change(test)[:, 1]
+    return (1 + change) * true + change * by_second
+
+
 _HYDROGELS = "Prony fits of silicones and soft tissue: 1 to 40 % relax in a minute"
 _CELLS = "load cells of 10 to 50 N yield 0.1 to 0.5 mm at full scale; frames of desktop stages the same again"
 _STAGES = "data sheets of stepper stages: backlash 5 to 200 um, a full step 5 to 10 um, stalls lose several"
@@ -261,7 +270,10 @@ def _tissue() -> list[Case]:
         Case("session_scale", "exact", 5e-4, 0.1, "1", _TEMPERATURE, "independent",
              _read(lambda test, true, k: (1 + k) * true, ("C",))),
         Case("session_scale", "other", 5e-4, 0.1, "1", f"{_TEMPERATURE}; it warms while it is measured", "independent",
-             _read(_warming, ("C",)))]
+             _read(_warming, ("C",))),
+        Case("population", "exact", 1e-3, 0.3, "1", "animals and batches of silicone differ by some to 30 per cent",
+             "independent", _read(lambda test, true, s: (1 + s * SPECIMENS[test.specimen]) * true)),
+        Case("population", "other", 1e-3, 0.3, "1", "C20 differs too, twice as much", "independent", _individuals)]
 
 
 def _around() -> list[Case]:
@@ -323,8 +335,8 @@ def _around() -> list[Case]:
 def hidden() -> dict[str, Case]:
     """All cases of the catalogue's effects, by key.
 
-    Not among them, because neither protocol could show them: adhesion (no tool goes back past its touch), inertia
-    (10 mm/s would be slow), population (one specimen).
+    Not among them, because no protocol could show them: adhesion (no tool goes back past its touch) and inertia
+    (10 mm/s would be slow). The scatter between specimens has a protocol of its own.
     """
     return {case.key: case for case in (*_tissue(), *_around())}
 

@@ -68,7 +68,8 @@ def write_campaign(folder: Path, tests: Sequence[VirtualTest], forces: Callable[
         The campaign file.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    text = [f"[[specimen]]\nradius_mm = {RADIUS * 1e3}\nheight_mm = {HEIGHT * 1e3}\ndensity_kg_m3 = 1000.0\n"]
+    text = [f'[[specimen]]\nname = "S{number + 1}"\nradius_mm = {RADIUS * 1e3}\nheight_mm = {HEIGHT * 1e3}\n'
+            "density_kg_m3 = 1000.0\n" for number in dict.fromkeys(test.specimen for test in tests)]
     for test in tests:
         true, names = forces(test), []
         for number, shift in enumerate(_shifts(rng, scatter.jitter), start=1):
@@ -82,6 +83,7 @@ def write_campaign(folder: Path, tests: Sequence[VirtualTest], forces: Callable[
                        header="time [s],displacement [mm],force [N]")
         tip = f'tool = "flat"\ntool_radius_mm = {NEEDLE * 1e3}\nfriction = "bonded"\n' if test.kind == "C" else ""
         text.append(f'[[test]]\nname = "{test.name}"\nkind = "{_KINDS[test.kind]}"\nrecordings = {json.dumps(names)}\n'
+                    f'specimen = "S{test.specimen + 1}"\n'
                     f"{tip}{'hold_out = true' if test.held_out else ''}\n")
     text.append('[fit]\nmethod = "inverse_fem"\nlaws = ["reduced_polynomial_2"]\nbulk_ratio = 10000.0\nstarts = 1\n'
                 "start = {C10 = 1400.0, C20 = 600.0}\n"

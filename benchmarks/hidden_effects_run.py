@@ -86,7 +86,7 @@ def plan(protocols: Sequence[str], rooms: Sequence[str], seeds: Sequence[int], *
     chosen = effects or (_QUICK if quick else ())
     for protocol in protocols:
         rows = table[protocol]
-        for key, case in hidden().items():
+        for key, case in ((key, case) for key, case in hidden().items() if key in rows):
             room = "hidden" if case.form == "exact" else "other"
             wanted = not chosen or case.effect in chosen
             for words, sizes in rows[key]["sizes"].items():
@@ -103,11 +103,11 @@ def plan(protocols: Sequence[str], rooms: Sequence[str], seeds: Sequence[int], *
                 planned += [Planned(protocol, "none", (), "", 0, first + k, colour)
                             for k in range(len(seeds) if empty is None else empty)]
         if "outside" in rooms and not effects:
-            planned += [Planned(protocol, "outside", (key,), "> 10", k, seed) for key in outside()
+            planned += [Planned(protocol, "outside", (key,), "> 10", k, seed) for key in outside() if key in rows
                         for k in range(len(rows[key]["sizes"].get("> 10", []))) for seed in seeds]
         if "pair" in rooms and not effects:
             planned += [Planned(protocol, "pair", pair, "> 10", 0, seed) for pair in PAIRS for seed in seeds
-                        if all(rows[key]["sizes"].get("> 10") for key in pair)]
+                        if all(key in rows and rows[key]["sizes"].get("> 10") for key in pair)]
     return planned
 
 

@@ -25,6 +25,10 @@ CLASSES = {"< 3": (0.0, 3.0), "3 to 10": (3.0, 10.0), "> 10": (10.0, np.inf)}
 AIMS = {"< 3": (2.0,), "3 to 10": (6.0,), "> 10": (15.0, 50.0, 150.0)}
 #: Below this signal at the largest physical size an effect is not testable; above this cosine two are twins.
 TESTABLE, TWINS = 5.0, 0.97
+#: Less than this signal is nothing that was hidden.
+LEAST = 0.5
+#: What is hidden in a protocol, where it is not everything.
+ONLY = {"animals": ("population/exact", "population/other")}
 #: Outsiders are seen: this is aimed at.
 _SEEN = (15.0, 50.0)
 
@@ -81,20 +85,22 @@ def size_for(projection: Projection, case: Case, aim: float) -> tuple[float, flo
             break
         size = better
     signal = projection.signal(case, size)
+    if signal < LEAST:
+        return None
     low, high = next(limits for limits in CLASSES.values() if limits[0] <= aim < limits[1])
     return (size, signal) if low <= signal < high else None
 
 
-def tabulate(name: str, only: Sequence[str] = (), say: Callable[[str], None] = print) -> dict:
+def tabulate(name: str, say: Callable[[str], None] = print) -> dict:
     """Sizes and what is testable of one protocol.
 
     Args:
-        name: of the protocol. only: keys of cases; empty: all. say: what is done.
+        name: of the protocol. say: what is done.
     """
     projection = Projection(PROTOCOLS[name]())
     rows, directions = {}, {}
     for key, case in {**hidden(), **outside()}.items():
-        if only and key not in only:
+        if key not in ONLY.get(name, (key,)):
             continue
         aims = {"> 10": _SEEN} if not case.effect else AIMS
         try:

@@ -58,6 +58,7 @@ class VirtualTest:
     Attributes:
         name: in the campaign. kind: A lubricated plates, B bonded plates, C needle. speed: m/s.
         returns: whether a hold and a return follow the ramp. rate: Hz. held_out: whether no fit sees it.
+        specimen: number of it.
     """
 
     name: str
@@ -66,6 +67,7 @@ class VirtualTest:
     returns: bool
     rate: float
     held_out: bool = False
+    specimen: int = 0
 
     @property
     def ramp(self) -> float:
@@ -111,7 +113,13 @@ def full() -> tuple[VirtualTest, ...]:
             VirtualTest("A_unseen", "A", BETWEEN, True, 4.0, held_out=True))
 
 
-PROTOCOLS = {"ramps": ramps, "full": full}
+def animals() -> tuple[VirtualTest, ...]:
+    """Compression and needle on four specimens, loading only: for the scatter between specimens alone."""
+    return tuple(VirtualTest(f"{kind}{number + 1}", kind, SLOW, False, 5.0, specimen=number)
+                 for number in range(4) for kind in "AC")
+
+
+PROTOCOLS = {"ramps": ramps, "full": full, "animals": animals}
 
 
 def lubricated(depth: np.ndarray, values: Mapping[str, float] | None = None, radius: float = RADIUS,
