@@ -4,6 +4,7 @@
         [--effects NAME ...] [--seeds 1 3] [--none 380] [--shard 1/4] [--workers N | --dask ADDRESS] [--folder FOLDER]
     python benchmarks/hidden_effects.py --scores [--sealed]      figures of what has been run under this hash
     python benchmarks/hidden_effects.py --freeze                 compute sizes and what is testable anew
+    python benchmarks/hidden_effects.py --cases                  what is hidden, as a table for docs/hidden_effects.md
 
 Killed and started again it goes on where it was. Seeds below 1000 are for development; `--sealed` takes seeds from 1000
 on that nobody has run, notes them in benchmarks/hidden_effects_ledger.jsonl, and needs a clean working tree. Figures
@@ -28,7 +29,7 @@ from pathlib import Path
 from hidden_effects_run import ROOMS, ROOT, SEALED_FROM, Planned, Results, code_hash, plan, run_one
 from hidden_effects_scoring import outcome
 from hidden_effects_sizes import freeze
-from hidden_effects_tables import draw, figures
+from hidden_effects_tables import cases_in_words, draw, figures
 from hidden_effects_truth import CACHE, PROTOCOLS
 from measure import about, show
 
@@ -57,6 +58,7 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--sealed", action="store_true", help=f"seeds from {SEALED_FROM} on that nobody has run")
     parser.add_argument("--scores", action="store_true", help="only score what has been run")
     parser.add_argument("--freeze", action="store_true", help="only compute the table of sizes anew, and write it")
+    parser.add_argument("--cases", action="store_true", help="only print what is hidden")
     return parser
 
 
@@ -120,7 +122,10 @@ def run_all(planned: Sequence[Planned], results: Results, digest: str, workers: 
 def main(arguments: Sequence[str] | None = None) -> None:
     asked = options().parse_args(arguments)
     if asked.freeze:
-        freeze(asked.protocol)
+        freeze(list(PROTOCOLS))
+        return
+    if asked.cases:
+        print(cases_in_words())
         return
     digest, shard = code_hash(), shard_of(asked.shard)
     results = Results(asked.folder, digest, sealed=asked.sealed, shard=shard)

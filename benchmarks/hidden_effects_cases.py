@@ -231,9 +231,9 @@ _CELLS = "load cells of 10 to 50 N yield 0.1 to 0.5 mm at full scale; frames of 
 _STAGES = "data sheets of stepper stages: backlash 5 to 200 um, a full step 5 to 10 um, stalls lose several"
 _SENSORS = "data sheets of load cells: creep 0.03 to 0.1 % in 30 min of full scale, zero 1 %, warm-up drifts more"
 _RULER = "moulds and calipers: 0.1 to 1 mm of 40 and 70 mm; demoulded gels to some per cent"
-_TEMPERATURE = "shared facts: level of one session; silicones about 0.2 % a kelvin, gelatine 2 to 4 %"
+_TEMPERATURE = "silicones about 0.2 % a kelvin, gelatine 2 to 4 %"
 _SLIPS = "sandpaper and glue hold all to half of a face"
-_FIT = "shared facts: the study's own coefficients scatter so between laws and tests"
+_FIT = "coefficients of the reference study, between its laws and tests"
 
 
 def _tissue() -> list[Case]:

@@ -195,8 +195,8 @@ def _said(done: Diagnosed) -> dict:
         "verdict": said.verdict, "named": [effect.name for effect in said.effects],
         "indistinguishable": list(said.indistinguishable), "weights": weights,
         "not_testable": [row.name for row in said.candidates if not row.testable],
-        "best": [{"name": row.name, "score": row.score, "p": row.p, "delta_BIC": row.delta_BIC,
-                  "explained_percent": row.explained_percent, "note": row.note} for row in said.candidates[:8]],
+        "candidates": [[row.name, row.score, row.p, row.delta_BIC, row.explained_percent]
+                       for row in said.candidates if row.testable],
         "failures": [f"{row.name}: {row.note}" for row in said.candidates if row.note],
         "regions": [{"where": f"{row.test} {row.segment}", "before_sigma": row.before_sigma,
                      "after_sigma": row.after_sigma} for row in said.regions

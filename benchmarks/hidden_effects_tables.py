@@ -6,7 +6,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from hidden_effects_cases import hidden, outside
 from hidden_effects_scoring import Run, error_against_coverage, outcome, score, share
+from hidden_effects_sizes import frozen
 from hidden_effects_truth import C10, C20
 from measure import table
 from rich.console import Console
@@ -84,6 +86,25 @@ def figures(runs: Sequence[Run]) -> dict:
                             **score(good, TRUTH), "peers": peers(good),
                             "wall_s": float(np.median([run["wall_s"] for run in mine]))}
     return answer
+
+
+def cases_in_words() -> str:
+    """What is hidden, as a table in Markdown: sizes, whose they are, and the largest signal over noise they reach."""
+    table_of = frozen()
+    heads = ("effect, form", "smallest to largest", "source", "curves", "largest signal: ramps", "full",
+             "twins: ramps", "full")
+    lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
+    for key, case in {**hidden(), **outside()}.items():
+        rows = [table_of[name].get(key) for name in ("ramps", "full")]
+        if case.effect == "population":
+            rows = [table_of["animals"][key], None]
+        signals = ["-" if row is None else f"{row['signal_at_most']:.3g}{'' if row['testable'] else ' (not testable)'}"
+                   for row in rows]
+        twins = [", ".join(row.get("twins", [])) if row else "" for row in rows]
+        words = f"`{case.effect}`, {case.form}" if case.effect else f"{case.form} (in no catalogue)"
+        lines.append(f"| {words} | {case.low:g} to {case.high:g} {case.unit} | {case.source} | {case.origin} | "
+                     f"{' | '.join([*signals, *twins])} |")
+    return "\n".join(lines)
 
 
 def in_words(row: dict | float | None) -> str:
