@@ -192,8 +192,8 @@ class Campaign:
 
 
 def load_campaign(path: str | Path, *, planned: bool = False) -> Campaign:
-    """Read and check a campaign file; recordings are resolved (globs expanded, sorted) but not read. A `planned` one may
-    have tests with a protocol instead of recordings.
+    """Read and check a campaign file; recordings are resolved (globs expanded, sorted) but not read. Tests of a
+    `planned` one may have a protocol instead.
 
     Raises:
         InputError: anything wrong in the file, with the file and the dotted field.
