@@ -20,8 +20,9 @@ from calibration.forward.contract import InfeasibleError
 from calibration.forward.forms import REMAINDERS, remainder
 from tissue_sim.errors import InputError
 
-#: How many effects are fitted, and at most where the scores of more are this near to the best; and from which value of what means nothing in their absence beside the likeliest: the
-#: next one, where its score is as good but for so much in its square.
+#: How many effects are fitted, and at most where the scores of more are this near to the best; and from which value of
+#: what means nothing in their absence beside the likeliest: the next one, where its score is as good but for so much in
+#: its square.
 MOST, MOST_ALIKE, ALIKE, AS_GOOD = 6, 10, 0.9, 20.0
 #: A gain of the Schwarz criterion below this is none.
 LEAST_GAIN = 10.0
