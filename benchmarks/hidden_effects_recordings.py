@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from hidden_effects_sizes import CONTACT, NOISE, REPLICATES, ZERO
+from hidden_effects_sizes import CONTACT, CORRELATED, NOISE, REPLICATES, ZERO
 from hidden_effects_truth import HEIGHT, NEEDLE, RADIUS, VirtualTest, plain
 
-#: Correlation time of coloured noise, s; step of a sensor that rounds, N.
-CORRELATED, STEP = 0.5, 0.02
+#: Step of a sensor that rounds, N.
+STEP = 0.02
 _KINDS = {"A": "lubricated_compression", "B": "bonded_compression", "C": "needle_indentation"}
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from hidden_effects_cases import PAIRS, Case, both, hidden, outside
 from hidden_effects_peers import best_by_bic, gaussian_process, ordinary
 from hidden_effects_recordings import draw_scatter, write_campaign
-from hidden_effects_sizes import NOISE, REPLICATES, TABLE, frozen
+from hidden_effects_sizes import NOISE, REPLICATES, TABLE, class_of, frozen
 from hidden_effects_truth import PROTOCOLS, VirtualTest, plain
 
 from calibration.campaign_diagnosis import Diagnosed, diagnose_campaign, read_for_diagnosis
@@ -119,16 +119,15 @@ def _without(effects: Iterable[str]) -> Iterator[None]:
         yield
 
 
-def forces_of(planned: Planned) -> tuple[Callable[[VirtualTest], np.ndarray], list[Case], list[float], list[float]]:
-    """Force of a test without scatter; cases, sizes and signals of what is hidden."""
+def forces_of(planned: Planned) -> tuple[Callable[[VirtualTest], np.ndarray], list[Case], list[float]]:
+    """Force of a test without scatter; cases and sizes of what is hidden."""
     cases = [{**hidden(), **outside()}[key] for key in planned.cases]
-    chosen = [frozen()[planned.protocol][key]["sizes"][planned.words][planned.number] for key in planned.cases]
-    sizes, signals = [size for size, _ in chosen], [signal for _, signal in chosen]
+    sizes = [frozen()[planned.protocol][key]["sizes"][planned.words][planned.number][0] for key in planned.cases]
     if not cases:
-        return (lambda test: plain(test.kind, test.displacement)), cases, sizes, signals
+        return (lambda test: plain(test.kind, test.displacement)), cases, sizes
     if len(cases) == 2:
-        return both(*cases, (sizes[0], sizes[1])), cases, sizes, signals
-    return (lambda test: cases[0].force(test, sizes[0])), cases, sizes, signals
+        return both(*cases, (sizes[0], sizes[1])), cases, sizes
+    return (lambda test: cases[0].force(test, sizes[0])), cases, sizes
 
 
 def run_one(planned: Planned, digest: str = "", with_peers: bool = True) -> dict:
@@ -137,18 +136,22 @@ def run_one(planned: Planned, digest: str = "", with_peers: bool = True) -> dict
     Args:
         planned: the run. digest: of the code, noted with it. with_peers: whether the peers try.
     """
-    forces, cases, sizes, signals = forces_of(planned)
+    forces, cases, sizes = forces_of(planned)
     rng = np.random.default_rng([planned.seed, zlib.crc32(planned.name.encode())])
     scatter = draw_scatter(rng, planned.room == "other", planned.coloured)
     tests, began = PROTOCOLS[planned.protocol](), time.monotonic()
     rows = [frozen()[planned.protocol][key] for key in planned.cases]
+    # As the noise is that was drawn.
+    signals = [row["correlated"][planned.words][planned.number] if scatter.coloured else
+               row["sizes"][planned.words][planned.number][1] for row in rows]
+    signal = min(signals, default=0.0)
     taken = [case.effect for case in cases] if planned.room == "look-alike" else []
     answer: dict = {
         "name": planned.name, "protocol": planned.protocol, "seed": planned.seed, "hash": digest,
         # Another form of an effect of the catalogue is hidden, too; the forms are told apart by `form`.
         "room": "hidden" if planned.room == "other" else planned.room, "cases": list(planned.cases),
-        "form": cases[0].form if cases else "", "class": planned.words, "sizes": sizes,
-        "signal": min(signals, default=0.0), "origin": [case.origin for case in cases],
+        "form": cases[0].form if cases else "", "class": class_of(signal) if cases else "", "sizes": sizes,
+        "signal": signal, "origin": [case.origin for case in cases],
         "effects": [case.effect for case in cases if case.effect and not taken],
         "testable": all(row["testable"] for row in rows), "scatter": asdict(scatter),
         "twins": sorted({twin for row in rows for twin in row.get("twins", [])}),

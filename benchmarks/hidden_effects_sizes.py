@@ -20,6 +20,8 @@ from tissue_sim.errors import ConvergenceError
 TABLE = Path(__file__).with_name("hidden_effects_sizes.json")
 #: Of the recordings: noise, N; jitter between replicates, m and N; how many there are.
 NOISE, CONTACT, ZERO, REPLICATES = 0.02, 0.03e-3, 0.01, 3
+#: Correlation time of coloured noise, s.
+CORRELATED = 0.5
 #: Classes of projected signal over noise, and the values that are aimed at in them.
 CLASSES = {"< 3": (0.0, 3.0), "3 to 10": (3.0, 10.0), "> 10": (10.0, np.inf)}
 AIMS = {"< 3": (2.0,), "3 to 10": (6.0,), "> 10": (15.0, 50.0, 150.0)}
@@ -34,9 +36,14 @@ _SEEN = (15.0, 50.0)
 
 
 class Projection:
-    """What the moduli and the recordings' nuisances leave of a change of all forces of a protocol."""
+    """What the moduli and the recordings' nuisances leave of a change of all forces of a protocol.
 
-    def __init__(self, tests: Sequence[VirtualTest]):
+    Args:
+        tests: of the protocol. memory: of the noise, s; 0: white.
+    """
+
+    def __init__(self, tests: Sequence[VirtualTest], memory: float = 0.0):
+        self._memory = memory
         self.tests = [test for test in tests if not test.held_out]
         self.plain = [plain(test.kind, test.displacement) for test in self.tests]
         blocks = [moduli_change(test) * [C10, C20] for test in self.tests]
@@ -45,24 +52,32 @@ class Projection:
         start = 0
         for k, (test, block, force) in enumerate(zip(self.tests, blocks, self.plain, strict=True)):
             here = slice(start, start + len(block))
-            design[here, :2] = block / NOISE
+            design[here, :2] = self._white(test, block)
             slope = np.gradient(force, test.displacement + 1e-12 * np.arange(force.size))
             if test.returns:
                 # In a hold the displacement stands still.
                 step = 1e-6
                 slope = (plain(test.kind, test.displacement + step) - plain(test.kind, test.displacement - step)) / (
                     2 * step)
-            design[here, 2 + 2 * k] = slope * CONTACT / NOISE
-            design[here, 3 + 2 * k] = ZERO / NOISE
+            design[here, 2 + 2 * k] = self._white(test, slope * CONTACT)
+            design[here, 3 + 2 * k] = self._white(test, np.full(slope.size, ZERO))
             start += len(block)
         design[rows:, 2:] = np.eye(2 * count)
         self._rows, self._basis = rows, np.linalg.qr(design)[0]
 
+    def _white(self, test: VirtualTest, columns: np.ndarray) -> np.ndarray:
+        """N -> deviations of independent noise; the noise depends on the sample before alone."""
+        columns = columns / NOISE
+        if not self._memory:
+            return columns
+        kept = np.exp(-np.diff(test.time) / self._memory).reshape(-1, *[1] * (columns.ndim - 1))
+        return np.concatenate([columns[:1], (columns[1:] - kept * columns[:-1]) / np.sqrt(1 - kept**2)])
+
     def direction(self, forces: Callable[[VirtualTest], np.ndarray]) -> np.ndarray:
         """What is left of the change that some forces are, in deviations of all recordings, shape (n,)."""
-        change = np.concatenate([forces(test) - force for test, force in zip(self.tests, self.plain, strict=True)])
         whole = np.zeros(len(self._basis))
-        whole[:self._rows] = change / NOISE
+        whole[:self._rows] = np.concatenate([self._white(test, forces(test) - force)
+                                             for test, force in zip(self.tests, self.plain, strict=True)])
         return np.sqrt(REPLICATES) * (whole - self._basis @ (self._basis.T @ whole))
 
     def signal(self, case: Case, size: float) -> float:
@@ -97,7 +112,7 @@ def tabulate(name: str, say: Callable[[str], None] = print) -> dict:
     Args:
         name: of the protocol. say: what is done.
     """
-    projection = Projection(PROTOCOLS[name]())
+    projection, coloured = Projection(PROTOCOLS[name]()), Projection(PROTOCOLS[name](), CORRELATED)
     rows, directions = {}, {}
     for key, case in {**hidden(), **outside()}.items():
         if key not in ONLY.get(name, (key,)):
@@ -108,7 +123,7 @@ def tabulate(name: str, say: Callable[[str], None] = print) -> dict:
         except ConvergenceError:
             # The largest does not go through; the middle tells as well whether it is seen.
             largest = projection.signal(case, three_digits(np.sqrt(case.low * case.high)))
-        row: dict = {"sizes": {}}
+        row: dict = {"sizes": {}, "correlated": {}}
         for words, values in aims.items():
             try:
                 found = [size_for(projection, case, aim) for aim in values]
@@ -118,6 +133,7 @@ def tabulate(name: str, say: Callable[[str], None] = print) -> dict:
             kept = {size: round(signal, 2) for size, signal in filter(None, found)}
             if kept:
                 row["sizes"][words] = [[size, signal] for size, signal in kept.items()]
+                row["correlated"][words] = [round(coloured.signal(case, size), 2) for size in kept]
                 # Some are not largest at their largest size (plates that hold all of the tissue).
                 largest = max([largest, *kept.values()])
         row |= {"signal_at_most": round(largest, 2), "testable": bool(largest >= TESTABLE)}
@@ -142,6 +158,12 @@ def freeze(protocols: Sequence[str], say: Callable[[str], None] = print) -> None
     TABLE.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
 
 
+def class_of(signal: float) -> str:
+    """The class of a projected signal over noise."""
+    return next(words for words, (low, high) in CLASSES.items() if low <= signal < high)
+
+
 def frozen() -> Mapping[str, Mapping[str, dict]]:
-    """Protocol -> key -> ``signal_at_most``, ``testable``, ``sizes`` (class -> [size, signal]), ``twins``."""
+    """Protocol -> key -> ``signal_at_most``, ``testable``, ``sizes`` (class -> [size, signal in white noise]),
+    ``correlated`` (class -> signal in correlated noise, same order), ``twins``."""
     return json.loads(TABLE.read_text(encoding="utf-8"))

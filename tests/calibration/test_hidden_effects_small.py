@@ -164,7 +164,7 @@ def plates(study, monkeypatch):
     """A protocol of one compression, there and back, with sizes of its own."""
     truth, run = study["truth"], study["run"]
     monkeypatch.setitem(truth.PROTOCOLS, "plates", lambda: (truth.VirtualTest("A", "A", truth.FAST, True, 3.0),))
-    rows = {"testable": True, "sizes": {"> 10": [[2e-3, 30.0]]}, "twins": []}
+    rows = {"testable": True, "sizes": {"> 10": [[2e-3, 30.0]]}, "correlated": {"> 10": [12.0]}, "twins": []}
     monkeypatch.setattr(run, "frozen", lambda: {"plates": {"sensor_drift/exact": rows}})
     return "plates"
 
