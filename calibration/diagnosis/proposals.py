@@ -107,18 +107,21 @@ class Proposals:
 
 
 def propose(evidence: Evidence, steps: Steps, words: str = "effects, one at a time",
-            known: Sequence[str] = ()) -> Proposals:
+            known: Sequence[str] = (), only: str | None = None) -> Proposals:
     """Try every effect of the catalogue at a usual size, and score its direction.
 
     Args:
         evidence: at its minimum. steps: where the simulations run. words: for people.
-        known: names that are in the model already.
+        known: names that are in the model already. only: name of the only effect that is tried; None: all.
     """
     silent: dict[str, str] = {}
     effects: dict[str, Effect] = {}
     candidates: list[Candidate] = []
-    for name, kind in CATALOGUE.items():
+    for name, kind in CATALOGUE.items() if only is None else [(only, CATALOGUE[only])]:
         effects[name] = effect = kind()
+        if effect.like_moduli and any(each.is_modulus for each in evidence.problem.space.varied):
+            silent[name] = "no force tells it from the moduli"
+            continue
         try:
             candidates += [each for each in effect.candidates(evidence.situation) if each.name not in known]
         except NotTestableError as reason:
