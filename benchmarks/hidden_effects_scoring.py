@@ -228,6 +228,8 @@ def score(runs: Sequence[Run], truth: dict[str, float]) -> dict:
                                        lambda run: outcome(run) != "none")
                            for name, coloured in (("white", False), ("correlated", True))},
         "outside, unlike": {"abstains": share(rooms["outside"], lambda run: outcome(run) in ("unknown", "none")),
+                            # It abstains, and says that nothing is missing: that is more than it knows.
+                            "says none": share(rooms["outside"], lambda run: outcome(run) == "none"),
                             "unique name": share(rooms["outside"], lambda run: outcome(run) == "wrong")},
         "outside, look-alikes left in": {
             "abstains": share(rooms["look-alike"], lambda run: outcome(run) in ("unknown", "none")),
