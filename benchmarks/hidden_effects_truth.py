@@ -94,9 +94,10 @@ class VirtualTest:
 
     @cached_property
     def direction(self) -> np.ndarray:
-        """1 on the way in, 0 in the hold, -1 on the way back; a corner belongs to what ends there."""
+        """1 on the way in, 0 at the first sample and in the hold, -1 on the way back; a corner belongs to what ends
+        there."""
         answer = np.zeros(self.time.size)
-        answer[self.time <= self.ramp] = 1.0
+        answer[(self.time > 0) & (self.time <= self.ramp)] = 1.0
         answer[self.time > self.ramp + HOLD] = -1.0
         return answer
 
