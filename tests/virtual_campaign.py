@@ -46,7 +46,7 @@ class Fitted:
 
     def change(self, candidate: Candidate) -> np.ndarray:
         """What an effect of its trial size adds to the whitened forces, (N, q)."""
-        column = change_of(self.problem, self.evaluation, self.campaign, candidate, TRUTH)
+        column = change_of(self.problem, self.evaluation, self.campaign, candidate)
         assert isinstance(column, np.ndarray), (candidate.name, column)
         return column
 
