@@ -65,10 +65,15 @@ class _Clock:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        began, before = time.monotonic(), self.solves.counts.total()
+        began, before = time.monotonic(), self._simulations()
         yield
         self.stages.append(Stage(name=name, wall_s=time.monotonic() - began,
-                                 simulations=self.solves.counts.total() - before))
+                                 simulations=self._simulations() - before))
+
+    def _simulations(self) -> int:
+        # Other processes count their own; all keep them in the folder.
+        folder = self.solves.folder
+        return self.solves.counts.total() if folder is None else sum(1 for _ in folder.glob("*.msgpack"))
 
 
 def diagnose_campaign(campaign: Campaign, measured: Measured, steps: Steps, solves: Solves | None = None) -> Diagnosed:
@@ -111,7 +116,7 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: Steps, solv
     diagnosis = Diagnosis(
         campaign=campaign.name, law=campaign.fit.laws[0], verdict=judgement.verdict,
         message=message(judgement.verdict, effects, [titles.get(name, name) for name in judgement.indistinguishable],
-                        regions, (*gaps, noise), sum(not row.testable for row in candidates)),
+                        regions, (*gaps, noise), sum(not row.testable for row in candidates), held_out),
         effects=effects, indistinguishable=judgement.indistinguishable, candidates=candidates, regions=regions,
         gap_before_N=gaps[0], gap_after_N=gaps[1], noise_N=noise,
         noise_correlation_s=float(np.mean([one.correlation_time for one in noises])),

@@ -79,7 +79,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
         held, free = (
             simulate(replace(model, experiment=experiment, rig=rig.motion_only), resolution=resolution, mesh=mesh,
                      fields=fields, progress=follow, watch=watched, solver=solver, topology=topology)
-            for experiment, follow, watched in ((replace(model.experiment, slip=0.0), progress, watch),
+            for experiment, follow, watched in ((replace(model.experiment, slip=None), progress, watch),
                                                 (model.experiment.with_free_faces(), None, None)))
         return rig.read(slipped(held, free, share))
     tissue = SOLVERS.find(solver, "solver")(model, resolution=resolution, mesh=mesh, topology=topology)

@@ -192,10 +192,8 @@ class Campaign:
 
 
 def load_campaign(path: str | Path, *, planned: bool = False) -> Campaign:
-    """Read and check a campaign file; recordings are resolved (globs expanded, sorted) but not read.
-
-    Args:
-        path: of the file. planned: whether a test may have a protocol instead of recordings.
+    """Read and check a campaign file; recordings are resolved (globs expanded, sorted) but not read. Tests of a
+    `planned` one may have a protocol instead.
 
     Raises:
         InputError: anything wrong in the file, with the file and the dotted field.
@@ -357,7 +355,8 @@ def _fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ...]) -
         check_closed(table, named)
     by_path = {what.path: what for what in named.values()}
     start, fixed, prior, bounds = (
-        {named[name].path: _in_SI(value, named[name].declaration.factor) for name, value in getattr(table, key).items()}
+        {named[name].path: tuple(factor * end for end in value) if isinstance(value, tuple) else factor * value
+         for name, value in getattr(table, key).items() for factor in (named[name].declaration.factor,)}
         for key in BY_PARAMETER)
     offset_prior = next((value * 1e-3 for value in (table.offset_prior_mm, noise.contact_jitter_mm)
                          if isinstance(value, float | int) and value > 0), None)
@@ -373,10 +372,6 @@ def _fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ...]) -
         starts=table.starts or DEFAULT_STARTS, method=table.method,
         named=_read_only(by_path), start=_read_only(start), fixed=_read_only(fixed), prior=_read_only(prior),
         bounds=_read_only(bounds))
-
-
-def _in_SI(value: float | tuple[float, float], factor: float) -> float | tuple[float, float]:
-    return (factor * value[0], factor * value[1]) if isinstance(value, tuple) else factor * value
 
 
 def _noise(table: NoiseTable, method: str) -> Noise:

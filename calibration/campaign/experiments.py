@@ -56,7 +56,7 @@ def read_experiment(entry: TestTable, specimen: Specimen | None, folder: Path, p
     try:
         return kind.experiment(specimen=specimen, protocol=Protocol.ramp(1e-3 * specimen.height, 2),
                                tool=_tool(entry, kind, folder, place), contact_laws=laws,
-                               tilt=1e-3 * (entry.tilt_mm or 0.0), slip=entry.slip or 0.0, **interfaces)
+                               tilt=1e-3 * (entry.tilt_mm or 0.0), slip=entry.slip, **interfaces)
     except InputError as error:
         keys = _KEYS | {f"tool.{name}": key for key, (_, name, _) in tool_sizes().items()}
         if error.field not in keys:

@@ -8,22 +8,27 @@ from functools import cached_property
 
 import msgspec
 import numpy as np
+from scipy import special
 
-from calibration.campaign.campaign import Campaign
+from calibration.campaign.campaign import Campaign, Noise
 from calibration.campaign.measured import MeasuredCurve
 from calibration.effects.effect import Situation
 from calibration.fit.estimate import Estimate
 from calibration.fit.fit import Region
 from calibration.fit.generalised import Generalised
+from calibration.fit.levenberg_marquardt import descend
 from calibration.fit.problem import Evaluation, Problem
 from calibration.fit.regions import judge_regions
 from calibration.fit.steps import Steps
 from calibration.forward.solves import Solves
 from calibration.statistics.adequacy import span
+from calibration.statistics.jitter import Jitter
 from tissue_sim.errors import ConvergenceError, InputError
 
 #: A region disagrees where chance makes it, or any other of the tests, look so with less than this probability.
 LEVEL = 0.005
+#: The jitter between recordings is taken as large as it is with less than this probability.
+_DOUBT = 0.2
 Measured = Mapping[str, tuple[MeasuredCurve, ...]]
 
 
@@ -119,8 +124,40 @@ def gather(campaign: Campaign, measured: Measured, solves: Solves, steps: Steps)
         ConvergenceError: no start gets through the data.
     """
     law = campaign.fit.laws[0]
-    _, estimate = Generalised(campaign, measured, solves).estimate((law,), steps)[law]
+    estimator = Generalised(campaign, measured, solves)
+    _, estimate = estimator.estimate((law,), steps)[law]
     if not isinstance(estimate, Estimate):
         raise ConvergenceError(f"{campaign.path}: no start of {law} gets through the data ({estimate}); state another "
                                "one in fit.start, or take a smaller max_strain")
+    problem = estimate.problem
+    problem.jitter = doubted(problem, estimate.theta, estimator.stated(problem))
+    problem.forget()
+    descent = descend(problem, estimate.theta, corrected=True)
+    estimate = replace(estimate, theta=descent.theta, error=descent.error)
     return Evidence(campaign, measured, estimate)
+
+
+def doubted(problem: Problem, theta: np.ndarray, stated: Noise) -> Jitter:
+    """Jitter that is an estimate, as large as it may well be: few recordings may agree by chance, and an effect that
+    moves like contact or zero would then stand out. What is stated or assumed stays.
+
+    The variance of what the recordings show (jitter and what one of them resolves) is known to a chi-square.
+    """
+    jitter = problem.jitter
+    if not jitter.freedom:
+        return jitter
+    factor = jitter.freedom / float(special.chdtri(jitter.freedom, 1.0 - _DOUBT))
+    resolved: dict[str, list[float]] = {"contact": [], "zero": []}
+    for test in problem.replicates(theta):
+        for one in test:
+            own = np.column_stack([one.contact, one.zero])
+            variances = np.diag(np.linalg.pinv(own.T @ own))
+            for name, variance in zip(resolved, variances, strict=True):
+                resolved[name].append(float(variance))
+    known = {"contact": stated.contact_jitter, "zero": stated.zero_jitter}
+    found = {}
+    for name, several in resolved.items():
+        own_variance, value = float(np.median(several)), getattr(jitter, name)
+        larger = np.sqrt((value**2 + own_variance) * factor - own_variance)
+        found[name] = value if known[name] is not None else float(larger)
+    return Jitter(found["contact"], found["zero"], jitter.freedom)

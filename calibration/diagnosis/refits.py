@@ -20,9 +20,10 @@ from calibration.forward.contract import InfeasibleError
 from calibration.forward.forms import REMAINDERS, remainder
 from tissue_sim.errors import InputError
 
-#: How many effects are fitted; and from which value of what means nothing in their absence beside the likeliest: the
-#: next one, where its score is as good but for so much in its square.
-MOST, AS_GOOD = 6, 20.0
+#: How many effects are fitted, and at most where the scores of more are this near to the best; and from which value of
+#: what means nothing in their absence beside the likeliest: the next one, where its score is as good but for so much in
+#: its square.
+MOST, MOST_ALIKE, ALIKE, AS_GOOD = 6, 10, 0.9, 20.0
 #: A gain of the Schwarz criterion below this is none.
 LEAST_GAIN = 10.0
 #: An effect is fitted where its score alone would gain this share of the least gain.
@@ -103,8 +104,9 @@ def refit(evidence: Evidence, proposals: Proposals, steps: Steps, words: str = "
         evidence: without them. proposals: the catalogue on it. names: of candidates; None: the `MOST` strongest.
     """
     promising = _PROMISING * (LEAST_GAIN + float(np.log(evidence.samples)))
-    chosen = [name for name, each in proposals.best.items() if -2.0 * each.improbability > promising][:MOST] \
-        if names is None else list(names)
+    telling = [(name, -2.0 * each.improbability) for name, each in proposals.best.items()]
+    chosen = [name for number, (name, squares) in enumerate(telling[:MOST_ALIKE]) if squares > promising
+              and (number < MOST or squares > ALIKE**2 * telling[0][1])] if names is None else list(names)
     # Tests that are homogeneous without an effect need no mesh error, with it they may: the determinant counts.
     error = evidence.estimate.error + evidence.evaluation.log_determinant
     tasks = []

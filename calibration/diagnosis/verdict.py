@@ -18,7 +18,7 @@ from calibration.fit.steps import Steps
 #: Odds against an effect from which on it is no longer held for possible.
 ODDS = 20.0
 #: An effect whose form is not confirmed explains at least this share of the gap.
-MOSTLY = 0.7
+MOSTLY = 0.9
 #: Weakest evidence of a second effect: the Schwarz criterion must be better by this with both than with either.
 SECOND = 10.0
 

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from calibration.diagnosis.diagnosis import FoundEffect, Number, RegionGap, Verdict
+from calibration.diagnosis.diagnosis import FoundEffect, HeldOut, Number, RegionGap, Verdict
 
 #: What a unit of SI is written in, and how many of these it is.
 _UNITS = {"m": ("mm", 1e3), "m/N": ("mm/N", 1e3), "m2/s": ("mm2/s", 1e6), "N s/m": ("N s/mm", 1e-3), "1": ("", 1.0)}
+
+#: Squares of the errors of unseen data may grow by this factor by chance.
+_NO_BETTER = 1.1
 
 
 def joined(words: Sequence[str], last: str = "and") -> str:
@@ -29,18 +32,21 @@ def effect_in_words(effect: FoundEffect) -> str:
 
 
 def message(verdict: Verdict, effects: Sequence[FoundEffect], titles: Sequence[str], regions: Sequence[RegionGap],
-            gaps: tuple[float, float | None, float], untestable: int) -> str:
+            gaps: tuple[float, float | None, float], untestable: int, unseen: Sequence[HeldOut] = ()) -> str:
     """What was found, in a few sentences.
 
     Args:
         verdict: in one word. effects: that were added. titles: of all that explain the gap as well.
         regions: of all tests. gaps: root mean square before and after, and noise, N.
-        untestable: how many effects these tests could not show.
+        untestable: how many effects these tests could not show. unseen: data that the fits have not seen.
     """
     before, after, noise = gaps
     where = [region.sentence for region in regions if not region.adequate_before]
     closed = "" if after is None else (f" The gap falls from {before:.2g} to {after:.2g} N ({before / noise:.2g} to "
                                        f"{after / noise:.2g} of the noise).")
+    pairs = [(each.before_N, each.after_N) for each in unseen if each.before_N is not None and each.after_N is not None]
+    if pairs and sum(two**2 for _, two in pairs) > _NO_BETTER * sum(one**2 for one, _ in pairs):
+        closed += " Data that the fits have not seen are predicted worse with it: do not rely on it."
     silent = f" {untestable} effects of the catalogue cannot be seen in these tests." if untestable else ""
     match verdict:
         case "NONE":
@@ -49,8 +55,9 @@ def message(verdict: Verdict, effects: Sequence[FoundEffect], titles: Sequence[s
             return ("Something is missing that no known effect explains: " + "; ".join(where[:3])
                     + f". Nothing was added.{silent}")
         case "SET":
-            return (f"{joined(titles, 'or')} is missing, and these tests do not tell which; the likeliest was added: "
-                    f"{effect_in_words(effects[0])}.{closed}")
+            names = joined(titles, "or")
+            return (f"{names[:1].upper()}{names[1:]} is missing, and these tests do not tell which; the likeliest "
+                    f"was added: {effect_in_words(effects[0])}.{closed}")
         case "LOOKS_LIKE":
             return (f"It looks like {joined([effect_in_words(each) for each in effects])}, but its form is not "
                     f"confirmed: something smooth is left.{closed}")

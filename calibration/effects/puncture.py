@@ -6,7 +6,7 @@ from calibration.effects.effect import Candidate, Effect, NotTestableError, Situ
 #: Share of the force that is tried first, and the largest that a refit may find.
 _SHARE, _LARGEST = 0.05, 0.95
 #: Depths that are tried, in largest depths of a needle.
-_DEPTHS = (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)
+_DEPTHS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 
 
 class Puncture(Effect):

@@ -20,6 +20,7 @@ from tissue_sim.differentiation import sensitivities
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.protocol import Protocol
+from tissue_sim.material.effect import ReducedEffect, ReducedForce
 from tissue_sim.model import Model
 from tissue_sim.parameters import with_values
 from tissue_sim.recording.recording import Recording
@@ -68,17 +69,56 @@ class Reading:
 
 
 @dataclass(frozen=True, eq=False)
+class Left:
+    """What effects in reduced form leave of the simulated force: theirs are jumps, which knots would smear.
+
+    Attributes:
+        effects: those that act.
+    """
+
+    effects: tuple[ReducedEffect, ...]
+
+    @classmethod
+    def of(cls, model: Model) -> Left:
+        """Those of a model whose tool goes where the stage says, upright; of others the simulation takes care."""
+        straight = not model.experiment.tilt and model.rig.motion_only.ideal
+        return cls(model.material.reduced_effects(plate=model.experiment.tool.is_plate) if straight else ())
+
+    def owns(self, path: str) -> bool:
+        """Whether a number of the material is one of theirs."""
+        place = path.rpartition(".")[0]
+        return any(place in (effect.name, f"effects.{effect.name}") for effect in self.effects)
+
+    def simulated(self, model: Model) -> Model:
+        """The model without them."""
+        material = model.material
+        if not self.effects:
+            return model
+        kept = {name: effect for name, effect in material.effects.items() if effect not in self.effects}
+        puncture = None if material.puncture in self.effects else material.puncture
+        return replace(model, material=replace(material, puncture=puncture, effects=kept))
+
+    def share(self, measured: MeasuredCurve, offset: float) -> np.ndarray:
+        """Of the force at the samples of a recording, shape (n,)."""
+        depth = measured.displacement - offset
+        waits = np.zeros(depth.size) if measured.time is None else np.diff(measured.time, prepend=measured.time[0])
+        force = ReducedForce(self.effects)
+        return np.array([force.go(d, dt) for d, dt in zip(depth.tolist(), waits.tolist(), strict=True)])
+
+
+@dataclass(frozen=True, eq=False)
 class SimulatedAnswer:
     """Simulated forces.
 
     Attributes:
-        courses: of force and derivatives, of each recording. rigs: that each was read with.
+        courses: of force and derivatives, of each recording. rigs: that each was read with. left: of each.
         space, values: the parameters that they belong to.
         differences: names whose derivatives are differences.
     """
 
     courses: list[Course]
     rigs: list[Reading]
+    left: list[Left]
     space: ParameterSpace
     values: dict[str, float]
     differences: frozenset[str]
@@ -142,10 +182,12 @@ class SimulatedTest:
                 courses[key] = motion.through(np.column_stack([force, rates]))
             chosen.append(courses[key])
         differences |= {each.name for each in space.varied if self._reads(each, values)}
-        rigs = [Reading(self.rig)] * len(chosen) if space.of_material_alone else [
-            Reading(self._model(space, values, self.motions[number], measured.name, whole=True).rig)
-            for measured, number in zip(self.measured, self.motion_of, strict=False)]
-        return SimulatedAnswer(chosen, rigs, space, values, frozenset(differences))
+        models = [self._model(space, values, self.motions[number], measured.name, whole=True)
+                  for measured, number in zip(self.measured, self.motion_of, strict=False)]
+        left = [Left.of(model) for model in models]
+        differences |= {each.name for each in space.varied if any(one.owns(each.path) for one in left)}
+        return SimulatedAnswer(chosen, [Reading(model.rig) for model in models], left, space, values,
+                               frozenset(differences))
 
     def refine(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> float:
         """Compute what the accurate mesh has more at these parameters, and keep it as the correction.
@@ -196,9 +238,11 @@ class SimulatedTest:
                 if space.shapes_mesh(self.name) else None
         except InputError as error:
             raise InfeasibleError(f"{self.name}: {error}") from None
+        left = Left.of(model)
+        model, topology = left.simulated(model), topology and left.simulated(topology)
         acting = {} if resolution == "accurate" else {
             place: each.path for place, each in enumerate(space.varied)
-            if each.acts_in(self.name, recording) and not self._reads(each, values)}
+            if each.acts_in(self.name, recording) and not self._reads(each, values) and not left.owns(each.path)}
         key = content_key(model, topology, list(acting.values()), resolution)
         curve = solves.find(key)
         if curve is None:
@@ -234,6 +278,8 @@ class SimulatedTest:
         measured, reading = self.measured[recording], answer.rigs[recording]
         rig = reading.rig
         values, rate = answer.courses[recording](self._time(recording), measured.displacement, offset)
+        if answer.left[recording].effects:
+            values, rate = self._left(answer, recording, offset, values, rate)
         simulated = values[:, 0]
         if rig.latency:
             columns = np.column_stack([values, rate])
@@ -251,6 +297,19 @@ class SimulatedTest:
                 rates[:, place] = (more - force) / width
         return force, rates, rate
 
+    def _left(self, answer: SimulatedAnswer, recording: int, offset: float, values: np.ndarray, rate: np.ndarray):
+        """What effects in reduced form leave of force and rates, (n, 1 + p), and of the rate with the offset, (n,)."""
+        left, measured, space = answer.left[recording], self.measured[recording], answer.space
+        share = left.share(measured, offset)
+        scaled = share[:, None] * values
+        for place, each in enumerate(space.varied, start=1):
+            if each.acts_in(self.name, measured.name) and left.owns(each.path):
+                width = _away(answer.values[each.name])
+                more = self._model(space, answer.values | {each.name: answer.values[each.name] + width},
+                                   self.motions[self.motion_of[recording]], measured.name, whole=True)
+                scaled[:, place] = (Left.of(more).share(measured, offset) - share) / width * values[:, 0]
+        return scaled, share * rate
+
     def differences(self, answer: SimulatedAnswer) -> frozenset[str]:
         """As `ForwardTest.differences`."""
         return answer.differences
@@ -260,7 +319,9 @@ class SimulatedTest:
         if answer.rigs[recording].reading is not None:
             return np.column_stack([self.evaluate(answer, recording, offset)[0] for offset in offsets])
         measured = self.measured[recording]
-        return answer.courses[recording].forces(self._time(recording), measured.displacement, offsets)
+        forces = answer.courses[recording].forces(self._time(recording), measured.displacement, offsets)
+        left = answer.left[recording]
+        return left.share(measured, 0.0)[:, None] * forces if left.effects else forces
 
     def _time(self, recording: int) -> np.ndarray | None:
         """Of the samples, on the clock of their motion: motions that count as one may have begun at other times."""

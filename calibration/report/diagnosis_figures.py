@@ -13,7 +13,7 @@ from calibration.fit.curves import TestCurves
 from calibration.fit.fit import Region
 from calibration.report.curve_figures import MISFIT, Abscissa, binned, draw_view
 from calibration.report.drawing import COLOURS, legend_above, new_figure, panels
-from calibration.report.rounding import gain_text
+from calibration.report.rounding import gain_text, ratio_text
 from calibration.report.units import Units
 from calibration.report.views import Trace, is_timed, views
 
@@ -195,9 +195,7 @@ def draw_candidates(candidates: Sequence[CandidateStatement], names: Sequence[st
 def _odds(each: CandidateStatement) -> str:
     """``, 1 : 45`` against the best."""
     ratio = each.evidence_ratio
-    if ratio is None or ratio <= 1.0:
-        return ""
-    return f", 1 : {ratio:.3g}" if ratio < 1e6 else ", less than 1 : 10⁶"
+    return "" if ratio is None or ratio <= 1.0 else f", 1 : {ratio_text(ratio)}"
 
 
 def _signed(axes, values: Sequence[float], linear: float, room: float = 1.5) -> None:

@@ -17,6 +17,7 @@ from calibration.output_folder import picture_of_test
 from calibration.report.diagnosis_figures import curves_of, draw_candidates, draw_evidence, draw_gap
 from calibration.report.diagnosis_tables import (
     absorbed,
+    capital,
     fitted_table,
     held_out_table,
     label_of,
@@ -78,16 +79,18 @@ def diagnosis_page(diagnosis: Diagnosis, before: Evidence, after: Evidence | Non
 def _summary(diagnosis: Diagnosis, effects: Mapping[str, Effect], units: Units) -> str:
     """What a reader takes along."""
     verdict = diagnosis.verdict
-    rows = [(HEADINGS[verdict], [f"<b>{escape(diagnosis.message)}</b>",
-                                 f'<span class="quiet">{verdict}: {escape(VERDICTS[verdict])}.</span>']),
+    # A message may say all that its verdict means.
+    said = VERDICTS[verdict] in diagnosis.message.lower()
+    meaning = [] if said else [f'<span class="quiet">{verdict}: {escape(VERDICTS[verdict])}.</span>']
+    rows = [(HEADINGS[verdict], [f"<b>{escape(diagnosis.message)}</b>", *meaning]),
             ("Where", [escape(sentence) for sentence in places(diagnosis)]),
-            ("What it does", [f"{escape(effects[each.name].title)}: {escape(effects[each.name].signature)}"
+            ("What it does", [f"{escape(capital(effects[each.name].title))}: {escape(effects[each.name].signature)}"
                               + (f"; here most in {escape(joined(each.acts_in))}." if each.acts_in else ".")
                               for each in diagnosis.effects if each.name in effects]),
             ("Told apart by", list(_separations(diagnosis, effects))),
             ("Had absorbed", list(_moved(diagnosis.fit_before, diagnosis.fit_after, units))),
             ("Unseen data", list(_unseen(diagnosis, units))),
-            ("Next", [escape(each.sentence) for each in diagnosis.next_experiment[:1]])]
+            ("Next", [f"{escape(capital(each.sentence))}." for each in diagnosis.next_experiment[:1]])]
     items = (f"<dt>{term}</dt><dd>" + "<br>".join(lines) + "</dd>" for term, lines in rows if lines)
     return f'<dl class="verdict">{"".join(items)}</dl>'
 
@@ -118,8 +121,8 @@ def _separations(diagnosis: Diagnosis, effects: Mapping[str, Effect]) -> Iterato
         if effect is None:
             continue
         ratio = ratios.get(name)
-        against = "" if ratio is None or ratio <= 1.0 else f" (1 : {ratio:.2g} against the likeliest)"
-        yield f"{escape(labels.get(name, effect.title))}{against}: {escape(effect.separated_by)}."
+        against = "" if ratio is None or ratio < 1.05 else f" (1 : {ratio:.2g} against the likeliest)"
+        yield f"{escape(capital(labels.get(name, effect.title)))}{against}: {escape(effect.separated_by)}."
 
 
 def _moved(before: Fit, after: Fit | None, units: Units) -> Iterator[str]:
@@ -134,7 +137,7 @@ def _moved(before: Fit, after: Fit | None, units: Units) -> Iterator[str]:
 
 
 def _unseen(diagnosis: Diagnosis, units: Units) -> Iterator[str]:
-    for kind, words in (("replicate", "recordings left out"), ("test", "tests held out")):
+    for kind, noun, how in (("replicate", "recording", "left out"), ("test", "test", "held out")):
         mine = [each for each in diagnosis.held_out if each.kind == kind and each.before_N is not None]
         if not mine:
             continue
@@ -144,8 +147,8 @@ def _unseen(diagnosis: Diagnosis, units: Units) -> Iterator[str]:
         judged = [each.adequate_before if each.after_N is None else each.adequate_after for each in mine]
         held = sum(each is True for each in judged)
         added = f", with what was added {after}" if after else ""
-        yield (f"Error in {len(mine)} {words}: {before}{added}; in {held} of {len(mine)} nothing but noise, jitter and "
-               "the parameters' uncertainty is left.")
+        yield (f"Error in {counted(len(mine), noun)} {how}: {before}{added}; in {held} of {len(mine)} nothing but "
+               "noise, jitter and the parameters' uncertainty is left.")
 
 
 def _ends(sizes: Sequence[float | None]) -> list[float]:
@@ -210,8 +213,8 @@ def _next(diagnosis: Diagnosis) -> str:
     for each in diagnosis.next_experiment:
         by = "" if each.deviations is None else f" by {each.deviations:.2g} standard deviations"
         names = joined([labels.get(name, name) for name in each.separates], "and")
-        lines.append(escape(each.sentence) + (f' <span class="quiet">Separates {escape(names)}{by}.</span>'
-                                              if names else ""))
+        told = f' <span class="quiet">Separates {escape(names)}{by}.</span>' if names else ""
+        lines.append(f"{escape(capital(each.sentence))}.{told}")
     return f"<ol>{''.join(f'<li>{line}</li>' for line in lines)}</ol>"
 
 

@@ -9,7 +9,7 @@ from calibration.diagnosis.diagnosis import CandidateStatement, Diagnosis, HeldO
 from calibration.effects.effect import ROOMS
 from calibration.fit.fit import Fit
 from calibration.report.page import estimate_of, html_table, interval_of, symbol_of, with_minus
-from calibration.report.rounding import gain_text, value_and_error
+from calibration.report.rounding import gain_text, ratio_text, value_and_error
 from calibration.report.symbols import html_symbol, plain_symbol
 from calibration.report.units import Unit, Units
 
@@ -71,7 +71,7 @@ def fitted_table(candidates: Sequence[CandidateStatement], units: Units) -> str:
         rows.append([escape(label_of(each)), fitted or "-", "-" if each.score is None else with_minus(
             f"{each.score:.1f}"), "-" if each.delta_BIC is None else gain_text(each.delta_BIC),
             "-" if each.explained_percent is None else f"{each.explained_percent:.3g}\u00a0%",
-            odds(each.evidence_ratio)])
+            escape(odds(each.evidence_ratio))])
     return html_table(["Fitted", "Numbers", "Score", "ΔBIC", "Explains", "Odds against"], rows, text=(1,),
                       narrow=True) if rows else ""
 
@@ -110,13 +110,14 @@ def silent_table(candidates: Sequence[CandidateStatement]) -> str:
     for each in candidates:
         if not each.testable:
             reasons.setdefault(each.reason, []).append(each)
-    rows = [[escape(", ".join(map(label_of, several))), escape(_sentence(reason))]
+    rows = [[escape(", ".join(map(label_of, several))), escape(capital(reason))]
             for reason, several in reasons.items()]
     return html_table(["Cannot be seen", "Because"], rows, text=(0, 1), narrow=True) if rows else ""
 
 
-def _sentence(reason: str) -> str:
-    return reason[:1].upper() + reason[1:]
+def capital(words: str) -> str:
+    """With a capital at its beginning."""
+    return words[:1].upper() + words[1:]
 
 
 def chance(p: float | None) -> str:
@@ -125,10 +126,10 @@ def chance(p: float | None) -> str:
 
 
 def odds(ratio: float | None) -> str:
-    """``1``, ``45 : 1``."""
+    """``best``, ``45 : 1``; ``-`` for None."""
     if ratio is None:
         return "-"
-    return "&gt; 10⁶ : 1" if ratio > 1e6 else "best" if ratio <= 1.0 else f"{ratio:.3g} : 1"
+    return "best" if ratio <= 1.0 else f"{ratio_text(ratio)} : 1"
 
 
 def region_table(regions: Sequence[RegionGap], units: Units) -> str:

@@ -68,6 +68,11 @@ def gain_text(gain: float) -> str:
     return text.replace(",", "\u202f").replace("-", "−")
 
 
+def ratio_text(ratio: float) -> str:
+    """Odds: ``4.9``, ``48 600``, ``> 10⁶``."""
+    return "> 10⁶" if ratio > 1e6 else gain_text(float(f"{ratio:.3g}")) if ratio >= 100 else f"{ratio:.2g}"
+
+
 def _usable(error: float | None) -> TypeGuard[float]:
     return error is not None and error > 0 and math.isfinite(error)
 

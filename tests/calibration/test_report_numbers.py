@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from calibration.report.page import moduli_of, remarks_by_law, shear_modulus_error, with_minus, young_modulus
-from calibration.report.rounding import error_text, interval_text, value_and_error
+from calibration.report.rounding import error_text, interval_text, ratio_text, value_and_error
 from calibration.report.symbols import html_symbol, math_symbol, plain_symbol
 from calibration.report.units import Units
 
@@ -76,3 +76,9 @@ def test_what_laws_share_is_said_once():
         ("a", ["assumed", "far off"]), ("b", ["assumed", "on a bound"]), ("c", ["assumed", "far off"]))]
     told = [([fit.law for fit in having], words) for having, words in remarks_by_law(fits, lambda fit: fit.warnings)]
     assert told == [(["a", "b", "c"], "assumed"), (["a", "c"], "far off"), (["b"], "on a bound")]
+
+
+@pytest.mark.parametrize(("ratio", "text"), [(1.26, "1.3"), (12.93, "13"), (338.2, "338"), (48644.0, "48\u202f600"),
+                                             (3e7, "> 10⁶")])
+def test_odds_have_few_digits(ratio, text):
+    assert ratio_text(ratio) == text

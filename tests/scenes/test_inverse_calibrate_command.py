@@ -181,7 +181,7 @@ def test_what_the_tests_do_not_tell(write, tmp_path, capsys):
 def watched(monkeypatch, height=24):
     """Everything that a terminal of 80 columns is told on stderr."""
     stream = io.StringIO()
-    monkeypatch.setattr("scenes.commands.shared.progress_console",
+    monkeypatch.setattr("scenes.commands.calibrate.progress_console",
                         lambda quiet: Console(file=stream, force_terminal=True, width=80, height=height, quiet=quiet,
                                               legacy_windows=False, _environ={"TERM": "xterm"}))
     return stream

@@ -237,7 +237,7 @@ def test_measures_reach_the_experiment_in_si(material, monkeypatch):
     assert tool.half_angle == pytest.approx(np.pi / 6)
     assert (experiment.friction, experiment.friction_base, experiment.friction_wall) == (0.7, "stick", 0.2)
     assert (experiment.adhesion.force, experiment.adhesion.length) == (0.05, pytest.approx(0.0004))
-    assert experiment.tilt == pytest.approx(0.0003) and experiment.slip == 0.0
+    assert experiment.tilt == pytest.approx(0.0003) and experiment.slip is None
     assert main(["simulate", "bonded_compression", "--material", material, "--slip", "0.2"]) == 1
     assert seen[-1].slip == 0.2
 

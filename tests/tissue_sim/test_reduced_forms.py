@@ -1,5 +1,7 @@
 """Effects that are stated and not solved for, in whole simulations: drainage, puncture, tilt, slip, a scale."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -170,6 +172,11 @@ class TestSlip:
         with pytest.raises(ts.InputError, match=words) as caught:
             ts.Experiment(ts.Specimen(RADIUS, HEIGHT), self.PROTOCOL, **changes)
         assert caught.value.field == field
+
+    def test_only_bonded_faces_have_it(self):
+        bonded = ts.Experiment(ts.Specimen(RADIUS, HEIGHT), self.PROTOCOL)
+        assert bonded.slip == 0.0 and dataclasses.replace(bonded, friction=0.3).slip is None
+        assert dataclasses.replace(dataclasses.replace(bonded, friction=0.3), friction="bonded").slip == 0.0
 
     def test_not_in_real_time(self):
         experiment = ts.Experiment(ts.Specimen(RADIUS, HEIGHT), self.PROTOCOL, slip=0.1)

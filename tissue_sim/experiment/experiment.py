@@ -40,7 +40,7 @@ class Experiment:
         adhesion: pull of a tool that lifts off; None: none.
         tilt: height difference across the contact, m; see `tissue_sim.tilt`.
         slip: share of bonded faces that slips; see `tissue_sim.slip`. Under a plate it is that of both faces, as far as
-            they are bonded; under a needle that of its face alone.
+            they are bonded; under a needle that of its face alone. None where the tool's face is not bonded.
         contact_laws: what was added beside these, by name; see `tissue_sim.experiment.contact_law`. A sequence of laws
             is taken, too.
 
@@ -56,7 +56,7 @@ class Experiment:
     friction_wall: str | float = _friction("mu_wall", "friction_wall", "frictionless")
     adhesion: Adhesion | None = None
     tilt: float = parameter("delta", "m", key="tilt_mm", factor=1e-3, bounds=(0.0, 1.0), absent=0.0, default=0.0)
-    slip: float = parameter("s", "1", key="slip", bounds=(0.0, 1.0), absent=0.0, default=0.0)
+    slip: float | None = parameter("s", "1", key="slip", bounds=(0.0, 1.0), absent=0.0, default=None)
     contact_laws: Mapping[str, ContactLaw] = field(default_factory=dict)
 
     def __post_init__(self):
@@ -69,11 +69,13 @@ class Experiment:
                              "'frictionless' or a coefficient of friction", field="friction_wall")
         if not (np.isfinite(self.tilt) and self.tilt >= 0):
             raise InputError(f"{self.tilt:g} m is not a height difference; give 0 or more", field="tilt")
-        if not 0 <= self.slip <= 1:
-            raise InputError(f"{self.slip:g} is no share; give 0 to 1", field="slip")
-        if self.slip and self.friction != "bonded":
+        slip = self.slip or 0.0
+        if not 0 <= slip <= 1:
+            raise InputError(f"{slip:g} is no share; give 0 to 1", field="slip")
+        if slip and self.friction != "bonded":
             raise InputError("a part of a bonded face slips; use friction 'bonded', or leave the slip out",
                              field="slip")
+        object.__setattr__(self, "slip", slip if self.friction == "bonded" else None)
         if self.protocol.depth >= self.specimen.height:
             raise InputError(f"{self.protocol.depth * 1e3:g} mm is deeper than the specimen is high "
                              f"({self.specimen.height * 1e3:g} mm)", field="protocol")
@@ -108,7 +110,7 @@ class Experiment:
             InputError: tissue that slides round a sharp edge.
         """
         base = "frictionless" if self.tool.is_plate and self.base_interface == "bonded" else self.friction_base
-        return replace(self, friction="frictionless", friction_base=base, slip=0.0)
+        return replace(self, friction="frictionless", friction_base=base, slip=None)
 
     def tool_pose(self, displacement: float) -> Pose:
         """Where the tool is when the protocol says this displacement, m: pushed in along the axis."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from calibration.diagnosis.words import joined
 from calibration.report.diagnosis_page import places
-from calibration.report.diagnosis_tables import absorbed, label_of, labels_of, sizes_in_words
+from calibration.report.diagnosis_tables import absorbed, label_of, labels_of, odds, sizes_in_words
 from calibration.report.drawing import counted
 from calibration.report.page import estimate_of
 from calibration.report.rounding import gain_text
@@ -53,11 +53,10 @@ def _candidates(diagnosis: Diagnosis, units: Units) -> Table | None:
         return None
     table = text_table("effect", "score", "dBIC", "explains", "odds against", "smallest size seen", text=1)
     for each in seen[:_MOST]:
-        ratio = each.evidence_ratio
-        against = "-" if ratio is None else "best" if ratio <= 1 else f"{ratio:.3g} : 1" if ratio < 1e6 else "> 1e6 : 1"
         table.add_row(label_of(each), "-" if each.score is None else f"{each.score:.1f}",
                       "-" if each.delta_BIC is None else gain_text(each.delta_BIC),
-                      "-" if each.explained_percent is None else f"{each.explained_percent:.3g} %", against,
+                      "-" if each.explained_percent is None else f"{each.explained_percent:.3g} %",
+                      odds(each.evidence_ratio),
                       sizes_in_words(each, units))
     return table
 

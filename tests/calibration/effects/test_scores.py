@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from virtual_campaign import TESTS, fitted, measured_campaign
+from virtual_campaign import TESTS, TRUTH, fitted, measured_campaign
 
+from calibration.diagnosis.extended import extend
 from calibration.effects.catalogue import CATALOGUE
 from calibration.effects.effect import NotTestableError
 
@@ -33,8 +34,7 @@ def test_nothing_hidden_gives_nothing(plain):
 @pytest.mark.parametrize(("name", "values", "where", "found_as"), [
     ("session_scale", {"effects.stiffness_scale.ratio": 1.06}, "needle", "session_scale@needle"),
     ("backlash", {"rig.backlash": 5e-5}, None, "backlash"),
-    ("softening", {"softening.loss": 0.03, "softening.share": 0.7}, None, "softening"),
-    ("partial_slip", {"experiment.slip": 0.1}, "glued", "partial_slip@glued")])
+    ("softening", {"softening.loss": 0.03, "softening.share": 0.7}, None, "softening")])
 def test_the_hidden_effect_has_the_best_score(tmp_path, name, values, where, found_as):
     effect = CATALOGUE[name]()
     study = fitted(measured_campaign(
@@ -79,3 +79,21 @@ def test_inertia_shows_at_speed(tmp_path, monkeypatch):
                     encoding="utf-8")
     found = scores(fitted(path), ("inertia", "latency", "rate_damping", "backlash", "zero_offset"))
     assert found["inertia"] == max(found.values()) > 5.0, found
+
+
+def test_a_puncture_is_a_jump_at_a_sample(plain):
+    """And not one that the knots of a simulation smear: a share less from the first sample beyond its depth on."""
+    candidate = CATALOGUE["puncture"]().candidates(plain.situation)[4]
+    (drop,), (depth,) = candidate.sizes.values(), candidate.shape.values()
+    problem, _ = extend(plain.problem, plain.campaign, candidate, free=True)
+    theta = np.array([TRUTH.get(each.name, {**candidate.sizes, **candidate.shape}.get(each.path))
+                      for each in problem.space.varied])
+    base = np.array([TRUTH[name] for name in plain.problem.space.free])
+    for test, before in zip(problem.tests, plain.problem.tests, strict=True):
+        force, rates, _ = test.evaluate(test.solve(problem.space, theta, problem.solves), 0, 0.0)
+        whole, whole_rates, _ = before.evaluate(before.solve(plain.problem.space, base, problem.solves), 0, 0.0)
+        left = np.where((test.name == "needle") & (np.maximum.accumulate(test.measured[0].displacement) > depth),
+                        1.0 - drop, 1.0)
+        np.testing.assert_allclose(force, left * whole, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(rates[:, :2], left[:, None] * whole_rates, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(rates[:, 2], np.where(left < 1.0, -whole, 0.0), rtol=1e-5, atol=1e-6)

@@ -1,0 +1,181 @@
+"""`calibration.diagnose`: folders, what is read back, the page of every verdict, and its numbers."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+import calibration
+import tissue_sim as ts
+from calibration.campaign_diagnosis import diagnose_campaign, read_for_diagnosis
+from calibration.diagnosis.diagnosis import CandidateStatement, NextExperiment, Number
+from calibration.effects.machine_compliance import MachineCompliance
+from calibration.effects.viscoelasticity import Viscoelasticity
+from calibration.fit.steps import Steps
+from calibration.report.diagnosis_page import diagnosis_page
+from calibration.report.diagnosis_tables import number_in_words, sizes_in_words
+from calibration.report.drawing import Pictures
+from calibration.report.units import Unit, Units
+from calibration.tasks.executors import Workers, open_tasks
+
+CAMPAIGN = """
+[[specimen]]
+radius_mm = 20.0
+height_mm = 30.0
+[[test]]
+name = "ramps"
+kind = "lubricated_compression"
+recordings = ["ramps_1.csv", "ramps_2.csv"]
+[[test]]
+name = "later"
+kind = "lubricated_compression"
+recordings = ["ramps_3.csv"]
+hold_out = true
+[fit]
+method = "inverse_fem"
+laws = ["neo_hooke", "reduced_polynomial_2"]
+bulk_ratio = 10000.0
+starts = 1
+start = { C10 = 1500.0 }
+[noise]
+force_N = 0.01
+correlation_time_s = 0
+contact_jitter_mm = 0.02
+zero_jitter_N = 0.005
+"""
+UNITS = Units(Unit("mm", 1e-3), Unit("N", 1.0), Unit("kPa", 1e3))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def two_effects():
+    """The whole catalogue takes longer than all that is asked here."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("calibration.diagnosis.proposals.CATALOGUE", {
+            "viscoelasticity": Viscoelasticity, "machine_compliance": MachineCompliance})
+        yield
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory):
+    """Ramps of a tissue that has no more than its law; one of them in a test that is held out."""
+    folder, random = tmp_path_factory.mktemp("plain"), np.random.default_rng(5)
+    time, depth = np.linspace(0.0, 15.0, 31), np.linspace(0.0, 3e-3, 31)
+    experiment = ts.Experiment(ts.Specimen(0.020, 0.030), ts.Protocol(time, depth), ts.Tool("plate"),
+                               friction="frictionless", friction_base="frictionless")
+    material = ts.Material("neo_hooke", {"C10": 1404.9}, ts.Bulk("bulk_ratio", 1e4))
+    exact = ts.simulate(ts.Model(experiment, material, ts.Rig())).force
+    for number in (1, 2, 3):
+        force = exact + random.normal(0, 0.005) + random.normal(0, 0.01, time.size)
+        ts.write_recording(ts.Recording({"time": time, "displacement": depth, "force": force}),
+                           folder / f"ramps_{number}.csv")
+    path = folder / "plain.toml"
+    path.write_text(CAMPAIGN, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def diagnosed(campaign, two_effects):
+    """The parts of a diagnosis of it, and its recordings."""
+    asked, measured = read_for_diagnosis(campaign)
+    with open_tasks(Workers()) as tasks:
+        return diagnose_campaign(asked, measured, Steps(asked.name, tasks)), measured
+
+
+def test_nothing_hidden_is_nothing_missing(diagnosed):
+    found = diagnosed[0].diagnosis
+    assert found.verdict == "NONE" and found.effects == [] and found.fit_after is None
+    assert all(region.adequate_before and region.after_N is None for region in found.regions)
+    (unseen,) = found.held_out
+    assert unseen.name == "later" and unseen.adequate_before and unseen.before_N == pytest.approx(0.01, rel=0.5)
+    seen = {each.name: each for each in found.candidates}["machine_compliance"]
+    # What a ramp of one test cannot tell from a softer tissue, or tells with a size.
+    assert seen.reason if not seen.testable else seen.seen_from["rig.compliance"] > 0
+
+
+def plain_data(content):
+    return json.loads(json.dumps(content))
+
+
+def test_several_campaigns_have_folders_and_are_read_back(campaign, tmp_path):
+    other = campaign.with_name("other.toml")
+    other.write_text(CAMPAIGN.replace("1500.0", "1600.0"), encoding="utf-8")
+    said = []
+    results = calibration.diagnose([campaign, other], tmp_path, figures=False,
+                                   progress=lambda sentence, *counts: said.append(sentence))
+    assert [result.output for result in results] == [tmp_path / "plain", tmp_path / "other"]
+    assert {sentence.partition(": ")[0] for sentence in said} == {"plain", "other"}
+    assert "plain: effects, one at a time" in said
+    written = json.loads((tmp_path / "plain" / "diagnosis.json").read_text(encoding="utf-8"))
+    assert written == plain_data(calibration.diagnosis_to_json(results[:1]))
+    assert plain_data(calibration.diagnosis_to_json(results))["campaigns"][0] == written
+    again = calibration.diagnose([campaign, other], tmp_path)
+    assert all(result.resumed for result in again)
+    assert [result.diagnosis for result in again] == [result.diagnosis for result in results]
+    with pytest.raises(ts.InputError, match="the results of other work"):
+        calibration.diagnose([campaign, other], tmp_path, law="reduced_polynomial_2")
+    with pytest.raises(ts.InputError, match="two campaign files are called 'plain'"):
+        calibration.diagnose([campaign, campaign], tmp_path / "twice")
+    with pytest.raises(ts.InputError, match="pictures are written as"):
+        calibration.diagnose([campaign], tmp_path / "gif", figures_format="gif")
+    assert not (tmp_path / "twice").exists() and not (tmp_path / "gif").exists()
+
+
+def summary(page):
+    """Term -> text of the summary."""
+    terms = re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", page)
+    return {term: re.sub(r"<[^>]+>", " ", text) for term, text in terms}
+
+
+def test_pages_of_verdicts(diagnosed, tmp_path):
+    parts, measured = diagnosed
+    effects = parts.proposals.effects
+
+    def page(pictures=None, **changes):
+        return diagnosis_page(replace(parts.diagnosis, **changes), parts.before, None, effects, measured, pictures)
+
+    plain = page(Pictures(tmp_path))
+    assert next(iter(summary(plain))) == "Nothing missing" and summary(plain)["Where"] == "Every region agrees."
+    assert plain.count("data:image/png") == 2, "one test that was fitted, and the regions; no candidate to draw"
+    statements = [CandidateStatement(name="viscoelasticity", effect="viscoelasticity", room="tissue",
+                                     title="viscoelasticity", testable=True, score=9.0, p=5e-5, refitted=True,
+                                     delta_BIC=70.0, explained_percent=99.0, evidence_ratio=1.0),
+                  CandidateStatement(name="machine_compliance", effect="machine_compliance", room="rig",
+                                     title="machine compliance", testable=True, score=-8.0, p=1.0, refitted=True,
+                                     delta_BIC=66.0, evidence_ratio=7.4, on_bound=["c"]),
+                  CandidateStatement(name="tilt@later", effect="tilt", room="geometry", title="tilt of a face",
+                                     testable=False, reason="no face <is> flat")]
+    several = page(Pictures(tmp_path), verdict="SET", message="One of two.", candidates=statements,
+                   indistinguishable=["viscoelasticity", "machine_compliance"],
+                   next_experiment=[NextExperiment(sentence="hold it", separates=["viscoelasticity"], deviations=12.3)])
+    words = summary(several)
+    assert next(iter(words)) == "A set" and words["A set"].strip().startswith("One of two.")
+    assert "Machine compliance (1 : 7.4 against the likeliest): pressing on steel" in words["Told apart by"]
+    assert words["Next"] == "Hold it." and "by 12 standard deviations" in several
+    assert "c on a bound" in several and "wrong sign" in several and "No face &lt;is&gt; flat" in several
+    assert "tilt of a face in later" in several and several.count("data:image/png") == 3
+    bad = replace(parts.diagnosis.regions[0], adequate_before=False, before_sigma=14.2,
+                  sentence="first third: too much")
+    unknown = page(verdict="UNKNOWN", regions=[bad, *parts.diagnosis.regions[1:]])
+    assert summary(unknown)["Where"].startswith("first third: too much. ") and "data:image" not in unknown
+
+
+@pytest.mark.parametrize(("path", "unit", "absent", "value", "words"), [
+    ("rig.compliance", "m/N", 0.0, 1.2e-5, "c 0.012 mm/N"),
+    ("experiment.specimen.height", "m", 0.070, 0.07065, "c 0.65 mm (0.93 %)"),
+    ("material.scale", "1", 1.0, 0.9943, "c 0.57 %"),
+    ("rig.displacement_gain", "1", 0.0, -0.03, "c 3 %"),
+    ("experiment.friction", "1", 0.0, 0.0041, "c 0.0041"),
+    ("bulk.bulk_ratio", "1", 1e4, 1e3, "c 1000 instead of 10000"),
+    ("C30", "Pa", 0.0, 97.0, "c 0.097 kPa"),
+])
+def test_sizes_are_in_units_that_people_use(path, unit, absent, value, words):
+    candidate = CandidateStatement(name="x", effect="x", room="rig", title="x", testable=True, seen_from={path: value},
+                                   symbols={path: "c"}, units={path: unit}, absent={path: absent})
+    assert sizes_in_words(candidate, UNITS) == words
+
+
+def test_numbers_do_not_break():
+    number = Number(path="rig.compliance", symbol="c", unit="m/N", value=2.04e-5, standard_error=3.1e-7)
+    assert number_in_words(number, UNITS) == "c\u00a0=\u00a00.02040\u00a0±\u00a00.00031\u00a0mm/N"
