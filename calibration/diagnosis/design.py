@@ -16,7 +16,7 @@ from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.proposals import propose
 from calibration.diagnosis.statements import candidate_statements
 from calibration.diagnosis.verdict import Judgement
-from calibration.fit.campaign_problem import build_problem
+from calibration.fit.campaign_problem import build_problem, first_jitter
 from calibration.fit.estimate import Estimate
 from calibration.fit.identifiability import not_identifiable
 from calibration.fit.problem import Problem
@@ -93,9 +93,11 @@ def expected_evidence(campaign: Campaign, measured: Mapping[str, tuple[MeasuredC
     except InfeasibleError as failure:
         raise InputError(f"a material of this start does not get through the tests ({failure}); take another one, or "
                          "less depth", file=campaign.path, field="fit.start") from None
+    # A scatter that nobody states goes with the force, which is known now.
+    jitter = first_jitter(campaign, [curve for curves in known.values() for curve in curves])
     # As after the correction by the accurate mesh.
     problem = Problem(space, tuple(replace(test, measured=known[test.name]) for test in problem.tests), solves,
-                      problem.jitter, tuple(remainder(test, REMAINDERS) for test in problem.tests))
+                      jitter, tuple(remainder(test, REMAINDERS) for test in problem.tests))
     evaluation = problem.evaluate(theta)
     estimate = Estimate(1, theta, evaluation.error, True, "", (), {}, 0.0, problem=problem)
     return Evidence(campaign, {**measured, **known}, estimate)

@@ -5,10 +5,12 @@ import json
 import pytest
 
 from calibration import Design, design_experiments
+from calibration.diagnosis.proposals import SEEN
 from calibration.effects.backlash import Backlash
 from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.population import Population
 from calibration.effects.viscoelasticity import Viscoelasticity
+from calibration.fit.campaign_problem import FIRST_ZERO
 from scenes.cli import main
 from tissue_sim.errors import InputError
 
@@ -56,13 +58,14 @@ def test_json_tells_what_would_be_seen(tmp_path, capsys):
     rows = {each["name"]: each for each in found["candidates"]}
     assert rows["population"]["reason"] == "all tests are of one specimen" and not rows["population"]["testable"]
     assert rows["population"]["separated_by"] == Population.separated_by
-    # Closed forms: stress relaxes by its share g, and play of b takes b off the displacement on the way back.
-    stiffness = 6 * 1500.0 * 3.14159 * 0.02**2 / 0.03
-    share = rows["viscoelasticity"]["seen_from"]["viscoelastic.terms[0].g"]
-    assert 0.01 < share * test["force_N"] / 0.01 * 60**0.5 < 20, "some deviations, of the mean of the samples of a hold"
-    assert share < 0.02
-    play = rows["backlash"]["seen_from"]["rig.backlash"]
-    assert 1 < stiffness * play / (0.01 / (3 * 15) ** 0.5) < 12
+    # No data see less: every sample changed in full, nothing of it taken up by the fit.
+    share, play = (rows[name]["seen_from"][path] for name, path in (
+        ("viscoelasticity", "viscoelastic.terms[0].g"), ("backlash", "rig.backlash")))
+    least = SEEN * 0.01 / (test["force_N"] * (3 * 60) ** 0.5)
+    assert least < share < 20 * least
+    steepest = 2 * test["force_N"] / 3e-3
+    least = SEEN * 0.01 / (steepest * (3 * 15) ** 0.5)
+    assert least < play < 20 * least
     assert [path.name for path in tmp_path.iterdir()] == ["plan.toml"], "nothing is written"
 
 
@@ -86,6 +89,14 @@ def test_the_screen_names_sizes_in_the_units_of_people(tmp_path, capsys):
     for word in ("plates", "3 mm", "60 s", "C10", "1.500 ±", "kPa", "mm/N", "backlash", "scatter between specimens",
                  "all tests are of one specimen", Population.separated_by):
         assert word in text, word
+
+
+def test_a_scatter_that_nobody_states_goes_with_the_force(tmp_path):
+    unstated = design_experiments(write(tmp_path, PLAN.replace("zero_jitter_N = 0.005\n", "")), samples=60)
+    share = FIRST_ZERO * unstated.tests[0].force_N
+    stated = design_experiments(write(tmp_path, PLAN.replace("zero_jitter_N = 0.005", f"zero_jitter_N = {share}")),
+                                samples=60)
+    assert unstated.standard_errors["C10"] == pytest.approx(stated.standard_errors["C10"], rel=1e-3)
 
 
 @pytest.mark.parametrize(("old", "new", "expected"), [
