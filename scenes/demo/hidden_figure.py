@@ -32,7 +32,7 @@ def draw_before_and_after(result: DiagnosisResult, path: Path) -> None:
     figure = Figure(figsize=(6.2 * len(tests), 7.0), layout="constrained")
     axes = figure.subplots(2, len(tests), squeeze=False, sharex="col", height_ratios=(1.25, 1.0))
     added = " and ".join(effect.title for effect in diagnosis.effects)
-    models = [("model_before_N", "plain model", BEFORE, (0, (5, 2)))]
+    models = [("model_before_N", "plain model", BEFORE, "--")]
     if diagnosis.effects:
         models.append(("model_after_N", f"model with {added}", AFTER, "-"))
     for (force, gap), test in zip(axes.T, tests, strict=True):
@@ -58,7 +58,9 @@ def draw_before_and_after(result: DiagnosisResult, path: Path) -> None:
             each.spines[["top", "right"]].set_visible(False)
         force.legend(frameon=False, fontsize=9)
         gap.legend(frameon=False, fontsize=9, loc="upper right")
-    figure.suptitle("\n".join(textwrap.wrap(diagnosis.message, 64 * len(tests))), fontsize=11)
+    sentences = diagnosis.message.replace(". ", ".\n").splitlines()
+    figure.suptitle("\n".join(line for each in sentences for line in textwrap.wrap(each, 62 * len(tests))),
+                    fontsize=11)
     save(figure, path)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -102,13 +103,14 @@ def plain_models() -> dict[str, ts.Model]:
 
 
 def run_hidden_demo(output: Path, *, seed: int, overwrite: bool = False, console=None,
-                    progress: Progress | None = None, workers: Workers | None = None) -> HiddenAnswer:
+                    progress: AbstractContextManager[Progress] | None = None,
+                    workers: Workers | None = None) -> HiddenAnswer:
     """Hide something, measure, diagnose, and tell the truth; write everything into `output`.
 
     Args:
         output: folder of the results. seed: of what is hidden, and of noise and jitter.
         overwrite: write into a folder that is not empty. console: a rich console for what happens; none: silent.
-        progress, workers: as in `calibration.diagnose`.
+        progress: open while the diagnosis runs; what it gives, and `workers`, as in `calibration.diagnose`.
 
     Raises:
         InputError: `output` is not empty and `overwrite` is not set.
@@ -127,8 +129,9 @@ def run_hidden_demo(output: Path, *, seed: int, overwrite: bool = False, console
     campaign = output / "campaign.toml"
     write_text(campaign, CAMPAIGN)
     say(f"2 diagnosing: what does a plain model miss, and which of {len(CATALOGUE)} effects is it? ...")
-    (result,) = calibration.diagnose([campaign], output / "diagnosis", overwrite=overwrite, progress=progress,
-                                     workers=workers)
+    with progress or nullcontext() as told:
+        (result,) = calibration.diagnose([campaign], output / "diagnosis", overwrite=overwrite, progress=told,
+                                         workers=workers)
     diagnosis, report = result.diagnosis, result.output / "report.html"
     figure = output / "before_and_after.png"
     draw_before_and_after(result, figure)

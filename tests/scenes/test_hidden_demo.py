@@ -13,8 +13,8 @@ from calibration.effects.backlash import Backlash
 from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.viscoelasticity import Viscoelasticity
 from scenes.cli import main
+from scenes.commands.demo.found_scene import before_and_after_scene
 from scenes.demo.hidden_effect import HIDEABLE, PLATES, Hidden, draw_hidden, judge_answer
-from scenes.demo.hidden_scene import before_and_after_scene
 from scenes.demo.hidden_test import plain_models
 from scenes.viewer.measurement import residual
 from scenes.viewer.session import Session

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -50,7 +51,7 @@ def _shown(diagnosis: Diagnosis) -> str:
     """The test to look at."""
     if not diagnosis.effects or any(each.room == "tissue" for each in diagnosis.effects):
         return NEEDLE
-    having = {each.name: each.tests for each in HIDEABLE}
-    tests = {test for each in diagnosis.effects for test in each.tests or having.get(each.name, KINDS)}
+    having: dict[str, Sequence[str]] = {each.name: each.tests for each in HIDEABLE}
+    tests = {test for each in diagnosis.effects for test in each.tests or having.get(each.name, tuple(KINDS))}
     return max((region for region in diagnosis.regions if region.test in tests),
                key=lambda region: region.before_sigma).test

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import contextmanager
 from pathlib import Path
 
 from scenes.commands.shared.console import print_json, progress_console, results_console
@@ -10,7 +11,7 @@ from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, at_l
 from scenes.commands.view import add_page_flags, page_options
 
 SUMMARY = "measure a virtual specimen, calibrate it, predict a test that the calibration never saw"
-EXAMPLE = "tissue-sim demo -o my-demo\n  tissue-sim demo --hidden --view"
+EXAMPLE = "tissue-sim demo --hidden --view -o my-demo"
 FOLDER, HIDDEN_FOLDER = Path("tissue-sim-demo"), Path("tissue-sim-demo-hidden")
 #: Seeds that are drawn where none is given stay short enough to be typed.
 _SEEDS = 10_000
@@ -55,23 +56,30 @@ def _run_hidden(arguments, output: Path, overwrite: bool) -> int:
     import random
 
     from calibration import Workers
-    from scenes.commands.shared.progress import CampaignProgress
     from scenes.demo.hidden_test import run_hidden_demo
 
     seed = random.SystemRandom().randrange(_SEEDS) if arguments.seed is None else arguments.seed
-    with CampaignProgress(progress_console(quiet=arguments.json)) as progress:
-        answer = run_hidden_demo(output, seed=seed, overwrite=overwrite, progress=progress.say,
-                                 console=results_console(quiet=arguments.json),
-                                 workers=Workers(min(2, os.cpu_count() or 1)))
+    answer = run_hidden_demo(output, seed=seed, overwrite=overwrite, progress=_progress(quiet=arguments.json),
+                             console=results_console(quiet=arguments.json),
+                             workers=Workers(min(2, os.cpu_count() or 1)))
     if arguments.json:
         print_json(answer.to_json())
     if arguments.view:
-        from scenes.demo.hidden_scene import before_and_after_scene
+        from scenes.commands.demo.found_scene import before_and_after_scene
         from scenes.viewer.run import run_page
 
         return run_page(before_and_after_scene(answer.result, output / "measured"), answer.result.output,
                         page_options(arguments), json=arguments.json)
     return 0
+
+
+@contextmanager
+def _progress(*, quiet: bool):
+    """Gone before anything else is printed."""
+    from scenes.commands.shared.progress import CampaignProgress
+
+    with CampaignProgress(progress_console(quiet=quiet)) as progress:
+        yield progress.say
 
 
 def _view(arguments, output: Path, material_file: Path) -> int:
