@@ -98,7 +98,7 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: Steps, solv
     after: Evidence | None = None
     with clock.stage("last fit and unseen data"):
         steps.say("the last fit, and data that the fits have not seen")
-        if judgement.chosen is not None:
+        if judgement.added:
             after = judgement.evidence
         held_out = [*unseen_replicates(before, after), *unseen_tests(before, after)]
         fit_before = _fit_of(before)
@@ -116,7 +116,10 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: Steps, solv
     diagnosis = Diagnosis(
         campaign=campaign.name, law=campaign.fit.laws[0], verdict=judgement.verdict,
         message=message(judgement.verdict, effects, [titles.get(name, name) for name in judgement.indistinguishable],
-                        regions, (*gaps, noise), sum(not row.testable for row in candidates), held_out),
+                        regions, (*gaps, noise), sum(not row.testable for row in candidates), held_out,
+                        next(((row.title, row.explained_percent) for row in candidates
+                              if row.explained_percent is not None), None),
+                        stressed=all(curve.stressed for curve in before.problem.measured)),
         effects=effects, indistinguishable=judgement.indistinguishable, candidates=candidates, regions=regions,
         gap_before_N=gaps[0], gap_after_N=gaps[1], noise_N=noise,
         noise_correlation_s=float(np.mean([one.correlation_time for one in noises])),

@@ -211,17 +211,19 @@ def _sentence(region: Region, curves: Sequence[tuple[MeasuredCurve, slice]], evi
     place = f"{region.test} {region.segment}"
     if region.adequate:
         return f"{place} agrees"
-    sigma = deviations(region)
+    sigma, stressed = deviations(region), curves[0][0].stressed
+    what, unit, factor = ("stress", "kPa", 1e-3) if stressed else ("force", "N", 1.0)
+    at = f"strain {region.at:.3g}" if stressed else f"{region.at:.3g} mm"
     if region.segment.startswith("hold"):
         (measured, error), (modelled, _) = _changes(region, curves, evidence, "data"), _changes(
             region, curves, evidence, "model")
         if abs(measured - modelled) > _STEADY * error:
-            what, sign = ("falls", -1) if measured < 0 else ("rises", 1)
-            predicted = f"{sign * modelled:.2g} N" if abs(modelled) > 0.1 * error else "nothing"
-            return (f"{place}: the force {what} by {abs(measured):.2g} N, the model's by {predicted} "
+            goes, sign = ("falls", -1) if measured < 0 else ("rises", 1)
+            predicted = f"{sign * factor * modelled:.2g} {unit}" if abs(modelled) > 0.1 * error else "nothing"
+            return (f"{place}: the {what} {goes} by {factor * abs(measured):.2g} {unit}, the model's by {predicted} "
                     f"({sigma:.0f} sigma)")
     side = "above" if region.largest_N < 0 else "below"
-    return (f"{place}: the force is up to {abs(region.largest_N):.2g} N {side} the model, at {region.at:.3g} mm "
+    return (f"{place}: the {what} is up to {factor * abs(region.largest_N):.2g} {unit} {side} the model, at {at} "
             f"({sigma:.0f} sigma)")
 
 

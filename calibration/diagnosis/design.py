@@ -115,7 +115,7 @@ def design(campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]]
     """
     evidence = expected_evidence(campaign, measured, solves or Solves())
     proposals = propose(evidence, steps)
-    nothing = Judgement("NONE", [], None, None, [], evidence)
+    nothing = Judgement("NONE", [], (), [], evidence)
     rows = [msgspec.structs.replace(row, score=None, p=None, estimate={})
             for row in candidate_statements(proposals, nothing, evidence)]
     rows.sort(key=lambda row: not row.testable)

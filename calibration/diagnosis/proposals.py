@@ -102,17 +102,17 @@ class Proposals:
 
 
 def propose(evidence: Evidence, steps: Steps, words: str = "effects, one at a time",
-            known: Sequence[str] = ()) -> Proposals:
+            known: Sequence[str] = (), only: str | None = None) -> Proposals:
     """Try every effect of the catalogue at a usual size, and score its direction.
 
     Args:
         evidence: at its minimum. steps: where the simulations run. words: for people.
-        known: names that are in the model already.
+        known: names that are in the model already. only: name of the only effect that is tried; None: all.
     """
     silent: dict[str, str] = {}
     effects: dict[str, Effect] = {}
     candidates: list[Candidate] = []
-    for name, kind in CATALOGUE.items():
+    for name, kind in CATALOGUE.items() if only is None else [(only, CATALOGUE[only])]:
         effects[name] = effect = kind()
         try:
             candidates += [each for each in effect.candidates(evidence.situation) if each.name not in known]

@@ -19,11 +19,18 @@ def found_effects(judgement: Judgement, before: Evidence, after: Evidence) -> li
     Args:
         judgement: what was chosen. before: without it. after: with all of it, at the last minimum.
     """
-    return [FoundEffect(name=each.proposal.candidate.effect.name, room=each.proposal.candidate.effect.room,
-                        title=each.proposal.candidate.effect.title, tests=list(each.proposal.candidate.tests or ())
-                        if each.proposal.candidate.mark else [],
-                        parameters=numbers_of(each.proposal.candidate, after), acts_in=acts_in(each.proposal, before))
-            for each in (judgement.chosen, judgement.second) if each is not None]
+    found: dict[str, FoundEffect] = {}
+    for each in judgement.added:
+        candidate, numbers = each.proposal.candidate, numbers_of(each.proposal.candidate, after)
+        effect = candidate.effect
+        if candidate.name in found:
+            # One more term of it.
+            numbers = [*found[candidate.name].parameters, *numbers]
+        found[candidate.name] = FoundEffect(
+            name=effect.name, room=effect.room, title=effect.title,
+            tests=list(candidate.tests or ()) if candidate.mark else [], parameters=numbers,
+            acts_in=acts_in(each.proposal, before))
+    return list(found.values())
 
 
 def numbers_of(candidate: Candidate, evidence: Evidence) -> list[Number]:

@@ -28,16 +28,15 @@ class Judgement:
     """What explains the gap.
 
     Attributes:
-        verdict: in one word. refits: fits with one effect, best first. chosen: the fit that goes on, None where nothing
-            is added. second: the fit with a second effect beside it; None: one is enough.
+        verdict: in one word. refits: fits with one effect, best first. added: fits that go on, each with what the ones
+            before have: of one effect, of the same once more, or of a second one; empty where nothing is added.
         indistinguishable: names that explain the gap as well. evidence: at the end: with what was added, its jitter
             and its mesh corrections, or the plain one.
     """
 
     verdict: Verdict
     refits: list[Refit]
-    chosen: Refit | None
-    second: Refit | None
+    added: tuple[Refit, ...]
     indistinguishable: list[str]
     evidence: Evidence
 
@@ -49,29 +48,43 @@ def judge(evidence: Evidence, proposals: Proposals, steps: Steps) -> Judgement:
         evidence: without any effect. proposals: the catalogue on it.
     """
     if not proposals.seen and evidence.adequate:
-        return Judgement("NONE", [], None, None, [], evidence)
+        return Judgement("NONE", [], (), [], evidence)
     refits = refit(evidence, proposals, steps)
     good = [each for each in refits if each.gain >= LEAST_GAIN and not each.absent
             and (each.proposal.p <= LEVEL or not evidence.adequate)]
     if not good:
-        return Judgement("NONE" if evidence.adequate else "UNKNOWN", refits, None, None, [], evidence)
+        return Judgement("NONE" if evidence.adequate else "UNKNOWN", refits, (), [], evidence)
     best = good[0]
-    after = settled(best.evidence(evidence))
+    added, after = _as_often_as_needed(best, evidence, steps)
     if not after.adequate:
         pair = _pair(evidence, good, proposals, steps)
         if pair is not None:
             first, second, both = pair
             together = settled(second.evidence(both))
             words: Verdict = "NAMED" if together.adequate else "LOOKS_LIKE"
-            return Judgement(words, refits, first, second, [first.name, second.name], together)
+            return Judgement(words, refits, (first, second), [first.name, second.name], together)
         explained = share_explained(evidence.regions, after.regions)
         if explained < MOSTLY:
-            return Judgement("UNKNOWN", refits, None, None, [], evidence)
+            return Judgement("UNKNOWN", refits, (), [], evidence)
     possible = [each for each in good if odds(best, each) < ODDS]
     names = list(dict.fromkeys([*(each.name for each in possible), *_twins(best, proposals)]))
     if len(names) > 1:
-        return Judgement("SET", refits, best, None, names, after)
-    return Judgement("NAMED" if after.adequate else "LOOKS_LIKE", refits, best, None, names, after)
+        return Judgement("SET", refits, added, names, after)
+    return Judgement("NAMED" if after.adequate else "LOOKS_LIKE", refits, added, names, after)
+
+
+def _as_often_as_needed(best: Refit, evidence: Evidence, steps: Steps) -> tuple[tuple[Refit, ...], Evidence]:
+    """The best effect, and more terms of it while they are needed and can be seen."""
+    effect, added = best.proposal.candidate.effect, [best]
+    after = settled(best.evidence(evidence))
+    while not after.adequate and len(added) < effect.times:
+        more = propose(after, steps, f"more of {effect.title}", only=effect.name)
+        fits = refit(after, more, steps, f"fits with more of {effect.title}", list(more.seen)[:1])
+        if not fits or fits[0].gain < LEAST_GAIN or fits[0].absent:
+            break
+        added.append(fits[0])
+        after = settled(fits[0].evidence(after))
+    return tuple(added), after
 
 
 def odds(best: Refit, other: Refit) -> float:

@@ -11,6 +11,8 @@ _UNITS = {"m": ("mm", 1e3), "m/N": ("mm/N", 1e3), "m2/s": ("mm2/s", 1e6), "N s/m
 
 #: Squares of the errors of unseen data may grow by this factor by chance.
 _NO_BETTER = 1.1
+#: Least share of a gap, %, of which an effect that was not added is worth a word.
+_NEAR = 30.0
 
 
 def joined(words: Sequence[str], last: str = "and") -> str:
@@ -32,18 +34,21 @@ def effect_in_words(effect: FoundEffect) -> str:
 
 
 def message(verdict: Verdict, effects: Sequence[FoundEffect], titles: Sequence[str], regions: Sequence[RegionGap],
-            gaps: tuple[float, float | None, float], untestable: int, unseen: Sequence[HeldOut] = ()) -> str:
+            gaps: tuple[float, float | None, float], untestable: int, unseen: Sequence[HeldOut] = (),
+            nearest: tuple[str, float] | None = None, *, stressed: bool = False) -> str:
     """What was found, in a few sentences.
 
     Args:
         verdict: in one word. effects: that were added. titles: of all that explain the gap as well.
         regions: of all tests. gaps: root mean square before and after, and noise, N.
         untestable: how many effects these tests could not show. unseen: data that the fits have not seen.
+        nearest: effect that explains most, and how much of the gap, %. stressed: whether stress was recorded, Pa.
     """
     before, after, noise = gaps
     where = [region.sentence for region in regions if not region.adequate_before]
-    closed = "" if after is None else (f" The gap falls from {before:.2g} to {after:.2g} N ({before / noise:.2g} to "
-                                       f"{after / noise:.2g} of the noise).")
+    unit, factor = ("kPa", 1e-3) if stressed else ("N", 1.0)
+    closed = "" if after is None else (f" The gap falls from {factor * before:.2g} to {factor * after:.2g} {unit} "
+                                       f"({before / noise:.2g} to {after / noise:.2g} of the noise).")
     pairs = [(each.before_N, each.after_N) for each in unseen if each.before_N is not None and each.after_N is not None]
     if pairs and sum(two**2 for _, two in pairs) > _NO_BETTER * sum(one**2 for one, _ in pairs):
         closed += " Data that the fits have not seen are predicted worse with it: do not rely on it."
@@ -52,8 +57,10 @@ def message(verdict: Verdict, effects: Sequence[FoundEffect], titles: Sequence[s
         case "NONE":
             return f"Nothing is missing that these tests could show.{silent}"
         case "UNKNOWN":
+            near = "" if nearest is None or nearest[1] < _NEAR else \
+                f" {nearest[0][:1].upper()}{nearest[0][1:]} comes nearest and explains {nearest[1]:.0f} % of it."
             return ("Something is missing that no known effect explains: " + "; ".join(where[:3])
-                    + f". Nothing was added.{silent}")
+                    + f".{near} Nothing was added.{silent}")
         case "SET":
             names = joined(titles, "or")
             return (f"{names[:1].upper()}{names[1:]} is missing, and these tests do not tell which; the likeliest "

@@ -295,6 +295,7 @@ class Effect(ABC):
         name: in files, JSON and reports. room: where it belongs, one of `ROOMS`. title: for people.
         signature: sentence, what it leaves in a recording. separated_by: sentence, what tells it from others.
         known_twins: names of effects that no force and displacement tell from it.
+        times: how often it may be added, each time with numbers of its own (terms of a series).
     """
 
     name: ClassVar[str]
@@ -303,6 +304,7 @@ class Effect(ABC):
     signature: ClassVar[str]
     separated_by: ClassVar[str]
     known_twins: ClassVar[tuple[str, ...]] = ()
+    times: ClassVar[int] = 1
     #: The wider law that its numbers belong to; None: they belong to no law.
     law: ClassVar[str | None] = None
 
