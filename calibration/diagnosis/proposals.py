@@ -114,6 +114,9 @@ def propose(evidence: Evidence, steps: Steps, words: str = "effects, one at a ti
     candidates: list[Candidate] = []
     for name, kind in CATALOGUE.items() if only is None else [(only, CATALOGUE[only])]:
         effects[name] = effect = kind()
+        if effect.like_moduli and any(each.is_modulus for each in evidence.problem.space.varied):
+            silent[name] = "no force tells it from the moduli"
+            continue
         try:
             candidates += [each for each in effect.candidates(evidence.situation) if each.name not in known]
         except NotTestableError as reason:

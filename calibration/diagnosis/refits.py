@@ -31,6 +31,8 @@ _PROMISING = 0.5
 #: The mesh corrections of a fit with an effect are its own where its gain is this near to the best, as a share of that,
 #: and in any case within so much.
 _NEAR, _NEAR_AT_LEAST = 0.3, 40.0
+#: A fit that lowers the sum of squares by so much less than its score promises goes on.
+_SHORT = 1.0
 #: A number this near to its bound, relative to the way between them or to itself, is on it.
 _ON_BOUND = 1e-4
 
@@ -186,6 +188,11 @@ def refit_one(problem: Problem, campaign: Campaign, proposal: Proposal, values: 
     theta = unknowns(extended.space, values, {**start, **candidate.shape})
     descent = descend(extended, theta, corrected=True)
     numbers = extended.space.low.size - problem.space.low.size
+    promised = -2.0 * proposal.improbability - (error - descent.error)
+    if proposal.direction.freedom == 1 and np.isfinite(descent.error) and promised > _SHORT:
+        # Nearly dependent numbers: a step that gains little may be followed by one that gains more.
+        again = descend(extended, descent.theta, corrected=True, enough=0.0)
+        descent = again if again.error < descent.error else descent
     gain = -np.inf
     if np.isfinite(descent.error):
         determinant = extended.evaluate(descent.theta).log_determinant

@@ -296,6 +296,7 @@ class Effect(ABC):
         signature: sentence, what it leaves in a recording. separated_by: sentence, what tells it from others.
         known_twins: names of effects that no force and displacement tell from it.
         times: how often it may be added, each time with numbers of its own (terms of a series).
+        like_moduli: whether it is a factor of every force, which no force tells from the moduli.
     """
 
     name: ClassVar[str]
@@ -305,6 +306,7 @@ class Effect(ABC):
     separated_by: ClassVar[str]
     known_twins: ClassVar[tuple[str, ...]] = ()
     times: ClassVar[int] = 1
+    like_moduli: ClassVar[bool] = False
     #: The wider law that its numbers belong to; None: they belong to no law.
     law: ClassVar[str | None] = None
 

@@ -16,6 +16,7 @@ class SensorGain(Effect):
     signature = "every force is off by one share, as if the tissue were stiffer"
     separated_by = "dead weights; no test on tissue tells it from the moduli"
     known_twins = ("session_scale", "radius_error")
+    like_moduli = True
 
     def candidates(self, situation: Situation) -> list[Candidate]:
         tests = require_tests(situation.simulated(), "no test was recorded as force and displacement")

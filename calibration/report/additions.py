@@ -126,7 +126,8 @@ def _campaign_text(diagnosis: Diagnosis, after: Evidence) -> str:
     for path, named in settings.named.items():
         factor = named.declaration.factor
         if path in settings.bounds:
-            start["bounds"][path] = [end / factor for end in settings.bounds[path]]
+            (low, high), (least, most) = settings.bounds[path], named.declaration.bounds
+            start["bounds"][path] = [max(low, least) / factor, min(high, most) / factor]
         if named.scope != "shared":
             start["scope"][path] = list(named.scope) if isinstance(named.scope, tuple) else named.scope
     for each in after.problem.space.unknowns:

@@ -1,0 +1,209 @@
+"""What a diagnosis writes down, what it plans, and what it says: files that simulators and calibrations load."""
+
+import json
+import tomllib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+import tissue_sim as ts
+from calibration.campaign.campaign import load_campaign
+from calibration.campaign.planned import read_planned
+from calibration.campaign_diagnosis import diagnose_campaign, read_for_diagnosis
+from calibration.diagnosis.design import design
+from calibration.diagnosis.diagnosis import FoundEffect, HeldOut, Number, RegionGap
+from calibration.diagnosis.evidence import doubted, whole_campaign
+from calibration.diagnosis.next_experiment import plans
+from calibration.diagnosis.words import message
+from calibration.effects.machine_compliance import MachineCompliance
+from calibration.effects.sensor_drift import SensorDrift
+from calibration.effects.viscoelasticity import Viscoelasticity
+from calibration.fit.steps import Steps
+from calibration.report.additions import to_toml, write_additions
+from calibration.tasks.executors import Workers, open_tasks
+from tissue_sim.errors import InputError
+
+CAMPAIGN = """
+[[specimen]]
+radius_mm = 20.0
+height_mm = 30.0
+[[test]]
+name = "plates"
+kind = "lubricated_compression"
+recordings = ["plates_*.csv"]
+[fit]
+method = "inverse_fem"
+laws = ["neo_hooke"]
+bulk_ratio = 10000.0
+starts = 1
+start = { C10 = 1500.0 }
+"""
+PLAN = CAMPAIGN.replace('recordings = ["plates_*.csv"]', 'protocol = "ramp 3mm @0.2mm/s; hold 30s; unload"')
+
+
+@pytest.fixture(scope="module", autouse=True)
+def three_effects():
+    """The whole catalogue takes longer than all that is asked here."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("calibration.diagnosis.proposals.CATALOGUE", {
+            "viscoelasticity": Viscoelasticity, "machine_compliance": MachineCompliance, "sensor_drift": SensorDrift})
+        yield
+
+
+def diagnose(folder, terms=(), rig=None):
+    """Three recordings of a ramp, a hold and a return, with what is hidden in them."""
+    folder.mkdir()
+    time = np.linspace(0.0, 60.0, 121)
+    depth = np.interp(time, [0, 15, 45, 60], [0, 3e-3, 3e-3, 0])
+    truth = ts.Material("neo_hooke", {"C10": 1404.9}, ts.Bulk("bulk_ratio", 1e4),
+                        viscoelastic=ts.Prony(tuple(ts.PronyTerm(*term) for term in terms)) if terms else None)
+    experiment = ts.Experiment(ts.Specimen(0.020, 0.030), ts.Protocol(time, depth), ts.Tool("plate"),
+                               friction="frictionless", friction_base="frictionless")
+    force = ts.simulate(ts.Model(experiment, truth, rig or ts.Rig())).force
+    random = np.random.default_rng(3)
+    for number in (1, 2, 3):
+        measured = force + random.normal(0, 0.005) + random.normal(0, 0.01, time.size)
+        ts.write_recording(ts.Recording({"time": time, "displacement": depth, "force": measured}),
+                           folder / f"plates_{number}.csv")
+    (folder / "study.toml").write_text(CAMPAIGN, encoding="utf-8")
+    campaign, measured = read_for_diagnosis(folder / "study.toml")
+    with open_tasks(Workers()) as tasks:
+        found = diagnose_campaign(campaign, measured, Steps("study", tasks))
+    out = folder / "out"
+    out.mkdir()
+    return write_additions(found.diagnosis, found.after, out), found, out
+
+
+@pytest.fixture(scope="module")
+def relaxing(tmp_path_factory):
+    return diagnose(tmp_path_factory.mktemp("hidden") / "relaxes", terms=[(0.1, 4.0), (0.15, 40.0)])
+
+
+@pytest.fixture(scope="module")
+def drifting(tmp_path_factory):
+    return diagnose(tmp_path_factory.mktemp("hidden") / "drifts", rig=ts.Rig(sensor_drift=3e-3))
+
+
+def test_a_tissue_goes_into_a_material_that_relaxes_in_real_time(relaxing):
+    diagnosis, _, out = relaxing
+    assert [effect.name for effect in diagnosis.effects] == ["viscoelasticity"]
+    assert diagnosis.effects[0].written_to == diagnosis.files["material"]
+    material = ts.load_material(out / diagnosis.files["material"])
+    error = diagnosis.fit_after.standard_errors["C10"]
+    assert error < 0.15 * 1404.9 and abs(material.parameters["C10"] - 1404.9) < 4 * error
+    left = 1.0 - sum(term.g for term in material.viscoelastic.terms)
+    experiment = ts.Experiment(ts.Specimen(0.020, 0.030), ts.Protocol.ramp(3e-3), ts.Tool("flat", 0.005))
+    simulator = ts.Simulator(ts.Model(experiment, material))
+    pushed = [simulator.step(depth, 0.01).force for depth in np.linspace(0, 2e-3, 10)][-1]
+    relaxed = [simulator.step(2e-3, 30.0).force for _ in range(20)][-1]
+    assert relaxed == pytest.approx(left * pushed, rel=0.05)
+
+
+def test_one_term_is_not_enough_for_two(relaxing):
+    diagnosis, found, _ = relaxing
+    assert diagnosis.verdict == "NAMED" and [number.symbol for number in diagnosis.effects[0].parameters] == [
+        "g1", "tau1", "g2", "tau2"]
+    problem, names = found.after.problem, found.after.problem.space.free
+    truth = {"C10": 1404.9, "viscoelastic.terms[0].g": 0.15, "viscoelastic.terms[0].tau": 40.0,
+             "viscoelastic.terms[1].g": 0.1, "viscoelastic.terms[1].tau": 4.0}
+    worse = problem.evaluate(np.array([truth[name] for name in names])).error - found.after.estimate.error
+    assert 0 <= worse < chi2.isf(1e-4, len(names)), "the truth is among what the data allow"
+    assert found.after.adequate and not found.before.adequate
+
+
+def test_provenance_says_which_diagnosis(relaxing):
+    diagnosis, _, out = relaxing
+    data = json.loads((out / diagnosis.files["material"]).read_text())
+    said = data["provenance"]["settings"]["diagnosis"]
+    assert said["verdict"] == "NAMED" and said["effects"][0]["name"] == "viscoelasticity"
+
+
+def test_a_rig_goes_into_a_rig_file_and_no_material(drifting):
+    diagnosis, _, out = drifting
+    assert [effect.name for effect in diagnosis.effects] == ["sensor_drift"]
+    assert ts.load_rig(out / diagnosis.files["rig"]).sensor_drift == pytest.approx(3e-3, rel=0.05)
+    material = ts.load_material(out / diagnosis.files["material"])
+    assert material.viscoelastic is None and material.parameters["C10"] == pytest.approx(1404.9, rel=0.01)
+
+
+def test_the_campaign_with_it_is_fitted_again(relaxing, drifting):
+    for (diagnosis, found, out), path in ((relaxing, "viscoelastic.terms[1].tau"), (drifting, "rig.sensor_drift")):
+        again = load_campaign(out / diagnosis.files["campaign"])
+        after = next(number for effect in diagnosis.effects for number in effect.parameters if number.path == path)
+        assert again.fit.start[path] == pytest.approx(after.value)
+        assert again.fit.start["C10"] == pytest.approx(found.after.values["C10"])
+        assert [len(test.recordings) for test in again.tests] == [3]
+
+
+def test_few_recordings_do_not_prove_that_nothing_scatters(drifting):
+    _, found, _ = drifting
+    problem, theta = found.before.problem, found.before.estimate.theta
+    noise = found.before.campaign.noise
+    problem.jitter = replace(problem.jitter, contact=0.0, zero=0.0)
+    problem.forget()
+    larger = doubted(problem, theta, noise)
+    assert 0 < larger.zero < 0.03 and larger.contact > 0
+    assert doubted(problem, theta, replace(noise, zero_jitter=0.0)).zero == 0.0
+    problem.jitter = replace(problem.jitter, zero=0.02)
+    assert 0.02 < doubted(problem, theta, noise).zero < 0.08
+
+
+def test_plans_change_one_thing(drifting):
+    words = [plan.sentence for plan in plans(drifting[1].before)]
+    assert any("10 times as fast" in sentence for sentence in words) and any("half the height" in one for one in words)
+    assert not any("with a hold" in sentence for sentence in words), "it has one"
+
+
+def test_a_plan_needs_no_recording(tmp_path):
+    (tmp_path / "plan.toml").write_text(PLAN + "[noise]\nforce_N = 0.01\n", encoding="utf-8")
+    campaign = whole_campaign(load_campaign(tmp_path / "plan.toml", planned=True))
+    with open_tasks(Workers()) as tasks:
+        found = design(campaign, read_planned(campaign, replicates=3, samples=121), Steps("plan", tasks))
+    rows = {row.name: row for row in found.candidates}
+    assert rows["viscoelasticity"].testable and rows["viscoelasticity"].seen_from["viscoelastic.terms[0].g"] < 0.02
+    assert 0 < found.standard_errors["C10"] < 20 and found.recordings == {"plates": 3}
+    shorter = whole_campaign(load_campaign(tmp_path / "plan.toml", planned=True))
+    shorter = replace(shorter, tests=(replace(shorter.tests[0], protocol="ramp 3mm @0.2mm/s"),))
+    with open_tasks(Workers()) as tasks:
+        ramp = design(shorter, read_planned(shorter, replicates=3, samples=121), Steps("plan", tasks))
+    row = next(row for row in ramp.candidates if row.name == "viscoelasticity")
+    assert not row.testable or row.seen_from["viscoelastic.terms[0].g"] > 3 * rows["viscoelasticity"].seen_from[
+        "viscoelastic.terms[0].g"], "a ramp alone says little of relaxation"
+
+
+@pytest.mark.parametrize(("text", "field"), [(PLAN, "noise.force_N"),
+                                             (PLAN.replace("ramp 3mm", "ramp 3xm") + "[noise]\nforce_N = 0.01\n",
+                                              "test[0].protocol"),
+                                             (PLAN.replace("ramp 3mm", "ramp 40mm") + "[noise]\nforce_N = 0.01\n",
+                                              "test[0].protocol")])
+def test_a_plan_that_is_none_is_refused(text, field, tmp_path):
+    (tmp_path / "plan.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        read_planned(whole_campaign(load_campaign(tmp_path / "plan.toml", planned=True)))
+    assert refused.value.field == field
+
+
+def test_toml_is_read_back():
+    content = {"specimen": [{"name": "a b", "radius_mm": 20.0}], "test": [{"recordings": ["x\\y.csv", 'q".csv'],
+               "hold_out": True, "columns": {"Kraft (N)": "force"}}],
+               "fit": {"laws": ["neo_hooke"], "start": {"viscoelastic.terms[0].g": 0.1, "C10": 1e3}}, "noise": {}}
+    assert tomllib.loads(to_toml(content)) == content
+
+
+def test_sentences():
+    region = RegionGap(test="plates", segment="hold", before_N=0.1, largest_before_N=-0.1, before_sigma=9.0,
+                       adequate_before=False, sentence="plates hold: the force falls by 0.1 N, the model's by nothing")
+    compliance = FoundEffect(name="machine_compliance", room="rig", title="machine compliance", parameters=[
+        Number(path="rig.compliance", symbol="c", unit="m/N", value=2e-5, standard_error=1e-6, absent=0.0)])
+    named = message("NAMED", [compliance], ["machine compliance"], [region], (0.1, 0.01, 0.02), 3)
+    assert named == ("Machine compliance (c = 0.02 ± 0.001 mm/N) was missing. The gap falls from 0.1 to 0.01 N "
+                     "(5 to 0.5 of the noise).")
+    several = message("SET", [compliance], ["machine compliance", "height"], [region], (0.1, 0.01, 0.02), 3)
+    assert several.startswith("Machine compliance or height is missing, and these tests do not tell which")
+    unknown = message("UNKNOWN", [], [], [region], (0.1, None, 0.02), 3, nearest=("softening", 49.0))
+    assert "the force falls by 0.1 N" in unknown and "Softening comes nearest and explains 49 %" in unknown
+    worse = [HeldOut(name="later", kind="test", before_N=0.1, after_N=0.2)]
+    assert "predicted worse" in message("NAMED", [compliance], [], [region], (0.1, 0.01, 0.02), 3, worse)
+    assert message("NONE", [], [], [], (0.0, None, 0.02), 3).startswith("Nothing is missing")
