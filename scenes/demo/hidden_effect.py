@@ -74,7 +74,7 @@ HIDEABLE = (
     Hideable("viscoelasticity", {"viscoelastic.terms[0].g": (0.05, 0.2), "viscoelastic.terms[0].tau": (5.0, 30.0)}),
     Hideable("softening", {"softening.loss": (0.05, 0.25), "softening.share": (0.7, 1.5)}),
     Hideable("plate_friction", {"experiment.friction": (0.02, 0.1)}, (PLATES,)),
-    Hideable("machine_compliance", {"rig.compliance": (4e-5, 1e-4)}),
+    Hideable("machine_compliance", {"rig.compliance": (7e-5, 1.5e-4)}),
     Hideable("sensor_drift", {"rig.sensor_drift": (3e-4, 1.5e-3)}),
     Hideable("edge_rounding", {"experiment.tool.edge_radius": (1e-3, 2.5e-3)}, (NEEDLE,)),
     Hideable("backlash", {"rig.backlash": (5e-5, 2e-4)}))
