@@ -7,6 +7,7 @@ from calibration.campaign.campaign import Test as Test
 from calibration.campaign.campaign import load_campaign as load_campaign
 from calibration.campaign.measured import MeasuredCurve as MeasuredCurve
 from calibration.campaign.measured import read_measured as read_measured
+from calibration.diagnosis.design import Design as Design
 from calibration.diagnosis.diagnosis import Diagnosis as Diagnosis
 from calibration.diagnosis.result import DiagnosisResult as DiagnosisResult
 from calibration.diagnosis.result import diagnosis_to_json as diagnosis_to_json
@@ -22,6 +23,7 @@ from calibration.importing.files import import_files as import_files
 from calibration.importing.imported import Imported as Imported
 from calibration.importing.imported import Wishes as Wishes
 from calibration.pipeline import calibrate as calibrate
+from calibration.pipeline import design_experiments as design_experiments
 from calibration.pipeline import diagnose as diagnose
 from calibration.tasks.errors import WorkerError as WorkerError
 from calibration.tasks.executors import Workers as Workers

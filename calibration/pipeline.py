@@ -1,4 +1,4 @@
-"""The calibration and the diagnosis, whole: campaign files in; material files, tables and a report out."""
+"""Calibration, diagnosis and design, whole: campaign files in; material files, tables and reports out."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING
 
 from calibration.campaign.campaign import load_campaign
 from calibration.campaign.measured import read_measured
+from calibration.campaign.planned import REPLICATES, SAMPLES, read_planned
 from calibration.output_folder import PICTURE_FORMATS, SUMMARY_FILE, claim, pictures_written
 from calibration.tasks.executors import Workers, open_tasks
 from tissue_sim.errors import ConvergenceError, InputError
 
 if TYPE_CHECKING:
     from calibration.campaign.campaign import Campaign
+    from calibration.diagnosis.design import Design
     from calibration.diagnosis.result import DiagnosisResult
     from calibration.fit.result import CalibrationResult
     from calibration.fit.steps import IterationListener, Progress
@@ -134,6 +136,35 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
     if failures:
         raise ConvergenceError("; ".join(failures))
     return results
+
+
+def design_experiments(path: str | Path, *, law: str | None = None, replicates: int = REPLICATES,
+                       samples: int = SAMPLES, workers: Workers | None = None,
+                       progress: Progress | None = None) -> Design:
+    """What the experiments of a campaign could tell, before any of them is done; nothing is written.
+
+    Its tests state a ``protocol`` in place of recordings, ``[noise]`` the force sensor's, and ``start`` a material to
+    expect. A test that has recordings counts with these.
+
+    Args:
+        path: of the campaign file, of ``method = "inverse_fem"``. law: one of its laws; None: its first.
+        replicates, samples: recordings of a planned test, and samples of each, evenly in time.
+        workers, progress: as in `calibrate`.
+
+    Raises:
+        InputError: anything wrong in the campaign, a protocol that is none or deeper than the specimen, no noise or no
+            start stated, no recording or too few samples.
+        WorkerError: a worker process dies each time that it is given a part.
+    """
+    from calibration.diagnosis.evidence import whole_campaign
+
+    campaign = whole_campaign(load_campaign(path, planned=True), law)
+    measured = read_planned(campaign, replicates, samples)
+    from calibration.diagnosis.design import design
+    from calibration.fit.steps import Steps
+
+    with open_tasks(workers or Workers()) as tasks:
+        return design(campaign, measured, Steps(campaign.name, tasks, progress))
 
 
 def _check_format(figures_format: str | None) -> None:

@@ -17,11 +17,13 @@ from matplotlib.figure import Figure
 
 import tissue_sim as ts
 from calibration import Stated, Wishes, calibrate, import_files
-from scenes import SCENES, draw_simulation, run_demo
+from scenes import SCENES, draw_simulation, run_demo, run_hidden_demo
 from scenes.figures import save
 
 PICTURES = Path(__file__).parent / "pictures"
 CURVES = Path(__file__).parents[1] / "tests" / "reference"
+#: A seed of the demo with something hidden whose tissue relaxes.
+RELAXING = 23
 
 
 def reference(name: str) -> ts.Recording:
@@ -43,6 +45,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         answer = run_demo(Path(folder) / "demo")
         shutil.copyfile(answer["figure"], PICTURES / "demo.png")
+        hidden = run_hidden_demo(Path(folder) / "hidden", seed=RELAXING)
+        shutil.copyfile(hidden.figure, PICTURES / "demo_hidden.png")
     material = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
     for name, (scene, depth, field, curve) in SIMULATIONS.items():
         protocol = ts.Protocol.ramp(depth * 1e-3, points=round(2 * depth) + 1)

@@ -11,7 +11,19 @@ import sys
 from collections.abc import Sequence
 
 from calibration.tasks.errors import WorkerError
-from scenes.commands import calibrate, demo, diagnose, doctor, import_files, loop, material, serve, simulate, view
+from scenes.commands import (
+    calibrate,
+    demo,
+    design,
+    diagnose,
+    doctor,
+    import_files,
+    loop,
+    material,
+    serve,
+    simulate,
+    view,
+)
 from scenes.commands.shared.parsing import Parser, later_answer
 from tissue_sim import __version__
 from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError, nearest
@@ -24,12 +36,13 @@ COMMANDS = {
     "simulate": simulate,
     "calibrate": calibrate,
     "diagnose": diagnose,
+    "design": design,
     "loop": loop,
     "serve": serve,
     "view": view,
 }
 #: Names that are settled and answered as not available in this version.
-LATER = ("design", "record", "devices", "emulate", "reduce")
+LATER = ("record", "devices", "emulate", "reduce")
 DONE, GOAL_MISSED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 

@@ -8,7 +8,7 @@ from calibration.campaign.schema import TestTable
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.contact_law import CONTACT_LAWS
 from tissue_sim.experiment.experiment import Experiment
-from tissue_sim.experiment.interfaces import INTERFACES
+from tissue_sim.experiment.interfaces import AS_TOOL, INTERFACES
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.experiment.tools.tool import (
@@ -68,7 +68,7 @@ def read_experiment(entry: TestTable, specimen: Specimen | None, folder: Path, p
 def _interface(entry: TestTable, kind: TestKind, key: str, place: str) -> str | float | None:
     """What the campaign says of a face, if anything."""
     face, value = kind.faces[key], getattr(entry, key)
-    if isinstance(value, str) and value not in INTERFACES:
+    if isinstance(value, str) and value not in (*INTERFACES, *([AS_TOOL] if key == "friction_base" else [])):
         raise InputError(f"unknown friction {value!r}{nearest(value, INTERFACES)}; or give a coefficient",
                          field=f"{place}.{key}")
     if face.fixed and value is not None and (value or "frictionless") != face.usual:

@@ -15,6 +15,8 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.recording.segmentation import label_motion, number_runs
 
+#: A recording with a hold and a return has at least so many.
+FEWEST_SAMPLES = 20
 #: Recordings of a planned test, and samples of each, where nobody says.
 REPLICATES, SAMPLES = 3, 500
 
@@ -38,8 +40,12 @@ def read_planned(campaign: Campaign, replicates: int = REPLICATES,
     """All tests of a campaign that was loaded as planned: those with recordings as these are, the others as stated.
 
     Raises:
-        InputError: a protocol that is none or goes through the specimen, no stated noise, what `read_measured` refuses.
+        InputError: a protocol that is none or goes through the specimen, no stated noise, no recording or too few
+            samples of one, what `read_measured` refuses.
     """
+    for name, count, least in (("replicates", replicates, 1), ("samples", samples, FEWEST_SAMPLES)):
+        if count < least:
+            raise InputError(f"{count} {name} are too few; give at least {least}", field=name)
     planned = [test for test in campaign.tests if not test.recordings]
     if planned and campaign.noise.force is None:
         raise InputError("a planned test has no recordings that tell the noise; state the standard deviation of the "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import msgspec
@@ -16,7 +16,7 @@ from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.proposals import propose
 from calibration.diagnosis.statements import candidate_statements
 from calibration.diagnosis.verdict import Judgement
-from calibration.fit.campaign_problem import build_problem
+from calibration.fit.campaign_problem import build_problem, first_jitter
 from calibration.fit.estimate import Estimate
 from calibration.fit.identifiability import not_identifiable
 from calibration.fit.problem import Problem
@@ -28,22 +28,41 @@ from calibration.forward.solves import Solves
 from tissue_sim.errors import InputError
 
 
+class PlannedTest(msgspec.Struct, frozen=True, kw_only=True):
+    """A test as it would be done.
+
+    Attributes:
+        name: of the test. recordings: how many. samples: of one. depth_mm, force_N: the largest. duration_s: of one
+            recording; None without time.
+    """
+
+    name: str
+    recordings: int
+    samples: int
+    depth_mm: float
+    force_N: float
+    duration_s: float | None = None
+
+
 class Design(msgspec.Struct, frozen=True, kw_only=True):
     """What the experiments of a campaign could tell, before any of them is done.
 
     Attributes:
         campaign, law: names. candidates: the catalogue; what can be shown first, the smallest share of its usual size
-            first. parameters: name -> value at which it was asked, SI. standard_errors: that they would have; None
-            where these experiments leave them open. noise_N: of the sensors. recordings: test -> how many.
+            first. parameters: name -> value at which it was asked, SI. symbols, units: name -> symbol, SI unit.
+            standard_errors: that they would have; None where these experiments leave them open, 0 of one that is
+            fixed. noise_N: of the sensors. tests: what is planned.
     """
 
     campaign: str
     law: str
     candidates: list[CandidateStatement]
     parameters: dict[str, float]
+    symbols: dict[str, str]
+    units: dict[str, str]
     standard_errors: dict[str, float | None]
     noise_N: float
-    recordings: dict[str, int]
+    tests: list[PlannedTest]
 
 
 def expected_evidence(campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]],
@@ -74,9 +93,11 @@ def expected_evidence(campaign: Campaign, measured: Mapping[str, tuple[MeasuredC
     except InfeasibleError as failure:
         raise InputError(f"a material of this start does not get through the tests ({failure}); take another one, or "
                          "less depth", file=campaign.path, field="fit.start") from None
+    # A scatter that nobody states goes with the force, which is known now.
+    jitter = first_jitter(campaign, [curve for curves in known.values() for curve in curves])
     # As after the correction by the accurate mesh.
     problem = Problem(space, tuple(replace(test, measured=known[test.name]) for test in problem.tests), solves,
-                      problem.jitter, tuple(remainder(test, REMAINDERS) for test in problem.tests))
+                      jitter, tuple(remainder(test, REMAINDERS) for test in problem.tests))
     evaluation = problem.evaluate(theta)
     estimate = Estimate(1, theta, evaluation.error, True, "", (), {}, 0.0, problem=problem)
     return Evidence(campaign, {**measured, **known}, estimate)
@@ -101,9 +122,20 @@ def design(campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]]
     problem = evidence.problem
     spread = assess_uncertainty(problem, evidence.evaluation)
     open_names = not_identifiable(problem.space, spread)
-    errors = {name: float(error) if np.isfinite(error) and name not in open_names else None
-              for name, error in zip(problem.space.free, spread.standard_errors, strict=True)}
+    space = problem.space
+    errors = {**dict.fromkeys(evidence.values, 0.0),
+              **{name: float(error) if np.isfinite(error) and name not in open_names else None
+                 for name, error in zip(space.free, spread.standard_errors, strict=True)}}
     noise = float(np.sqrt(np.mean([curve.noise.deviation**2 for curve in problem.measured])))
     return Design(campaign=campaign.name, law=campaign.fit.laws[0], candidates=rows, parameters=evidence.values,
-                  standard_errors=errors, noise_N=noise,
-                  recordings={test.name: len(test.measured) for test in problem.tests})
+                  symbols=space.symbols,
+                  units={each.name: each.declaration.unit for each in space.unknowns}, standard_errors=errors,
+                  noise_N=noise, tests=[_planned(test.name, test.measured) for test in problem.tests])
+
+
+def _planned(name: str, curves: Sequence[MeasuredCurve]) -> PlannedTest:
+    clocks = [curve.clock[-1] - curve.clock[0] for curve in curves if curve.time is not None]
+    return PlannedTest(
+        name=name, recordings=len(curves), samples=max(curve.force.size for curve in curves),
+        depth_mm=1e3 * max(float(curve.displacement.max()) for curve in curves),
+        force_N=max(float(curve.force.max()) for curve in curves), duration_s=float(max(clocks)) if clocks else None)

@@ -60,6 +60,7 @@ class CandidateStatement(msgspec.Struct, frozen=True, kw_only=True):
         seen_from: path -> smallest size that nine of ten such data sets would show, SI.
         symbols, units, absent: path -> symbol, unit (SI) and value at which it is not there, of these sizes.
         twins: names of others whose signature here is the same but for a few per cent.
+        separated_by: what would tell it from others.
         score: deviations that the data show of it, with its sign. p: that chance makes any effect score so.
         estimate: path -> size by the score, SI. refitted: whether it was fitted with the finite elements.
         delta_BIC: how much better the fit is with it; None where it was not fitted. explained_percent: of the gap.
@@ -78,6 +79,7 @@ class CandidateStatement(msgspec.Struct, frozen=True, kw_only=True):
     units: dict[str, str] = {}
     absent: dict[str, float] = {}
     twins: list[str] = []
+    separated_by: str = ""
     score: float | None = None
     p: float | None = None
     estimate: dict[str, float] = {}

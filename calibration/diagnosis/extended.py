@@ -64,8 +64,7 @@ def change_of(problem: Problem, evaluation: Evaluation, campaign: Campaign, cand
     """
     try:
         absent = {path: candidate.absent_value(campaign, path) for path in candidate.sizes}
-        sizes = {path: absent[path] + share * (size - absent[path]) for path, size in candidate.sizes.items()}
-        with_it = _residual(problem, evaluation, campaign, candidate, sizes)
+        with_it = _residual(problem, evaluation, campaign, candidate, candidate.sizes_at(absent, share))
         # What another mesh changes is no effect.
         without = _residual(problem, evaluation, campaign, candidate, absent) if candidate.remeshes(campaign) else \
             evaluation.residual

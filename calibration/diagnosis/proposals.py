@@ -60,13 +60,8 @@ class Proposal:
         return -0.5 * squares
 
     def sizes(self, factor: float | None = None) -> dict[str, float]:
-        """Path -> value of its numbers at a multiple of the size at which it was tried; None: by the score.
-
-        Paths whose absent value is not 0 lie as much farther from that.
-        """
-        factor = self.factor if factor is None else factor
-        return {path: absent + factor * (value - absent) for path, value in self.candidate.sizes.items()
-                for absent in (self.absent[path],)}
+        """Path -> value of its numbers at a multiple of the size at which it was tried; None: by the score."""
+        return self.candidate.sizes_at(self.absent, self.factor if factor is None else factor)
 
 
 @dataclass(frozen=True, eq=False)

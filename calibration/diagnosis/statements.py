@@ -61,7 +61,7 @@ def candidate_statements(proposals: Proposals, judgement: Judgement, before: Evi
     for name, reason in proposals.silent.items():
         effect = proposals.effects[name.partition("@")[0]]
         rows.append(CandidateStatement(name=name, effect=effect.name, room=effect.room, title=effect.title,
-                                       testable=False, reason=reason))
+                                       testable=False, reason=reason, separated_by=effect.separated_by))
     return rows
 
 
@@ -78,7 +78,8 @@ def _testable(name: str, proposal: Proposal, proposals: Proposals, fitted: Refit
         name=name, effect=effect.name, room=effect.room, title=effect.title, testable=True, seen_from=smallest,
         symbols={path: symbols[path] for path in smallest}, absent=plainest.absent,
         units={path: plainest.candidate.declaration(prepared, path).unit for path in smallest},
-        twins=proposals.twins(name), score=proposal.strength, p=proposal.p, estimate=proposal.sizes(),
+        twins=proposals.twins(name), separated_by=effect.separated_by,
+        score=proposal.strength, p=proposal.p, estimate=proposal.sizes(),
         refitted=fitted is not None, delta_BIC=float(fitted.gain) if fitted is not None and finite else None,
         explained_percent=None if after is None else 100.0 * share_explained(before.regions, after.regions),
         evidence_ratio=odds(best, fitted) if fitted is not None and best is not None and finite else None,

@@ -19,6 +19,8 @@ from calibration.fit.steps import Steps
 ODDS = 20.0
 #: An effect whose form is not confirmed explains at least this share of the gap.
 MOSTLY = 0.9
+#: What is left is far from chance where chance makes it in any region with less than this probability.
+FAR = 1e-4
 #: Weakest evidence of a second effect: the Schwarz criterion must be better by this with both than with either.
 SECOND = 10.0
 
@@ -64,7 +66,8 @@ def judge(evidence: Evidence, proposals: Proposals, steps: Steps) -> Judgement:
             words: Verdict = "NAMED" if together.adequate else "LOOKS_LIKE"
             return Judgement(words, refits, (first, second), [first.name, second.name], together)
         explained = share_explained(evidence.regions, after.regions)
-        if explained < MOSTLY:
+        # Of a gap that is little more than noise a share means little.
+        if explained < MOSTLY and min(region.p for region in after.regions) < FAR:
             return Judgement("UNKNOWN", refits, (), [], evidence)
     possible = [each for each in good if odds(best, each) < ODDS]
     names = list(dict.fromkeys([*(each.name for each in possible), *_twins(best, proposals)]))
@@ -102,8 +105,9 @@ def share_explained(before: Sequence[Region], after: Sequence[Region]) -> float:
 
 
 def _twins(best: Refit, proposals: Proposals) -> list[str]:
-    """What no force and displacement tell from it, as the catalogue says, where these tests could show it."""
-    return [name for name in best.proposal.candidate.effect.known_twins if name in proposals.best]
+    """What no force and displacement tell from it, as the catalogue says, where it is so in these tests."""
+    known = best.proposal.candidate.effect.known_twins
+    return [name for name in proposals.twins(best.name) if name.partition("@")[0] in known]
 
 
 def _pair(evidence: Evidence, good: Sequence[Refit], proposals: Proposals, steps: Steps

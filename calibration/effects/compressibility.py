@@ -32,4 +32,5 @@ class Compressibility(Effect):
             return {"bulk_ratio": ratio, "K_Pa": ratio * mu, "D1_per_Pa": 2.0 / (ratio * mu)}[bulk.kind]
 
         low, high = sorted((absent, stated(BULK_RATIOS[0])))
-        return [Candidate(self, {path: stated(tried)}, absent={path: absent}, bounds={path: (low, high)})]
+        return [Candidate(self, {path: stated(tried)}, absent={path: absent}, bounds={path: (low, high)},
+                          inverse=bulk.kind != "D1_per_Pa")]

@@ -171,6 +171,8 @@ class Candidate:
         law: the wider law that has the numbers; None: the one that is fitted.
         prepare: a test -> the same with the part that the numbers belong to (an adhesion of no force).
         mark: what tells it from the effect's other candidates where that is no number: the name of a test.
+        inverse: whether the change of the force is in proportion to one over the number, as it is to one over a
+            stiffness.
     """
 
     effect: Effect
@@ -183,6 +185,19 @@ class Candidate:
     law: str | None = None
     prepare: Callable[[Test], Test] | None = None
     mark: str = ""
+    inverse: bool = False
+
+    def sizes_at(self, absent: Mapping[str, float], factor: float) -> dict[str, float]:
+        """Path -> value at which the change of the force is about `factor` times that of the size tried first.
+
+        Args:
+            absent: path -> value at which it is absent, SI.
+        """
+        if self.inverse:
+            inverses = {path: (1.0 / absent[path], 1.0 / size) for path, size in self.sizes.items()}
+            # Beyond its absence it would run away, and become negative.
+            return {path: 1.0 / max(zero + factor * (one - zero), 0.5 * zero) for path, (zero, one) in inverses.items()}
+        return {path: absent[path] + factor * (size - absent[path]) for path, size in self.sizes.items()}
 
     @property
     def name(self) -> str:

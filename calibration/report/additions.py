@@ -17,6 +17,7 @@ from calibration.diagnosis.evidence import Evidence
 from calibration.fit.result import CalibrationResult
 from calibration.report.outputs import material_file
 from tissue_sim.atomic_write import write_text
+from tissue_sim.experiment.interfaces import AS_TOOL
 from tissue_sim.material.file import MaterialFile, write_material_file
 from tissue_sim.parameters import to_keys, with_values
 from tissue_sim.rig.file import write_rig
@@ -114,6 +115,11 @@ def _campaign_text(diagnosis: Diagnosis, after: Evidence) -> str:
     for table, test in zip(content["test"], campaign.tests, strict=True):
         if test.experiment is not None and test.experiment.contact_laws:
             table["contact_laws"] = {name: to_keys(law) for name, law in test.experiment.contact_laws.items()}
+        if test.experiment is not None and test.experiment.friction_base == AS_TOOL:
+            # Plates are alike, and not lubricated.
+            rubbed = next(each for each in after.problem.space.unknowns
+                          if each.path == "experiment.friction" and each.acts_in(test.name, None))
+            table |= {"kind": "friction_compression", "friction": after.values[rubbed.name], "friction_base": AS_TOOL}
     densities = {test.experiment.specimen.name: test.experiment.specimen.density for test in campaign.tests
                  if test.experiment is not None}
     for table in content.get("specimen", []):

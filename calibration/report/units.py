@@ -55,7 +55,12 @@ class Units:
         """As `of`, by one fit."""
         travel = max((region.end * 1e-3 for region in fit.regions), default=1e-3)
         force = 1.0 if fit.RMSE_N is None else fit.RMSE_N / _ERROR_SHARE
-        return cls(_unit(_LENGTH_UNITS, 10 * travel), _unit(_FORCE_UNITS, 10 * force), Unit(*pressure_unit(fit.mu0)))
+        return cls.of_sizes(travel, force, fit.mu0)
+
+    @classmethod
+    def of_sizes(cls, travel: float, force: float, modulus: float) -> Units:
+        """As `of`, by the size of displacements, m, forces, N, and stiffness, Pa."""
+        return cls(_unit(_LENGTH_UNITS, 10 * travel), _unit(_FORCE_UNITS, 10 * force), Unit(*pressure_unit(modulus)))
 
     def load(self, test: Test) -> Unit:
         """Of a force, or of a stress where the test has no specimen."""

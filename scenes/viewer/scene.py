@@ -28,6 +28,8 @@ class Scene:
         source: where the material comes from, for people.
         measurements: by the name of the kind that they belong to.
         solver: name in `tissue_sim.fem.solver.SOLVERS`.
+        rig: that the model's curve is measured with; the tool that is felt moves without it.
+        compared: a curve of this kind of test to begin with, beside the model's, and its name.
     """
 
     kind: TestKind
@@ -36,6 +38,8 @@ class Scene:
     source: str = BUILT_IN
     measurements: Mapping[str, Measurement] = field(default_factory=dict)
     solver: str = "axisymmetric"
+    rig: ts.Rig = field(default_factory=ts.Rig)
+    compared: tuple[str, ts.Recording] | None = None
 
     @property
     def model(self) -> ts.Model:

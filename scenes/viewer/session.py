@@ -54,7 +54,7 @@ class Session:
         self._resolution, self._settings = resolution, settings
         self._requests: queue.SimpleQueue[tuple[str, Callable | None, dict[str, Any]]] = queue.SimpleQueue()
         self._curve = ModelCurve(curve_resolution, scene.solver)
-        self._curves, self._trace, self._frames = Curves(), Trace(), 0
+        self._curves, self._trace, self._frames = Curves(before=scene.compared), Trace(), 0
         #: Time from the beginning of a replay, and force, of the recording.
         self._replayed: tuple | None = None
         #: Grows with every point of the trace, and where the trace starts again.
@@ -303,7 +303,7 @@ class Session:
 
     def _test(self) -> ts.Model:
         """The whole test whose curve is computed: with the measured motion, where there is one."""
-        model, measurement = self.scene.model, self.scene.measurement
+        model, measurement = replace(self.scene.model, rig=self.scene.rig), self.scene.measurement
         if measurement is None:
             return model
         return replace(model, experiment=replace(model.experiment, protocol=motion(measurement)))

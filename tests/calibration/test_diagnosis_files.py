@@ -18,6 +18,7 @@ from calibration.diagnosis.evidence import doubted, whole_campaign
 from calibration.diagnosis.next_experiment import plans
 from calibration.diagnosis.words import message
 from calibration.effects.machine_compliance import MachineCompliance
+from calibration.effects.plate_friction import PlateFriction
 from calibration.effects.sensor_drift import SensorDrift
 from calibration.effects.viscoelasticity import Viscoelasticity
 from calibration.fit.steps import Steps
@@ -44,15 +45,16 @@ PLAN = CAMPAIGN.replace('recordings = ["plates_*.csv"]', 'protocol = "ramp 3mm @
 
 
 @pytest.fixture(scope="module", autouse=True)
-def three_effects():
+def four_effects():
     """The whole catalogue takes longer than all that is asked here."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("calibration.diagnosis.proposals.CATALOGUE", {
-            "viscoelasticity": Viscoelasticity, "machine_compliance": MachineCompliance, "sensor_drift": SensorDrift})
+            "viscoelasticity": Viscoelasticity, "machine_compliance": MachineCompliance, "sensor_drift": SensorDrift,
+            "plate_friction": PlateFriction})
         yield
 
 
-def diagnose(folder, terms=(), rig=None):
+def diagnose(folder, terms=(), rig=None, friction="frictionless"):
     """Three recordings of a ramp, a hold and a return, with what is hidden in them."""
     folder.mkdir()
     time = np.linspace(0.0, 60.0, 121)
@@ -60,7 +62,7 @@ def diagnose(folder, terms=(), rig=None):
     truth = ts.Material("neo_hooke", {"C10": 1404.9}, ts.Bulk("bulk_ratio", 1e4),
                         viscoelastic=ts.Prony(tuple(ts.PronyTerm(*term) for term in terms)) if terms else None)
     experiment = ts.Experiment(ts.Specimen(0.020, 0.030), ts.Protocol(time, depth), ts.Tool("plate"),
-                               friction="frictionless", friction_base="frictionless")
+                               friction=friction, friction_base=friction)
     force = ts.simulate(ts.Model(experiment, truth, rig or ts.Rig())).force
     random = np.random.default_rng(3)
     for number in (1, 2, 3):
@@ -137,6 +139,15 @@ def test_the_campaign_with_it_is_fitted_again(relaxing, drifting):
         assert [len(test.recordings) for test in again.tests] == [3]
 
 
+def test_friction_of_both_plates_is_in_the_campaign(tmp_path):
+    diagnosis, _, out = diagnose(tmp_path / "rubs", friction=0.1)
+    assert [effect.name for effect in diagnosis.effects] == ["plate_friction"]
+    test, = load_campaign(out / diagnosis.files["campaign"]).tests
+    assert test.kind.name == "friction_compression" and test.experiment.friction == pytest.approx(0.1, abs=0.01)
+    assert test.experiment.base_interface == test.experiment.friction
+    assert load_campaign(out / diagnosis.files["campaign"]).fit.start["experiment.friction"] == test.experiment.friction
+
+
 def test_few_recordings_do_not_prove_that_nothing_scatters(drifting):
     _, found, _ = drifting
     problem, theta = found.before.problem, found.before.estimate.theta
@@ -163,7 +174,7 @@ def test_a_plan_needs_no_recording(tmp_path):
         found = design(campaign, read_planned(campaign, replicates=3, samples=121), Steps("plan", tasks))
     rows = {row.name: row for row in found.candidates}
     assert rows["viscoelasticity"].testable and rows["viscoelasticity"].seen_from["viscoelastic.terms[0].g"] < 0.02
-    assert 0 < found.standard_errors["C10"] < 20 and found.recordings == {"plates": 3}
+    assert 0 < found.standard_errors["C10"] < 20 and [test.recordings for test in found.tests] == [3]
     shorter = whole_campaign(load_campaign(tmp_path / "plan.toml", planned=True))
     shorter = replace(shorter, tests=(replace(shorter.tests[0], protocol="ramp 3mm @0.2mm/s"),))
     with open_tasks(Workers()) as tasks:

@@ -91,6 +91,9 @@ def fails(capsys, words, code=2) -> str:
     (["doctor", "--clock-seconds", "x"], "'x' is not a positive number"),
     (["calibrate", "-o", "out"], "required: CAMPAIGN.toml"),
     (["calibrate", "missing.toml", "-o", "out"], "missing.toml"),
+    (["design"], "required: CAMPAIGN.toml"),
+    (["design", "missing.toml"], "missing.toml"),
+    (["design", "c.toml", "--replicates", "0"], "whole number of at least 1"),
     (["diagnose", "-o", "out"], "required: CAMPAIGN.toml"),
     (["diagnose", "missing.toml", "-o", "out"], "missing.toml"),
     (["demo", "--seed", "-1"], "whole number of at least 0"),
@@ -102,7 +105,7 @@ def test_bad_words_get_one_sentence(words, expected, capsys, tmp_path, monkeypat
 
 
 @pytest.mark.parametrize("words", [
-    *([name] for name in LATER), ["design", "--help"], ["material", "import", "x"],
+    *([name] for name in LATER), ["record", "--help"], ["material", "import", "x"],
 ], ids=" ".join)
 def test_what_is_planned_is_known(words, capsys):
     assert "not available in this version" in fails(capsys, words)

@@ -192,3 +192,16 @@ def test_a_campaign_states_slip(tmp_path):
     with pytest.raises(ts.InputError, match="no share") as caught:
         situation_of(path)
     assert caught.value.field == "test[0].slip"
+
+
+def test_a_stiffness_counts_by_its_inverse(plain):
+    """Half the change of K = 100 mu is that of about 200 mu; more than there is of it stays a stiffness."""
+    (candidate,) = candidates(plain.situation, "compressibility")
+    (path, tried), = candidate.sizes.items()
+    absent = {path: candidate.absent_value(plain.campaign, path)}
+    assert candidate.inverse and candidate.sizes_at(absent, 1.0)[path] == pytest.approx(tried)
+    assert candidate.sizes_at(absent, 0.0) == pytest.approx(absent)
+    half = 2.0 / (1.0 / tried + 1.0 / absent[path])
+    assert candidate.sizes_at(absent, 0.5)[path] == pytest.approx(half)
+    assert tried > candidate.sizes_at(absent, 3.0)[path] > 0
+    assert absent[path] < candidate.sizes_at(absent, -5.0)[path] < 10 * absent[path]

@@ -1,0 +1,77 @@
+"""A design on the screen: what is planned, how well it would know the material, and what it would show."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from calibration.report.diagnosis_tables import label_of, labels_of, sizes_in_words
+from calibration.report.rounding import value_and_error
+from calibration.report.units import Units
+from scenes.commands.shared.text_table import print_sentence, text_table
+from tissue_sim.laws import find_law
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from calibration.diagnosis.design import Design
+
+
+def print_design(design: Design, console: Console) -> None:
+    """Print what the experiments could tell."""
+    law = find_law(design.law)
+    modulus = law.mu0({name: design.parameters[name] for name in law.parameters if name in design.parameters}) \
+        if all(name in design.parameters for name in law.parameters) else 1e3
+    units = Units.of_sizes(1e-3 * max(test.depth_mm for test in design.tests),
+                           max(test.force_N for test in design.tests), modulus)
+    noise = Units.of_sizes(1e-3, design.noise_N, modulus).force
+    print_sentence(console, f"{design.campaign}: {law.title}, sensor noise {noise.text(design.noise_N, 3)}")
+    tables = [_tests(design, units), _parameters(design, units)]
+    seen, silent = _seen(design, units), _silent(design)
+    for table in [*tables, *(each for each in (seen, silent) if each is not None)]:
+        console.print()
+        console.print(table)
+
+
+def _tests(design: Design, units: Units) -> Table:
+    table = text_table("planned", "recordings", "samples", "to", "largest force", "takes")
+    for test in design.tests:
+        table.add_row(test.name, str(test.recordings), str(test.samples), units.length.text(1e-3 * test.depth_mm, 3),
+                      units.force.text(test.force_N, 3), "-" if test.duration_s is None else f"{test.duration_s:.3g} s")
+    return table
+
+
+def _parameters(design: Design, units: Units) -> Table:
+    table = text_table("parameter", "expected", "error")
+    for name, value in design.parameters.items():
+        unit, error = units.of_parameter(design.units[name]), design.standard_errors[name]
+        known = {None: "left open by these tests", 0.0: "fixed"}.get(error, "")
+        share = f"{100 * error / abs(value):.2g} %" if error and value else "-"
+        table.add_row(design.symbols[name], value_and_error(value / unit.size, error and error / unit.size, unit.name,
+                                                            known=known), share)
+    return table
+
+
+def _seen(design: Design, units: Units) -> Table | None:
+    labels = labels_of(design.candidates)
+    rows = [each for each in design.candidates if each.testable]
+    if not rows:
+        return None
+    table = text_table("effect", "seen from", "would look like", text=3)
+    table.columns[2].no_wrap = False
+    for each in rows:
+        table.add_row(label_of(each), sizes_in_words(each, units), ", ".join(labels.get(name, name)
+                                                                            for name in each.twins) or "-")
+    return table
+
+
+def _silent(design: Design) -> Table | None:
+    rows = [each for each in design.candidates if not each.testable]
+    if not rows:
+        return None
+    table = text_table("not seen", "because", "what would show it", text=3)
+    for column in table.columns[1:]:
+        column.no_wrap = False
+    for each in rows:
+        table.add_row(label_of(each), each.reason, each.separated_by)
+    return table
