@@ -27,6 +27,10 @@ from tissue_sim.errors import ConvergenceError, InputError
 
 #: A region disagrees where chance makes it, or any other of the tests, look so with less than this probability.
 LEVEL = 0.005
+#: Recordings leave the same behind where chance makes it in any test with less than this probability.
+REPEATED = 1e-3
+#: Samples of two recordings are at one place within this share of the largest displacement.
+_SAME_PLACE = 0.005
 #: The jitter between recordings is taken as large as it is with less than this probability.
 _DOUBT = 0.2
 Measured = Mapping[str, tuple[MeasuredCurve, ...]]
@@ -100,6 +104,30 @@ class Evidence:
     def adequate(self) -> bool:
         """Whether no smooth misfit is left in any region."""
         return all(region.adequate for region in self.regions)
+
+    @cached_property
+    def repeated(self) -> list[str]:
+        """Tests whose recordings leave the same behind, sample by sample: more than chance, and perhaps too rough for
+        the shapes of the regions and for the estimate of the noise, which takes what is rough for noise.
+
+        Source: analysis of variance, mean over recordings against their scatter; no level of the noise is needed.
+        """
+        found, asked = {}, 0
+        for number, test in enumerate(self.problem.tests):
+            mine = [(curve, self.evaluation.residual[rows]) for (t, _), rows, curve in zip(
+                self.problem.places, self.problem.rows, self.problem.measured, strict=True) if t == number]
+            first = mine[0][0].displacement
+            alike = [left for curve, left in mine if left.size == first.size
+                     and np.abs(curve.displacement - first).max() < _SAME_PLACE * np.abs(first).max()]
+            if len(alike) < 2:
+                continue
+            asked += 1
+            left, count = np.array(alike), len(alike)
+            mean = left.mean(axis=0)
+            scatter = float(np.sum((left - mean)**2)) / (count - 1)
+            ratio = count * float(mean @ mean) / max(scatter, 1e-300)
+            found[test.name] = float(special.fdtrc(mean.size, (count - 1) * mean.size, ratio))
+        return [name for name, p in found.items() if asked * p < REPEATED]
 
     @cached_property
     def samples(self) -> float:

@@ -50,12 +50,13 @@ def judge(evidence: Evidence, proposals: Proposals, steps: Steps) -> Judgement:
         evidence: without any effect. proposals: the catalogue on it.
     """
     if not proposals.seen and evidence.adequate:
-        return Judgement("NONE", [], (), [], evidence)
+        return Judgement("UNKNOWN" if evidence.repeated else "NONE", [], (), [], evidence)
     refits = refit(evidence, proposals, steps)
     good = [each for each in refits if each.gain >= LEAST_GAIN and not each.absent
             and (each.proposal.p <= LEVEL or not evidence.adequate)]
     if not good:
-        return Judgement("NONE" if evidence.adequate else "UNKNOWN", refits, (), [], evidence)
+        nothing = evidence.adequate and not evidence.repeated
+        return Judgement("NONE" if nothing else "UNKNOWN", refits, (), [], evidence)
     best = good[0]
     added, after = _as_often_as_needed(best, evidence, steps)
     if not after.adequate:
@@ -67,7 +68,8 @@ def judge(evidence: Evidence, proposals: Proposals, steps: Steps) -> Judgement:
             return Judgement(words, refits, (first, second), [first.name, second.name], together)
         explained = share_explained(evidence.regions, after.regions)
         # Of a gap that is little more than noise a share means little.
-        if explained < MOSTLY and min(region.p for region in after.regions) < FAR:
+        far = min(region.p for region in after.regions) < FAR or after.repeated
+        if explained < MOSTLY and far:
             return Judgement("UNKNOWN", refits, (), [], evidence)
     possible = [each for each in good if odds(best, each) < ODDS]
     names = list(dict.fromkeys([*(each.name for each in possible), *_twins(best, proposals)]))

@@ -35,17 +35,20 @@ def effect_in_words(effect: FoundEffect) -> str:
 
 def message(verdict: Verdict, effects: Sequence[FoundEffect], titles: Sequence[str], regions: Sequence[RegionGap],
             gaps: tuple[float, float | None, float], untestable: int, unseen: Sequence[HeldOut] = (),
-            nearest: tuple[str, float] | None = None, *, stressed: bool = False) -> str:
+            nearest: tuple[str, float] | None = None, repeated: Sequence[str] = (), *,
+            stressed: bool = False) -> str:
     """What was found, in a few sentences.
 
     Args:
         verdict: in one word. effects: that were added. titles: of all that explain the gap as well.
         regions: of all tests. gaps: root mean square before and after, and noise, N.
         untestable: how many effects these tests could not show. unseen: data that the fits have not seen.
-        nearest: effect that explains most, and how much of the gap, %. stressed: whether stress was recorded, Pa.
+        nearest: effect that explains most, and how much of the gap, %.
+        repeated: tests whose recordings leave the same behind. stressed: whether stress was recorded, Pa.
     """
     before, after, noise = gaps
     where = [region.sentence for region in regions if not region.adequate_before]
+    where += [f"all recordings of {joined(repeated)} leave the same behind, sample by sample"] if repeated else []
     unit, factor = ("kPa", 1e-3) if stressed else ("N", 1.0)
     closed = "" if after is None else (f" The gap falls from {factor * before:.2g} to {factor * after:.2g} {unit} "
                                        f"({before / noise:.2g} to {after / noise:.2g} of the noise).")

@@ -54,7 +54,7 @@ def four_effects():
         yield
 
 
-def diagnose(folder, terms=(), rig=None, friction="frictionless"):
+def diagnose(folder, terms=(), rig=None, friction="frictionless", ripple=0.0):
     """Three recordings of a ramp, a hold and a return, with what is hidden in them."""
     folder.mkdir()
     time = np.linspace(0.0, 60.0, 121)
@@ -64,6 +64,7 @@ def diagnose(folder, terms=(), rig=None, friction="frictionless"):
     experiment = ts.Experiment(ts.Specimen(0.020, 0.030), ts.Protocol(time, depth), ts.Tool("plate"),
                                friction=friction, friction_base=friction)
     force = ts.simulate(ts.Model(experiment, truth, rig or ts.Rig())).force
+    force = force + ripple * np.sign(np.sin(2 * np.pi * depth / 0.15e-3)) * (time < 15)
     random = np.random.default_rng(3)
     for number in (1, 2, 3):
         measured = force + random.normal(0, 0.005) + random.normal(0, 0.01, time.size)
@@ -146,6 +147,13 @@ def test_friction_of_both_plates_is_in_the_campaign(tmp_path):
     assert test.kind.name == "friction_compression" and test.experiment.friction == pytest.approx(0.1, abs=0.01)
     assert test.experiment.base_interface == test.experiment.friction
     assert load_campaign(out / diagnosis.files["campaign"]).fit.start["experiment.friction"] == test.experiment.friction
+
+
+def test_what_is_rough_and_the_same_in_all_recordings_is_not_called_nothing(tmp_path):
+    diagnosis, found, _ = diagnose(tmp_path / "stick_slip", ripple=0.03)
+    assert diagnosis.verdict == "UNKNOWN" and found.before.repeated == ["plates"] and not diagnosis.effects
+    assert "all recordings of plates leave the same behind" in diagnosis.message
+    assert diagnose(tmp_path / "smooth")[0].verdict == "NONE"
 
 
 def test_few_recordings_do_not_prove_that_nothing_scatters(drifting):
