@@ -84,6 +84,11 @@ class Refit:
         return held
 
     @property
+    def beyond(self) -> bool:
+        """Whether a size of it ended on a bound, where it makes no physical sense any more."""
+        return any(self.problem.space.unknown(name).path in self.proposal.candidate.sizes for name in self.on_bound)
+
+    @property
     def absent(self) -> bool:
         """Whether all of its sizes ended where it is absent."""
         values = self.numbers

@@ -52,7 +52,7 @@ def judge(evidence: Evidence, proposals: Proposals, steps: Steps) -> Judgement:
     if not proposals.seen and evidence.adequate:
         return Judgement("UNKNOWN" if evidence.repeated else "NONE", [], (), [], evidence)
     refits = refit(evidence, proposals, steps)
-    good = [each for each in refits if each.gain >= LEAST_GAIN and not each.absent
+    good = [each for each in refits if each.gain >= LEAST_GAIN and not each.absent and not each.beyond
             and (each.proposal.p <= LEVEL or not evidence.adequate)]
     if not good:
         nothing = evidence.adequate and not evidence.repeated
