@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from calibration.campaign.campaign import load_campaign
 from calibration.campaign.measured import read_measured
 from calibration.campaign.planned import REPLICATES, SAMPLES, read_planned
-from calibration.output_folder import PICTURE_FORMATS, SUMMARY_FILE, claim, pictures_written
+from calibration.output_folder import PICTURE_FORMATS, SUMMARY_FILE, claim, pictures_written, result_files
 from calibration.tasks.executors import Workers, open_tasks
 from tissue_sim.errors import ConvergenceError, InputError
 
@@ -63,22 +63,7 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
         fits = [CampaignFit(campaign, curves, output / campaign.name if len(campaigns) > 1 else output,
                             Steps(campaign.name, tasks, progress, listen))
                 for campaign, curves in zip(campaigns, measured, strict=True)]
-        finished = [None if overwrite or not (figures_format is None or pictures_written(
-            fit.campaign, fit.folder, figures_format)) else read_back(fit.campaign, fit.folder, fit.digest)
-            for fit in fits]
-        for fit, result in zip(fits, finished, strict=True):
-            if result is None:
-                fit.check()
-        claim(output, {fit.campaign.name: fit.folder for fit in fits}, campaigns,
-              [recording for fit in fits for recording in fit.recordings],
-              {fit.campaign.name: fit.digest for fit in fits}, overwrite)
-        results, failures = [], []
-        for fit, result in zip(fits, finished, strict=True):
-            try:
-                results.append(result or fit.run(figures=figures, figures_format=figures_format))
-            except ConvergenceError as failure:
-                # The others are not to wait for it.
-                failures.append(str(failure))
+        results, failures = _run(fits, output, read_back, overwrite, figures, figures_format)
     if len(campaigns) > 1:
         write_summary(results, output / SUMMARY_FILE)
     if failures:
@@ -118,24 +103,37 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
         parts = [CampaignDiagnosis(campaign, curves, output / campaign.name if len(campaigns) > 1 else output,
                                    Steps(campaign.name, tasks, progress))
                  for campaign, curves in zip(campaigns, measured, strict=True)]
-        finished = [None if overwrite or not (figures_format is None or pictures_written(
-            part.campaign, part.folder, figures_format)) else read_diagnosis(part.campaign, part.folder, part.digest)
-            for part in parts]
-        for part, result in zip(parts, finished, strict=True):
-            if result is None:
-                part.check()
-        claim(output, {part.campaign.name: part.folder for part in parts}, campaigns,
-              [recording for part in parts for recording in part.recordings],
-              {part.campaign.name: part.digest for part in parts}, overwrite, files_of_diagnosis)
-        results, failures = [], []
-        for part, result in zip(parts, finished, strict=True):
-            try:
-                results.append(result or part.run(figures=figures, figures_format=figures_format))
-            except ConvergenceError as failure:
-                failures.append(str(failure))
+        results, failures = _run(parts, output, read_diagnosis, overwrite, figures, figures_format, files_of_diagnosis)
     if failures:
         raise ConvergenceError("; ".join(failures))
     return results
+
+
+def _run(parts: Sequence[Any], output: Path, read_back: Callable[..., Any], overwrite: bool, figures: bool,
+         figures_format: str | None, files_of: Callable[..., list[Path]] = result_files) -> tuple[list[Any], list[str]]:
+    """Results of campaigns that have been read, and why others have none; what is finished is read back.
+
+    Args:
+        parts: `CampaignFit` or `CampaignDiagnosis`, one a campaign. read_back: finished result of a campaign, or None.
+        files_of: every file that may be written for a campaign.
+    """
+    finished = [None if overwrite or not (figures_format is None or pictures_written(
+        part.campaign, part.folder, figures_format)) else read_back(part.campaign, part.folder, part.digest)
+        for part in parts]
+    for part, result in zip(parts, finished, strict=True):
+        if result is None:
+            part.check()
+    claim(output, {part.campaign.name: part.folder for part in parts}, [part.campaign for part in parts],
+          [recording for part in parts for recording in part.recordings],
+          {part.campaign.name: part.digest for part in parts}, overwrite, files_of)
+    results, failures = [], []
+    for part, result in zip(parts, finished, strict=True):
+        try:
+            results.append(result or part.run(figures=figures, figures_format=figures_format))
+        except ConvergenceError as failure:
+            # The others are not to wait for it.
+            failures.append(str(failure))
+    return results, failures
 
 
 def design_experiments(path: str | Path, *, law: str | None = None, replicates: int = REPLICATES,

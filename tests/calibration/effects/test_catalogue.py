@@ -77,10 +77,8 @@ def test_candidates_can_be_asked_and_added(plain, name):
         assert all(candidate.symbols(plain.campaign).values())
 
 
-@EFFECTS
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in REFUSED])
 def test_a_model_gets_it_and_at_absence_nothing_changes(plain, name):
-    if name in REFUSED:
-        pytest.skip("not in these tests; see the tests of its own")
     candidate = candidates(plain.situation, name)[0]
     test = candidate.tests[0] if candidate.tests else "needle"
     model = model_of(test, points=13)
