@@ -23,6 +23,7 @@ from hidden_effects_truth import (
     difference,
     hereditary,
     lubricated,
+    moved,
     plain,
     simulated,
 )
@@ -81,16 +82,19 @@ def _law(name: str) -> Force:
 def _moved(tool: Callable[[VirtualTest, float], np.ndarray], names: tuple[str, ...] = ()) -> Force:
     """The plain force where the tool truly is, in tests of these names (none: in all)."""
     def force(test: VirtualTest, size: float) -> np.ndarray:
-        there = test.displacement if names and test.name not in names else tool(test, size)
-        return plain(test.kind, there)
+        if names and test.name not in names:
+            return plain(test.kind, test.displacement)
+        return moved(test, tool(test, size))
     return force
 
 
-def _read(reading: Callable[[VirtualTest, np.ndarray, float], np.ndarray], names: tuple[str, ...] = ()) -> Force:
-    """What is read of the plain force, in tests of these names (none: in all)."""
+def _read(reading: Callable[[VirtualTest, np.ndarray, float], np.ndarray], names: tuple[str, ...] = (),
+          kinds: str = "ABC") -> Force:
+    """What is read of the plain force, in tests of these names (none: in all) and kinds."""
     def force(test: VirtualTest, size: float) -> np.ndarray:
         true = plain(test.kind, test.displacement)
-        return true if names and test.name not in names else reading(test, true, size)
+        acts = (not names or test.name in names) and test.kind in kinds
+        return reading(test, true, size) if acts else true
     return force
 
 
@@ -264,9 +268,9 @@ def _tissue() -> list[Case]:
                              "layers[1].ratio": 1 + 0.4 * k, "layers[1].thickness": 2.5e-3})),
         Case("puncture", "exact", 0.002, 0.5, "1", "needles lose some per cent to half of their force", "independent",
              _read(lambda test, true, s: np.where(np.maximum.accumulate(test.displacement) > PUNCTURED,
-                                                  (1 - s) * true, true), ("C",))),
+                                                  (1 - s) * true, true), kinds="C")),
         Case("puncture", "other", 0.002, 0.5, "1", "needles lose some per cent to half of their force", "independent",
-             _read(_cut, ("C",))),
+             _read(_cut, kinds="C")),
         Case("session_scale", "exact", 5e-4, 0.1, "1", _TEMPERATURE, "independent",
              _read(lambda test, true, k: (1 + k) * true, ("C",))),
         Case("session_scale", "other", 5e-4, 0.1, "1", f"{_TEMPERATURE}; it warms while it is measured", "independent",

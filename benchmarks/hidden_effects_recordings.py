@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from hidden_effects_sizes import CONTACT, CORRELATED, NOISE, REPLICATES, ZERO
-from hidden_effects_truth import HEIGHT, NEEDLE, RADIUS, VirtualTest, plain
+from hidden_effects_truth import HEIGHT, NEEDLE, RADIUS, VirtualTest, moved, plain
 
 #: Step of a sensor that rounds, N.
 STEP = 0.02
@@ -73,8 +73,8 @@ def write_campaign(folder: Path, tests: Sequence[VirtualTest], forces: Callable[
     for test in tests:
         true, names = forces(test), []
         for number, shift in enumerate(_shifts(rng, scatter.jitter), start=1):
-            moved = plain(test.kind, test.displacement - CONTACT * shift) - plain(test.kind, test.displacement)
-            force = true + moved + ZERO * rng.standard_normal() + noise(rng, test.time, scatter.coloured)
+            change = moved(test, test.displacement - CONTACT * shift) - plain(test.kind, test.displacement)
+            force = true + change + ZERO * rng.standard_normal() + noise(rng, test.time, scatter.coloured)
             if scatter.rounded:
                 force = np.round(force / STEP) * STEP
             names.append(f"{test.name}_{number}.csv")

@@ -152,6 +152,16 @@ def plain(kind: str, depth: np.ndarray) -> np.ndarray:
     return np.where(depth > 0, force, 0.0)
 
 
+def moved(test: VirtualTest, place: np.ndarray) -> np.ndarray:
+    """Plain force of a test whose tool is elsewhere than is reported, N: nothing before it touches, and what is bonded
+    to it pulls when it comes back past that."""
+    force = plain(test.kind, place)
+    if test.kind == "A":
+        return force
+    pulled = (place < 0) & (test.direction < 0)
+    return np.where(pulled, -plain(test.kind, -place), force)
+
+
 @cache
 def _bulge() -> tuple[np.ndarray, np.ndarray]:
     """Depth, m, and what the tissue adds that bulges onto the plates, N: the independent program leaves it out."""

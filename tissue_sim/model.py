@@ -16,3 +16,8 @@ class Model:
     experiment: Experiment
     material: Material
     rig: Rig = field(default_factory=Rig)
+
+    @property
+    def depends_on_way(self) -> bool:
+        """Whether the force depends on how the tool came to where it is, and not on its place alone."""
+        return self.material.remembers or self.experiment.depends_on_way

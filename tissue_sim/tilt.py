@@ -28,14 +28,18 @@ def tilted(recording: Recording, tilt: float, depth: np.ndarray) -> Recording:
     """
     if not tilt:
         return recording
-    # Gauss-Chebyshev quadrature of the second kind: the disc's width is its weight.
-    angle = np.arange(1, _POINTS + 1) * np.pi / (_POINTS + 1)
-    share = 2.0 / (_POINTS + 1) * np.sin(angle) ** 2
     curve = LoadingCurve(recording.with_channels(displacement=depth))
     samples = np.arange(recording.force.size, dtype=float)
-    force = sum(w * curve.force_behind(_behind(depth, 0.5 * tilt * (1.0 - x)), 0.0, samples)
-                for x, w in zip(np.cos(angle), share, strict=True))
+    force = sum(share * curve.force_behind(_behind(depth, lag), 0.0, samples) for lag, share in strips(tilt))
     return recording.with_channels(force=force)
+
+
+def strips(tilt: float) -> list[tuple[float, float]]:
+    """How far each strip of a face that leans is behind the side that touches first, m, and its share of the face."""
+    # Gauss-Chebyshev quadrature of the second kind: the disc's width is its weight.
+    angle = np.arange(1, _POINTS + 1) * np.pi / (_POINTS + 1)
+    shares = 2.0 / (_POINTS + 1) * np.sin(angle) ** 2
+    return list(zip((0.5 * tilt * (1.0 - np.cos(angle))).tolist(), shares.tolist(), strict=True))
 
 
 def _behind(displacement: np.ndarray, lag: float) -> np.ndarray:

@@ -62,32 +62,52 @@ def change_of(problem: Problem, evaluation: Evaluation, campaign: Campaign, cand
     Args:
         problem, evaluation: at the minimum without it. campaign: its own. share: of the trial size.
     """
+    touched = [number for number, test in enumerate(problem.tests)
+               if candidate.tests is None or test.name in candidate.tests]
+    nuisances = np.concatenate([np.zeros(0), *(
+        evaluation.nuisances[columns] for columns, (t, _) in zip(problem.offset_columns, problem.places, strict=True)
+        if t in touched), *(evaluation.nuisances[problem.shared[t]] for t in touched)])
+
+    def held(of: Problem) -> Problem:
+        # Derivatives would cost as much as the simulation.
+        space = of.space.held(dict(zip(problem.space.free, evaluation.theta, strict=True)))
+        return Problem(space, tuple(of.tests[t] for t in touched), of.solves, of.jitter,
+                       tuple(of.mesh_error[t] for t in touched))
+
     try:
         absent = {path: candidate.absent_value(campaign, path) for path in candidate.sizes}
-        with_it = _residual(problem, evaluation, campaign, candidate, candidate.sizes_at(absent, share))
-        # What another mesh changes is no effect.
-        without = _residual(problem, evaluation, campaign, candidate, absent) if candidate.remeshes(campaign) else \
-            evaluation.residual
+        with_it = held(extend(problem, campaign, candidate, candidate.sizes_at(absent, share), free=False)[0])
+        # What another mesh, or another way to the force at a sample, changes is no effect.
+        without = held(extend(problem, campaign, candidate, absent, free=False)[0]) if candidate.remeshes(campaign) \
+            else _simulated_like(held(problem), with_it)
+        change = _residual(with_it, nuisances) - _residual(without, nuisances)
     except (InfeasibleError, NotTestableError, InputError) as error:
         return str(error)
-    column = with_it - without
     groups: dict[str, np.ndarray] = {}
-    for rows, (t, _) in zip(problem.rows, problem.places, strict=True):
-        if candidate.tests is not None and problem.tests[t].name not in candidate.tests:
-            continue
-        mark = _group(problem.tests[t], candidate)
-        groups.setdefault(mark, np.zeros(column.size))[rows] = column[rows]
+    for rows, (t, r) in zip(with_it.rows, with_it.places, strict=True):
+        column = groups.setdefault(_group(with_it.tests[t], candidate), np.zeros(problem.samples))
+        column[problem.rows[problem.places.index((touched[t], r))]] = change[rows]
     return np.column_stack(list(groups.values()))
 
 
-def _residual(problem: Problem, evaluation: Evaluation, campaign: Campaign, candidate: Candidate,
-              sizes: Mapping[str, float]) -> np.ndarray:
-    """The whitened residual with an effect of these sizes, at parameters and nuisances known."""
-    extended, _ = extend(problem, campaign, candidate, sizes, free=False)
-    # Held, all of them: derivatives would cost as much as the simulation.
-    extended.space = extended.space.held(dict(zip(problem.space.free, evaluation.theta, strict=True)))
-    answers = [test.solve(extended.space, np.zeros(0), extended.solves) for test in extended.tests]
-    return extended._linearise(answers, evaluation.nuisances)[0]
+def _simulated_like(held: Problem, other: Problem) -> Problem:
+    """The problem whose tests are simulated along the whole way where those of another one are."""
+    def like(test: ForwardTest, of: ForwardTest) -> ForwardTest:
+        if not (isinstance(test, SimulatedTest) and isinstance(of, SimulatedTest)):
+            return test
+        return replace(test, along=test.along or not of.placed(other.space, np.zeros(0)))
+
+    return Problem(held.space, tuple(map(like, held.tests, other.tests)), held.solves, held.jitter, held.mesh_error)
+
+
+def _residual(held: Problem, nuisances: np.ndarray) -> np.ndarray:
+    """The whitened residual at nuisances that are known, shape (N,).
+
+    Raises:
+        InfeasibleError: as `ForwardTest.solve`.
+    """
+    answers = [test.solve(held.space, np.zeros(0), held.solves) for test in held.tests]
+    return held._linearise(answers, nuisances)[0]
 
 
 def _group(test: ForwardTest, candidate: Candidate) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from calibration.campaign.campaign import Campaign
 from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.extended import extend, unknowns
-from calibration.diagnosis.proposals import Proposal, Proposals
+from calibration.diagnosis.proposals import Proposal, Proposals, sharpened
 from calibration.effects.effect import NotTestableError
 from calibration.fit.estimate import Estimate
 from calibration.fit.levenberg_marquardt import descend
@@ -120,6 +120,8 @@ def refit(evidence: Evidence, proposals: Proposals, steps: Steps, words: str = "
     for name in chosen:
         ways = sorted((each for each in proposals.all if each.candidate.name == name),
                       key=lambda each: each.improbability)
+        if ways[0].candidate.jump:
+            ways = [sharpened(ways[0], evidence)]
         tasks += [(evidence.problem, evidence.campaign, way, evidence.values, error, evidence.samples)
                   for way in ways[:2] if way.improbability < ways[0].improbability + 0.5 * AS_GOOD]
     fits = [each for each in steps.all_of(refit_one, tasks, words) if each is not None] if tasks else []

@@ -173,6 +173,8 @@ class Candidate:
         mark: what tells it from the effect's other candidates where that is no number: the name of a test.
         inverse: whether the change of the force is in proportion to one over the number, as it is to one over a
             stiffness.
+        jump: path in `shape` of the displacement, m, at which the force jumps: no descent moves it, so that it is
+            sought between the values of the other candidates before a refit.
     """
 
     effect: Effect
@@ -186,6 +188,7 @@ class Candidate:
     prepare: Callable[[Test], Test] | None = None
     mark: str = ""
     inverse: bool = False
+    jump: str = ""
 
     def sizes_at(self, absent: Mapping[str, float], factor: float) -> dict[str, float]:
         """Path -> value at which the change of the force is about `factor` times that of the size tried first.

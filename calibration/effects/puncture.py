@@ -6,7 +6,7 @@ from calibration.effects.effect import Candidate, Effect, NotTestableError, Situ
 #: Share of the force that is tried first, and the largest that a refit may find.
 _SHARE, _LARGEST = 0.05, 0.95
 #: Depths that are tried, in largest depths of a needle.
-_DEPTHS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+_DEPTHS = tuple(0.05 * step for step in range(1, 20))
 
 
 class Puncture(Effect):
@@ -26,4 +26,5 @@ class Puncture(Effect):
         deepest = max(map(situation.depth, needles))
         drop, depth = "puncture.drop", "puncture.depth"
         return [Candidate(self, {drop: _SHARE}, shape={depth: share * deepest},
-                          bounds={drop: (0.0, _LARGEST), depth: (0.01 * deepest, deepest)}) for share in _DEPTHS]
+                          bounds={drop: (0.0, _LARGEST), depth: (0.01 * deepest, deepest)}, jump=depth)
+                for share in _DEPTHS]

@@ -4,7 +4,7 @@ from calibration.effects.candidates import beside_material, require_tests
 from calibration.effects.effect import Candidate, Effect, Situation
 
 #: Loss that is tried first, in largest displacements; and depths at which it may happen, likewise.
-_SHARE, _DEPTHS = 0.01, (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)
+_SHARE, _DEPTHS = 0.01, tuple(0.05 * step for step in range(2, 20))
 
 
 class StepLoss(Effect):
@@ -23,5 +23,5 @@ class StepLoss(Effect):
             for test in tests:
                 found += beside_material(self, situation, loss, [test],
                                          lambda group: _SHARE * situation.depth(group[0]), each=True, both_ways=False,
-                                         shape={depth: share * situation.depth(test)})
+                                         shape={depth: share * situation.depth(test)}, jump=depth)
         return found

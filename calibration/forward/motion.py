@@ -83,9 +83,9 @@ class _LoadingCourse:
 
     def __init__(self, depth: np.ndarray, columns: np.ndarray):
         self._end, self._width = depth[-1], _TOUCH_WIDTH * depth[-1]
-        self._spline = _spline(depth, columns)
+        self._spline = spline(depth, columns)
         self._slope = self._spline.derivative()
-        self._force = _spline(depth, columns[:, 0])
+        self._force = spline(depth, columns[:, 0])
 
     def __call__(self, time: np.ndarray | None, displacement: np.ndarray,
                  offset: float) -> tuple[np.ndarray, np.ndarray]:
@@ -205,7 +205,7 @@ class _TimedCourse:
         self._parts = []
         for first, last in motion.legs:
             part = slice(first, last + 1)
-            interpolate = _spline if motion.moves(first, last) else PchipInterpolator
+            interpolate = spline if motion.moves(first, last) else PchipInterpolator
             self._parts.append(interpolate(motion.time[part], columns[part]))
         self._ends = motion.time[[last for _, last in motion.legs[:-1]]]
 
@@ -247,5 +247,6 @@ def offset_rate(recording: Recording) -> np.ndarray:
     return (more - less) / (2 * width)
 
 
-def _spline(knots: np.ndarray, values: np.ndarray):
+def spline(knots: np.ndarray, values: np.ndarray):
+    """Through values at knots, shapes (k,) and (k, ...): a cubic, straight lines where there are few."""
     return CubicSpline(knots, values) if knots.size > 3 else make_interp_spline(knots, values, k=1)

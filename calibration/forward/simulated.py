@@ -13,7 +13,8 @@ import numpy as np
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace, Unknown
 from calibration.forward.contract import InfeasibleError, Reached
-from calibration.forward.motion import Course, Loading, Timed
+from calibration.forward.motion import Course, Loading, Timed, spline
+from calibration.forward.placed import PlaceCurve, PlacedCourse, loading_to
 from calibration.forward.solves import SimulatedCurve, Solves, content_key
 from tissue_sim.closed_form.homogeneous import UNIAXIAL, ClosedForm
 from tissue_sim.differentiation import sensitivities
@@ -98,9 +99,8 @@ class Left:
         puncture = None if material.puncture in self.effects else material.puncture
         return replace(model, material=replace(material, puncture=puncture, effects=kept))
 
-    def share(self, measured: MeasuredCurve, offset: float) -> np.ndarray:
-        """Of the force at the samples of a recording, shape (n,)."""
-        depth = measured.displacement - offset
+    def share(self, measured: MeasuredCurve, depth: np.ndarray) -> np.ndarray:
+        """Of the force at the samples of a recording where the tool is at these depths, m, shape (n,)."""
         waits = np.zeros(depth.size) if measured.time is None else np.diff(measured.time, prepend=measured.time[0])
         force = ReducedForce(self.effects)
         return np.array([force.go(d, dt) for d, dt in zip(depth.tolist(), waits.tolist(), strict=True)])
@@ -135,6 +135,7 @@ class SimulatedTest:
         measured: the recordings.
         layered: whether the material has layers.
         correction: what the accurate mesh has more, N, of each motion, shape (k,); empty until `refine` finds out.
+        along: whether the whole motion is simulated even where the force depends on the tool's place alone.
     """
 
     name: str
@@ -145,6 +146,7 @@ class SimulatedTest:
     measured: tuple[MeasuredCurve, ...]
     layered: bool = False
     correction: list[np.ndarray] = field(default_factory=list)
+    along: bool = False
 
     #: What it is where it is homogeneous.
     closed_form: ClassVar[ClosedForm] = UNIAXIAL
@@ -169,8 +171,41 @@ class SimulatedTest:
         return not self.layered and self._experiment(self.motions[0]).homogeneous
 
     def solve(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> SimulatedAnswer:
-        """As `ForwardTest.solve`: the course of force and derivatives along each motion, with the correction."""
-        values, courses, chosen, differences = space.values(theta), {}, [], set()
+        """As `ForwardTest.solve`: the course of force and derivatives along each motion, with the correction.
+
+        Where the force depends on the place of the tool alone, one loading gives it everywhere, and a rig takes the
+        tool there without a simulation.
+        """
+        values = space.values(theta)
+        models = [self._possible(space, values, self.motions[number], measured.name)
+                  for measured, number in zip(self.measured, self.motion_of, strict=False)]
+        if self.along or not self.timed or any(map(_needs_way, models)):
+            courses, differences = self._along_way(space, values, solves)
+            left = [Left.of(model) for model in models]
+        else:
+            courses, differences = self._by_place(space, values, solves, models)
+            left = [Left(model.material.reduced_effects(plate=model.experiment.tool.is_plate)) for model in models]
+        differences |= {each.name for each in space.varied if self._reads(each, values)
+                        or any(one.owns(each.path) for one in left)}
+        return SimulatedAnswer(courses, [Reading(model.rig) for model in models], left, space, values,
+                               frozenset(differences))
+
+    def placed(self, space: ParameterSpace, theta: np.ndarray) -> bool:
+        """Whether the force is looked up at the tool's place, and not simulated along its way.
+
+        Raises:
+            InfeasibleError: no such model.
+        """
+        values = space.values(theta)
+        return self.timed and not self.along and not any(
+            _needs_way(self._possible(space, values, self.motions[number], measured.name))
+            for measured, number in zip(self.measured, self.motion_of, strict=False))
+
+    def _along_way(self, space: ParameterSpace, values: dict[str, float], solves: Solves
+                   ) -> tuple[list[Course], set[str]]:
+        """Courses from simulations of each motion, and names whose derivatives are differences."""
+        courses: dict[tuple[int, str | None], Course] = {}
+        chosen, differences = [], set()
         for measured, number in zip(self.measured, self.motion_of, strict=False):
             key = number, space.mark(self.name, measured.name)
             if key not in courses:
@@ -181,13 +216,50 @@ class SimulatedTest:
                     force = force + self.correction[number]
                 courses[key] = motion.through(np.column_stack([force, rates]))
             chosen.append(courses[key])
-        differences |= {each.name for each in space.varied if self._reads(each, values)}
-        models = [self._model(space, values, self.motions[number], measured.name, whole=True)
-                  for measured, number in zip(self.measured, self.motion_of, strict=False)]
-        left = [Left.of(model) for model in models]
-        differences |= {each.name for each in space.varied if any(one.owns(each.path) for one in left)}
-        return SimulatedAnswer(chosen, [Reading(model.rig) for model in models], left, space, values,
-                               frozenset(differences))
+        return chosen, differences
+
+    def _by_place(self, space: ParameterSpace, values: dict[str, float], solves: Solves, models: Sequence[Model]
+                  ) -> tuple[list[PlacedCourse], set[str]]:
+        """The same from one loading, which is simulated with a rigid rig."""
+        curves: dict[str | None, PlaceCurve] = {}
+        courses, differences = [], set()
+        for measured, number, model in zip(self.measured, self.motion_of, models, strict=False):
+            mark = space.mark(self.name, measured.name)
+            if mark not in curves:
+                loading = self._loading(model.rig)
+                force, rates, inexact = self._simulated(space, values, solves, loading, "fast", mark, rigid=True)
+                differences |= inexact
+                curves[mark] = PlaceCurve.through(
+                    loading.depth, np.column_stack([force + self._correction_at(loading), rates]),
+                    holds=model.experiment.friction == "bonded")
+            neighbours = {}
+            for place, each in enumerate(space.varied, start=1):
+                if _of_course(each.path) and each.acts_in(self.name, measured.name) and not self._reads(each, values):
+                    width = _away(values[each.name])
+                    more = self._possible(space, values | {each.name: values[each.name] + width},
+                                          self.motions[number], measured.name)
+                    neighbours[place] = _course(curves[mark], more, measured), width
+                    differences.add(each.name)
+            courses.append(replace(_course(curves[mark], model, measured), neighbours=neighbours))
+        return courses, differences
+
+    def _loading(self, rig: Rig) -> Loading:
+        """One way in, as deep as a rig takes the tool in any of the motions."""
+        depth = max(float(motion.displacement.max()) for motion in self.motions)
+        deepest = max(float(rig.tool_motion(motion.displacement).max()) for motion in self.motions)
+        return loading_to(depth, deepest, 0.999 * self.specimen.height)
+
+    def _correction_at(self, loading: Loading) -> np.ndarray:
+        """What the accurate mesh has more at the knots of a loading, N, shape (k,): of the way to the largest depth."""
+        if not self.correction:
+            return np.zeros(loading.depth.size)
+        number = max(range(len(self.motions)), key=lambda one: float(self.motions[one].displacement.max()))
+        motion, correction = self.motions[number], self.correction[number]
+        way = np.arange(int(np.argmax(motion.displacement)) + 1)
+        # When each depth was reached first.
+        way = way[np.append(True, motion.displacement[way][1:] > np.maximum.accumulate(motion.displacement[way])[:-1])]
+        depth = motion.displacement[way]
+        return spline(depth, correction[way])(np.clip(loading.depth, depth[0], depth[-1]))
 
     def refine(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> float:
         """Compute what the accurate mesh has more at these parameters, and keep it as the correction.
@@ -199,12 +271,18 @@ class SimulatedTest:
             InfeasibleError: the accurate mesh does not get through.
         """
         values, found, largest = space.values(theta), [], 0.0
-        for motion in () if self.homogeneous else self.motions:
-            fast, *_ = self._simulated(space, values, solves, motion, "fast")
-            accurate = self._accurate(space, values, solves, motion)
+        if self.homogeneous:
+            self.correction = []
+            return 0.0
+        rigid = self.placed(space, theta)
+        ways = [self._loading(Rig())] if rigid else self.motions
+        for way in ways:
+            fast, *_ = self._simulated(space, values, solves, way, "fast", rigid=rigid)
+            accurate = self._accurate(space, values, solves, way, rigid=rigid)
             found.append(accurate - fast)
             largest = max(largest, float(np.abs(found[-1]).max() / np.abs(accurate).max()))
-        self.correction = found
+        self.correction = [spline(ways[0].depth, found[0])(np.maximum(motion.displacement, 0.0))
+                           for motion in self.motions] if rigid else found
         return largest
 
     def forget(self) -> None:
@@ -212,7 +290,7 @@ class SimulatedTest:
         self.correction = []
 
     def _accurate(self, space: ParameterSpace, values: dict[str, float], solves: Solves,
-                  motion: Loading | Timed) -> np.ndarray:
+                  motion: Loading | Timed, *, rigid: bool) -> np.ndarray:
         """Force of the accurate mesh at the knots, shape (k,).
 
         Under friction the fast mesh needs short steps at the touch, and the accurate one gets through more often by
@@ -220,29 +298,31 @@ class SimulatedTest:
         """
         first, second = (motion.even, motion) if isinstance(motion, Timed) else (motion, motion.even)
         try:
-            way, (force, *_) = first, self._simulated(space, values, solves, first, "accurate")
+            way, (force, *_) = first, self._simulated(space, values, solves, first, "accurate", rigid=rigid)
         except InfeasibleError:
-            way, (force, *_) = second, self._simulated(space, values, solves, second, "accurate")
+            way, (force, *_) = second, self._simulated(space, values, solves, second, "accurate", rigid=rigid)
         return force if way is motion else motion.at_knots(way.through(force[:, None]))[:, 0]
 
     def _simulated(self, space: ParameterSpace, values: dict[str, float], solves: Solves, motion: Loading | Timed,
-                   resolution: str, recording: str | None = None) -> tuple[np.ndarray, np.ndarray, set[str]]:
+                   resolution: str, recording: str | None = None, *, rigid: bool = False
+                   ) -> tuple[np.ndarray, np.ndarray, set[str]]:
         """Force, shape (k,), derivatives with the free parameters, shape (k, p), none of the accurate mesh, and the
-        names of those that are differences."""
+        names of those that are differences; of a `rigid` rig the tool is where the motion says, and upright."""
         factor, proportional = 1.0, self.proportional and space.of_material_alone
         if proportional:
             values, factor = space.normalised(values)
-        try:
-            model = self._model(space, values, motion, recording)
-            topology = self._model(space, space.before_moving(values), motion, recording) \
-                if space.shapes_mesh(self.name) else None
-        except InputError as error:
-            raise InfeasibleError(f"{self.name}: {error}") from None
+        model, topology = self._possible(space, values, motion, recording), None
+        if space.shapes_mesh(self.name):
+            topology = self._possible(space, space.before_moving(values), motion, recording)
+        # The rig only moves the tool here.
+        model, topology = (each and (_rigid(each) if rigid else replace(each, rig=each.rig.motion_only))
+                           for each in (model, topology))
         left = Left.of(model)
         model, topology = left.simulated(model), topology and left.simulated(topology)
         acting = {} if resolution == "accurate" else {
             place: each.path for place, each in enumerate(space.varied)
-            if each.acts_in(self.name, recording) and not self._reads(each, values) and not left.owns(each.path)}
+            if each.acts_in(self.name, recording) and not self._reads(each, values) and not left.owns(each.path)
+            and not (rigid and _of_course(each.path))}
         key = content_key(model, topology, list(acting.values()), resolution)
         curve = solves.find(key)
         if curve is None:
@@ -258,11 +338,17 @@ class SimulatedTest:
             rates[:, list(acting)] = np.array(curve.rates).reshape(force.size, len(acting)) * scale
         return force, rates, {space.free[place] for place, exact in zip(acting, curve.exact, strict=False) if not exact}
 
-    def _model(self, space: ParameterSpace, values: dict[str, float], motion: Loading | Timed,
-               recording: str | None, whole: bool = False) -> Model:
-        """What is simulated: the rig only moves the tool, unless the `whole` of it is asked for."""
-        model = space.model(values, self._experiment(motion), self.rig, test=self.name, recording=recording)
-        return model if whole else replace(model, rig=model.rig.motion_only)
+    def _possible(self, space: ParameterSpace, values: dict[str, float], motion: Loading | Timed,
+                  recording: str | None) -> Model:
+        """The model of a recording along a motion.
+
+        Raises:
+            InfeasibleError: there is none with these values.
+        """
+        try:
+            return space.model(values, self._experiment(motion), self.rig, test=self.name, recording=recording)
+        except InputError as error:
+            raise InfeasibleError(f"{self.name}: {error}") from None
 
     def _reads(self, unknown: Unknown, values: dict[str, float]) -> bool:
         """Whether it is a number of this test's rig that leaves the motion of the tool alone."""
@@ -300,14 +386,18 @@ class SimulatedTest:
     def _left(self, answer: SimulatedAnswer, recording: int, offset: float, values: np.ndarray, rate: np.ndarray):
         """What effects in reduced form leave of force and rates, (n, 1 + p), and of the rate with the offset, (n,)."""
         left, measured, space = answer.left[recording], self.measured[recording], answer.space
-        share = left.share(measured, offset)
+        course = answer.courses[recording]
+        depth = course.place(offset) if isinstance(course, PlacedCourse) else measured.displacement - offset
+        share = left.share(measured, depth)
         scaled = share[:, None] * values
         for place, each in enumerate(space.varied, start=1):
             if each.acts_in(self.name, measured.name) and left.owns(each.path):
                 width = _away(answer.values[each.name])
-                more = self._model(space, answer.values | {each.name: answer.values[each.name] + width},
-                                   self.motions[self.motion_of[recording]], measured.name, whole=True)
-                scaled[:, place] = (Left.of(more).share(measured, offset) - share) / width * values[:, 0]
+                more = self._possible(space, answer.values | {each.name: answer.values[each.name] + width},
+                                      self.motions[self.motion_of[recording]], measured.name)
+                material, plate = more.material, more.experiment.tool.is_plate
+                other = Left(material.reduced_effects(plate=plate)).share(measured, depth)
+                scaled[:, place] = (other - share) / width * values[:, 0]
         return scaled, share * rate
 
     def differences(self, answer: SimulatedAnswer) -> frozenset[str]:
@@ -321,7 +411,7 @@ class SimulatedTest:
         measured = self.measured[recording]
         forces = answer.courses[recording].forces(self._time(recording), measured.displacement, offsets)
         left = answer.left[recording]
-        return left.share(measured, 0.0)[:, None] * forces if left.effects else forces
+        return left.share(measured, measured.displacement)[:, None] * forces if left.effects else forces
 
     def _time(self, recording: int) -> np.ndarray | None:
         """Of the samples, on the clock of their motion: motions that count as one may have begun at other times."""
@@ -346,6 +436,29 @@ class SimulatedTest:
 
     def _experiment(self, motion: Loading | Timed) -> Experiment:
         return replace(self.experiment, protocol=motion.protocol)
+
+
+def _needs_way(model: Model) -> bool:
+    """Whether the force has to be simulated along the way of the tool."""
+    reduced = model.material.reduced_effects(plate=model.experiment.tool.is_plate)
+    return model.depends_on_way or bool(reduced and (model.rig.compliance or model.experiment.tilt))
+
+
+def _of_course(path: str) -> bool:
+    """Whether a number says where the parts of the tool are, and not how the tissue answers them."""
+    return path.startswith("rig.") or path == "experiment.tilt"
+
+
+def _rigid(model: Model) -> Model:
+    """The model with the tool where the stage says, and upright."""
+    return replace(model, experiment=replace(model.experiment, tilt=0.0), rig=Rig())
+
+
+def _course(curve: PlaceCurve, model: Model, measured: MeasuredCurve) -> PlacedCourse:
+    """What a rig and a face that leans make of it at the samples of a recording."""
+    tilt = model.experiment.tilt
+    return PlacedCourse(curve.with_tilt(tilt) if tilt else curve, model.rig.tool_motion(measured.displacement),
+                        model.rig.compliance)
 
 
 def _simulate(model: Model, topology: Model | None, names: Sequence[str], resolution: str) -> SimulatedCurve:
