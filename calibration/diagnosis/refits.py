@@ -35,6 +35,10 @@ _NEAR, _NEAR_AT_LEAST = 0.3, 40.0
 _SHORT = 1.0
 #: A number this near to its bound, relative to the way between them or to itself, is on it.
 _ON_BOUND = 1e-4
+#: Shares of the size that the score says, from which a fit starts: the first that is better than no effect at all.
+_STARTS = (1.0, 0.3, 0.1)
+#: Fits are compared by their sums of squares, which these ends of a descent tell to far less than matters.
+_ENOUGH, _TOLERANCE = 0.1, 2e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,10 +159,10 @@ def corrected(fitted: Refit, plain: Problem, error: float, samples: float) -> Re
         return fitted
     problem.mesh_error = tuple(remainder(test, REMAINDERS) for test in problem.tests)
     problem.forget()
-    descent = descend(problem, fitted.theta, corrected=True)
+    descent = descend(problem, fitted.theta, corrected=True, enough=_ENOUGH, tolerance=_TOLERANCE)
     if not np.isfinite(descent.error):
         return fitted
-    numbers = problem.space.low.size - plain.space.low.size
+    numbers = problem.space.low.size - plain.space.low.size + bool(fitted.proposal.candidate.jump)
     determinant = problem.evaluate(descent.theta).log_determinant
     gain = error - (descent.error + determinant) - numbers * float(np.log(samples))
     return replace(fitted, problem=problem, theta=descent.theta, error=descent.error, gain=gain)
@@ -192,9 +196,11 @@ def refit_one(problem: Problem, campaign: Campaign, proposal: Proposal, values: 
         extended, changed = extend(problem, campaign, candidate, start, free=True)
     except (NotTestableError, InputError):
         return None
-    theta = unknowns(extended.space, values, {**start, **candidate.shape})
-    descent = descend(extended, theta, corrected=True)
-    numbers = extended.space.low.size - problem.space.low.size
+    theta = _near_enough(extended, [unknowns(extended.space, values, {**candidate.shape, **{
+        path: proposal.absent[path] + share * (size - proposal.absent[path]) for path, size in start.items()}})
+        for share in _STARTS], error)
+    descent = descend(extended, theta, corrected=True, enough=_ENOUGH, tolerance=_TOLERANCE)
+    numbers = extended.space.low.size - problem.space.low.size + bool(candidate.jump)
     promised = -2.0 * proposal.improbability - (error - descent.error)
     if proposal.direction.freedom == 1 and np.isfinite(descent.error) and promised > _SHORT:
         # Nearly dependent numbers: a step that gains little may be followed by one that gains more.
@@ -205,3 +211,17 @@ def refit_one(problem: Problem, campaign: Campaign, proposal: Proposal, values: 
         determinant = extended.evaluate(descent.theta).log_determinant
         gain = error - (descent.error + determinant) - numbers * float(np.log(samples))
     return Refit(proposal, extended, changed, descent.theta, descent.error, gain, descent.failure)
+
+
+def _near_enough(problem: Problem, starts: Sequence[np.ndarray], error: float) -> np.ndarray:
+    """The first start, each shape (p,), with a sum of squares that is no worse than this one; else the best."""
+    errors = []
+    for theta in starts:
+        try:
+            evaluation = problem.evaluate(theta)
+            errors.append(evaluation.error + evaluation.log_determinant)
+        except InfeasibleError:
+            errors.append(np.inf)
+        if errors[-1] <= error:
+            break
+    return starts[int(np.argmin(errors))]

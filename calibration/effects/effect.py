@@ -277,9 +277,10 @@ class Candidate:
         for name in held:
             named[name] = Named(name, law_declaration(find_law(str(self.law)), name), True, SHARED, everywhere)
         start, fixed = dict(settings.start), {**settings.fixed, **held}
-        (start if free else fixed).update(values)
-        for path in values:
-            (fixed if free else start).pop(path, None)
+        for path, value in values.items():
+            here, elsewhere = (start, fixed) if free and path != self.jump else (fixed, start)
+            here[path] = value
+            elsewhere.pop(path, None)
         laws = settings.laws if self.law is None else (self.law,)
         changed: FitSettings = replace(settings, laws=laws, named=read_only(named), start=read_only(start),
                                        fixed=read_only(fixed), bounds=read_only(bounds))

@@ -19,6 +19,8 @@ TOLERANCE = 1e-7
 #: error. A start is only to tell its minimum from others.
 ENOUGH, ENOUGH_OF_A_START = 1e-3, 3e-2
 MOST_SOLVES = 60
+#: An unknown this near to its bound, relative to itself, is on it.
+_ON_BOUND = 1e-3
 #: Of scipy's test of the gradient, which the gain replaces.
 GRADIENT = 1e-14
 
@@ -71,10 +73,17 @@ class _Outer:
         jacobian = self.variables.times(jacobian, u)
         if self.enough:
             # What the best step would still gain; it is not worth a solve when it does not count.
-            gain = float(np.sum((jacobian @ np.linalg.lstsq(jacobian, residual, rcond=1e-12)[0])**2))
+            inside = jacobian[:, ~self._held(u, jacobian.T @ residual)]
+            gain = float(np.sum((inside @ np.linalg.lstsq(inside, residual, rcond=1e-12)[0])**2))
             if gain < self.enough * max(1.0, evaluation.error / self.problem.samples):
                 raise _SettledError(evaluation.theta, evaluation.error)
         return jacobian
+
+    def _held(self, u: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+        """Which unknowns are on a bound that the descent would cross, shape (k,)."""
+        low, high = self.variables.bounds
+        near = _ON_BOUND * np.maximum(np.abs(u), _ON_BOUND)
+        return (u - low <= near) & (gradient > 0) | (high - u <= near) & (gradient < 0)
 
     size = 1
 
