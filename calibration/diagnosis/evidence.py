@@ -106,13 +106,13 @@ class Evidence:
         return all(region.adequate for region in self.regions)
 
     @cached_property
-    def repeated(self) -> list[str]:
-        """Tests whose recordings leave the same behind, sample by sample: more than chance, and perhaps too rough for
-        the shapes of the regions and for the estimate of the noise, which takes what is rough for noise.
+    def coherence(self) -> dict[str, tuple[float, int, int]]:
+        """Test -> how much more its recordings leave behind in common than their scatter explains, 1 by chance; freedom
+        of the mean, and of the scatter. Of tests with recordings at the same places alone.
 
         Source: analysis of variance, mean over recordings against their scatter; no level of the noise is needed.
         """
-        found, asked = {}, 0
+        found = {}
         for number, test in enumerate(self.problem.tests):
             mine = [(curve, self.evaluation.residual[rows]) for (t, _), rows, curve in zip(
                 self.problem.places, self.problem.rows, self.problem.measured, strict=True) if t == number]
@@ -121,13 +121,23 @@ class Evidence:
                      and np.abs(curve.displacement - first).max() < _SAME_PLACE * np.abs(first).max()]
             if len(alike) < 2:
                 continue
-            asked += 1
             left, count = np.array(alike), len(alike)
             mean = left.mean(axis=0)
             scatter = float(np.sum((left - mean)**2)) / (count - 1)
-            ratio = count * float(mean @ mean) / max(scatter, 1e-300)
-            found[test.name] = float(special.fdtrc(mean.size, (count - 1) * mean.size, ratio))
-        return [name for name, p in found.items() if asked * p < REPEATED]
+            found[test.name] = count * float(mean @ mean) / max(scatter, 1e-300), mean.size, (count - 1) * mean.size
+        return found
+
+    @cached_property
+    def repeated(self) -> list[str]:
+        """Tests whose recordings leave the same behind, sample by sample: more than chance, and perhaps too rough for
+        the shapes of the regions and for the estimate of the noise, which takes what is rough for noise."""
+        return [name for name, (ratio, *freedom) in self.coherence.items()
+                if len(self.coherence) * float(special.fdtrc(*freedom, ratio)) < REPEATED]
+
+    @property
+    def explained(self) -> bool:
+        """Whether nothing is left, neither smooth nor the same in all recordings."""
+        return self.adequate and not self.repeated
 
     @cached_property
     def samples(self) -> float:

@@ -50,13 +50,12 @@ def judge(evidence: Evidence, proposals: Proposals, steps: Steps) -> Judgement:
         evidence: without any effect. proposals: the catalogue on it.
     """
     if not proposals.seen and evidence.adequate:
-        return Judgement("UNKNOWN" if evidence.repeated else "NONE", [], (), [], evidence)
+        return Judgement("NONE" if evidence.explained else "UNKNOWN", [], (), [], evidence)
     refits = refit(evidence, proposals, steps)
     good = [each for each in refits if each.gain >= LEAST_GAIN and not each.absent and not each.beyond
             and (each.proposal.p <= LEVEL or not evidence.adequate)]
     if not good:
-        nothing = evidence.adequate and not evidence.repeated
-        return Judgement("NONE" if nothing else "UNKNOWN", refits, (), [], evidence)
+        return Judgement("NONE" if evidence.explained else "UNKNOWN", refits, (), [], evidence)
     best = good[0]
     added, after = _as_often_as_needed(best, evidence, steps)
     if not after.adequate:
@@ -64,18 +63,19 @@ def judge(evidence: Evidence, proposals: Proposals, steps: Steps) -> Judgement:
         if pair is not None:
             first, second, both = pair
             together = settled(second.evidence(both))
-            words: Verdict = "NAMED" if together.adequate else "LOOKS_LIKE"
+            words: Verdict = "NAMED" if together.explained else "LOOKS_LIKE"
             return Judgement(words, refits, (first, second), [first.name, second.name], together)
-        explained = share_explained(evidence.regions, after.regions)
         # Of a gap that is little more than noise a share means little.
         far = min(region.p for region in after.regions) < FAR or after.repeated
-        if explained < MOSTLY and far:
+        if far and share_explained(evidence.regions, after.regions) < MOSTLY:
             return Judgement("UNKNOWN", refits, (), [], evidence)
+    if after.repeated and share_repeated(evidence, after) < MOSTLY:
+        return Judgement("UNKNOWN", refits, (), [], evidence)
     possible = [each for each in good if odds(best, each) < ODDS]
     names = list(dict.fromkeys([*(each.name for each in possible), *_twins(best, proposals)]))
     if len(names) > 1:
         return Judgement("SET", refits, added, names, after)
-    return Judgement("NAMED" if after.adequate else "LOOKS_LIKE", refits, added, names, after)
+    return Judgement("NAMED" if after.explained else "LOOKS_LIKE", refits, added, names, after)
 
 
 def _as_often_as_needed(best: Refit, evidence: Evidence, steps: Steps) -> tuple[tuple[Refit, ...], Evidence]:
@@ -101,6 +101,15 @@ def share_explained(before: Sequence[Region], after: Sequence[Region]) -> float:
     """Of the gap: the share of what the regions show beyond chance that is gone."""
     def beyond(regions: Sequence[Region]) -> float:
         return sum(max(region.statistic - region.freedom, 0.0) for region in regions)
+
+    first = beyond(before)
+    return 1.0 - beyond(after) / first if first > 0 else 0.0
+
+
+def share_repeated(before: Evidence, after: Evidence) -> float:
+    """Of what recordings leave behind in common: the share of it that is gone."""
+    def beyond(evidence: Evidence) -> float:
+        return sum(max(ratio - 1.0, 0.0) * freedom for ratio, freedom, _ in evidence.coherence.values())
 
     first = beyond(before)
     return 1.0 - beyond(after) / first if first > 0 else 0.0

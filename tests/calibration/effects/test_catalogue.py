@@ -73,7 +73,10 @@ def test_candidates_can_be_asked_and_added(plain, name):
         for free in (True, False):
             fit = candidate.added_to(plain.campaign, free=free).fit
             held, varied = (fit.start, fit.fixed) if free else (fit.fixed, fit.start)
-            assert set(candidate.sizes) | set(candidate.shape) <= set(held) and not set(candidate.sizes) & set(varied)
+            sought = {*candidate.sizes, *candidate.shape} - {candidate.jump}
+            assert sought <= set(held) and not set(candidate.sizes) & set(varied)
+            # No descent moves a jump: it is held where it was found.
+            assert candidate.jump in {"", *fit.fixed}
         assert all(candidate.symbols(plain.campaign).values())
 
 
