@@ -185,8 +185,12 @@ class Timed:
         return bool(np.abs(self.displacement - other.displacement).max() <= near
                     and np.abs(self.time - self.time[0] - other.time + other.time[0]).max() <= near / speed)
 
-    def through(self, columns: np.ndarray) -> Course:
-        """As `Loading.through`; times are those of the clock of the recording whose motion it is."""
+    def through(self, columns: np.ndarray, *, leaves: bool = False) -> Course:
+        """As `Loading.through`; times are those of the clock of the recording whose motion it is.
+
+        Args:
+            columns: as there. leaves: whether a tool that goes back past its touch leaves the tissue; else it pulls.
+        """
         # What creeps or trembles in a hold is no loading curve: the force falls there while the tool stays.
         labels = np.full(self.time.size, "ramp", dtype="<U4")
         for first, last in self.legs:
@@ -194,14 +198,14 @@ class Timed:
                 labels[first + 1:last + 1] = "hold"
         recording = Recording({"time": self.time, "displacement": self.displacement, "force": columns[:, 0]},
                               labels={"segment": labels})
-        return _TimedCourse(self, np.column_stack([columns, offset_rate(recording)]))
+        return _TimedCourse(self, np.column_stack([columns, offset_rate(recording)]), leaves)
 
 
 class _TimedCourse:
     """As `_LoadingCourse`, along a motion in time; the last column is the derivative of the force with the offset."""
 
-    def __init__(self, motion: Timed, columns: np.ndarray):
-        self._motion, self._size = motion, columns.shape[1]
+    def __init__(self, motion: Timed, columns: np.ndarray, leaves: bool):
+        self._motion, self._size, self._leaves = motion, columns.shape[1], leaves
         self._parts = []
         for first, last in motion.legs:
             part = slice(first, last + 1)
@@ -219,7 +223,7 @@ class _TimedCourse:
         # Where the tool was a little off the straight lines, it was as if the touch were elsewhere.
         values[:, 0] += (offset - displacement + np.interp(time, motion.time, motion.displacement)) * rate
         # Nothing is felt before the first touch.
-        values[(leg_of == 0) & (displacement < offset)] = 0.0
+        values[((leg_of == 0) | self._leaves) & (displacement < offset)] = 0.0
         return values[:, :-1], values[:, -1]
 
     def forces(self, time, displacement, offsets):
@@ -241,10 +245,10 @@ def _without_trembling(displacement: np.ndarray, corners: np.ndarray, reach: flo
 
 def offset_rate(recording: Recording) -> np.ndarray:
     """d(force)/d(contact offset) of a simulated recording, N/m, shape (n,), by its loading curve and what history has
-    made of it."""
+    made of it; into the tissue, because out of it there may be none at the touch."""
     width = _OFFSET_WIDTH * np.ptp(recording.displacement)
-    more, less = (Rig(contact_offset=offset).apply(recording).force for offset in (width, -width))
-    return (more - less) / (2 * width)
+    near, far = (Rig(contact_offset=-offset).apply(recording).force for offset in (width, 2 * width))
+    return (3 * recording.force - 4 * near + far) / (2 * width)
 
 
 def spline(knots: np.ndarray, values: np.ndarray):

@@ -214,7 +214,9 @@ class SimulatedTest:
                 differences |= inexact
                 if self.correction:
                     force = force + self.correction[number]
-                courses[key] = motion.through(np.column_stack([force, rates]))
+                columns = np.column_stack([force, rates])
+                courses[key] = motion.through(columns, leaves=_leaves(self.experiment)) \
+                    if isinstance(motion, Timed) else motion.through(columns)
             chosen.append(courses[key])
         return chosen, differences
 
@@ -231,7 +233,7 @@ class SimulatedTest:
                 differences |= inexact
                 curves[mark] = PlaceCurve.through(
                     loading.depth, np.column_stack([force + self._correction_at(loading), rates]),
-                    holds=model.experiment.friction == "bonded")
+                    holds=not _leaves(model.experiment))
             neighbours = {}
             for place, each in enumerate(space.varied, start=1):
                 if _of_course(each.path) and each.acts_in(self.name, measured.name) and not self._reads(each, values):
@@ -442,6 +444,11 @@ def _needs_way(model: Model) -> bool:
     """Whether the force has to be simulated along the way of the tool."""
     reduced = model.material.reduced_effects(plate=model.experiment.tool.is_plate)
     return model.depends_on_way or bool(reduced and (model.rig.compliance or model.experiment.tilt))
+
+
+def _leaves(experiment: Experiment) -> bool:
+    """Whether nothing pulls at a tool that goes back past its touch."""
+    return experiment.friction != "bonded" and experiment.adhesion is None and not experiment.contact_laws
 
 
 def _of_course(path: str) -> bool:
