@@ -24,10 +24,12 @@ from tissue_sim.errors import InputError
 #: what means nothing in their absence beside the likeliest: the next one, where its score is as good but for so much in
 #: its square.
 MOST, MOST_ALIKE, ALIKE, AS_GOOD = 6, 10, 0.9, 20.0
-#: A gain of the Schwarz criterion below this is none.
-LEAST_GAIN = 10.0
+#: Odds against an effect from which on it is no longer held for possible.
+ODDS = 20.0
+#: A gain of the Schwarz criterion below this is none: no effect at all is held against one by the same odds.
+LEAST_GAIN = 2.0 * float(np.log(ODDS))
 #: An effect is fitted where its score alone would gain this share of the least gain.
-_PROMISING = 0.5
+_PROMISING = 0.6
 #: The mesh corrections of a fit with an effect are its own where its gain is this near to the best, as a share of that,
 #: and in any case within so much.
 _NEAR, _NEAR_AT_LEAST = 0.3, 40.0

@@ -11,12 +11,10 @@ from calibration.diagnosis.confirmation import settled
 from calibration.diagnosis.diagnosis import Verdict
 from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.proposals import LEVEL, Proposals, propose
-from calibration.diagnosis.refits import LEAST_GAIN, Refit, refit
+from calibration.diagnosis.refits import LEAST_GAIN, ODDS, Refit, refit
 from calibration.fit.fit import Region
 from calibration.fit.steps import Steps
 
-#: Odds against an effect from which on it is no longer held for possible.
-ODDS = 20.0
 #: An effect whose form is not confirmed explains at least this share of the gap.
 MOSTLY = 0.9
 #: What is left is far from chance where chance makes it in any region with less than this probability.
@@ -52,7 +50,8 @@ def judge(evidence: Evidence, proposals: Proposals, steps: Steps) -> Judgement:
     if not proposals.seen and evidence.adequate:
         return Judgement("NONE" if evidence.explained else "UNKNOWN", [], (), [], evidence)
     refits = refit(evidence, proposals, steps)
-    good = [each for each in refits if each.gain >= LEAST_GAIN and not each.absent and not each.beyond
+    sound = [each for each in refits if not each.absent and not each.beyond]
+    good = [each for each in sound if each.gain >= LEAST_GAIN
             and (each.proposal.p <= LEVEL or not evidence.adequate)]
     if not good:
         return Judgement("NONE" if evidence.explained else "UNKNOWN", refits, (), [], evidence)
@@ -71,7 +70,8 @@ def judge(evidence: Evidence, proposals: Proposals, steps: Steps) -> Judgement:
             return Judgement("UNKNOWN", refits, (), [], evidence)
     if after.repeated and share_repeated(evidence, after) < MOSTLY:
         return Judgement("UNKNOWN", refits, (), [], evidence)
-    possible = [each for each in good if odds(best, each) < ODDS]
+    # What is as likely as the best counts, though alone it would be too little to be told from nothing.
+    possible = [each for each in sound if odds(best, each) < ODDS]
     names = list(dict.fromkeys([*(each.name for each in possible), *_twins(best, proposals)]))
     if len(names) > 1:
         return Judgement("SET", refits, added, names, after)
