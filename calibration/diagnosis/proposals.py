@@ -33,11 +33,13 @@ class Proposal:
     """A candidate and its direction in the data.
 
     Attributes:
-        candidate: what it is. direction: see `Direction`. score: deviations along it, shape (q,).
+        candidate: what it is. change: of the whitened samples by it, shape (N, q).
+        direction: see `Direction`. score: deviations along it, shape (q,).
         p: that chance alone makes any candidate as improbable. absent: path -> value at which it is absent.
     """
 
     candidate: Candidate
+    change: np.ndarray
     direction: Direction
     score: np.ndarray
     p: float
@@ -125,34 +127,48 @@ def propose(evidence: Evidence, steps: Steps, words: str = "effects, one at a ti
             silent[name] = str(reason)
     problem, evaluation = evidence.problem, evidence.evaluation
     changes = steps.all_of(change_of, [(problem, evaluation, evidence.campaign, each) for each in candidates], words)
-    found: dict[int, Direction] = {}
-    failures: dict[str, str] = {}
-    for number, (candidate, change) in enumerate(zip(candidates, changes, strict=True)):
-        if isinstance(change, str):
-            failures[candidate.name] = change
-        else:
-            found[number] = _direction(candidate, change, evidence)
+    columns = {number: change for number, change in enumerate(changes) if not isinstance(change, str)}
+    failures = {candidates[number].name: change for number, change in enumerate(changes) if isinstance(change, str)}
+    directions = {number: _direction(candidates[number], change, evidence) for number, change in columns.items()}
     # Where the fit takes nearly all of it up, what is left may be how the change bends with the size.
-    bent = [number for number, direction in found.items() if direction.reach < _BENT * direction.length]
+    bent = [number for number, direction in directions.items() if direction.reach < _BENT * direction.length]
     halves = steps.all_of(change_of, [(problem, evaluation, evidence.campaign, candidates[number], 0.5)
                                       for number in bent], words) if bent else []
     for number, half in zip(bent, halves, strict=True):
         if not isinstance(half, str):
-            found[number] = _direction(candidates[number], 4.0 * half - changes[number], evidence)
-    for number, direction in list(found.items()):
+            columns[number] = 4.0 * half - columns[number]
+            directions[number] = _direction(candidates[number], columns[number], evidence)
+    for number, direction in directions.items():
         if not direction.freedom:
-            del found[number]
             failures[candidates[number].name] = "the other parameters take all of it up" \
                 if direction.length > 1e-6 else "it changes nothing in these tests"
-    directions = list(found.values())
-    scores = [direction.score(evidence.residual) for direction in directions]
-    chances = family_probability(directions, scores)
-    proposals = tuple(Proposal(candidates[number], direction, score, float(p), {
-        path: candidates[number].absent_value(evidence.campaign, path) for path in candidates[number].sizes})
-        for (number, direction), score, p in zip(found.items(), scores, chances, strict=True))
+    proposals = _scored([(candidates[number], columns[number], direction) for number, direction in directions.items()],
+                        evidence)
     shown = {each.candidate.name for each in proposals}
     silent |= {name: reason for name, reason in failures.items() if name not in shown}
     return Proposals(proposals, silent, effects)
+
+
+def beside(proposals: Proposals, evidence: Evidence, known: Sequence[str]) -> Proposals:
+    """The proposals held against a fit that has some effects: their changes hardly depend on these.
+
+    Args:
+        proposals: on the fit without them. evidence: with them. known: their names.
+    """
+    return replace(proposals, all=_scored([
+        (each.candidate, each.change, _direction(each.candidate, each.change, evidence)) for each in proposals.all
+        if each.candidate.name not in known], evidence))
+
+
+def _scored(asked: Sequence[tuple[Candidate, np.ndarray, Direction]], evidence: Evidence) -> tuple[Proposal, ...]:
+    """Proposals of those of which the fit leaves anything."""
+    left = [(candidate, change, direction) for candidate, change, direction in asked if direction.freedom]
+    directions = [direction for *_, direction in left]
+    scores = [direction.score(evidence.residual) for direction in directions]
+    return tuple(Proposal(candidate, change, direction, score, float(p), {
+        path: candidate.absent_value(evidence.campaign, path) for path in candidate.sizes})
+        for (candidate, change, direction), score, p in zip(
+            left, scores, family_probability(directions, scores), strict=True))
 
 
 def sharpened(proposal: Proposal, evidence: Evidence) -> Proposal:
@@ -171,13 +187,14 @@ def sharpened(proposal: Proposal, evidence: Evidence) -> Proposal:
     while step > max(finest, _FINEST * deepest):
         step *= 0.5
         for way in (-step, step):
-            place = candidate.shape[candidate.jump]
-            other = replace(candidate, shape={**candidate.shape, candidate.jump: float(np.clip(place + way, 0, deepest))})
+            place = float(np.clip(candidate.shape[candidate.jump] + way, 0.0, deepest))
+            other = replace(candidate, shape={**candidate.shape, candidate.jump: place})
             change = change_of(evidence.problem, evidence.evaluation, evidence.campaign, other)
             if isinstance(change, str):
                 continue
             direction = _direction(other, change, evidence)
-            found = replace(proposal, candidate=other, direction=direction, score=direction.score(evidence.residual))
+            found = replace(proposal, candidate=other, change=change, direction=direction,
+                            score=direction.score(evidence.residual))
             if direction.freedom and found.improbability < proposal.improbability:
                 proposal = found
         candidate = proposal.candidate

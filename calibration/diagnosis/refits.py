@@ -151,6 +151,11 @@ def refit(evidence: Evidence, proposals: Proposals, steps: Steps, words: str = "
     return sorted(best.values(), key=lambda one: -one.gain)
 
 
+def odds(best: Refit, other: Refit) -> float:
+    """Of one fit against another, by the Schwarz criterion."""
+    return float(np.exp(min(0.5 * (best.gain - other.gain), 700.0)))
+
+
 def corrected(fitted: Refit, plain: Problem, error: float, samples: float) -> Refit:
     """The fit with mesh corrections of its own; as it was where the accurate mesh does not get through."""
     problem = with_own_corrections(fitted.problem)

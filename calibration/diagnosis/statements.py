@@ -6,9 +6,10 @@ import numpy as np
 
 from calibration.diagnosis.diagnosis import CandidateStatement, FoundEffect, Number
 from calibration.diagnosis.evidence import Evidence
+from calibration.diagnosis.pairs import acts_in
 from calibration.diagnosis.proposals import SEEN, Proposal, Proposals
-from calibration.diagnosis.refits import Refit
-from calibration.diagnosis.verdict import Judgement, acts_in, odds, share_explained
+from calibration.diagnosis.refits import Refit, odds
+from calibration.diagnosis.verdict import Judgement, share_explained
 from calibration.effects.effect import Candidate
 from calibration.fit.uncertainty import assess_uncertainty
 

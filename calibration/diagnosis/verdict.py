@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from calibration.diagnosis.confirmation import settled
 from calibration.diagnosis.diagnosis import Verdict
 from calibration.diagnosis.evidence import Evidence
-from calibration.diagnosis.proposals import LEVEL, Proposals, propose
-from calibration.diagnosis.refits import LEAST_GAIN, ODDS, Refit, refit
+from calibration.diagnosis.pairs import SECOND, pairs_of
+from calibration.diagnosis.proposals import LEVEL, Proposals, beside, propose
+from calibration.diagnosis.refits import LEAST_GAIN, ODDS, Refit, odds, refit
 from calibration.fit.fit import Region
 from calibration.fit.steps import Steps
 
@@ -19,8 +18,6 @@ from calibration.fit.steps import Steps
 MOSTLY = 0.9
 #: What is left is far from chance where chance makes it in any region with less than this probability.
 FAR = 1e-4
-#: Weakest evidence of a second effect: the Schwarz criterion must be better by this with both than with either.
-SECOND = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,15 +54,18 @@ def judge(evidence: Evidence, proposals: Proposals, steps: Steps) -> Judgement:
         return Judgement("NONE" if evidence.explained else "UNKNOWN", refits, (), [], evidence)
     best = good[0]
     added, after = _as_often_as_needed(best, evidence, steps)
-    if not after.adequate:
-        pair = _pair(evidence, good, proposals, steps)
-        if pair is not None:
-            first, second, both = pair
-            together = settled(second.evidence(both))
-            words: Verdict = "NAMED" if together.explained else "LOOKS_LIKE"
-            return Judgement(words, refits, (first, second), [first.name, second.name], together)
+    more_seen = bool(beside(proposals, after, [best.name]).seen)
+    if more_seen or not after.adequate:
+        pairs = pairs_of(evidence, good, proposals, steps)
+        if pairs and pairs[0].gain > sum(each.gain for each in added) + SECOND:
+            together = settled(pairs[0].second.evidence(pairs[0].beside))
+            # Two effects whose form is not confirmed could be anything.
+            if together.explained:
+                names = list(dict.fromkeys(name for pair in pairs for name in (pair.first.name, pair.second.name)))
+                return Judgement("SET" if len(names) > 2 else "NAMED", refits, (pairs[0].first, pairs[0].second),
+                                 names, together)
         # Of a gap that is little more than noise a share means little.
-        far = min(region.p for region in after.regions) < FAR or after.repeated
+        far = more_seen or min(region.p for region in after.regions) < FAR or after.repeated
         if far and share_explained(evidence.regions, after.regions) < MOSTLY:
             return Judgement("UNKNOWN", refits, (), [], evidence)
     if after.repeated and share_repeated(evidence, after) < MOSTLY:
@@ -92,11 +92,6 @@ def _as_often_as_needed(best: Refit, evidence: Evidence, steps: Steps) -> tuple[
     return tuple(added), after
 
 
-def odds(best: Refit, other: Refit) -> float:
-    """Of one fit against another, by the Schwarz criterion."""
-    return float(np.exp(min(0.5 * (best.gain - other.gain), 700.0)))
-
-
 def share_explained(before: Sequence[Region], after: Sequence[Region]) -> float:
     """Of the gap: the share of what the regions show beyond chance that is gone."""
     def beyond(regions: Sequence[Region]) -> float:
@@ -119,48 +114,3 @@ def _twins(best: Refit, proposals: Proposals) -> list[str]:
     """What no force and displacement tell from it, as the catalogue says, where it is so in these tests."""
     known = best.proposal.candidate.effect.known_twins
     return [name for name in proposals.twins(best.name) if name.partition("@")[0] in known]
-
-
-def _pair(evidence: Evidence, good: Sequence[Refit], proposals: Proposals, steps: Steps
-          ) -> tuple[Refit, Refit, Evidence] | None:
-    """Two effects of which each is needed beside the other, where one alone leaves a gap.
-
-    Returns:
-        The fit with the first, the fit with both, and the evidence with the first.
-    """
-    found: list[tuple[float, Refit, Refit, Evidence]] = []
-    for first in good[:2]:
-        with_first = first.evidence(evidence)
-        others = propose(with_first, steps, f"effects beside {first.proposal.candidate.effect.title}",
-                         known=[first.name])
-        if not others.seen:
-            continue
-        both = [each for each in refit(with_first, others, steps, "fits with two effects", list(others.seen)[:3])
-                if each.gain >= SECOND and not each.absent]
-        if not both:
-            continue
-        second = both[0]
-        # Without the first, what the second leaves must be as much worse.
-        alone = next((each for each in good if each.name == second.name), None)
-        if alone is not None and alone.gain > first.gain + second.gain - SECOND:
-            continue
-        if acts_in(first.proposal, evidence)[:1] == acts_in(second.proposal, evidence)[:1]:
-            continue
-        found.append((first.gain + second.gain, first, second, with_first))
-    if not found:
-        return None
-    _, first, second, with_first = max(found, key=lambda each: each[0])
-    return first, second, with_first
-
-
-def acts_in(proposal, evidence: Evidence, most: int = 2) -> list[str]:
-    """Test and segment in which an effect moves the force most beyond what the fit takes up, at most so many."""
-    weights: dict[str, float] = {}
-    moved = np.sum(proposal.direction.basis**2, axis=1)
-    for rows, curve in zip(evidence.problem.rows, evidence.problem.measured, strict=True):
-        segments = curve.segment if curve.segment is not None else np.full(curve.force.size, "ramp")
-        for name in dict.fromkeys(segments.tolist()):
-            place = f"{curve.test.name} ({name})"
-            weights[place] = weights.get(place, 0.0) + float(moved[rows][segments == name].sum())
-    ranked = sorted(weights, key=lambda place: -weights[place])
-    return [place for place in ranked[:most] if weights[place] >= 0.3 * weights[ranked[0]]]
