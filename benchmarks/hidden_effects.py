@@ -1,7 +1,8 @@
 """The hidden-effect study: effects are hidden in virtual recordings; does the diagnosis find them?
 
     python benchmarks/hidden_effects.py [--quick] [--json] [--protocol full ramps] [--rooms hidden other none ...]
-        [--effects NAME ...] [--seeds 1 3] [--none 380] [--shard 1/4] [--workers N | --dask ADDRESS] [--folder FOLDER]
+        [--effects NAME ...] [--classes "3 to 10" "> 10"] [--one-size] [--seeds 1 3] [--none 380] [--shard 1/4]
+        [--workers N | --dask ADDRESS] [--folder FOLDER]
     python benchmarks/hidden_effects.py --scores [--sealed]      figures of what has been run under this hash
     python benchmarks/hidden_effects.py --freeze                 compute sizes and what is testable anew
     python benchmarks/hidden_effects.py --cases                  what is hidden, as a table for docs/hidden_effects.md
@@ -28,7 +29,7 @@ from pathlib import Path
 
 from hidden_effects_run import ROOMS, ROOT, SEALED_FROM, Planned, Results, code_hash, plan, run_one
 from hidden_effects_scoring import outcome
-from hidden_effects_sizes import freeze
+from hidden_effects_sizes import CLASSES, freeze
 from hidden_effects_tables import cases_in_words, draw, figures
 from hidden_effects_truth import CACHE, PROTOCOLS
 from measure import about, show
@@ -48,6 +49,9 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--rooms", nargs="+", choices=ROOMS, default=list(ROOMS), metavar="ROOM",
                         help=f"of {', '.join(ROOMS)} (default all)")
     parser.add_argument("--effects", nargs="+", default=[], metavar="NAME", help="hide only these")
+    parser.add_argument("--classes", nargs="+", choices=tuple(CLASSES), default=[], metavar="CLASS",
+                        help=f"of projected signals, of {', '.join(CLASSES)} (default all)")
+    parser.add_argument("--one-size", action="store_true", help="of each class one size, drawn by the seed")
     parser.add_argument("--seeds", nargs=2, type=int, default=[1, 1], metavar=("FIRST", "COUNT"))
     parser.add_argument("--none", type=int, default=None, metavar="N", help="runs with nothing hidden, for white and "
                         f"for correlated noise; {ENOUGH} without an alarm show a rate below 1 %% (default: COUNT)")
@@ -92,7 +96,8 @@ def check_seeds(seeds: Sequence[int], digest: str, *, sealed: bool, ledger: Path
     for entry in noted:
         if {name: entry[name] for name in ours} == ours:
             return
-        if entry["first"] <= max(seeds) and min(seeds) <= entry["last"]:
+        # Under one hash figures accumulate.
+        if entry["hash"] != digest and entry["first"] <= max(seeds) and min(seeds) <= entry["last"]:
             raise SystemExit(f"seeds {entry['first']} to {entry['last']} were run under the hash {entry['hash'][:12]} "
                              f"on {entry['date']}; take fresh ones from {max(one['last'] for one in noted) + 1} on")
     changed = subprocess.run(["git", "status", "--porcelain", "calibration", "tissue_sim", "benchmarks"], cwd=ROOT,
@@ -131,7 +136,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     results = Results(asked.folder, digest, sealed=asked.sealed, shard=shard)
     if not asked.scores:
         seeds = list(range(asked.seeds[0], asked.seeds[0] + asked.seeds[1]))
-        planned = plan(asked.protocol, asked.rooms, seeds, effects=asked.effects, empty=asked.none, quick=asked.quick)
+        planned = plan(asked.protocol, asked.rooms, seeds, effects=asked.effects, empty=asked.none, quick=asked.quick,
+                       classes=asked.classes, one_size=asked.one_size)
         check_seeds([one.seed for one in planned], digest, sealed=asked.sealed)
         workers = Workers(asked.workers, asked.dask)
         try:

@@ -74,14 +74,18 @@ def code_hash() -> str:
 
 
 def plan(protocols: Sequence[str], rooms: Sequence[str], seeds: Sequence[int], *, effects: Sequence[str] = (),
-         empty: int | None = None, quick: bool = False) -> list[Planned]:
+         empty: int | None = None, quick: bool = False, classes: Sequence[str] = (), one_size: bool = False
+         ) -> list[Planned]:
     """All runs.
 
     Args:
         protocols, rooms: names. seeds: each case at each of its sizes once with each. effects: only these; empty: all.
         empty: runs with nothing hidden, of each colour of noise; None: as many as seeds. quick: few effects, middle
-            and strong.
+            and strong. classes: of sizes; empty: all. one_size: of each class one size, drawn by the seed.
     """
+    def sizes_of(key: str, words: str, count: int, seed: int) -> list[int]:
+        return [zlib.crc32(f"{key}|{words}|{seed}".encode()) % count] if one_size else list(range(count))
+
     table, planned = frozen(), []
     chosen = effects or (_QUICK if quick else ())
     for protocol in protocols:
@@ -90,10 +94,10 @@ def plan(protocols: Sequence[str], rooms: Sequence[str], seeds: Sequence[int], *
             room = "hidden" if case.form == "exact" else "other"
             wanted = not chosen or case.effect in chosen
             for words, sizes in rows[key]["sizes"].items():
-                if not wanted or room not in rooms or (quick and words == "< 3"):
+                if not wanted or room not in rooms or (quick and words == "< 3") or words not in (classes or (words,)):
                     continue
-                planned += [Planned(protocol, room, (key,), words, k, seed) for k in range(1 if quick else len(sizes))
-                            for seed in seeds]
+                planned += [Planned(protocol, room, (key,), words, k, seed) for seed in seeds
+                            for k in sizes_of(key, words, 1 if quick else len(sizes), seed)]
             strong = rows[key]["sizes"].get("> 10", [])
             if "look-alike" in rooms and case.form == "exact" and case.effect in LEFT_OUT and wanted and strong:
                 planned += [Planned(protocol, "look-alike", (key,), "> 10", min(1, len(strong) - 1), seed)

@@ -11,10 +11,14 @@ from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.proposals import Proposal, Proposals, beside
 from calibration.diagnosis.refits import ODDS, Refit, odds, refit
 from calibration.fit.steps import Steps
+from calibration.statistics.scores import alike
 
-#: Weakest evidence of a second effect: the Schwarz criterion must be better by this with both than with either. There
-#: are many pairs, and two effects together make almost any gap smaller.
-SECOND = 20.0
+#: Weakest evidence of a second effect: the Schwarz criterion must be better by this with both than with either, and
+#: chance make any effect score so beside the first with less than this probability: there are many pairs, and two
+#: effects together make almost any gap smaller.
+SECOND, SECOND_LEVEL = 10.0, 1e-3
+#: Two effects act in different places where the cosine between their changes of the forces is less.
+DIFFERENT = 0.5
 #: Beside how many of the likeliest effects, and of those as likely as the best, a second one is sought; and how many
 #: of the likeliest seconds are fitted.
 _FIRSTS, _MOST_FIRSTS, _SECONDS = 2, 3, 3
@@ -50,11 +54,11 @@ def pairs_of(evidence: Evidence, good: Sequence[Refit], proposals: Proposals, st
     for first in firsts:
         with_first = first.evidence(evidence)
         others = beside(proposals, with_first, [first.name])
-        likely = list(others.seen)[:_SECONDS]
+        likely = [name for name, each in others.seen.items() if each.p <= SECOND_LEVEL][:_SECONDS]
         fits = refit(with_first, others, steps, f"fits beside {first.proposal.candidate.effect.title}",
                      likely) if likely else []
         found += [Pair(first, second, with_first) for second in fits if second.gain >= SECOND
-                  and not second.absent and not second.beyond and _both_needed(first, second, good, evidence)]
+                  and not second.absent and not second.beyond and _both_needed(first, second, good, proposals)]
     found.sort(key=lambda pair: -pair.gain)
     kept: dict[frozenset[str], Pair] = {}
     for pair in found:
@@ -63,12 +67,14 @@ def pairs_of(evidence: Evidence, good: Sequence[Refit], proposals: Proposals, st
     return list(kept.values())
 
 
-def _both_needed(first: Refit, second: Refit, good: Sequence[Refit], evidence: Evidence) -> bool:
-    """Whether what either leaves without the other is as much worse, and they act in different places."""
+def _both_needed(first: Refit, second: Refit, good: Sequence[Refit], proposals: Proposals) -> bool:
+    """Whether what either leaves without the other is as much worse, and they act in different places: two that change
+    the forces alike would explain by their difference what neither explains."""
     alone = next((each for each in good if each.name == second.name), None)
     if alone is not None and alone.gain > first.gain + second.gain - SECOND:
         return False
-    return acts_in(first.proposal, evidence)[:1] != acts_in(second.proposal, evidence)[:1]
+    others = [each for each in proposals.all if each.candidate.name == second.name]
+    return max(alike(first.proposal.direction, each.direction) for each in others) < DIFFERENT
 
 
 def acts_in(proposal: Proposal, evidence: Evidence, most: int = 2) -> list[str]:

@@ -16,6 +16,8 @@ from calibration.fit.steps import Steps
 
 #: An effect whose form is not confirmed explains at least this share of the gap.
 MOSTLY = 0.9
+#: An effect beside which scores show another is the likeliest explanation where it gains this share of what both do.
+MOST_SCORED = 0.7
 #: What is left is far from chance where chance makes it in any region with less than this probability.
 FAR = 1e-4
 
@@ -54,8 +56,8 @@ def judge(evidence: Evidence, proposals: Proposals, steps: Steps) -> Judgement:
         return Judgement("NONE" if evidence.explained else "UNKNOWN", refits, (), [], evidence)
     best = good[0]
     added, after = _as_often_as_needed(best, evidence, steps)
-    more_seen = bool(beside(proposals, after, [best.name]).seen)
-    if more_seen or not after.adequate:
+    rest = beside(proposals, after, [best.name]).seen
+    if rest or not after.adequate:
         pairs = pairs_of(evidence, good, proposals, steps)
         if pairs and pairs[0].gain > sum(each.gain for each in added) + SECOND:
             together = settled(pairs[0].second.evidence(pairs[0].beside))
@@ -65,9 +67,14 @@ def judge(evidence: Evidence, proposals: Proposals, steps: Steps) -> Judgement:
                 return Judgement("SET" if len(names) > 2 else "NAMED", refits, (pairs[0].first, pairs[0].second),
                                  names, together)
         # Of a gap that is little more than noise a share means little.
-        far = more_seen or min(region.p for region in after.regions) < FAR or after.repeated
+        far = min(region.p for region in after.regions) < FAR or after.repeated
         if far and share_explained(evidence.regions, after.regions) < MOSTLY:
             return Judgement("UNKNOWN", refits, (), [], evidence)
+    # What scores still show, beside what was gained.
+    gained = sum(each.gain for each in added)
+    left = max((-2.0 * each.improbability for each in rest.values()), default=0.0)
+    if left > (1.0 - MOST_SCORED) * (gained + left):
+        return Judgement("UNKNOWN", refits, (), [], evidence)
     if after.repeated and share_repeated(evidence, after) < MOSTLY:
         return Judgement("UNKNOWN", refits, (), [], evidence)
     # What is as likely as the best counts, though alone it would be too little to be told from nothing.
@@ -75,7 +82,8 @@ def judge(evidence: Evidence, proposals: Proposals, steps: Steps) -> Judgement:
     names = list(dict.fromkeys([*(each.name for each in possible), *_twins(best, proposals)]))
     if len(names) > 1:
         return Judgement("SET", refits, added, names, after)
-    return Judgement("NAMED" if after.explained else "LOOKS_LIKE", refits, added, names, after)
+    alone = after.explained and left <= (1.0 - MOSTLY) * (gained + left)
+    return Judgement("NAMED" if alone else "LOOKS_LIKE", refits, added, names, after)
 
 
 def _as_often_as_needed(best: Refit, evidence: Evidence, steps: Steps) -> tuple[tuple[Refit, ...], Evidence]:

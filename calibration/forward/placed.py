@@ -66,7 +66,7 @@ class PlaceCurve:
 
     def __call__(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Columns at places, m, shape (n, m), and the derivative of the force with the place, shape (n,)."""
-        columns, slope = 0.0, 0.0
+        columns, slope = np.zeros(()), np.zeros(())
         for lag, share in self.strips:
             there, moves = _behind(place, lag)
             known, felt = self._known(there)

@@ -116,7 +116,7 @@ class SimulatedAnswer:
         differences: names whose derivatives are differences.
     """
 
-    courses: list[Course]
+    courses: Sequence[Course | PlacedCourse]
     rigs: list[Reading]
     left: list[Left]
     space: ParameterSpace
@@ -157,6 +157,10 @@ class SimulatedTest:
         return isinstance(self.motions[0], Timed)
 
     @property
+    def _timed_motions(self) -> tuple[Timed, ...]:
+        return tuple(motion for motion in self.motions if isinstance(motion, Timed))
+
+    @property
     def specimen(self) -> Specimen:
         return self.experiment.specimen
 
@@ -179,6 +183,7 @@ class SimulatedTest:
         values = space.values(theta)
         models = [self._possible(space, values, self.motions[number], measured.name)
                   for measured, number in zip(self.measured, self.motion_of, strict=False)]
+        courses: Sequence[Course | PlacedCourse]
         if self.along or not self.timed or any(map(_needs_way, models)):
             courses, differences = self._along_way(space, values, solves)
             left = [Left.of(model) for model in models]
@@ -247,21 +252,20 @@ class SimulatedTest:
 
     def _loading(self, rig: Rig) -> Loading:
         """One way in, as deep as a rig takes the tool in any of the motions."""
-        depth = max(float(motion.displacement.max()) for motion in self.motions)
-        deepest = max(float(rig.tool_motion(motion.displacement).max()) for motion in self.motions)
+        ways = [motion.displacement for motion in self._timed_motions]
+        depth = max(float(way.max()) for way in ways)
+        deepest = max(float(rig.tool_motion(way).max()) for way in ways)
         return loading_to(depth, deepest, 0.999 * self.specimen.height)
 
     def _correction_at(self, loading: Loading) -> np.ndarray:
         """What the accurate mesh has more at the knots of a loading, N, shape (k,): of the way to the largest depth."""
         if not self.correction:
             return np.zeros(loading.depth.size)
-        number = max(range(len(self.motions)), key=lambda one: float(self.motions[one].displacement.max()))
-        motion, correction = self.motions[number], self.correction[number]
-        way = np.arange(int(np.argmax(motion.displacement)) + 1)
-        # When each depth was reached first.
-        way = way[np.append(True, motion.displacement[way][1:] > np.maximum.accumulate(motion.displacement[way])[:-1])]
-        depth = motion.displacement[way]
-        return spline(depth, correction[way])(np.clip(loading.depth, depth[0], depth[-1]))
+        ways = zip((motion.displacement for motion in self._timed_motions), self.correction, strict=True)
+        way, correction = max(ways, key=lambda each: float(each[0].max()))
+        way = way[:int(np.argmax(way)) + 1]
+        first = np.append(True, way[1:] > np.maximum.accumulate(way)[:-1])  # when each depth was reached
+        return spline(way[first], correction[:way.size][first])(np.clip(loading.depth, way[0], way[-1]))
 
     def refine(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> float:
         """Compute what the accurate mesh has more at these parameters, and keep it as the correction.
@@ -277,14 +281,14 @@ class SimulatedTest:
             self.correction = []
             return 0.0
         rigid = self.placed(space, theta)
-        ways = [self._loading(Rig())] if rigid else self.motions
-        for way in ways:
+        loading = self._loading(Rig()) if rigid else None
+        for way in self.motions if loading is None else (loading,):
             fast, *_ = self._simulated(space, values, solves, way, "fast", rigid=rigid)
             accurate = self._accurate(space, values, solves, way, rigid=rigid)
             found.append(accurate - fast)
             largest = max(largest, float(np.abs(found[-1]).max() / np.abs(accurate).max()))
-        self.correction = [spline(ways[0].depth, found[0])(np.maximum(motion.displacement, 0.0))
-                           for motion in self.motions] if rigid else found
+        self.correction = found if loading is None else [
+            spline(loading.depth, found[0])(np.maximum(motion.displacement, 0.0)) for motion in self._timed_motions]
         return largest
 
     def forget(self) -> None:
@@ -313,12 +317,13 @@ class SimulatedTest:
         factor, proportional = 1.0, self.proportional and space.of_material_alone
         if proportional:
             values, factor = space.normalised(values)
-        model, topology = self._possible(space, values, motion, recording), None
-        if space.shapes_mesh(self.name):
-            topology = self._possible(space, space.before_moving(values), motion, recording)
-        # The rig only moves the tool here.
-        model, topology = (each and (_rigid(each) if rigid else replace(each, rig=each.rig.motion_only))
-                           for each in (model, topology))
+        def made(of: dict[str, float]) -> Model:
+            # The rig only moves the tool here.
+            model = self._possible(space, of, motion, recording)
+            return _rigid(model) if rigid else replace(model, rig=model.rig.motion_only)
+
+        model = made(values)
+        topology = made(space.before_moving(values)) if space.shapes_mesh(self.name) else None
         left = Left.of(model)
         model, topology = left.simulated(model), topology and left.simulated(topology)
         acting = {} if resolution == "accurate" else {
