@@ -17,8 +17,9 @@ from calibration.statistics.scores import alike
 #: chance make any effect score so beside the first with less than this probability: there are many pairs, and two
 #: effects together make almost any gap smaller.
 SECOND, SECOND_LEVEL = 10.0, 1e-3
-#: Two effects act in different places where the cosine between their changes of the forces is less.
-DIFFERENT = 0.5
+#: Two effects act in different places where the cosine between their changes of the forces is less, and the second
+#: shows alone this share of what it shows beside the first.
+DIFFERENT, STEADY = 0.3, 0.5
 #: Beside how many of the likeliest effects, and of those as likely as the best, a second one is sought; and how many
 #: of the likeliest seconds are fitted.
 _FIRSTS, _MOST_FIRSTS, _SECONDS = 2, 3, 3
@@ -72,6 +73,9 @@ def _both_needed(first: Refit, second: Refit, good: Sequence[Refit], proposals: 
     the forces alike would explain by their difference what neither explains."""
     alone = next((each for each in good if each.name == second.name), None)
     if alone is not None and alone.gain > first.gain + second.gain - SECOND:
+        return False
+    beside_first = second.proposal.strength
+    if proposals.best[second.name].strength * beside_first < STEADY * beside_first**2:
         return False
     others = [each for each in proposals.all if each.candidate.name == second.name]
     return max(alike(first.proposal.direction, each.direction) for each in others) < DIFFERENT
