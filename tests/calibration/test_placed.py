@@ -1,0 +1,155 @@
+"""Tests whose force depends on the tool's place alone: one loading, looked up where a rig takes the tool."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import calibration
+import tissue_sim as ts
+from calibration.campaign.parameter_space import ParameterSpace
+from calibration.diagnosis.evidence import whole_campaign
+from calibration.fit.campaign_problem import build_problem
+from calibration.forward.contract import InfeasibleError
+from calibration.forward.placed import PlaceCurve, PlacedCourse
+from calibration.forward.solves import Solves
+
+SPECIMEN, C10, SPEED, DEEPEST = ts.Specimen(0.020, 0.030), 1404.9, 0.2e-3, 3e-3
+TIME = np.concatenate([np.linspace(0, 15, 61), np.linspace(15, 25, 21)[1:], np.linspace(25, 40, 61)[1:]])
+DEPTH = np.interp(TIME, [0, 15, 25, 40], [0, DEEPEST, DEEPEST, 0])
+CAMPAIGN = """
+[[specimen]]
+radius_mm = 20.0
+height_mm = 30.0
+[[test]]
+name = "test"
+kind = "{kind}"
+recordings = ["test_*.csv"]
+{tool}
+[fit]
+method = "inverse_fem"
+laws = ["neo_hooke"]
+bulk_ratio = 100000.0
+starts = 1
+start = {{ C10 = 1400.0{start} }}
+{fixed}
+[noise]
+force_N = 0.01
+correlation_time_s = 0
+contact_jitter_mm = 0.02
+zero_jitter_N = 0.005
+"""
+
+
+def squeezed(place):
+    """Force between lubricated plates where the tool is, N; nothing past the touch."""
+    stretch = 1.0 - np.maximum(place, 0.0) / SPECIMEN.height
+    return np.pi * SPECIMEN.radius**2 * 2.0 * C10 * (stretch**-2 - stretch)
+
+
+def study(folder, kind="lubricated_compression", tool="", start="", fixed="", force=squeezed, depth=DEPTH, count=1):
+    """The only test of a campaign, its parameters with every number free, and what has been simulated."""
+    for number in range(count):
+        ts.write_recording(ts.Recording({"time": TIME, "displacement": depth, "force": force(depth)}),
+                           folder / f"test_{number}.csv")
+    path = folder / "study.toml"
+    path.write_text(CAMPAIGN.format(kind=kind, tool=tool, start=start, fixed=fixed), encoding="utf-8")
+    campaign = whole_campaign(calibration.load_campaign(path))
+    solves = Solves()
+    problem = build_problem("neo_hooke", campaign, calibration.read_measured(campaign), solves)
+    return problem.tests[0], problem.space, solves
+
+
+def evaluated(test, space, solves, values, offset=0.0):
+    theta = np.array([{"C10": C10, **values}[name] for name in space.free])
+    return test.evaluate(test.solve(space, theta, solves), 0, offset)
+
+
+@pytest.mark.parametrize(("kind", "tool"), [("lubricated_compression", ""), ("bonded_compression", ""), (
+    "needle_indentation", 'tool = "flat"\ntool_radius_mm = 4.0')])
+def test_it_is_the_simulation_along_the_way(tmp_path, kind, tool):
+    """Ramp, hold and return from one loading: force and derivatives are those of the whole motion, at a third of the
+    steps; with an offset the touch is where it should be, and what is bonded pulls."""
+    test, space, solves = study(tmp_path, kind, tool)
+    along = replace(test, along=True)
+    assert test.placed(space, np.array([C10])) and not along.placed(space, np.array([C10]))
+    for offset in (0.0, 2e-5, -2e-5):
+        force, rates, rate = evaluated(test, space, solves, {}, offset)
+        other = evaluated(along, space, solves, {}, offset)
+        assert np.abs(force - other[0]).max() < 3e-4 * force.max(), offset
+        # Along the way they stay where they are while the touch moves.
+        assert np.abs(rates - other[1]).max() < (2e-2 if offset else 2e-3) * rates.max(), offset
+        inside = DEPTH > 1e-4
+        assert np.abs(rate - other[2])[inside].max() < 5e-3 * np.abs(rate).max(), offset
+    pulled = evaluated(test, space, solves, {}, 2e-5)[0]
+    assert pulled[0] == 0.0 and (pulled[-1] == 0.0 if kind == "lubricated_compression" else pulled[-1] < 0.0)
+
+
+def check_rates(rates, force, half, more, less):
+    """Derivatives against differences, where both sides have the same: not where a sample passes a corner."""
+    smooth = np.abs(more - 2 * force + less) < 2e-2 * np.abs(more - less).max()
+    assert smooth.mean() > 0.8
+    assert np.abs(rates - (more - less) / (2 * half))[smooth].max() < 1e-2 * np.abs(rates).max()
+
+
+def behind(compliance):
+    """Where the tool is behind a load train, by bisection of d + c F(d) = D."""
+    low, high = np.zeros(DEPTH.size), DEPTH.copy()
+    for _ in range(80):
+        middle = 0.5 * (low + high)
+        short = middle + compliance * squeezed(middle) < DEPTH
+        low, high = np.where(short, middle, low), np.where(short, high, middle)
+    return 0.5 * (low + high)
+
+
+@pytest.mark.parametrize(("name", "value", "place"), [
+    ("rig.compliance", 2e-5, lambda: behind(2e-5)),
+    ("rig.displacement_gain", 0.08, lambda: 1.08 * DEPTH),
+    ("rig.displacement_gain", -0.03, lambda: 0.97 * DEPTH),
+    ("rig.contact_offset", 0.2e-3, lambda: DEPTH - 0.2e-3),
+    ("rig.contact_offset", -0.2e-3, lambda: DEPTH + 0.2e-3),
+    ("rig.step_loss", 0.1e-3, lambda: DEPTH - 0.1e-3 * (np.maximum.accumulate(DEPTH) > 1.2345e-3)),
+    ("rig.backlash", 0.1e-3, lambda: np.where(TIME > 25, np.minimum(DEPTH + 0.1e-3, DEEPEST), DEPTH)),
+])
+def test_a_rig_takes_the_tool_without_a_simulation(tmp_path, name, value, place):
+    """Against the closed form at the place that the rig's definition gives, at every sample, beyond the reported depth
+    too; a jump is no wider than a sample. Derivatives are those of the fit's own force."""
+    fixed = '[fit.fixed]\n"rig.step_loss_depth" = 1.2345' if name == "rig.step_loss" else ""
+    test, space, solves = study(tmp_path, start=f', "{name}" = 0.0', fixed=fixed)
+    force, rates, _ = evaluated(test, space, solves, {name: value})
+    assert np.abs(force - squeezed(place())).max() < 2e-4 * squeezed(DEEPEST)
+    counted = solves.counts.total()
+    number, half = list(space.free).index(name), 1e-3 * abs(value)
+    check_rates(rates[:, number], force, half,
+                *(evaluated(test, space, solves, {name: value + step})[0] for step in (half, -half)))
+    # A longer way may need one more loading; a rig alone none.
+    assert solves.counts.total() <= counted + (name == "rig.displacement_gain" or value < 0)
+    half = 1e-4 * C10
+    more, less = (evaluated(test, space, solves, {name: value, "C10": C10 + step})[0] for step in (half, -half))
+    assert rates[:, list(space.free).index("C10")] == pytest.approx((more - less) / (2 * half), rel=1e-3, abs=1e-6)
+
+
+def test_a_face_that_leans_is_averaged_at_every_sample(tmp_path):
+    test, space, solves = study(tmp_path, start=', "experiment.tilt" = 0.1')
+    tilt = 0.4e-3
+    force, rates, _ = evaluated(test, space, solves, {"experiment.tilt": tilt})
+    x = np.cos((np.arange(400) + 0.5) * np.pi / 400)
+    weight = (1 - x**2) / np.sum(1 - x**2)
+    expected = squeezed(DEPTH[:, None] - 0.5 * tilt * (1 - x)) @ weight
+    assert np.abs(force - expected).max() < 5e-4 * squeezed(DEEPEST)
+    check_rates(rates[:, list(space.free).index("experiment.tilt")], force, 1e-6, *(
+        evaluated(test, space, solves, {"experiment.tilt": tilt + step})[0] for step in (1e-6, -1e-6)))
+    assert solves.counts.total() == 1
+
+
+def test_what_remembers_is_simulated_along_its_way(tmp_path):
+    test, space, _ = study(tmp_path, start=', "viscoelastic.terms[0].g" = 0.1, "viscoelastic.terms[0].tau_s" = 5.0')
+    assert isinstance(space, ParameterSpace) and not test.placed(space, np.array([C10, 0.1, 5.0]))
+
+
+def test_a_load_train_that_snaps_is_no_force():
+    """A force that falls faster than the load train can follow has no balance."""
+    depth = np.linspace(0.0, 1e-3, 21)
+    falls = PlaceCurve.through(depth, (1e3 * depth * np.cos(3e3 * depth))[:, None], holds=False)
+    with pytest.raises(InfeasibleError, match="nowhere in balance"):
+        PlacedCourse(falls, np.linspace(0, 1e-3, 30), 0.05).place(0.0)
