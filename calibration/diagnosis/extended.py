@@ -66,7 +66,8 @@ def change_of(problem: Problem, evaluation: Evaluation, campaign: Campaign, cand
                if candidate.tests is None or test.name in candidate.tests]
     nuisances = np.concatenate([np.zeros(0), *(
         evaluation.nuisances[columns] for columns, (t, _) in zip(problem.offset_columns, problem.places, strict=True)
-        if t in touched), *(evaluation.nuisances[problem.shared[t]] for t in touched)])
+        if t in touched), *(evaluation.nuisances[first:last] for first, last in dict.fromkeys(
+            (problem.shared[t].start, problem.shared[t].stop) for t in touched))])
 
     def held(of: Problem) -> Problem:
         # Derivatives would cost as much as the simulation.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.diagnosis.evidence import Evidence
-from calibration.diagnosis.proposals import Proposal, Proposals, beside
+from calibration.diagnosis.proposals import Proposal, Proposals, beside, rescored
 from calibration.diagnosis.refits import ODDS, Refit, odds, refit
 from calibration.fit.steps import Steps
 from calibration.statistics.scores import alike
@@ -19,7 +19,7 @@ from calibration.statistics.scores import alike
 SECOND, SECOND_LEVEL = 10.0, 1e-3
 #: Two effects act in different places where the cosine between their changes of the forces is less, and the second
 #: shows alone this share of what it shows beside the first.
-DIFFERENT, STEADY = 0.3, 0.5
+DIFFERENT, STEADY = 0.5, 0.5
 #: Beside how many of the likeliest effects, and of those as likely as the best, a second one is sought; and how many
 #: of the likeliest seconds are fitted.
 _FIRSTS, _MOST_FIRSTS, _SECONDS = 2, 3, 3
@@ -59,7 +59,7 @@ def pairs_of(evidence: Evidence, good: Sequence[Refit], proposals: Proposals, st
         fits = refit(with_first, others, steps, f"fits beside {first.proposal.candidate.effect.title}",
                      likely) if likely else []
         found += [Pair(first, second, with_first) for second in fits if second.gain >= SECOND
-                  and not second.absent and not second.beyond and _both_needed(first, second, good, proposals)]
+                  and not second.absent and not second.beyond and _both_needed(first, second, good, evidence)]
     found.sort(key=lambda pair: -pair.gain)
     kept: dict[frozenset[str], Pair] = {}
     for pair in found:
@@ -68,17 +68,16 @@ def pairs_of(evidence: Evidence, good: Sequence[Refit], proposals: Proposals, st
     return list(kept.values())
 
 
-def _both_needed(first: Refit, second: Refit, good: Sequence[Refit], proposals: Proposals) -> bool:
+def _both_needed(first: Refit, second: Refit, good: Sequence[Refit], evidence: Evidence) -> bool:
     """Whether what either leaves without the other is as much worse, and they act in different places: two that change
     the forces alike would explain by their difference what neither explains."""
     alone = next((each for each in good if each.name == second.name), None)
     if alone is not None and alone.gain > first.gain + second.gain - SECOND:
         return False
-    beside_first = second.proposal.strength
-    if proposals.best[second.name].strength * beside_first < STEADY * beside_first**2:
+    alone_it_shows, beside_first = rescored(second.proposal, evidence), second.proposal.strength
+    if not alone_it_shows.direction.freedom or alone_it_shows.strength * beside_first < STEADY * beside_first**2:
         return False
-    others = [each for each in proposals.all if each.candidate.name == second.name]
-    return max(alike(first.proposal.direction, each.direction) for each in others) < DIFFERENT
+    return alike(first.proposal.direction, alone_it_shows.direction) < DIFFERENT
 
 
 def acts_in(proposal: Proposal, evidence: Evidence, most: int = 2) -> list[str]:

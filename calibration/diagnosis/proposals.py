@@ -160,6 +160,12 @@ def beside(proposals: Proposals, evidence: Evidence, known: Sequence[str]) -> Pr
         if each.candidate.name not in known], evidence))
 
 
+def rescored(proposal: Proposal, evidence: Evidence) -> Proposal:
+    """A proposal held against another fit; its probability stays."""
+    direction = _direction(proposal.candidate, proposal.change, evidence)
+    return replace(proposal, direction=direction, score=direction.score(evidence.residual))
+
+
 def _scored(asked: Sequence[tuple[Candidate, np.ndarray, Direction]], evidence: Evidence) -> tuple[Proposal, ...]:
     """Proposals of those of which the fit leaves anything."""
     left = [(candidate, change, direction) for candidate, change, direction in asked if direction.freedom]

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from calibration.diagnosis.confirmation import settled
 from calibration.diagnosis.diagnosis import Verdict
 from calibration.diagnosis.evidence import Evidence
@@ -72,7 +74,8 @@ def judge(evidence: Evidence, proposals: Proposals, steps: Steps) -> Judgement:
             return Judgement("UNKNOWN", refits, (), [], evidence)
     # What scores still show, beside what was gained.
     gained = sum(each.gain for each in added)
-    left = max((-2.0 * each.improbability for each in rest.values()), default=0.0)
+    left = max((-2.0 * each.improbability - float(np.log(evidence.samples)) for each in rest.values()), default=0.0)
+    left = max(left, 0.0)
     if left > (1.0 - MOST_SCORED) * (gained + left):
         return Judgement("UNKNOWN", refits, (), [], evidence)
     if after.repeated and share_repeated(evidence, after) < MOSTLY:

@@ -36,7 +36,7 @@ class Evaluation:
     """All recordings at one set of parameters, with the nuisances that fit best there.
 
     Nuisances are in units of their standard deviation: contact offset and zero of each recording, then the modes of
-    the mesh error of each test, m in all. N samples, p parameters.
+    the error of each mesh, m in all. N samples, p parameters.
 
     Attributes:
         theta: shape (p,). residual: whitened model minus data at these nuisances, shape (N,).
@@ -179,7 +179,8 @@ class Problem(LeastSquares):
 
     Attributes:
         jitter: standard deviations of contact offset and zero.
-        mesh_error: standard deviation of each test's mesh error, relative to the model's force.
+        mesh_error: standard deviation of each test's mesh error, relative to the model's force. Tests on one mesh have
+            one error.
     """
 
     jitter: Jitter
@@ -194,9 +195,15 @@ class Problem(LeastSquares):
         self._last, count = None, len(self.places)
         self.kinds = [name for name in ("contact", "zero") if getattr(self.jitter, name) > 0]
         self.offset_columns = [slice(i * len(self.kinds), (i + 1) * len(self.kinds)) for i in range(count)]
-        ends = np.cumsum([count * len(self.kinds), *(MESH_MODES * (size > 0) for size in self.mesh_error)]).tolist()
-        self.shared = list(map(slice, ends[:-1], ends[1:]))
-        self.nuisances = ends[-1]
+        self.shared, end = [], count * len(self.kinds)
+        meshes: dict[str, slice] = {}
+        for test, size in zip(self.tests, self.mesh_error, strict=True):
+            columns = meshes.get(test.mesh) or slice(end, end + MESH_MODES * (size > 0))
+            if size > 0 and test.mesh:
+                meshes[test.mesh] = columns
+            end = max(end, columns.stop)
+            self.shared.append(columns if size > 0 else slice(end, end))
+        self.nuisances = end
 
     def without(self, number: int, theta: np.ndarray) -> tuple[Problem, np.ndarray]:
         """As `LeastSquares.without`."""

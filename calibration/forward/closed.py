@@ -64,6 +64,7 @@ class ClosedTest:
 
     proportional: ClassVar[bool] = True
     homogeneous: ClassVar[bool] = True
+    mesh: ClassVar[str] = ""
 
     @property
     def timed(self) -> bool:

@@ -44,6 +44,7 @@ class ForwardTest(Protocol):
     Attributes:
         name: of the test. measured: its recordings.
         proportional: whether force is proportional to the moduli. homogeneous: whether every mesh is exact.
+        mesh: what its mesh is known by; tests with one name have one error of it. Empty: of its own, or none.
         timed: whether the force depends on the way that led to a displacement.
         area: cross-section that a nominal stress refers to, m2 (1 where stress was recorded); None where the stress
             is not homogeneous.
@@ -64,6 +65,9 @@ class ForwardTest(Protocol):
 
     @property
     def homogeneous(self) -> bool: ...
+
+    @property
+    def mesh(self) -> str: ...
 
     @property
     def timed(self) -> bool: ...

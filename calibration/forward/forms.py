@@ -14,7 +14,8 @@ from calibration.forward.column import ColumnTest
 from calibration.forward.contract import ForwardTest
 from calibration.forward.motion import Loading, Timed
 from calibration.forward.simulated import SimulatedTest
-from tissue_sim.experiment.protocol import STUDY_SPEED
+from calibration.forward.solves import content_key
+from tissue_sim.experiment.protocol import STUDY_SPEED, Protocol
 
 #: Standard deviation of the accurate mesh's own error relative to the force: what is left against independent
 #: solvers, see docs/simulation.md. Between plates, under a flat needle, under a round or pointed one.
@@ -24,6 +25,8 @@ FAST_REMAINDERS = {"plate": 0.003, "flat": 0.008, "other": 0.01}
 #: Of an analytical fit: histories are divided less finely than for a prediction, 1e-4 of the largest stress, below what
 #: is measured.
 FITTED_STEP = 0.01
+#: Tests on one mesh may differ in their motion.
+_ANY_MOTION = Protocol(np.array([0.0, 1.0]), np.array([0.0, 1e-9]))
 #: The simulated way goes on for so many standard deviations of the contact offset, but for this share at least.
 _MARGIN, _LEAST_MARGIN = 4.0, 1e-3
 
@@ -36,6 +39,7 @@ def build_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSetting
     if test.experiment is None or curves[0].stressed:
         return closed_test(test, curves)
     layered = bool(material.layers)
+    mesh = content_key(replace(test.experiment, protocol=_ANY_MOTION))
     one_way = all(set(curve.segment.tolist()) == {"ramp"} for curve in curves if curve.segment is not None)
     timed = settings.whole and all(curve.time is not None for curve in curves)
     if timed or material.ages or (remembers(test, material) and not one_way):
@@ -47,7 +51,8 @@ def build_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSetting
             if not same:
                 motions.append(motion)
             motion_of.append(same[0] if same else len(motions) - 1)
-        return SimulatedTest(test.name, test.experiment, test.rig, tuple(motions), tuple(motion_of), curves, layered)
+        return SimulatedTest(test.name, test.experiment, test.rig, tuple(motions), tuple(motion_of), curves, layered,
+                             mesh=mesh)
     deepest = max(curve.displacement.max() for curve in curves)
     height = test.experiment.specimen.height
     depth = min(deepest + max(_MARGIN * contact, _LEAST_MARGIN * deepest), 0.999 * height)
@@ -55,7 +60,7 @@ def build_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSetting
     tool = test.experiment.tool
     smooth = tool.is_plate or (tool.sharp_edge and not test.experiment.depends_on_way)
     way = Loading.to(float(depth), max(speed, 1e-9), smooth=smooth, strain=float(depth / height))
-    return SimulatedTest(test.name, test.experiment, test.rig, (way,), (0,) * len(curves), curves, layered)
+    return SimulatedTest(test.name, test.experiment, test.rig, (way,), (0,) * len(curves), curves, layered, mesh=mesh)
 
 
 def closed_test(test: Test, curves: Sequence[MeasuredCurve]) -> ClosedTest:

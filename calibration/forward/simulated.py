@@ -135,6 +135,7 @@ class SimulatedTest:
         measured: the recordings.
         layered: whether the material has layers.
         correction: what the accurate mesh has more, N, of each motion, shape (k,); empty until `refine` finds out.
+        mesh: what it is known by; tests whose meshes have one name have one error of it. Empty: it has its own.
         along: whether the whole motion is simulated even where the force depends on the tool's place alone.
     """
 
@@ -146,6 +147,7 @@ class SimulatedTest:
     measured: tuple[MeasuredCurve, ...]
     layered: bool = False
     correction: list[np.ndarray] = field(default_factory=list)
+    mesh: str = ""
     along: bool = False
 
     #: What it is where it is homogeneous.

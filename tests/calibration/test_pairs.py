@@ -1,0 +1,111 @@
+"""Two effects at once, jumps whose depth is sought, and what is named only with its rivals."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import tissue_sim as ts
+from calibration.campaign_diagnosis import diagnose_campaign, read_for_diagnosis
+from calibration.diagnosis.pairs import _both_needed
+from calibration.effects.displacement_gain import DisplacementGain
+from calibration.effects.sensor_drift import SensorDrift
+from calibration.effects.step_loss import StepLoss
+from calibration.effects.viscoelasticity import Viscoelasticity
+from calibration.fit.steps import Steps
+from calibration.statistics.scores import Direction
+from calibration.tasks.executors import Workers, open_tasks
+
+CAMPAIGN = """
+[[specimen]]
+radius_mm = 20.0
+height_mm = 30.0
+[[test]]
+name = "plates"
+kind = "lubricated_compression"
+recordings = ["plates_*.csv"]
+[fit]
+method = "inverse_fem"
+laws = ["neo_hooke"]
+bulk_ratio = 10000.0
+starts = 1
+start = { C10 = 1500.0 }
+"""
+
+
+def diagnosed(folder, rig, terms=()):
+    """Three recordings of a ramp, a hold and a return."""
+    time = np.linspace(0.0, 60.0, 241)
+    depth = np.interp(time, [0, 15, 45, 60], [0, 3e-3, 3e-3, 0])
+    truth = ts.Material("neo_hooke", {"C10": 1404.9}, ts.Bulk("bulk_ratio", 1e4),
+                        viscoelastic=ts.Prony(tuple(ts.PronyTerm(*term) for term in terms)) if terms else None)
+    experiment = ts.Experiment(ts.Specimen(0.020, 0.030), ts.Protocol(time, depth), ts.Tool("plate"),
+                               friction="frictionless", friction_base="frictionless")
+    force = ts.simulate(ts.Model(experiment, truth, rig)).force
+    random = np.random.default_rng(4)
+    for number in (1, 2, 3):
+        measured = force + random.normal(0, 0.005) + random.normal(0, 0.01, time.size)
+        ts.write_recording(ts.Recording({"time": time, "displacement": depth, "force": measured}),
+                           folder / f"plates_{number}.csv")
+    (folder / "study.toml").write_text(CAMPAIGN, encoding="utf-8")
+    campaign, measured = read_for_diagnosis(folder / "study.toml")
+    with open_tasks(Workers()) as tasks:
+        return diagnose_campaign(campaign, measured, Steps("study", tasks))
+
+
+@pytest.fixture(autouse=True)
+def four_effects(monkeypatch):
+    """The whole catalogue takes longer than all that is asked here."""
+    monkeypatch.setattr("calibration.diagnosis.proposals.CATALOGUE", {
+        "viscoelasticity": Viscoelasticity, "step_loss": StepLoss, "sensor_drift": SensorDrift,
+        "displacement_gain": DisplacementGain})
+
+
+def numbers(found):
+    return {number.path: number.value for effect in found.diagnosis.effects for number in effect.parameters}
+
+
+def test_the_depth_of_lost_steps_is_found_to_a_sample(tmp_path):
+    """Between the depths that are tried first, and no descent moves a jump."""
+    found = diagnosed(tmp_path, ts.Rig(step_loss=0.08e-3, step_loss_depth=1.28e-3))
+    assert found.diagnosis.verdict == "NAMED" and found.diagnosis.indistinguishable == ["step_loss@plates"]
+    values = numbers(found)
+    assert values["rig.step_loss"] == pytest.approx(0.08e-3, rel=0.1)
+    assert values["rig.step_loss_depth"] == pytest.approx(1.28e-3, abs=0.06e-3)
+    assert found.before.problem.space.free == ["C10"] or tuple(found.before.problem.space.free) == ("C10",)
+    assert "rig.step_loss_depth" not in found.after.problem.space.free
+
+
+def test_two_that_act_in_different_places_are_both_named(tmp_path):
+    """A jump beside a relaxation: either alone leaves a gap, and both numbers are right."""
+    found = diagnosed(tmp_path, ts.Rig(step_loss=0.08e-3, step_loss_depth=1.28e-3), terms=[(0.12, 6.0)])
+    assert found.diagnosis.verdict == "NAMED"
+    assert {effect.name for effect in found.diagnosis.effects} == {"viscoelasticity", "step_loss"}
+    values = numbers(found)
+    assert values["viscoelastic.terms[0].g"] == pytest.approx(0.12, rel=0.1)
+    assert values["rig.step_loss"] == pytest.approx(0.08e-3, rel=0.2)
+    assert values["rig.step_loss_depth"] == pytest.approx(1.28e-3, abs=0.1e-3)
+    assert found.after.adequate and not found.before.adequate
+
+
+def fitted(name, axis, strength, gain=50.0):
+    """A fit whose effect changes the data along an axis."""
+    direction = Direction(np.asarray(axis, dtype=float)[:, None], 1.0, 1.0, False)
+    candidate = SimpleNamespace(name=name)
+    proposal = SimpleNamespace(candidate=candidate, direction=direction, strength=strength)
+    return SimpleNamespace(name=name, gain=gain, proposal=proposal)
+
+
+@pytest.mark.parametrize(("axis", "alone", "beside", "rival", "needed"), [
+    ([0, 1, 0], 6.0, 6.2, None, True),
+    ([0.8, 0.6, 0], 6.0, 6.2, None, False),  # alike
+    ([0.2, np.sqrt(0.96), 0], 0.4, 6.2, None, False),  # nothing alone: the difference of two
+    ([0.2, np.sqrt(0.96), 0], -4.0, 6.2, None, False),  # the other sign
+    ([0, 1, 0], 6.0, 6.2, 95.0, False),  # the second explains as much alone
+])
+def test_two_need_each_other(axis, alone, beside, rival, needed, monkeypatch):
+    first, second = fitted("first", [1, 0, 0], 8.0), fitted("second", axis, beside)
+    plain = fitted("second", axis, alone).proposal
+    monkeypatch.setattr("calibration.diagnosis.pairs.rescored", lambda proposal, evidence: plain)
+    good = [first] if rival is None else [first, fitted("second", axis, alone, gain=rival)]
+    assert _both_needed(first, second, good, None) is needed
