@@ -25,7 +25,7 @@ from tissue_sim.laws import find_law
 from tissue_sim.material.material import law_declaration
 from tissue_sim.material.parts import find_declaration, with_parts
 from tissue_sim.model import Model
-from tissue_sim.parameters import Declaration, symbol_at, with_values
+from tissue_sim.parameters import Declaration, parameters, symbol_at, with_values
 
 Room = Literal["tissue", "contact", "geometry", "rig", "population"]
 #: What writes an effect down: material file, campaign, rig file, or nothing (scatter between specimens is no effect of
@@ -242,8 +242,20 @@ class Candidate:
         """The campaign whose tests have the parts that its numbers belong to."""
         if self.prepare is None:
             return campaign
+        having = self.having(campaign)
         return replace(campaign, tests=tuple(
-            self.prepare(test) if self.tests is None or test.name in self.tests else test for test in campaign.tests))
+            self.prepare(test) if having is None or test.name in having else test for test in campaign.tests))
+
+    def having(self, campaign: Campaign) -> tuple[str, ...] | None:
+        """Names of the tests that have the numbers; None: all that could. Beside its own, where it belongs to no
+        single one of them, those that the campaign holds out and that state the same: one rig, one specimen."""
+        if self.tests is None or self.mark or not all(path.startswith(("experiment.", "rig.")) for path in self.sizes):
+            return self.tests
+        # Those of its own are alike in it; the first stands for them.
+        stands = next(test for test in campaign.tests if test.name == self.tests[0])
+        return (*self.tests, *(test.name for test in campaign.tests if test.hold_out and test.name not in self.tests
+                               and test.experiment is not None and all(
+                                   _stated(test, path) == _stated(stands, path) for path in self.sizes)))
 
     def added_to(self, campaign: Campaign, values: Mapping[str, float] | None = None, *,
                  free: bool) -> Campaign:
@@ -256,6 +268,7 @@ class Candidate:
         Raises:
             NotTestableError: no test has its numbers.
         """
+        tests = self.having(campaign)
         campaign = self.prepared(campaign)
         values = {**self.sizes, **self.shape, **(values or {})}
         settings, everywhere = campaign.fit, tuple(test.name for test in campaign.tests)
@@ -266,8 +279,8 @@ class Candidate:
             of_law = path in wider
             having = everywhere if not path.startswith(("experiment.", "rig.")) else tuple(
                 test.name for test in campaign.tests if path in declared_around(test.experiment, test.rig))
-            if self.tests is not None:
-                having = tuple(name for name in self.tests if name in having)
+            if tests is not None:
+                having = tuple(name for name in tests if name in having)
             scope = self.scope if self.tests is None or self.scope != SHARED else having
             named[path] = Named(path, what, of_law, scope, having)
             if path in self.bounds:
@@ -339,6 +352,13 @@ class Effect(ABC):
         if within:
             model = replace(model, material=with_parts(model.material, within))
         return with_values(model, around) if around else model
+
+
+def _stated(test: Test, path: str) -> float | None:
+    """What a test with a tool states of a number, SI; None where it has none."""
+    part, _, inside = path.partition(".")
+    stated = parameters(getattr(test, part)).get(inside)
+    return None if stated is None else stated.value
 
 
 def experiment_of(test: Test) -> Experiment:
