@@ -55,7 +55,9 @@ def pairs_of(evidence: Evidence, good: Sequence[Refit], proposals: Proposals, st
     for first in firsts:
         with_first = first.evidence(evidence)
         others = beside(proposals, with_first, [first.name])
-        likely = [name for name, each in others.seen.items() if each.p <= SECOND_LEVEL][:_SECONDS]
+        # A number can be in the model once.
+        likely = [name for name, each in others.seen.items() if each.p <= SECOND_LEVEL
+                  and not each.candidate.paths & first.proposal.candidate.paths][:_SECONDS]
         fits = refit(with_first, others, steps, f"fits beside {first.proposal.candidate.effect.title}",
                      likely) if likely else []
         found += [Pair(first, second, with_first) for second in fits if second.gain >= SECOND

@@ -106,12 +106,12 @@ class Proposals:
 
 
 def propose(evidence: Evidence, steps: Steps, words: str = "effects, one at a time",
-            known: Sequence[str] = (), only: str | None = None) -> Proposals:
+            only: str | None = None) -> Proposals:
     """Try every effect of the catalogue at a usual size, and score its direction.
 
     Args:
         evidence: at its minimum. steps: where the simulations run. words: for people.
-        known: names that are in the model already. only: name of the only effect that is tried; None: all.
+        only: name of the only effect that is tried; None: all.
     """
     silent: dict[str, str] = {}
     effects: dict[str, Effect] = {}
@@ -122,7 +122,7 @@ def propose(evidence: Evidence, steps: Steps, words: str = "effects, one at a ti
             silent[name] = "no force tells it from the moduli"
             continue
         try:
-            candidates += [each for each in effect.candidates(evidence.situation) if each.name not in known]
+            candidates += effect.candidates(evidence.situation)
         except NotTestableError as reason:
             silent[name] = str(reason)
     problem, evaluation = evidence.problem, evidence.evaluation
@@ -193,7 +193,8 @@ def sharpened(proposal: Proposal, evidence: Evidence) -> Proposal:
     while step > max(finest, _FINEST * deepest):
         step *= 0.5
         for way in (-step, step):
-            place = float(np.clip(candidate.shape[candidate.jump] + way, 0.0, deepest))
+            place = float(np.clip(candidate.shape[candidate.jump] + way, *candidate.bounds.get(
+                candidate.jump, (0.0, deepest))))
             other = replace(candidate, shape={**candidate.shape, candidate.jump: place})
             change = change_of(evidence.problem, evidence.evaluation, evidence.campaign, other)
             if isinstance(change, str):

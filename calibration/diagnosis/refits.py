@@ -208,15 +208,16 @@ def refit_one(problem: Problem, campaign: Campaign, proposal: Proposal, values: 
         for share in _STARTS], error)
     descent = descend(extended, theta, corrected=True, enough=_ENOUGH, tolerance=_TOLERANCE)
     numbers = extended.space.low.size - problem.space.low.size + bool(candidate.jump)
-    promised = -2.0 * proposal.improbability - (error - descent.error)
-    if proposal.direction.freedom == 1 and np.isfinite(descent.error) and promised > _SHORT:
+    if not np.isfinite(descent.error):
+        return Refit(proposal, extended, changed, descent.theta, descent.error, -np.inf, descent.failure)
+    determinant = extended.evaluate(descent.theta).log_determinant
+    promised = -2.0 * proposal.improbability - (error - descent.error - determinant)
+    if proposal.direction.freedom == 1 and promised > _SHORT:
         # Nearly dependent numbers: a step that gains little may be followed by one that gains more.
         again = descend(extended, descent.theta, corrected=True, enough=0.0)
-        descent = again if again.error < descent.error else descent
-    gain = -np.inf
-    if np.isfinite(descent.error):
-        determinant = extended.evaluate(descent.theta).log_determinant
-        gain = error - (descent.error + determinant) - numbers * float(np.log(samples))
+        if again.error < descent.error:
+            descent, determinant = again, extended.evaluate(again.theta).log_determinant
+    gain = error - (descent.error + determinant) - numbers * float(np.log(samples))
     return Refit(proposal, extended, changed, descent.theta, descent.error, gain, descent.failure)
 
 

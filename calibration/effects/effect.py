@@ -207,6 +207,11 @@ class Candidate:
         """Of the effect, with the test where it acts in one only."""
         return f"{self.effect.name}@{self.mark}" if self.mark else self.effect.name
 
+    @property
+    def paths(self) -> frozenset[str]:
+        """Of all of its numbers."""
+        return frozenset({**self.sizes, **self.shape})
+
     def declaration(self, campaign: Campaign, path: str) -> Declaration:
         """What a number of it is.
 

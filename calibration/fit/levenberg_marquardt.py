@@ -73,17 +73,28 @@ class _Outer:
         jacobian = self.variables.times(jacobian, u)
         if self.enough:
             # What the best step would still gain; it is not worth a solve when it does not count.
-            inside = jacobian[:, ~self._held(u, jacobian.T @ residual)]
+            bound = self._bound(u, jacobian.T @ residual)
+            inside = jacobian[:, ~np.isfinite(bound)]
             gain = float(np.sum((inside @ np.linalg.lstsq(inside, residual, rcond=1e-12)[0])**2))
             if gain < self.enough * max(1.0, evaluation.error / self.problem.samples):
-                raise _SettledError(evaluation.theta, evaluation.error)
+                raise self._settled(np.where(np.isfinite(bound), bound, u), evaluation)
         return jacobian
 
-    def _held(self, u: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-        """Which unknowns are on a bound that the descent would cross, shape (k,)."""
+    def _bound(self, u: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+        """The bound that an unknown is near to and that the descent would cross, shape (k,); NaN: none."""
         low, high = self.variables.bounds
         near = _ON_BOUND * np.maximum(np.abs(u), _ON_BOUND)
-        return (u - low <= near) & (gradient > 0) | (high - u <= near) & (gradient < 0)
+        return np.where((u - low <= near) & (gradient > 0), low, np.where(
+            (high - u <= near) & (gradient < 0), high, np.nan))
+
+    def _settled(self, u: np.ndarray, evaluation: Evaluation) -> _SettledError:
+        """The end of the descent: on the bounds that it would cross, unless that is no better."""
+        try:
+            there = self.problem.evaluate(np.clip(self.variables.unknowns(u), *self.problem.bounds))
+        except InfeasibleError:
+            there = evaluation
+        best = there if there.error <= evaluation.error else evaluation
+        return _SettledError(best.theta, best.error)
 
     size = 1
 

@@ -113,7 +113,7 @@ class _LoadingCourse:
 
 @dataclass(frozen=True, eq=False)
 class Timed:
-    """A test whose force depends on how the tool came there.
+    """A motion in time, as it was recorded.
 
     Attributes:
         time, displacement: of the knots, s and m, shape (k,). legs: first and last knot of each straight part.
@@ -185,11 +185,12 @@ class Timed:
         return bool(np.abs(self.displacement - other.displacement).max() <= near
                     and np.abs(self.time - self.time[0] - other.time + other.time[0]).max() <= near / speed)
 
-    def through(self, columns: np.ndarray, *, leaves: bool = False) -> Course:
+    def through(self, columns: np.ndarray, *, place: np.ndarray | None = None, leaves: bool = False) -> Course:
         """As `Loading.through`; times are those of the clock of the recording whose motion it is.
 
         Args:
-            columns: as there. leaves: whether a tool that goes back past its touch leaves the tissue; else it pulls.
+            columns: as there. place: of the tool at the knots, m, where a rig takes it elsewhere.
+            leaves: whether a tool that goes back past its touch leaves the tissue; else it pulls.
         """
         # What creeps or trembles in a hold is no loading curve: the force falls there while the tool stays.
         labels = np.full(self.time.size, "ramp", dtype="<U4")
@@ -198,14 +199,16 @@ class Timed:
                 labels[first + 1:last + 1] = "hold"
         recording = Recording({"time": self.time, "displacement": self.displacement, "force": columns[:, 0]},
                               labels={"segment": labels})
-        return _TimedCourse(self, np.column_stack([columns, offset_rate(recording)]), leaves)
+        return _TimedCourse(self, np.column_stack([columns, offset_rate(recording)]),
+                            self.displacement if place is None else place, leaves)
 
 
 class _TimedCourse:
     """As `_LoadingCourse`, along a motion in time; the last column is the derivative of the force with the offset."""
 
-    def __init__(self, motion: Timed, columns: np.ndarray, leaves: bool):
+    def __init__(self, motion: Timed, columns: np.ndarray, place: np.ndarray, leaves: bool):
         self._motion, self._size, self._leaves = motion, columns.shape[1], leaves
+        self._away = place - motion.displacement
         self._parts = []
         for first, last in motion.legs:
             part = slice(first, last + 1)
@@ -222,8 +225,9 @@ class _TimedCourse:
         rate = values[:, -1]
         # Where the tool was a little off the straight lines, it was as if the touch were elsewhere.
         values[:, 0] += (offset - displacement + np.interp(time, motion.time, motion.displacement)) * rate
-        # Nothing is felt before the first touch.
-        values[((leg_of == 0) | self._leaves) & (displacement < offset)] = 0.0
+        # Nothing is felt before the first touch, nor by a tool that has left.
+        place = displacement + np.interp(time, motion.time, self._away)
+        values[((leg_of == 0) | self._leaves) & (place < offset)] = 0.0
         return values[:, :-1], values[:, -1]
 
     def forces(self, time, displacement, offsets):

@@ -20,6 +20,8 @@ STEPS = TIMED_STEPS
 _REACHED = 1e-3
 #: Where a load train gives way the tool is found to this part of the largest depth, in so many steps.
 _PLACED, _MOST_STEPS = 1e-12, 60
+#: It grows by at least this share of the stage's way, or the load train snaps.
+_SLOWEST = 0.1
 
 
 def loading_to(depth: float, deepest: float, most: float) -> Loading:
@@ -130,6 +132,8 @@ class PlacedCourse:
         place = self.place(offset)
         columns, slope = self.curve(place)
         growth = 1.0 + self.compliance * slope
+        if growth.min(initial=1.0) < _SLOWEST:
+            raise InfeasibleError("the force falls so steeply that the load train snaps")
         columns[:, 1:] /= growth[:, None]
         rate = -slope / growth
         away = ~np.maximum.accumulate(place >= 0.0)
@@ -154,11 +158,11 @@ class PlacedCourse:
         if not self.compliance:
             return goal
         place, reached = goal, _PLACED * np.abs(goal).max(initial=1e-6)
+        width = 1e-6 * np.abs(goal).max(initial=1e-6)
         for _ in range(_MOST_STEPS):
             force = self.curve.force(place)
-            width = 1e-6 * np.abs(goal).max(initial=1e-6)
             stiffness = (self.curve.force(place + width) - force) / width
-            change = (goal - place - self.compliance * force) / np.maximum(1.0 + self.compliance * stiffness, 1.0)
+            change = (goal - place - self.compliance * force) / np.maximum(1.0 + self.compliance * stiffness, _SLOWEST)
             place = place + change
             if np.abs(change).max(initial=0.0) <= reached:
                 return place

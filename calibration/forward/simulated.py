@@ -5,7 +5,7 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import ClassVar
 
 import numpy as np
@@ -29,6 +29,8 @@ from tissue_sim.rig.rig import Rig
 from tissue_sim.simulation import simulate
 from tissue_sim.specimen import Specimen
 
+#: A motion that goes back past its touch by this share of its depth pulls at a bonded face.
+_PULLS = 0.02
 #: Width of a difference with what a rig does to readings, relative.
 _READING_WIDTH = 1e-6
 
@@ -135,6 +137,7 @@ class SimulatedTest:
         measured: the recordings.
         layered: whether the material has layers.
         correction: what the accurate mesh has more, N, of each motion, shape (k,); empty until `refine` finds out.
+        placed_correction: the same at the knots of one loading: their depth, m, and the force, N, shapes (k,).
         mesh: what it is known by; tests whose meshes have one name have one error of it. Empty: it has its own.
         along: whether the whole motion is simulated even where the force depends on the tool's place alone.
     """
@@ -147,6 +150,7 @@ class SimulatedTest:
     measured: tuple[MeasuredCurve, ...]
     layered: bool = False
     correction: list[np.ndarray] = field(default_factory=list)
+    placed_correction: tuple[np.ndarray, np.ndarray] | None = None
     mesh: str = ""
     along: bool = False
 
@@ -186,8 +190,8 @@ class SimulatedTest:
         models = [self._possible(space, values, self.motions[number], measured.name)
                   for measured, number in zip(self.measured, self.motion_of, strict=False)]
         courses: Sequence[Course | PlacedCourse]
-        if self.along or not self.timed or any(map(_needs_way, models)):
-            courses, differences = self._along_way(space, values, solves)
+        if self._needs_way(models):
+            courses, differences = self._along_way(space, values, solves, models)
             left = [Left.of(model) for model in models]
         else:
             courses, differences = self._by_place(space, values, solves, models)
@@ -204,16 +208,24 @@ class SimulatedTest:
             InfeasibleError: no such model.
         """
         values = space.values(theta)
-        return self.timed and not self.along and not any(
-            _needs_way(self._possible(space, values, self.motions[number], measured.name))
-            for measured, number in zip(self.measured, self.motion_of, strict=False))
+        return not self._needs_way([self._possible(space, values, self.motions[number], measured.name)
+                                    for measured, number in zip(self.measured, self.motion_of, strict=False)])
 
-    def _along_way(self, space: ParameterSpace, values: dict[str, float], solves: Solves
+    def _needs_way(self, models: Sequence[Model]) -> bool:
+        """Whether forces of these models have to be simulated along the whole motion."""
+        if self.along or not self.timed or (self.correction and self.placed_correction is None):
+            return True
+        # How a bonded face pulls is no continuation of how it presses.
+        ways = [motion.displacement[int(np.argmax(motion.displacement >= 0)):] for motion in self._timed_motions]
+        pulls = min(float(way.min()) for way in ways) < -_PULLS * max(float(way.max()) for way in ways)
+        return (pulls and not _leaves(self.experiment)) or any(map(_needs_way, models))
+
+    def _along_way(self, space: ParameterSpace, values: dict[str, float], solves: Solves, models: Sequence[Model]
                    ) -> tuple[list[Course], set[str]]:
         """Courses from simulations of each motion, and names whose derivatives are differences."""
         courses: dict[tuple[int, str | None], Course] = {}
         chosen, differences = [], set()
-        for measured, number in zip(self.measured, self.motion_of, strict=False):
+        for measured, number, model in zip(self.measured, self.motion_of, models, strict=False):
             key = number, space.mark(self.name, measured.name)
             if key not in courses:
                 motion = self.motions[number]
@@ -222,7 +234,8 @@ class SimulatedTest:
                 if self.correction:
                     force = force + self.correction[number]
                 columns = np.column_stack([force, rates])
-                courses[key] = motion.through(columns, leaves=_leaves(self.experiment)) \
+                courses[key] = motion.through(columns, place=model.rig.tool_motion(motion.displacement),
+                                              leaves=_leaves(self.experiment)) \
                     if isinstance(motion, Timed) else motion.through(columns)
             chosen.append(courses[key])
         return chosen, differences
@@ -232,8 +245,9 @@ class SimulatedTest:
         """The same from one loading, which is simulated with a rigid rig."""
         curves: dict[str | None, PlaceCurve] = {}
         courses, differences = [], set()
-        for measured, number, model in zip(self.measured, self.motion_of, models, strict=False):
+        for recording, (measured, number, model) in enumerate(zip(self.measured, self.motion_of, models, strict=False)):
             mark = space.mark(self.name, measured.name)
+            course = partial(self._course, recording)
             if mark not in curves:
                 loading = self._loading(model.rig)
                 force, rates, inexact = self._simulated(space, values, solves, loading, "fast", mark, rigid=True)
@@ -247,27 +261,41 @@ class SimulatedTest:
                     width = _away(values[each.name])
                     more = self._possible(space, values | {each.name: values[each.name] + width},
                                           self.motions[number], measured.name)
-                    neighbours[place] = _course(curves[mark], more, measured), width
+                    neighbours[place] = course(curves[mark], more), width
                     differences.add(each.name)
-            courses.append(replace(_course(curves[mark], model, measured), neighbours=neighbours))
+            courses.append(replace(course(curves[mark], model), neighbours=neighbours))
         return courses, differences
 
+    def _course(self, recording: int, curve: PlaceCurve, model: Model) -> PlacedCourse:
+        """What a rig and a face that leans make of a curve at the samples of a recording."""
+        motion, measured = self._timed_motions[self.motion_of[recording]], self.measured[recording]
+        tilt, time = model.experiment.tilt, measured.clock - measured.clock[0] + motion.sampled_from
+        # What remembers its way (backlash, lost steps) must not take the trembling of the samples for one.
+        straight = np.interp(time, motion.time, motion.displacement)
+        place = model.rig.tool_motion(straight) + measured.displacement - straight
+        return PlacedCourse(curve.with_tilt(tilt) if tilt else curve, place, model.rig.compliance)
+
     def _loading(self, rig: Rig) -> Loading:
-        """One way in, as deep as a rig takes the tool in any of the motions."""
+        """One way in, as deep as a rig takes the tool in any of the motions.
+
+        Raises:
+            InfeasibleError: it never goes in.
+        """
         ways = [motion.displacement for motion in self._timed_motions]
-        depth = max(float(way.max()) for way in ways)
-        deepest = max(float(rig.tool_motion(way).max()) for way in ways)
+        # What a load train that is known takes of the way; a tenth in reserve.
+        yields = 0.9 * self.rig.compliance * max(0.0, *(float(curve.force.max()) for curve in self.measured))
+        depth = max(float(way.max()) for way in ways) - yields
+        deepest = max(float(rig.tool_motion(way).max()) for way in ways) - yields
+        if not depth > 0:
+            raise InfeasibleError(f"{self.name}: the tool never goes in")
         return loading_to(depth, deepest, 0.999 * self.specimen.height)
 
     def _correction_at(self, loading: Loading) -> np.ndarray:
-        """What the accurate mesh has more at the knots of a loading, N, shape (k,): of the way to the largest depth."""
-        if not self.correction:
+        """What the accurate mesh has more at the knots of a loading, N, shape (k,)."""
+        if self.placed_correction is None:
             return np.zeros(loading.depth.size)
-        ways = zip((motion.displacement for motion in self._timed_motions), self.correction, strict=True)
-        way, correction = max(ways, key=lambda each: float(each[0].max()))
-        way = way[:int(np.argmax(way)) + 1]
-        first = np.append(True, way[1:] > np.maximum.accumulate(way)[:-1])  # when each depth was reached
-        return spline(way[first], correction[:way.size][first])(np.clip(loading.depth, way[0], way[-1]))
+        depth, force = self.placed_correction
+        return spline(depth, force)(np.minimum(loading.depth, depth[-1]))
 
     def refine(self, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> float:
         """Compute what the accurate mesh has more at these parameters, and keep it as the correction.
@@ -280,7 +308,7 @@ class SimulatedTest:
         """
         values, found, largest = space.values(theta), [], 0.0
         if self.homogeneous:
-            self.correction = []
+            self.forget()
             return 0.0
         rigid = self.placed(space, theta)
         loading = self._loading(Rig()) if rigid else None
@@ -289,13 +317,17 @@ class SimulatedTest:
             accurate = self._accurate(space, values, solves, way, rigid=rigid)
             found.append(accurate - fast)
             largest = max(largest, float(np.abs(found[-1]).max() / np.abs(accurate).max()))
-        self.correction = found if loading is None else [
-            spline(loading.depth, found[0])(np.maximum(motion.displacement, 0.0)) for motion in self._timed_motions]
+        self.correction, self.placed_correction = found, None
+        if loading is not None:
+            self.placed_correction = loading.depth, found[0]
+            along = spline(*self.placed_correction)
+            self.correction = [along(np.clip(motion.displacement, 0.0, loading.depth[-1]))
+                               for motion in self._timed_motions]
         return largest
 
     def forget(self) -> None:
         """As `ForwardTest.forget`."""
-        self.correction = []
+        self.correction, self.placed_correction = [], None
 
     def _accurate(self, space: ParameterSpace, values: dict[str, float], solves: Solves,
                   motion: Loading | Timed, *, rigid: bool) -> np.ndarray:
@@ -466,13 +498,6 @@ def _of_course(path: str) -> bool:
 def _rigid(model: Model) -> Model:
     """The model with the tool where the stage says, and upright."""
     return replace(model, experiment=replace(model.experiment, tilt=0.0), rig=Rig())
-
-
-def _course(curve: PlaceCurve, model: Model, measured: MeasuredCurve) -> PlacedCourse:
-    """What a rig and a face that leans make of it at the samples of a recording."""
-    tilt = model.experiment.tilt
-    return PlacedCourse(curve.with_tilt(tilt) if tilt else curve, model.rig.tool_motion(measured.displacement),
-                        model.rig.compliance)
 
 
 def _simulate(model: Model, topology: Model | None, names: Sequence[str], resolution: str) -> SimulatedCurve:

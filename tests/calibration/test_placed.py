@@ -10,9 +10,12 @@ import tissue_sim as ts
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.diagnosis.evidence import whole_campaign
 from calibration.fit.campaign_problem import build_problem
+from calibration.fit.levenberg_marquardt import descend
+from calibration.fit.problem import Problem
 from calibration.forward.contract import InfeasibleError
 from calibration.forward.placed import PlaceCurve, PlacedCourse
 from calibration.forward.solves import Solves
+from calibration.statistics.jitter import Jitter
 
 SPECIMEN, C10, SPEED, DEEPEST = ts.Specimen(0.020, 0.030), 1404.9, 0.2e-3, 3e-3
 TIME = np.concatenate([np.linspace(0, 15, 61), np.linspace(15, 25, 21)[1:], np.linspace(25, 40, 61)[1:]])
@@ -47,11 +50,10 @@ def squeezed(place):
     return np.pi * SPECIMEN.radius**2 * 2.0 * C10 * (stretch**-2 - stretch)
 
 
-def study(folder, kind="lubricated_compression", tool="", start="", fixed="", force=squeezed, depth=DEPTH, count=1):
+def study(folder, kind="lubricated_compression", tool="", start="", fixed="", depth=DEPTH, time=TIME):
     """The only test of a campaign, its parameters with every number free, and what has been simulated."""
-    for number in range(count):
-        ts.write_recording(ts.Recording({"time": TIME, "displacement": depth, "force": force(depth)}),
-                           folder / f"test_{number}.csv")
+    ts.write_recording(ts.Recording({"time": time, "displacement": depth, "force": squeezed(depth)}),
+                       folder / "test_1.csv")
     path = folder / "study.toml"
     path.write_text(CAMPAIGN.format(kind=kind, tool=tool, start=start, fixed=fixed), encoding="utf-8")
     campaign = whole_campaign(calibration.load_campaign(path))
@@ -153,3 +155,63 @@ def test_a_load_train_that_snaps_is_no_force():
     falls = PlaceCurve.through(depth, (1e3 * depth * np.cos(3e3 * depth))[:, None], holds=False)
     with pytest.raises(InfeasibleError, match="nowhere in balance"):
         PlacedCourse(falls, np.linspace(0, 1e-3, 30), 0.05).place(0.0)
+
+
+@pytest.mark.parametrize("corners", [
+    ([0, 10, 25], [3, 3, 0]),  # begins at its depth
+    ([0, 15, 30, 40], [3, 0, 2, 2]),  # comes from it
+    ([0, 10, 20, 40], [1, 1, 3, 0]),  # begins inside
+    ([0, 30, 40], [-3, 1, 1]),  # begins in the air
+])
+def test_the_accurate_mesh_counts_from_wherever_the_motion_begins(tmp_path, corners):
+    """What it has more is known at the tool's place, not along the way of the recording."""
+    time = np.linspace(0, corners[0][-1], 161)
+    depth = 1e-3 * np.interp(time, *corners)
+    test, space, solves = study(tmp_path, "bonded_compression", depth=depth, time=time)
+    before = evaluated(test, space, solves, {})[0]
+    test.refine(space, np.array([C10]), solves)
+    knots, more = test.placed_correction
+    inside = depth > 0
+    expected = np.where(inside, np.interp(np.maximum(depth, 0), knots, more), 0.0)
+    gained = evaluated(test, space, solves, {})[0] - before
+    assert np.abs(gained - expected)[inside].max() < 0.02 * np.abs(more).max() + 1e-12
+    test.forget()
+    assert evaluated(test, space, solves, {})[0] == pytest.approx(before)
+
+
+def test_trembling_in_a_hold_is_no_way_for_backlash(tmp_path):
+    random = np.random.default_rng(2)
+    depth = DEPTH + random.normal(0, 3e-6, DEPTH.size)
+    test, space, solves = study(tmp_path, start=', "rig.backlash" = 0.0', depth=depth)
+    ideal, play = (evaluated(test, space, solves, {"rig.backlash": value})[0] for value in (0.0, 60e-6))
+    held = (TIME > 15) & (TIME <= 25)
+    assert np.abs(play - ideal)[held].max() < 2e-3 * squeezed(DEEPEST)
+    assert np.abs(play - ideal)[TIME > 30].max() > 5e-3 * squeezed(DEEPEST)
+
+
+def test_how_a_bonded_face_pulls_is_simulated(tmp_path):
+    """It is no continuation of how it presses."""
+    depth = np.interp(TIME, [0, 15, 25, 40], [0, DEEPEST, DEEPEST, -0.5 * DEEPEST])
+    test, space, _ = study(tmp_path, "bonded_compression", depth=depth)
+    assert not test.placed(space, np.array([C10]))
+    test, space, _ = study(tmp_path, depth=depth)
+    assert test.placed(space, np.array([C10])), "lubricated plates leave the tissue"
+
+
+def test_a_tool_has_left_where_it_is_and_not_where_the_stage_says(tmp_path):
+    """Tissue that relaxes, touched 0.3 mm before the stage says so: on the way back it presses until there."""
+    depth = np.interp(TIME, [0, 15, 25, 40], [0, DEEPEST, DEEPEST, -0.2e-3])
+    terms = ', "viscoelastic.terms[0].g" = 0.01, "viscoelastic.terms[0].tau_s" = 500.0, "rig.contact_offset" = 0.0'
+    test, space, solves = study(tmp_path, start=terms, depth=depth)
+    values = {name: 0.01 if name.endswith(".g") else 500.0 for name in space.free if "viscoelastic" in name}
+    force = evaluated(test, space, solves, {**values, "rig.contact_offset": -0.3e-3})[0]
+    assert force[-1] == pytest.approx(squeezed(0.1e-3), rel=0.1)
+    assert evaluated(test, space, solves, {**values, "rig.contact_offset": 0.0})[0][-1] == 0.0
+
+
+def test_a_descent_that_runs_into_a_bound_ends_on_it(tmp_path):
+    test, space, solves = study(tmp_path, start=', "rig.compliance" = 0.01', fixed="[fit.bounds]\nC10 = [1e2, 1402.0]")
+    problem = Problem(space, (test,), solves, Jitter(0.0, 0.005, None), (0.0,))
+    end = descend(problem, np.array([{"C10": 1350.0}.get(name, 1e-6) for name in space.free]), corrected=True,
+                  enough=0.1, tolerance=2e-5)
+    assert end.theta[list(space.free).index("C10")] == 1402.0
