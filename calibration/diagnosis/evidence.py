@@ -48,7 +48,10 @@ def whole_campaign(campaign: Campaign, law: str | None = None) -> Campaign:
     if law is not None and law not in campaign.fit.laws:
         raise InputError(f"{law!r} is not among its laws ({', '.join(campaign.fit.laws)})", file=campaign.path,
                          field="fit.laws")
-    return replace(campaign, fit=replace(campaign.fit, whole=True, laws=(law or campaign.fit.laws[0],)))
+    # What comes after a force that falls is evidence: of a tear, a puncture, or a motor that lost steps.
+    return replace(campaign, tests=tuple(
+        replace(test, failure="keep") if test.failure == "cut" else test for test in campaign.tests),
+                   fit=replace(campaign.fit, whole=True, laws=(law or campaign.fit.laws[0],)))
 
 
 @dataclass(eq=False)

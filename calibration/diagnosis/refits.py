@@ -30,6 +30,8 @@ ODDS = 20.0
 LEAST_GAIN = 2.0 * float(np.log(ODDS))
 #: An effect is fitted where its score alone would gain this share of the least gain.
 _PROMISING = 0.6
+#: And where its score is less by no more than this in its square than the best one.
+_RIVALS = 8.0
 #: The mesh corrections of a fit with an effect are its own where its gain is this near to the best, as a share of that,
 #: and in any case within so much.
 _NEAR, _NEAR_AT_LEAST = 0.3, 40.0
@@ -116,8 +118,10 @@ def refit(evidence: Evidence, proposals: Proposals, steps: Steps, words: str = "
     Args:
         evidence: without them. proposals: the catalogue on it. names: of candidates; None: the `MOST` strongest.
     """
-    promising = _PROMISING * (LEAST_GAIN + float(np.log(evidence.samples)))
     telling = [(name, -2.0 * each.improbability) for name, each in proposals.best.items()]
+    # Rivals of the best count, however little it is itself.
+    promising = min(_PROMISING * (LEAST_GAIN + float(np.log(evidence.samples))), max(
+        (squares for _, squares in telling), default=0.0) - _RIVALS)
     chosen = [name for number, (name, squares) in enumerate(telling[:MOST_ALIKE]) if squares > promising
               and (number < MOST or squares > ALIKE**2 * telling[0][1])] if names is None else list(names)
     # Tests that are homogeneous without an effect need no mesh error, with it they may: the determinant counts.
