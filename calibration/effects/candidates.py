@@ -8,8 +8,9 @@ from calibration.campaign.campaign import Test
 from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation
 from tissue_sim.parameters import parameters
 
-#: A refit may go so many times as far from absence as what is tried first.
-REACH = 50.0
+#: A refit may go so many times as far from absence as what is tried first, to a fifth of what is measured: a sensor, a
+#: drive or a load train that errs by more would not have been used, and takes the place of the tissue.
+REACH = 20.0
 
 
 def require_tests(tests: Sequence[Test], reason: str) -> Sequence[Test]:

@@ -4,7 +4,7 @@ from calibration.effects.candidates import beside_material, require_tests
 from calibration.effects.effect import Candidate, Effect, Situation
 
 #: Share of the smallest test's largest force that is tried first.
-_SHARE = 0.005
+_SHARE = 0.01
 
 
 class GuideFriction(Effect):
