@@ -11,7 +11,10 @@ import numpy as np
 
 from calibration.forward.contract import InfeasibleError
 from calibration.forward.motion import SLIDING_POWER, TIMED_STEPS, Loading, spline
+from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.protocol import STUDY_SPEED
+from tissue_sim.model import Model
+from tissue_sim.rig.rig import Rig
 from tissue_sim.tilt import strips
 
 #: Steps to the largest depth that is reported, those of a motion in time; a tool that goes deeper goes on likewise.
@@ -167,3 +170,24 @@ class PlacedCourse:
             if np.abs(change).max(initial=0.0) <= reached:
                 return place
         raise InfeasibleError("the tool is nowhere in balance with the load train")
+
+
+def needs_way(model: Model) -> bool:
+    """Whether the force has to be simulated along the way of the tool."""
+    reduced = model.material.reduced_effects(plate=model.experiment.tool.is_plate)
+    return model.depends_on_way or bool(reduced and (model.rig.compliance or model.experiment.tilt))
+
+
+def leaves(experiment: Experiment) -> bool:
+    """Whether nothing pulls at a tool that goes back past its touch."""
+    return experiment.friction != "bonded" and experiment.adhesion is None and not experiment.contact_laws
+
+
+def is_of_course(path: str) -> bool:
+    """Whether a number says where the parts of the tool are, and not how the tissue answers them."""
+    return path.startswith("rig.") or path == "experiment.tilt"
+
+
+def at_stage(model: Model) -> Model:
+    """The model with the tool where the stage says, and upright."""
+    return replace(model, experiment=replace(model.experiment, tilt=0.0), rig=Rig())

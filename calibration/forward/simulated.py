@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import time as clock
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -14,17 +13,15 @@ from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace, Unknown
 from calibration.forward.contract import InfeasibleError, Reached
 from calibration.forward.motion import Course, Loading, Timed, spline
-from calibration.forward.placed import PlaceCurve, PlacedCourse, loading_to
-from calibration.forward.solves import SimulatedCurve, Solves, content_key
+from calibration.forward.placed import PlaceCurve, PlacedCourse, at_stage, is_of_course, leaves, loading_to, needs_way
+from calibration.forward.reading import Left, Reading, SimulatedAnswer
+from calibration.forward.solves import Solves, content_key, simulate_curve
 from tissue_sim.closed_form.homogeneous import UNIAXIAL, ClosedForm
-from tissue_sim.differentiation import sensitivities
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.protocol import Protocol
-from tissue_sim.material.effect import ReducedEffect, ReducedForce
 from tissue_sim.model import Model
 from tissue_sim.parameters import with_values
-from tissue_sim.recording.recording import Recording
 from tissue_sim.rig.rig import Rig
 from tissue_sim.simulation import simulate
 from tissue_sim.specimen import Specimen
@@ -33,97 +30,6 @@ from tissue_sim.specimen import Specimen
 _PULLS = 0.02
 #: Width of a difference with what a rig does to readings, relative.
 _READING_WIDTH = 1e-6
-
-
-@dataclass(frozen=True, eq=False)
-class Reading:
-    """A rig as it reads forces."""
-
-    rig: Rig
-
-    @cached_property
-    def reading(self) -> Rig | None:
-        """What of it reads forces; None where it reads them as they are."""
-        reading = self.rig.reading_only
-        return None if reading.ideal else reading
-
-    def read(self, measured: MeasuredCurve, force: np.ndarray) -> np.ndarray:
-        """What it makes of forces at the samples of a recording."""
-        if self.reading is None:
-            return force
-        channels = {"displacement": measured.displacement, "force": force}
-        if measured.time is not None:
-            channels["time"] = measured.time
-        return self.reading.read(Recording(channels)).force
-
-    def through(self, measured: MeasuredCurve, true: np.ndarray, read: np.ndarray, rates: np.ndarray,
-                rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What derivatives of the true force, shape (n, p) and (n,), are of the force that is read."""
-        if not any(fault.reads for fault in self.rig.faults.values()):
-            gain = 1.0 + self.rig.sensor_gain
-            return gain * rates, gain * rate
-        # An added fault may be anything that takes a course of forces.
-        columns = np.column_stack([rates, rate])
-        for place, column in enumerate(columns.T):
-            if column.any():
-                width = 1e-6 * max(float(np.abs(true).max()), 1e-6) / np.abs(column).max()
-                columns[:, place] = (self.read(measured, true + width * column) - read) / width
-        return columns[:, :-1], columns[:, -1]
-
-
-@dataclass(frozen=True, eq=False)
-class Left:
-    """What effects in reduced form leave of the simulated force: theirs are jumps, which knots would smear.
-
-    Attributes:
-        effects: those that act.
-    """
-
-    effects: tuple[ReducedEffect, ...]
-
-    @classmethod
-    def of(cls, model: Model) -> Left:
-        """Those of a model whose tool goes where the stage says, upright; of others the simulation takes care."""
-        straight = not model.experiment.tilt and model.rig.motion_only.ideal
-        return cls(model.material.reduced_effects(plate=model.experiment.tool.is_plate) if straight else ())
-
-    def owns(self, path: str) -> bool:
-        """Whether a number of the material is one of theirs."""
-        place = path.rpartition(".")[0]
-        return any(place in (effect.name, f"effects.{effect.name}") for effect in self.effects)
-
-    def simulated(self, model: Model) -> Model:
-        """The model without them."""
-        material = model.material
-        if not self.effects:
-            return model
-        kept = {name: effect for name, effect in material.effects.items() if effect not in self.effects}
-        puncture = None if material.puncture in self.effects else material.puncture
-        return replace(model, material=replace(material, puncture=puncture, effects=kept))
-
-    def share(self, measured: MeasuredCurve, depth: np.ndarray) -> np.ndarray:
-        """Of the force at the samples of a recording where the tool is at these depths, m, shape (n,)."""
-        waits = np.zeros(depth.size) if measured.time is None else np.diff(measured.time, prepend=measured.time[0])
-        force = ReducedForce(self.effects)
-        return np.array([force.go(d, dt) for d, dt in zip(depth.tolist(), waits.tolist(), strict=True)])
-
-
-@dataclass(frozen=True, eq=False)
-class SimulatedAnswer:
-    """Simulated forces.
-
-    Attributes:
-        courses: of force and derivatives, of each recording. rigs: that each was read with. left: of each.
-        space, values: the parameters that they belong to.
-        differences: names whose derivatives are differences.
-    """
-
-    courses: Sequence[Course | PlacedCourse]
-    rigs: list[Reading]
-    left: list[Left]
-    space: ParameterSpace
-    values: dict[str, float]
-    differences: frozenset[str]
 
 
 @dataclass(eq=False)
@@ -218,7 +124,7 @@ class SimulatedTest:
         # How a bonded face pulls is no continuation of how it presses.
         ways = [motion.displacement[int(np.argmax(motion.displacement >= 0)):] for motion in self._timed_motions]
         pulls = min(float(way.min()) for way in ways) < -_PULLS * max(float(way.max()) for way in ways)
-        return (pulls and not _leaves(self.experiment)) or any(map(_needs_way, models))
+        return (pulls and not leaves(self.experiment)) or any(map(needs_way, models))
 
     def _along_way(self, space: ParameterSpace, values: dict[str, float], solves: Solves, models: Sequence[Model]
                    ) -> tuple[list[Course], set[str]]:
@@ -235,7 +141,7 @@ class SimulatedTest:
                     force = force + self.correction[number]
                 columns = np.column_stack([force, rates])
                 courses[key] = motion.through(columns, place=model.rig.tool_motion(motion.displacement),
-                                              leaves=_leaves(self.experiment)) \
+                                              leaves=leaves(self.experiment)) \
                     if isinstance(motion, Timed) else motion.through(columns)
             chosen.append(courses[key])
         return chosen, differences
@@ -254,10 +160,10 @@ class SimulatedTest:
                 differences |= inexact
                 curves[mark] = PlaceCurve.through(
                     loading.depth, np.column_stack([force + self._correction_at(loading), rates]),
-                    holds=not _leaves(model.experiment))
+                    holds=not leaves(model.experiment))
             neighbours = {}
             for place, each in enumerate(space.varied, start=1):
-                if _of_course(each.path) and each.acts_in(self.name, measured.name) and not self._reads(each, values):
+                if is_of_course(each.path) and each.acts_in(self.name, measured.name) and not self._reads(each, values):
                     width = _away(values[each.name])
                     more = self._possible(space, values | {each.name: values[each.name] + width},
                                           self.motions[number], measured.name)
@@ -354,7 +260,7 @@ class SimulatedTest:
         def made(of: dict[str, float]) -> Model:
             # The rig only moves the tool here.
             model = self._possible(space, of, motion, recording)
-            return _rigid(model) if rigid else replace(model, rig=model.rig.motion_only)
+            return at_stage(model) if rigid else replace(model, rig=model.rig.motion_only)
 
         model = made(values)
         topology = made(space.before_moving(values)) if space.shapes_mesh(self.name) else None
@@ -363,11 +269,11 @@ class SimulatedTest:
         acting = {} if resolution == "accurate" else {
             place: each.path for place, each in enumerate(space.varied)
             if each.acts_in(self.name, recording) and not self._reads(each, values) and not left.owns(each.path)
-            and not (rigid and _of_course(each.path))}
+            and not (rigid and is_of_course(each.path))}
         key = content_key(model, topology, list(acting.values()), resolution)
         curve = solves.find(key)
         if curve is None:
-            curve = _simulate(model, topology, list(acting.values()), resolution)
+            curve = simulate_curve(model, topology, list(acting.values()), resolution)
             solves.counts[self.name, resolution] += 1
             solves.keep(key, curve)
         if curve.problem:
@@ -477,41 +383,6 @@ class SimulatedTest:
 
     def _experiment(self, motion: Loading | Timed) -> Experiment:
         return replace(self.experiment, protocol=motion.protocol)
-
-
-def _needs_way(model: Model) -> bool:
-    """Whether the force has to be simulated along the way of the tool."""
-    reduced = model.material.reduced_effects(plate=model.experiment.tool.is_plate)
-    return model.depends_on_way or bool(reduced and (model.rig.compliance or model.experiment.tilt))
-
-
-def _leaves(experiment: Experiment) -> bool:
-    """Whether nothing pulls at a tool that goes back past its touch."""
-    return experiment.friction != "bonded" and experiment.adhesion is None and not experiment.contact_laws
-
-
-def _of_course(path: str) -> bool:
-    """Whether a number says where the parts of the tool are, and not how the tissue answers them."""
-    return path.startswith("rig.") or path == "experiment.tilt"
-
-
-def _rigid(model: Model) -> Model:
-    """The model with the tool where the stage says, and upright."""
-    return replace(model, experiment=replace(model.experiment, tilt=0.0), rig=Rig())
-
-
-def _simulate(model: Model, topology: Model | None, names: Sequence[str], resolution: str) -> SimulatedCurve:
-    began = clock.process_time()
-    try:
-        if names:
-            answer = sensitivities(model, names, resolution=resolution, topology=topology)
-            force, rates, exact = answer.recording.force, answer.values, answer.exact.tolist()
-        else:
-            force, rates = simulate(model, resolution=resolution, topology=topology).force, np.zeros((0, 0))
-            exact = []
-    except (ConvergenceError, InputError) as error:
-        return SimulatedCurve([], [], str(error), clock.process_time() - began)
-    return SimulatedCurve(force.tolist(), rates.tolist(), "", clock.process_time() - began, exact)
 
 
 def _away(value: float) -> float:

@@ -6,7 +6,7 @@ import contextlib
 import hashlib
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
@@ -18,9 +18,13 @@ import numpy as np
 
 import tissue_sim
 from tissue_sim.atomic_write import write_bytes
+from tissue_sim.differentiation import sensitivities
+from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.tools.tool import Tool
+from tissue_sim.model import Model
 from tissue_sim.parameters import declared
 from tissue_sim.registry import modules_of_additions
+from tissue_sim.simulation import simulate
 
 
 class SimulatedCurve(msgspec.Struct, frozen=True, array_like=True):
@@ -89,6 +93,25 @@ class Solves:
         self.folder = self._shelf = folder.resolve()
         for key, curve in self._known.items():
             self.keep(key, curve)
+
+
+def simulate_curve(model: Model, topology: Model | None, names: Sequence[str], resolution: str) -> SimulatedCurve:
+    """A simulation with the derivatives of these parameters; what does not get through says why.
+
+    Args:
+        model, topology, resolution: as `tissue_sim.simulation.simulate`. names: paths of parameters.
+    """
+    began = time.process_time()
+    try:
+        if names:
+            answer = sensitivities(model, names, resolution=resolution, topology=topology)
+            force, rates, exact = answer.recording.force, answer.values, answer.exact.tolist()
+        else:
+            force, rates = simulate(model, resolution=resolution, topology=topology).force, np.zeros((0, 0))
+            exact = []
+    except (ConvergenceError, InputError) as error:
+        return SimulatedCurve([], [], str(error), time.process_time() - began)
+    return SimulatedCurve(force.tolist(), rates.tolist(), "", time.process_time() - began, exact)
 
 
 def content_key(*parts: Any) -> str:
