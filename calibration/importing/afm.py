@@ -30,7 +30,7 @@ def is_afm(path: Path) -> bool:
     try:
         with zipfile.ZipFile(path) as archive:
             names = archive.namelist()
-    # zipfile raises the last one for an archive of a kind that it does not know.
+    # The last one is what zipfile raises where an archive asks for a newer version of the format than it reads.
     except (zipfile.BadZipFile, OSError, NotImplementedError):
         return False
     return not any(name in ("[Content_Types].xml", "content.xml") or name.startswith("xl/") for name in names)

@@ -12,11 +12,6 @@ def add(left, right):
     return left + right
 
 
-def sleep_then(seconds, value):
-    time.sleep(seconds)
-    return value
-
-
 def environment(*names):
     return {name: os.environ.get(name) for name in names}
 
@@ -62,11 +57,13 @@ def refuse(kind, marker=None):
     return kind
 
 
-def wait_for(marker, value, seconds=0.0):
-    """The value, so many seconds after the marker appears."""
+def wait_for(marker, value, seconds=600.0):
+    """The value, once the marker is there; an error where it does not come, so that no process stays behind."""
+    deadline = time.monotonic() + seconds
     while not Path(marker).exists():
+        assert time.monotonic() < deadline, f"no {marker} within {seconds} s"
         time.sleep(0.01)
-    return sleep_then(seconds, value)
+    return value
 
 
 def call(function, *arguments):
@@ -84,9 +81,9 @@ def interrupted(value):
 
 
 def hold(folder):
-    """Say which process this is, then hold on for a minute."""
+    """Say which process this is, then hold on until somebody ends it."""
     Path(folder, str(os.getpid())).touch()
-    time.sleep(60)
+    wait_for(Path(folder, "never"), None)
 
 
 if __name__ == "__main__":

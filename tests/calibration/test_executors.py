@@ -13,7 +13,7 @@ from pathlib import Path
 import distributed
 import pytest
 
-from calibration.tasks import dask_cluster
+from calibration.tasks import dask_cluster, executors
 from calibration.tasks.errors import WorkerError
 from calibration.tasks.executors import Workers, open_tasks
 from tissue_sim.errors import ConvergenceError, InputError
@@ -149,23 +149,33 @@ def test_a_lone_task_that_kills_its_worker_is_given_up_after_three_deaths(task, 
     assert log.read_text().split() == ["x"] * 3
 
 
-def test_running_tasks_are_told_and_waiting_ones_dropped_when_one_raises(task, tmp_path):
-    told, marker = {}, str(tmp_path / "refused")
+def test_running_tasks_are_told_and_waiting_ones_dropped_when_one_raises(task, tmp_path, monkeypatch):
+    told, noticed = {}, tmp_path / "noticed"
+
+    def notice(running, **options):
+        """What has ended; the slow task goes on until a failure is among it."""
+        done, others = ended(running, **options)
+        if any(future.exception() for future in done):
+            noticed.touch()
+        return done, others
+
+    ended = executors.wait
+    monkeypatch.setattr(executors, "wait", notice)
     with open_tasks(Workers(2)) as tasks, pytest.raises(InputError):
-        tasks.run(task.call, [(task.wait_for, marker, "slow", 0.5), (task.refuse, "input", marker),
+        tasks.run(task.call, [(task.wait_for, str(noticed), "slow"), (task.refuse, "input"),
                           (task.refuse, "never", str(tmp_path / "begun"))], told.__setitem__)
     assert told == {0: "slow"}
     assert not (tmp_path / "begun").exists()
 
 
-def test_an_error_of_the_listener_ends_the_running_tasks(task):
+def test_an_error_of_the_listener_ends_the_running_tasks(task, tmp_path):
     def listen(index, result):
         raise LookupError(result)
 
     began = time.monotonic()
     with open_tasks(Workers(2)) as tasks:
         with pytest.raises(LookupError, match="short"):
-            tasks.run(task.sleep_then, [(60.0, "long"), (0.0, "short")], listen)
+            tasks.run(task.wait_for, [(str(tmp_path / "never"), "long"), (str(tmp_path), "short")], listen)
         assert tasks.run(task.add, SUMS[:1]) == [3]
     assert time.monotonic() - began < 30
 
@@ -218,16 +228,17 @@ def test_a_scheduler_file_leads_to_the_cluster(cluster, task, tmp_path):
     assert (caught.value.file, caught.value.field) == (file, "dask")
 
 
-def test_a_cluster_that_goes_away_ends_the_run(task):
-    told = {}
+def test_a_cluster_that_goes_away_ends_the_run(task, tmp_path):
+    told, gone = {}, tmp_path / "gone"
     with small_cluster() as own:
         def leave(index, result):
             told[index] = result
             own.close()
+            gone.touch()
 
         with (open_tasks(Workers(dask=own.scheduler_address)) as tasks,
               pytest.raises(WorkerError, match="connection to the workers was lost") as caught):
-            tasks.run(task.sleep_then, [(0.0, "a"), (2.0, "b"), (2.0, "c")], leave)
+            tasks.run(task.wait_for, [(str(tmp_path), "a"), (str(gone), "b"), (str(gone), "c")], leave)
     assert told == {0: "a"}
     assert caught.value.tasks == (1, 2)
 

@@ -8,6 +8,7 @@ constraints.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Any, ClassVar, NamedTuple
 
 from tissue_sim.parameters import declaring
@@ -31,7 +32,7 @@ class Traction(NamedTuple):
     drag_rates: tuple[tuple[Any, Any], tuple[Any, Any]] = ((0.0, 0.0), (0.0, 0.0))
 
 
-class ContactLaw:
+class ContactLaw(ABC):
     """A traction between the tool and tissue that has touched it, beside contact and friction.
 
     Attributes:
@@ -48,10 +49,11 @@ class ContactLaw:
         return True
 
     @property
+    @abstractmethod
     def reach(self) -> float:
         """Gap from which on it does nothing, m; tissue that is further away has to touch the tool anew."""
-        raise NotImplementedError
 
+    @abstractmethod
     def traction(self, gap: Any, pressure: Any, slip: tuple[Any, Any], face: Any) -> Traction:
         """The traction at a point that has touched the tool.
 
@@ -65,7 +67,6 @@ class ContactLaw:
                 axisymmetric solid uses the first; with friction, from where it last stuck.
             face: area of the tool's face at the largest depth, m2.
         """
-        raise NotImplementedError
 
 
 #: Name -> class.

@@ -6,6 +6,7 @@ An effect is a frozen dataclass that derives from one of the classes here and de
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import Field, dataclass
 from math import inf, prod
@@ -15,7 +16,7 @@ from tissue_sim.parameters import declaring
 from tissue_sim.registry import Registry
 
 
-class TissueEffect:
+class TissueEffect(ABC):
     """What time, loading or place do to a tissue.
 
     Attributes:
@@ -56,9 +57,9 @@ class ReducedEffect(TissueEffect):
 
     under_plates: ClassVar[bool] = True
 
+    @abstractmethod
     def share(self, history: ToolHistory) -> float:
         """Force of the tool over what it would be without the effect; 1 where the parameters are absent."""
-        raise NotImplementedError
 
 
 class PointEffect(TissueEffect):
@@ -76,6 +77,7 @@ class PointEffect(TissueEffect):
     rest: ClassVar[tuple[float, ...]] = ()
     remembers: ClassVar[bool] = True
 
+    @abstractmethod
     def response(self, C: list, state: list, dt: Any) -> tuple[list, list[list], list]:
         """Stress at the end of a step.
 
@@ -92,7 +94,6 @@ class PointEffect(TissueEffect):
             tangent, six rows of six, dS with the Green strain whose shears are doubled (S_12 with 2 E_12), Pa, which
             must be symmetric; and the state variables at the end of the step.
         """
-        raise NotImplementedError
 
 
 class ReducedForce:

@@ -1,10 +1,12 @@
-"""What every back-end must do. A test module of a back-end subclasses the class of its contract and gives the device.
+"""What every back-end must do. A test module of a back-end subclasses the class of its contract and gives the device,
+as a fixture that is not started: ``sensor``, ``stage`` or ``device``.
 
 A back-end whose device has a clock of its own waits in `pass_time`; a virtual one moves its clock on.
 """
 
 import math
 import pickle
+from abc import ABC, abstractmethod
 from itertools import pairwise
 
 import pytest
@@ -14,7 +16,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
 
 
-class ForceSensorContract:
+class ForceSensorContract(ABC):
     """Of a `ForceSensor` under a load that rests.
 
     Attributes:
@@ -25,13 +27,9 @@ class ForceSensorContract:
     load = (0.0,)
     tolerance = 0.0
 
-    @pytest.fixture
-    def sensor(self):
-        """Not started."""
-        raise NotImplementedError
-
+    @abstractmethod
     def pass_time(self, seconds):
-        raise NotImplementedError
+        """Let so much time go by on the clock of the device, s."""
 
     def samples(self, sensor, seconds=0.05):
         self.pass_time(seconds)
@@ -102,19 +100,15 @@ class ForceSensorContract:
         assert pickle.loads(pickle.dumps(sensor)).channels == sensor.channels
 
 
-class StageContract:
+class StageContract(ABC):
     """Of a `Stage` that may move freely within its limits."""
 
     #: m; of where it comes to rest.
     tolerance = 0.0
 
-    @pytest.fixture
-    def stage(self):
-        """Not started."""
-        raise NotImplementedError
-
+    @abstractmethod
     def pass_time(self, seconds):
-        raise NotImplementedError
+        """Let so much time go by on the clock of the device, s."""
 
     def arrive(self, stage, seconds=60.0, step=0.01):
         """Where it comes to rest."""
@@ -211,11 +205,6 @@ class HapticDeviceContract:
 
     #: Whether it gives way to a force.
     feels = True
-
-    @pytest.fixture
-    def device(self):
-        """Not started."""
-        raise NotImplementedError
 
     def ticks(self, device, wrench=(0.0,) * 6, start=0.0, count=50):
         """Poses of so many ticks of 1 ms under a wrench."""
