@@ -81,7 +81,11 @@ def change_of(problem: Problem, evaluation: Evaluation, campaign: Campaign, cand
         # What another mesh, or another way to the force at a sample, changes is no effect.
         without = held(extend(problem, campaign, candidate, absent, free=False)[0]) if candidate.remeshes(campaign) \
             else _simulated_like(held(problem), with_it)
-        change = _residual(with_it, nuisances) - _residual(without, nuisances)
+        change = _residual(with_it, nuisances)
+        # As it is, it is known already.
+        change -= np.concatenate([evaluation.residual[rows] for rows, (t, _) in zip(
+            problem.rows, problem.places, strict=True) if t in touched]) if without is None else \
+            _residual(without, nuisances)
     except (InfeasibleError, NotTestableError, InputError) as error:
         return str(error)
     groups: dict[str, np.ndarray] = {}
@@ -91,14 +95,18 @@ def change_of(problem: Problem, evaluation: Evaluation, campaign: Campaign, cand
     return np.column_stack(list(groups.values()))
 
 
-def _simulated_like(held: Problem, other: Problem) -> Problem:
-    """The problem whose tests are simulated along the whole way where those of another one are."""
+def _simulated_like(held: Problem, other: Problem) -> Problem | None:
+    """The problem whose tests are simulated along the whole way where those of another one are; None: as it is."""
     def like(test: ForwardTest, of: ForwardTest) -> ForwardTest:
         if not (isinstance(test, SimulatedTest) and isinstance(of, SimulatedTest)):
             return test
-        return replace(test, along=test.along or not of.placed(other.space, np.zeros(0)))
+        along = test.placed(held.space, np.zeros(0)) and not of.placed(other.space, np.zeros(0))
+        return replace(test, along=True) if along else test
 
-    return Problem(held.space, tuple(map(like, held.tests, other.tests)), held.solves, held.jitter, held.mesh_error)
+    tests = tuple(map(like, held.tests, other.tests))
+    if all(one is test for one, test in zip(tests, held.tests, strict=True)):
+        return None
+    return Problem(held.space, tests, held.solves, held.jitter, held.mesh_error)
 
 
 def _residual(held: Problem, nuisances: np.ndarray) -> np.ndarray:

@@ -199,10 +199,8 @@ def sharpened(proposal: Proposal, evidence: Evidence) -> Proposal:
             change = change_of(evidence.problem, evidence.evaluation, evidence.campaign, other)
             if isinstance(change, str):
                 continue
-            direction = _direction(other, change, evidence)
-            found = replace(proposal, candidate=other, change=change, direction=direction,
-                            score=direction.score(evidence.residual))
-            if direction.freedom and found.improbability < proposal.improbability:
+            found = rescored(replace(proposal, candidate=other, change=change), evidence)
+            if found.direction.freedom and found.improbability < proposal.improbability:
                 proposal = found
         candidate = proposal.candidate
     return proposal

@@ -11,9 +11,9 @@ from calibration.campaign.campaign import Campaign
 from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.extended import extend, unknowns
 from calibration.diagnosis.proposals import Proposal, Proposals, sharpened
-from calibration.effects.effect import NotTestableError
+from calibration.effects.effect import Candidate, NotTestableError
 from calibration.fit.estimate import Estimate
-from calibration.fit.levenberg_marquardt import descend
+from calibration.fit.levenberg_marquardt import Descent, descend
 from calibration.fit.problem import Problem
 from calibration.fit.steps import Steps
 from calibration.forward.contract import InfeasibleError
@@ -173,9 +173,7 @@ def corrected(fitted: Refit, plain: Problem, error: float, samples: float) -> Re
     descent = descend(problem, fitted.theta, corrected=True, enough=_ENOUGH, tolerance=_TOLERANCE)
     if not np.isfinite(descent.error):
         return fitted
-    numbers = problem.space.low.size - plain.space.low.size + bool(fitted.proposal.candidate.jump)
-    determinant = problem.evaluate(descent.theta).log_determinant
-    gain = error - (descent.error + determinant) - numbers * float(np.log(samples))
+    gain = error - _error_of(problem, descent) - _penalty(problem, plain, fitted.proposal.candidate, samples)
     return replace(fitted, problem=problem, theta=descent.theta, error=descent.error, gain=gain)
 
 
@@ -211,18 +209,26 @@ def refit_one(problem: Problem, campaign: Campaign, proposal: Proposal, values: 
         path: proposal.absent[path] + share * (size - proposal.absent[path]) for path, size in start.items()}})
         for share in _STARTS], error)
     descent = descend(extended, theta, corrected=True, enough=_ENOUGH, tolerance=_TOLERANCE)
-    numbers = extended.space.low.size - problem.space.low.size + bool(candidate.jump)
     if not np.isfinite(descent.error):
         return Refit(proposal, extended, changed, descent.theta, descent.error, -np.inf, descent.failure)
-    determinant = extended.evaluate(descent.theta).log_determinant
-    promised = -2.0 * proposal.improbability - (error - descent.error - determinant)
+    promised = -2.0 * proposal.improbability - (error - _error_of(extended, descent))
     if proposal.direction.freedom == 1 and promised > _SHORT:
         # Nearly dependent numbers: a step that gains little may be followed by one that gains more.
         again = descend(extended, descent.theta, corrected=True, enough=0.0)
-        if again.error < descent.error:
-            descent, determinant = again, extended.evaluate(again.theta).log_determinant
-    gain = error - (descent.error + determinant) - numbers * float(np.log(samples))
+        descent = again if again.error < descent.error else descent
+    gain = error - _error_of(extended, descent) - _penalty(extended, problem, candidate, samples)
     return Refit(proposal, extended, changed, descent.theta, descent.error, gain, descent.failure)
+
+
+def _error_of(problem: Problem, descent: Descent) -> float:
+    """Sum of squares at the end of a descent, and the logarithm of the determinant of the covariance there."""
+    return descent.error + problem.evaluate(descent.theta).log_determinant
+
+
+def _penalty(problem: Problem, plain: Problem, candidate: Candidate, samples: float) -> float:
+    """Of the Schwarz criterion, for the numbers that a problem has more than the plain one; a jump that was sought is
+    one of them."""
+    return (problem.space.low.size - plain.space.low.size + bool(candidate.jump)) * float(np.log(samples))
 
 
 def _near_enough(problem: Problem, starts: Sequence[np.ndarray], error: float) -> np.ndarray:
