@@ -7,13 +7,16 @@ import numpy as np
 import tissue_sim as ts
 from calibration.campaign.campaign import Campaign, load_campaign
 from calibration.campaign.measured import read_measured, scale_offsets
+from calibration.campaign_diagnosis import Diagnosed, diagnose_campaign, read_for_diagnosis
 from calibration.diagnosis.extended import change_of
 from calibration.effects.effect import Candidate, Situation
 from calibration.fit.campaign_problem import build_problem
 from calibration.fit.problem import Evaluation, Problem
+from calibration.fit.steps import Steps
 from calibration.forward.solves import Solves
 from calibration.statistics.adequacy import span
 from calibration.statistics.scores import Direction
+from calibration.tasks.executors import Workers, open_tasks
 
 LAW, TRUTH = "reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}
 TESTS = {"plates": ("lubricated_compression", ts.Tool(), "frictionless"),
@@ -93,3 +96,42 @@ def fitted(path):
     problem = build_problem(situation.law, situation.campaign, situation.measured, Solves())
     theta = np.array([TRUTH[name] for name in problem.space.free])
     return Fitted(situation, problem, problem.evaluate(theta))
+
+
+PLATES = """
+[[specimen]]
+radius_mm = 20.0
+height_mm = 30.0
+[[test]]
+name = "plates"
+kind = "lubricated_compression"
+recordings = ["plates_*.csv"]
+[fit]
+method = "inverse_fem"
+laws = ["neo_hooke"]
+bulk_ratio = 10000.0
+starts = 1
+start = { C10 = 1500.0 }
+"""
+
+
+def diagnosed_plates(folder, *, terms=(), rig=None, friction="frictionless", ripple=0.0, samples=121,
+                     seed=3) -> Diagnosed:
+    """Three recordings of a ramp, a hold and a return with what is hidden in them, diagnosed."""
+    time = np.linspace(0.0, 60.0, samples)
+    depth = np.interp(time, [0, 15, 45, 60], [0, 3e-3, 3e-3, 0])
+    truth = ts.Material("neo_hooke", {"C10": 1404.9}, ts.Bulk("bulk_ratio", 1e4),
+                        viscoelastic=ts.Prony(tuple(ts.PronyTerm(*term) for term in terms)) if terms else None)
+    experiment = ts.Experiment(ts.Specimen(0.020, 0.030), ts.Protocol(time, depth), ts.Tool("plate"),
+                               friction=friction, friction_base=friction)
+    force = ts.simulate(ts.Model(experiment, truth, rig or ts.Rig())).force
+    force = force + ripple * np.sign(np.sin(2 * np.pi * depth / 0.15e-3)) * (time < 15)
+    random = np.random.default_rng(seed)
+    for number in (1, 2, 3):
+        measured = force + random.normal(0, 0.005) + random.normal(0, 0.01, time.size)
+        ts.write_recording(ts.Recording({"time": time, "displacement": depth, "force": measured}),
+                           folder / f"plates_{number}.csv")
+    (folder / "study.toml").write_text(PLATES, encoding="utf-8")
+    campaign, recordings = read_for_diagnosis(folder / "study.toml")
+    with open_tasks(Workers()) as tasks:
+        return diagnose_campaign(campaign, recordings, Steps("study", tasks))

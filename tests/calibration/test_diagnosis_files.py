@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import chi2
+from virtual_campaign import PLATES, diagnosed_plates
 
 import tissue_sim as ts
 from calibration.campaign.campaign import load_campaign
 from calibration.campaign.planned import read_planned
-from calibration.campaign_diagnosis import diagnose_campaign, read_for_diagnosis
 from calibration.diagnosis.design import design
 from calibration.diagnosis.diagnosis import FoundEffect, HeldOut, Number, RegionGap
 from calibration.diagnosis.evidence import doubted, whole_campaign
@@ -26,22 +26,7 @@ from calibration.report.additions import to_toml, write_additions
 from calibration.tasks.executors import Workers, open_tasks
 from tissue_sim.errors import InputError
 
-CAMPAIGN = """
-[[specimen]]
-radius_mm = 20.0
-height_mm = 30.0
-[[test]]
-name = "plates"
-kind = "lubricated_compression"
-recordings = ["plates_*.csv"]
-[fit]
-method = "inverse_fem"
-laws = ["neo_hooke"]
-bulk_ratio = 10000.0
-starts = 1
-start = { C10 = 1500.0 }
-"""
-PLAN = CAMPAIGN.replace('recordings = ["plates_*.csv"]', 'protocol = "ramp 3mm @0.2mm/s; hold 30s; unload"')
+PLAN = PLATES.replace('recordings = ["plates_*.csv"]', 'protocol = "ramp 3mm @0.2mm/s; hold 30s; unload"')
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -54,26 +39,10 @@ def four_effects():
         yield
 
 
-def diagnose(folder, terms=(), rig=None, friction="frictionless", ripple=0.0):
-    """Three recordings of a ramp, a hold and a return, with what is hidden in them."""
+def diagnose(folder, **hidden):
+    """The diagnosis, what it stands on, and the folder that it was written to."""
     folder.mkdir()
-    time = np.linspace(0.0, 60.0, 121)
-    depth = np.interp(time, [0, 15, 45, 60], [0, 3e-3, 3e-3, 0])
-    truth = ts.Material("neo_hooke", {"C10": 1404.9}, ts.Bulk("bulk_ratio", 1e4),
-                        viscoelastic=ts.Prony(tuple(ts.PronyTerm(*term) for term in terms)) if terms else None)
-    experiment = ts.Experiment(ts.Specimen(0.020, 0.030), ts.Protocol(time, depth), ts.Tool("plate"),
-                               friction=friction, friction_base=friction)
-    force = ts.simulate(ts.Model(experiment, truth, rig or ts.Rig())).force
-    force = force + ripple * np.sign(np.sin(2 * np.pi * depth / 0.15e-3)) * (time < 15)
-    random = np.random.default_rng(3)
-    for number in (1, 2, 3):
-        measured = force + random.normal(0, 0.005) + random.normal(0, 0.01, time.size)
-        ts.write_recording(ts.Recording({"time": time, "displacement": depth, "force": measured}),
-                           folder / f"plates_{number}.csv")
-    (folder / "study.toml").write_text(CAMPAIGN, encoding="utf-8")
-    campaign, measured = read_for_diagnosis(folder / "study.toml")
-    with open_tasks(Workers()) as tasks:
-        found = diagnose_campaign(campaign, measured, Steps("study", tasks))
+    found = diagnosed_plates(folder, **hidden)
     out = folder / "out"
     out.mkdir()
     return write_additions(found.diagnosis, found.after, out), found, out

@@ -4,53 +4,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from virtual_campaign import diagnosed_plates
 
 import tissue_sim as ts
-from calibration.campaign_diagnosis import diagnose_campaign, read_for_diagnosis
 from calibration.diagnosis.pairs import _both_needed
 from calibration.effects.displacement_gain import DisplacementGain
 from calibration.effects.sensor_drift import SensorDrift
 from calibration.effects.step_loss import StepLoss
 from calibration.effects.viscoelasticity import Viscoelasticity
-from calibration.fit.steps import Steps
 from calibration.statistics.scores import Direction
-from calibration.tasks.executors import Workers, open_tasks
-
-CAMPAIGN = """
-[[specimen]]
-radius_mm = 20.0
-height_mm = 30.0
-[[test]]
-name = "plates"
-kind = "lubricated_compression"
-recordings = ["plates_*.csv"]
-[fit]
-method = "inverse_fem"
-laws = ["neo_hooke"]
-bulk_ratio = 10000.0
-starts = 1
-start = { C10 = 1500.0 }
-"""
-
-
-def diagnosed(folder, rig, terms=()):
-    """Three recordings of a ramp, a hold and a return."""
-    time = np.linspace(0.0, 60.0, 241)
-    depth = np.interp(time, [0, 15, 45, 60], [0, 3e-3, 3e-3, 0])
-    truth = ts.Material("neo_hooke", {"C10": 1404.9}, ts.Bulk("bulk_ratio", 1e4),
-                        viscoelastic=ts.Prony(tuple(ts.PronyTerm(*term) for term in terms)) if terms else None)
-    experiment = ts.Experiment(ts.Specimen(0.020, 0.030), ts.Protocol(time, depth), ts.Tool("plate"),
-                               friction="frictionless", friction_base="frictionless")
-    force = ts.simulate(ts.Model(experiment, truth, rig)).force
-    random = np.random.default_rng(4)
-    for number in (1, 2, 3):
-        measured = force + random.normal(0, 0.005) + random.normal(0, 0.01, time.size)
-        ts.write_recording(ts.Recording({"time": time, "displacement": depth, "force": measured}),
-                           folder / f"plates_{number}.csv")
-    (folder / "study.toml").write_text(CAMPAIGN, encoding="utf-8")
-    campaign, measured = read_for_diagnosis(folder / "study.toml")
-    with open_tasks(Workers()) as tasks:
-        return diagnose_campaign(campaign, measured, Steps("study", tasks))
 
 
 @pytest.fixture(autouse=True)
@@ -69,7 +31,7 @@ def numbers(found):
 def test_the_depth_of_lost_steps_is_found_to_a_sample(tmp_path, lost):
     """Between the depths that are tried first, and no descent moves a jump; a large one, after which a calibration
     would read no further, is no failure here."""
-    found = diagnosed(tmp_path, ts.Rig(step_loss=lost, step_loss_depth=1.28e-3))
+    found = diagnosed_plates(tmp_path, rig=ts.Rig(step_loss=lost, step_loss_depth=1.28e-3), samples=241, seed=4)
     assert found.diagnosis.verdict == "NAMED" and found.diagnosis.indistinguishable == ["step_loss@plates"]
     values = numbers(found)
     assert values["rig.step_loss"] == pytest.approx(lost, rel=0.1)
@@ -79,7 +41,8 @@ def test_the_depth_of_lost_steps_is_found_to_a_sample(tmp_path, lost):
 
 def test_two_that_act_in_different_places_are_both_named(tmp_path):
     """A jump beside a relaxation: either alone leaves a gap, and both numbers are right."""
-    found = diagnosed(tmp_path, ts.Rig(step_loss=0.08e-3, step_loss_depth=1.28e-3), terms=[(0.12, 6.0)])
+    found = diagnosed_plates(tmp_path, rig=ts.Rig(step_loss=0.08e-3, step_loss_depth=1.28e-3), terms=[(0.12, 6.0)],
+                             samples=241, seed=4)
     assert found.diagnosis.verdict == "NAMED"
     assert {effect.name for effect in found.diagnosis.effects} == {"viscoelasticity", "step_loss"}
     values = numbers(found)
