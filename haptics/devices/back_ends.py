@@ -26,12 +26,20 @@ MOTIONS: Registry[Callable[[str], Motion]] = Registry("motion", "tissue_sim.moti
 })
 FORCE_SENSORS: Registry[Callable[[str], ForceSensor]] = Registry("force sensor", "tissue_sim.force_sensors", {
     "virtual": "haptics.devices.virtual.force_sensor:open_virtual",
+    "replay": "haptics.devices.replay:open_replay",
+    "rdt": "haptics.devices.rdt:open_rdt",
+    "ati-serial": "haptics.devices.ati_serial:open_ati_serial",
+    "ati-daq": "haptics.devices.ati_daq:open_ati_daq",
 })
 STAGES: Registry[Callable[[str], Stage]] = Registry("stage", "tissue_sim.stages", {
     "virtual": "haptics.devices.virtual.stage:open_virtual",
+    "tic": "haptics.devices.tic:open_tic",
+    "grbl": "haptics.devices.grbl:open_grbl",
+    "phidget": "haptics.devices.phidget:open_phidget",
 })
 HAPTIC_DEVICES: Registry[Callable[[str], HapticDevice]] = Registry("haptic device", "tissue_sim.haptic_devices", {
     "virtual": "haptics.devices.virtual.hand:open_virtual",
+    "haply": "haptics.devices.haply:open_haply",
 })
 
 

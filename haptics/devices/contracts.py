@@ -29,6 +29,8 @@ class SampleStatus(IntFlag):
     GAP = 2
     #: The device itself reports a fault.
     FAULT = 4
+    #: A stage stands at one of its limit switches.
+    LIMIT = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,9 +132,15 @@ class Stage(ABC):
 
     Attributes:
         limits: see there.
+        measures_position: whether `position` tells what an encoder says; otherwise what was commanded, and a motor that
+            stands although it is driven is not seen there.
+        runs_on: how long the stage may move on when this program falls silent, s; `math.inf`: to where it was sent.
+            `position` counts as a sign of life.
     """
 
     limits: StageLimits
+    measures_position: bool
+    runs_on: float
 
     @abstractmethod
     def start(self) -> None:
@@ -181,6 +189,14 @@ class Stage(ABC):
 
         Of a stage that tells such things itself, call it when it is started.
         """
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What measures a specimen: a sensor, and the stage that moves the tool."""
+
+    sensor: ForceSensor
+    stage: Stage
 
 
 class HapticDevice(ABC):

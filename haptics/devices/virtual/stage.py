@@ -4,12 +4,27 @@ from __future__ import annotations
 
 import math
 import time
+from bisect import bisect_right
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 from haptics.devices.contracts import DeviceError, SampleStatus, Stage, StageLimits, StageSample
 from haptics.devices.settings import read_settings
 from tissue_sim.errors import InputError
+
+
+class _Straight(NamedTuple):
+    """One motion: when it began, s; from where, to where, m; how fast, m/s."""
+
+    began: float
+    start: float
+    goal: float
+    speed: float
+
+    def place(self, at: float) -> float:
+        way = self.goal - self.start
+        gone = self.speed * max(at - self.began, 0.0)
+        return self.goal if gone >= abs(way) else self.start + math.copysign(gone, way)
 
 
 class VirtualStage(Stage):
@@ -20,13 +35,19 @@ class VirtualStage(Stage):
         resolution: of a count of the encoder, m.
         start_at: where it stands before it is homed, m.
         clock: s, never backwards.
+        encoder: whether `position` is where the tool is; otherwise where the motor was driven to.
+        stalls_after: s after its start, from which on the tool stands although the motor is driven.
 
     Raises:
         InputError: limits or a resolution that make no sense.
     """
 
+    #: It lives in this program.
+    runs_on = 0.0
+
     def __init__(self, limits: StageLimits, resolution: float = 1e-6, start_at: float = 0.0,
-                 clock: Callable[[], float] = time.monotonic):
+                 clock: Callable[[], float] = time.monotonic, encoder: bool = True,
+                 stalls_after: float = math.inf):
         if not -math.inf < limits.lowest <= 0.0 < limits.highest < math.inf:
             raise InputError(f"from {limits.lowest:g} to {limits.highest:g} m; give a range with the zero in it",
                              field="limits")
@@ -34,15 +55,18 @@ class VirtualStage(Stage):
             if not 0 < value < math.inf:
                 raise InputError(f"{value:g} {unit}; give a number above zero", field=field)
         self.limits, self._resolution, self._clock = limits, resolution, clock
+        self.measures_position, self._stalls_after = encoder, stalls_after
         self._started = self._homed = False
-        #: The motion that goes on, or the last one: from, to, m; speed, m/s; when it began, s.
-        self._from = self._to = start_at
-        self._speed, self._began = limits.speed, -math.inf
+        #: All motions, in their order; the last one goes on, or is at its end.
+        self._motions = [_Straight(-math.inf, start_at, start_at, limits.speed)]
+        #: When the tool stops to follow, s on the clock.
+        self._stalls = math.inf
         self._homing, self._sequence = False, 0
 
     def start(self) -> None:
         if not self._started:
             self._started, self._sequence = True, 0
+            self._stalls = self._clock() + self._stalls_after
 
     def home(self) -> None:
         self._require_start()
@@ -66,15 +90,24 @@ class VirtualStage(Stage):
         self._require_start()
         self._settle()
         now = self._clock()
-        place = self._place(now)
+        place, goal = self._driven_to(now), self._motions[-1].goal
+        moving = place != goal
+        if self.measures_position:
+            place = self.tool_place(now)
+            moving = moving or place != goal
         counts = round(place / self._resolution)
         self._sequence += 1
-        return StageSample(counts, counts * self._resolution, place != self._to, self._homed, self._sequence - 1,
+        return StageSample(counts, counts * self._resolution, moving, self._homed, self._sequence - 1,
                            int(SampleStatus.GOOD), now)
+
+    def tool_place(self, at: float) -> float:
+        """Where the tool is, or was, at a time on the clock, s; m."""
+        return self._driven_to(min(at, self._stalls))
 
     def halt(self) -> None:
         self._settle()
-        self._from = self._to = self._place(self._clock())
+        place = self._driven_to(self._clock())
+        self._go(place, self.limits.speed)
         self._homing = False
 
     def stop(self) -> None:
@@ -87,17 +120,17 @@ class VirtualStage(Stage):
 
     def _go(self, position: float, speed: float) -> None:
         now = self._clock()
-        self._from, self._to = self._place(now), position
-        self._speed, self._began, self._homing = speed, now, False
+        self._motions.append(_Straight(now, self._driven_to(now), position, speed))
+        self._homing = False
 
-    def _place(self, now: float) -> float:
-        way = self._to - self._from
-        gone = self._speed * (now - self._began)
-        return self._to if gone >= abs(way) else self._from + math.copysign(gone, way)
+    def _driven_to(self, at: float) -> float:
+        """Where the motor is, or was, at a time on the clock, s; m."""
+        motions = self._motions
+        return motions[max(bisect_right(motions, at, key=lambda motion: motion.began) - 1, 0)].place(at)
 
     def _settle(self) -> None:
         """Notice that homing has come to its end."""
-        if self._homing and self._place(self._clock()) == self._to:
+        if self._homing and self.tool_place(self._clock()) == self._motions[-1].goal:
             self._homing, self._homed = False, True
 
     def _require_start(self) -> None:

@@ -105,4 +105,4 @@ def test_an_unknown_name_names_the_nearest():
         open_sensor("virtul:")
     with pytest.raises(InputError, match=r"virtual\.rate: unknown setting; did you mean 'rate_hz'\?"):
         open_sensor("virtual:rate=3")
-    assert list(FORCE_SENSORS) == ["virtual"]
+    assert "virtual" in FORCE_SENSORS

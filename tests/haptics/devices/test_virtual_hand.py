@@ -111,4 +111,4 @@ def test_only_a_hand_that_follows_a_steered_motion_is_steered():
     open_haptic("virtual:").aim(1e-3)
     with pytest.raises(InputError, match="a SineMotion goes where it likes"):
         open_haptic("virtual:sine").aim(1e-3)
-    assert list(HAPTIC_DEVICES) == ["virtual"]
+    assert "virtual" in HAPTIC_DEVICES

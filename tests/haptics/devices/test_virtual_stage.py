@@ -89,4 +89,4 @@ def test_stages_that_make_no_sense_are_refused(limits, options, field):
 def test_an_unknown_name_names_the_nearest():
     with pytest.raises(InputError, match=r"unknown stage 'virtua'; did you mean 'virtual'\?"):
         open_stage("virtua:")
-    assert list(STAGES) == ["virtual"]
+    assert "virtual" in STAGES
