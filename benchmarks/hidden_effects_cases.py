@@ -192,9 +192,9 @@ def _softened(test: VirtualTest, true: np.ndarray, r: float) -> np.ndarray:
 
 def _cut(test: VirtualTest, true: np.ndarray, drop: float) -> np.ndarray:
     """A needle that cuts from a depth on: within 0.2 mm the force falls, then it rises by its shaft alone."""
-    below = (test.displacement > PUNCTURED) & (test.direction > 0) | (test.direction <= 0)
+    below = (test.depth > PUNCTURED) & (test.direction > 0) | (test.direction <= 0)
     level = float(plain("C", np.array([PUNCTURED]))[0])
-    ahead = np.maximum(test.displacement - PUNCTURED, 0.0)
+    ahead = np.maximum(test.depth - PUNCTURED, 0.0)
     lost = drop * level * (1.0 - np.exp(-ahead / 0.1e-3)) + drop * 0.5 * (true - level) * (ahead > 0)
     after = np.where(test.direction <= 0, drop * true, lost)
     return np.where(below, true - after, true)
@@ -267,7 +267,7 @@ def _tissue() -> list[Case]:
              _fem(lambda k: {"layers[0].ratio": 1 + k, "layers[0].thickness": 1.0e-3,
                              "layers[1].ratio": 1 + 0.4 * k, "layers[1].thickness": 2.5e-3})),
         Case("puncture", "exact", 0.002, 0.5, "1", "needles lose some per cent to half of their force", "independent",
-             _read(lambda test, true, s: np.where(np.maximum.accumulate(test.displacement) > PUNCTURED,
+             _read(lambda test, true, s: np.where(np.maximum.accumulate(test.depth) > PUNCTURED,
                                                   (1 - s) * true, true), kinds="C")),
         Case("puncture", "other", 0.002, 0.5, "1", "needles lose some per cent to half of their force", "independent",
              _read(_cut, kinds="C")),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -71,10 +71,11 @@ def write_campaign(folder: Path, tests: Sequence[VirtualTest], forces: Callable[
     text = [f'[[specimen]]\nname = "S{number + 1}"\nradius_mm = {RADIUS * 1e3}\nheight_mm = {HEIGHT * 1e3}\n'
             "density_kg_m3 = 1000.0\n" for number in dict.fromkeys(test.specimen for test in tests)]
     for test in tests:
-        true, names = forces(test), []
+        names = []
         for number, shift in enumerate(_shifts(rng, scatter.jitter), start=1):
-            change = moved(test, test.displacement - CONTACT * shift) - plain(test.kind, test.displacement)
-            force = true + change + ZERO * rng.standard_normal() + noise(rng, test.time, scatter.coloured)
+            placed = replace(test, contact=CONTACT * shift)
+            change = moved(placed, placed.depth) - plain(test.kind, test.displacement)
+            force = forces(placed) + change + ZERO * rng.standard_normal() + noise(rng, test.time, scatter.coloured)
             if scatter.rounded:
                 force = np.round(force / STEP) * STEP
             names.append(f"{test.name}_{number}.csv")

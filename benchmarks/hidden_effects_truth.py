@@ -58,7 +58,8 @@ class VirtualTest:
     Attributes:
         name: in the campaign. kind: A lubricated plates, B bonded plates, C needle. speed: m/s.
         returns: whether a hold and a return follow the ramp. rate: Hz. held_out: whether no fit sees it.
-        specimen: number of it.
+        specimen: number of it. contact: where the tissue begins, m of what is reported; the curves leave it out, what
+            happens at a depth of the tissue does not.
     """
 
     name: str
@@ -68,6 +69,12 @@ class VirtualTest:
     rate: float
     held_out: bool = False
     specimen: int = 0
+    contact: float = 0.0
+
+    @property
+    def depth(self) -> np.ndarray:
+        """Of the tool in the tissue, m."""
+        return self.displacement - self.contact
 
     @property
     def ramp(self) -> float:
