@@ -40,6 +40,9 @@ class TestVirtualForceSensor(ForceSensorContract):
     def pass_time(self, seconds):
         self.clock.now += seconds
 
+    def now(self):
+        return self.clock.now
+
 
 class TestByName(ForceSensorContract):
     """Set by name."""
@@ -54,6 +57,9 @@ class TestByName(ForceSensorContract):
 
     def pass_time(self, seconds):
         self.clock.now += seconds
+
+    def now(self):
+        return self.clock.now
 
 
 @pytest.fixture

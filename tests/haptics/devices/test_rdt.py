@@ -1,0 +1,269 @@
+"""ATI's boxes on the network, against our emulator: the contract, what is lost on the way, and what else is there."""
+
+import math
+import socket
+import threading
+import time
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from itertools import pairwise
+
+import pytest
+from device_contracts import ForceSensorContract
+from hypothesis import given
+from hypothesis import strategies as st
+
+from haptics.devices.back_ends import open_sensor
+from haptics.devices.contracts import DeviceError, SampleStatus
+from haptics.devices.rdt import RdtSensor, RecordCounter
+from haptics.devices.virtual.faults import Faults
+from haptics.devices.virtual.force_sensor import VirtualForceSensor
+from haptics.emulators.rdt import RdtEmulator
+from haptics.protocols import rdt
+from haptics.protocols.rdt import Record, Settings
+from tissue_sim.errors import InputError
+
+#: s; far more than anything here takes.
+PATIENCE = 60.0
+LOAD = (0.1, -0.2, 3.0, 0.01, 0.02, -0.03)
+
+
+def load(time):
+    return LOAD
+
+
+def wait_until(true, what):
+    end = time.monotonic() + PATIENCE
+    while not true():
+        assert time.monotonic() < end, f"waited {PATIENCE:g} s for {what}"
+        time.sleep(1e-3)
+
+
+@pytest.fixture
+def emulated():
+    """Makes an emulator that runs, of a sensor under `LOAD`."""
+    running = []
+
+    def emulated(faults=None, settings=None, rate=500.0, reach=50.0, saturates=False):
+        sensor = VirtualForceSensor((lambda at: (99.0,) * 6) if saturates else load, rdt.CHANNELS, rate, 1e-4, reach)
+        emulator = RdtEmulator(sensor, faults=faults, settings=settings)
+        emulator.start()
+        running.append(emulator)
+        return emulator
+
+    yield emulated
+    for emulator in running:
+        emulator.stop()
+
+
+@pytest.fixture
+def opened(emulated):
+    """Makes a client that runs, of such an emulator."""
+    clients = []
+
+    def opened(**options):
+        client = open_sensor(emulated(**options).address)
+        clients.append(client)
+        client.start()
+        return client
+
+    yield opened
+    for client in clients:
+        client.stop()
+
+
+def received(client, count):
+    wait_until(lambda: client.describe()["records"] >= count, f"{count} records")
+    return client.read()
+
+
+class TestRdt(ForceSensorContract):
+    load, tolerance = LOAD, 1.1e-4
+
+    @pytest.fixture
+    def sensor(self, emulated):
+        self.client = open_sensor(emulated(settings=Settings(1e4, 1e6, rate=500.0)).address)
+        yield self.client
+        self.client.stop()
+
+    def pass_time(self, seconds):
+        due = self.client.describe()["records"] + math.ceil(seconds * self.client.rate)
+        wait_until(lambda: self.client.describe()["records"] >= due, "records")
+
+    def now(self):
+        return time.monotonic()
+
+
+def test_the_page_of_the_box_says_how_it_counts(opened):
+    client = opened(settings=Settings(1000.0, 50.0, "lbf", "lbf-in", 500.0, "Net F/T", "FT123"))
+    sample = received(client, 1)[0]
+    assert sample.counts[2] == round(1000.0 * LOAD[2] / 4.4482216152605)
+    assert sample.values[2] == pytest.approx(LOAD[2], abs=0.6 * 4.45e-3)
+    about = client.describe()
+    assert (about["unit_of_force"], about["calibration"], client.rate) == ("lbf", "FT123", 500.0)
+    assert about["resolution_Nm"] == pytest.approx(0.1129848290276167 / 50.0)
+
+
+def test_a_saturated_sample_is_marked_and_not_tared(opened):
+    client = opened(saturates=True)
+    assert received(client, 1)[0].status == SampleStatus.SATURATED | SampleStatus.FAULT
+    with pytest.raises(DeviceError, match=r"a gage is out of range .*take the load off"):
+        client.tare()
+
+
+def test_what_is_lost_comes_twice_or_late_is_recognised_and_counted(opened):
+    client = opened(faults=Faults(loss=0.1, duplicate=0.1, reorder=0.1, seed=3), rate=2000.0)
+    samples = received(client, 1500)
+    tally = client.describe()
+    assert tally["lost"] > 100 and tally["twice"] > 100 and tally["late"] > 100
+    numbers = [sample.sequence for sample in samples]
+    assert numbers == sorted(set(numbers))
+    for before, after in pairwise(samples):
+        assert bool(after.status & SampleStatus.GAP) == (after.sequence != before.sequence + 1)
+    # Every number is there, lost, or came too late.
+    assert numbers[-1] - numbers[0] + 1 <= len(numbers) + tally["lost"] + tally["late"]
+
+
+def test_no_wrong_byte_makes_a_record_of_the_wrong_length(opened):
+    """The records have no checksum: UDP's is the only one, and a wrong byte past it is a wrong count."""
+    client = opened()
+    other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    other.sendto(b"x" * 36, client._stream._socket.getsockname())  # from another address than that of the box
+    other.close()
+    before = client.describe()["records"]
+    received(client, before + 50)
+    assert client.describe()["garbled"] == 0 and client.describe()["twice"] == 0
+
+
+def test_a_box_that_falls_silent_gives_no_sample_and_no_tare(opened, monkeypatch):
+    monkeypatch.setattr("haptics.devices.rdt._PATIENCE", 0.2)
+    client = opened(faults=Faults(disconnect_after=0.3))
+    with pytest.raises(DeviceError, match="sends no records any more"):
+        wait_until(lambda: client.tare(), "silence")
+    client.read()
+    assert client.read() == ()
+
+
+def test_a_client_that_asks_later_takes_the_stream_over(emulated):
+    emulator = emulated()
+    first, second = open_sensor(emulator.address), open_sensor(emulator.address)
+    first.start()
+    received(first, 10)
+    second.start()
+    received(second, 50)
+    first.stop()
+    second.stop()
+    assert emulator.describe()["requests"] >= 3
+
+
+class Page:
+    """A web server that is no box."""
+
+    def __init__(self, code, body):
+        class Pages(BaseHTTPRequestHandler):
+            def do_GET(self):
+                self.send_response(code)
+                self.end_headers()
+                self.wfile.write(body)
+
+            def log_message(self, format, *args):
+                return
+
+        self.server = HTTPServer(("127.0.0.1", 0), Pages)
+        self.port = self.server.server_address[1]
+        threading.Thread(target=self.server.serve_forever, args=(0.01,), daemon=True).start()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.server.shutdown()
+        self.server.server_close()
+
+
+@pytest.mark.parametrize(("code", "body", "said"), [
+    (404, b"", "answers 404; there is another device at this address"),
+    (200, b"<html>printer", "no settings page of an ATI box"),
+    (200, b"<n><cfgcpf>1</cfgcpf><cfgcpt>1</cfgcpt><scfgfu>stone</scfgfu></n>",
+     "counts in 'stone', which is no known unit of force"),
+    (200, rdt.write_settings_page(Settings(1.0, 1.0)), "sends no records by UDP; switch RDT on"),
+])
+def test_another_device_at_the_address_is_one_sentence(code, body, said, monkeypatch):
+    monkeypatch.setattr("haptics.devices.rdt._FIRST", 0.1)
+    with Page(code, body) as page, pytest.raises(DeviceError) as caught:
+        RdtSensor("127.0.0.1", 9, page.port).start()
+    assert said in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_nobody_at_the_address_is_one_sentence():
+    with socket.socket() as unused:
+        unused.bind(("127.0.0.1", 0))
+        with pytest.raises(DeviceError, match=r"no ATI box answers at http://127\.0\.0\.1:.*check its power"):
+            RdtSensor("127.0.0.1", 9, unused.getsockname()[1]).start()
+
+
+def test_a_port_in_use_is_one_sentence_of_the_emulator(emulated):
+    taken = int(emulated().address.rpartition("=")[2])
+    sensor = VirtualForceSensor(load, rdt.CHANNELS)
+    with pytest.raises(DeviceError, match=r"in use; stop the other program"):
+        RdtEmulator(sensor, http_port=taken).start()
+
+
+@pytest.mark.parametrize(("text", "field"), [
+    ("rdt://", "host"), ("rdt://box:0", "port"), ("rdt://box:x", "port"), ("rdt://box,http_port=99999", "http_port"),
+    ("rdt://box,rate=3", "settings")])
+def test_addresses_that_make_no_sense_are_refused(text, field):
+    with pytest.raises(InputError) as caught:
+        open_sensor(text)
+    assert caught.value.field.endswith(field)
+
+
+@pytest.mark.parametrize(("text", "address"), [
+    ("rdt://192.168.1.1", "192.168.1.1:49152"), ("rdt:192.168.1.1:50000", "192.168.1.1:50000"),
+    ("rdt://[::1]:50000,http_port=8080", "[::1]:50000"), ("rdt://box.lab/", "box.lab:49152"),
+])
+def test_addresses_are_read(text, address):
+    assert open_sensor(text).describe()["address"] == address
+
+
+def numbered(*pairs, status=0):
+    return [Record(sequence, sample, status, (0,) * 6) for sequence, sample in pairs]
+
+
+def test_a_box_that_begins_anew_is_noticed():
+    """A stream begins with 1 at each start; the sensor's own number goes on, or begins anew after a power cut."""
+    counter = RecordCounter()
+    counter.accept(numbered((1, 70), (2, 80), (3, 90)), 0.0)
+    (_, number, status), *rest = counter.accept(numbered((1, 170), (2, 180)), 0.01)
+    assert (number, status, counter.restarts) == (3, SampleStatus.GAP, 1)
+    assert [number for _, number, _ in rest] == [4]
+    (_, number, status), = counter.accept(numbered((1, 5)), 10.0)
+    assert (number, status, counter.restarts) == (5, SampleStatus.GAP, 2)
+
+
+def test_an_overtaken_record_is_late_and_no_new_beginning():
+    counter = RecordCounter()
+    counter.accept(numbered((1, 1), (2, 2), (4, 4)), 0.0)
+    assert counter.accept(numbered((3, 3)), 0.001) == [] and (counter.late, counter.lost) == (1, 0)
+    assert counter.accept(numbered((3, 3), (4, 4)), 0.001) == [] and counter.twice == 2 and not counter.restarts
+
+
+def test_numbers_go_on_where_32_bits_end():
+    counter = RecordCounter()
+    counter.accept(numbered((2**32 - 1, 7)), 0.0)
+    (_, number, status), = counter.accept(numbered((0, 8)), 0.001)
+    assert (number, status, counter.lost, counter.restarts) == (1, SampleStatus.GOOD, 0, 0)
+
+
+@given(st.lists(st.integers(0, 400), min_size=1, max_size=200, unique=True))
+def test_every_number_is_given_once_and_in_order(order):
+    counter, given_out = RecordCounter(), []
+    for sequence in order:
+        given_out += counter.accept(numbered((sequence + 1, sequence + 1)), 0.0)
+    numbers = [number for _, number, _ in given_out]
+    assert numbers == sorted(set(numbers)) and counter.accepted == len(given_out)
+    assert counter.accepted + counter.late + counter.twice == len(order)
+
+
+def test_a_threshold_that_was_passed_says_nothing_against_a_sample():
+    (_, _, status), = RecordCounter().accept(numbered((1, 1), status=0x00010000), 0.0)
+    assert status == SampleStatus.GOOD
