@@ -15,11 +15,14 @@ from scenes.commands import (
     calibrate,
     demo,
     design,
+    devices,
     diagnose,
     doctor,
+    emulate,
     import_files,
     loop,
     material,
+    record,
     serve,
     simulate,
     view,
@@ -40,9 +43,12 @@ COMMANDS = {
     "loop": loop,
     "serve": serve,
     "view": view,
+    "record": record,
+    "devices": devices,
+    "emulate": emulate,
 }
 #: Names that are settled and answered as not available in this version.
-LATER = ("record", "devices", "emulate", "reduce")
+LATER = ("reduce",)
 DONE, GOAL_MISSED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 

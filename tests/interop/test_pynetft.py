@@ -1,4 +1,4 @@
-"""RDT with programs that are not ours: the client pynetft against our emulator, our client against pynetft's fake sensor.
+"""RDT with programs that are not ours: pynetft against our emulator, our client against pynetft's fake sensor.
 
 pynetft 2.1.3 (PyPI); its fake sensor comes with its source release only.
 """

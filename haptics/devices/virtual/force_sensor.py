@@ -25,6 +25,7 @@ class VirtualForceSensor(ForceSensor):
         resolution: of a count, N or N m.
         reach: largest magnitude that a channel can tell, N or N m; a load beyond it is cut and the sample marked.
         clock: s, never backwards.
+        silent_after: s after its start, from which on no sample comes.
 
     Raises:
         InputError: a rate, a resolution or a reach that is not positive, or no channel.
@@ -32,7 +33,7 @@ class VirtualForceSensor(ForceSensor):
 
     def __init__(self, load: Callable[[float], tuple[float, ...]], channels: tuple[str, ...] = ("Fz",),
                  rate: float = 1000.0, resolution: float = 1e-3, reach: float = 50.0,
-                 clock: Callable[[], float] = time.monotonic):
+                 clock: Callable[[], float] = time.monotonic, silent_after: float = math.inf):
         for value, unit, field in ((rate, "Hz", "rate"), (resolution, "N", "resolution"), (reach, "N", "reach")):
             if not 0 < value < math.inf:
                 raise InputError(f"{value:g} {unit}; give a number above zero", field=field)
@@ -40,7 +41,7 @@ class VirtualForceSensor(ForceSensor):
             raise InputError("a sensor without channels measures nothing; name one", field="channels")
         self.channels, self.rate, self._load, self._clock = channels, rate, load, clock
         self._resolution, self._most = resolution, math.floor(reach / resolution)
-        self._zero = (0,) * len(channels)
+        self._zero, self._silent_after = (0,) * len(channels), silent_after
         #: When it was started, s on the clock; None: it is stopped.
         self._began: float | None = None
         self._taken = 0
@@ -51,7 +52,7 @@ class VirtualForceSensor(ForceSensor):
 
     def read(self) -> tuple[ForceSample, ...]:
         now, began = self._times()
-        due = math.floor((now - began) * self.rate)
+        due = math.floor(min(now - began, self._silent_after) * self.rate)
         first = max(self._taken, due - BUFFER)
         lost, self._taken = first > self._taken, due
         samples = []

@@ -12,6 +12,9 @@ from haptics.devices.contracts import DeviceError, SampleStatus, Stage, StageLim
 from haptics.devices.settings import read_settings
 from tissue_sim.errors import InputError
 
+#: Motions that are remembered.
+_MOST_MOTIONS = 256
+
 
 class _Straight(NamedTuple):
     """One motion: when it began, s; from where, to where, m; how fast, m/s."""
@@ -59,6 +62,7 @@ class VirtualStage(Stage):
         self._started = self._homed = False
         #: All motions, in their order; the last one goes on, or is at its end.
         self._motions = [_Straight(-math.inf, start_at, start_at, limits.speed)]
+        self._turns = [(-math.inf, start_at)]
         #: When the tool stops to follow, s on the clock.
         self._stalls = math.inf
         self._homing, self._sequence = False, 0
@@ -104,6 +108,10 @@ class VirtualStage(Stage):
         """Where the tool is, or was, at a time on the clock, s; m."""
         return self._driven_to(min(at, self._stalls))
 
+    def turns(self, until: float) -> list[float]:
+        """Where it began and where it turned round, until a time on the clock, s; m."""
+        return [place for at, place in self._turns if at <= until]
+
     def halt(self) -> None:
         self._settle()
         place = self._driven_to(self._clock())
@@ -120,7 +128,11 @@ class VirtualStage(Stage):
 
     def _go(self, position: float, speed: float) -> None:
         now = self._clock()
-        self._motions.append(_Straight(now, self._driven_to(now), position, speed))
+        place, last = self._driven_to(now), self._motions[-1]
+        if (position - place) * (last.goal - last.start) < 0:
+            self._turns.append((now, self.tool_place(now)))
+        # Motions that are over stay for those who ask about the past, but not for ever.
+        self._motions = [*self._motions[-_MOST_MOTIONS:], _Straight(now, place, position, speed)]
         self._homing = False
 
     def _driven_to(self, at: float) -> float:

@@ -1,0 +1,58 @@
+"""What stands on the bench: devices by name, or a virtual rig with the specimen of the test."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from calibration.campaign.campaign import Test
+from haptics.devices.back_ends import open_sensor, open_stage
+from haptics.devices.contracts import Bench, StageLimits
+from haptics.devices.virtual.faults import read_faults
+from haptics.devices.virtual.rig import ElasticSpecimen, RememberingSpecimen, Specimen, VirtualRig
+from scenes.commands.record.protocol_file import ProtocolFile
+from scenes.commands.shared.tissue_flags import read_material
+from tissue_sim import Model, Rig, load_rig
+from tissue_sim.errors import InputError
+
+VIRTUAL = "virtual:"
+
+
+def is_virtual(protocol: ProtocolFile) -> bool:
+    """Whether nothing that moves is really there.
+
+    Raises:
+        InputError: a virtual sensor on a real stage, or the other way round: it would not feel what is pressed.
+    """
+    sensor, stage = protocol.devices.sensor == VIRTUAL, protocol.devices.stage == VIRTUAL
+    if sensor != stage:
+        raise InputError("a virtual sensor feels only what a virtual stage presses; make both virtual, or neither",
+                         field="devices", file=protocol.path)
+    return sensor
+
+
+def open_bench(protocol: ProtocolFile, test: Test) -> Bench:
+    """The devices for a test; none is started.
+
+    Raises:
+        InputError: no such device, or a specimen that cannot be simulated.
+    """
+    if not is_virtual(protocol):
+        return Bench(open_sensor(protocol.devices.sensor), open_stage(protocol.devices.stage))
+    return virtual_rig(protocol, test).bench
+
+
+def virtual_rig(protocol: ProtocolFile, test: Test) -> VirtualRig:
+    """The virtual rig of a test: its specimen of the material of ``[virtual]``."""
+    table, limits, folder = protocol.virtual, protocol.limits, protocol.path.parent
+    rig = Rig() if table.rig is None else load_rig(folder / table.rig)
+    plan = protocol.plans[test.name]
+    compliance = 0.0 if table.remembers else rig.compliance
+    material = read_material(None if table.material is None else folder / table.material)
+    if test.experiment is None:
+        raise InputError("there is nothing to press", field=test.place, file=protocol.path)
+    model = Model(test.experiment, material, replace(Rig(), compliance=compliance))
+    specimen: Specimen = RememberingSpecimen(model) if table.remembers else ElasticSpecimen(model, 1.05 * plan.depth)
+    return VirtualRig(specimen, rig, surface=table.surface_mm * 1e-3,
+                      limits=StageLimits(min(limits.lowest, -0.01), max(limits.highest, 0.01), limits.speed),
+                      sign=plan.sign, rate=table.rate_Hz, reach=table.range_N, resolution=table.resolution_N,
+                      encoder=table.encoder, faults=read_faults(table.faults))

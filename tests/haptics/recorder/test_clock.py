@@ -1,0 +1,42 @@
+"""The line through the numbers of samples: arrivals are late, never early."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from haptics.recorder.clock import SequenceLine
+
+
+@given(st.integers(0, 2**32), st.floats(2e-3, 0.05), st.floats(0.999, 1.001))
+def test_late_arrivals_do_not_move_the_line(seed, period, drift):
+    random = np.random.default_rng(seed)
+    numbers = np.arange(2000)
+    taken = 5.0 + drift * period * numbers
+    late = random.exponential(3e-3, numbers.size) * (random.uniform(size=numbers.size) < 0.9)
+    line = SequenceLine.of(numbers, np.maximum.accumulate(taken + late), period)
+    assert np.abs(line.time(numbers) - taken).max() < 3e-3
+    assert line.period == pytest.approx(drift * period, rel=3e-3 / (1000 * period))
+
+
+def test_bursts_are_spread_out():
+    """A box that sends forty at a time."""
+    numbers = np.arange(4000)
+    taken = numbers / 7000.0
+    received = taken[np.minimum((numbers // 40) * 40 + 39, 3999)]
+    line = SequenceLine.of(numbers, received, 1 / 7000.0)
+    np.testing.assert_allclose(line.time(numbers), taken, atol=1e-9)
+    assert line.jitter == pytest.approx(20 / 7000.0, rel=0.1)
+
+
+def test_lost_samples_leave_their_places():
+    numbers = np.array([0, 1, 2, 50, 51, 99])
+    line = SequenceLine.of(numbers, 1.0 + 0.01 * numbers, 0.01)
+    np.testing.assert_allclose(line.time(numbers), 1.0 + 0.01 * numbers, atol=1e-12)
+
+
+@pytest.mark.parametrize("numbers", [[], [7]])
+def test_few_samples_have_the_period_of_the_device(numbers):
+    line = SequenceLine.of(numbers, [3.0 for _ in numbers], 0.01)
+    assert line.period == 0.01
+    np.testing.assert_allclose(line.time(numbers), [3.0 for _ in numbers])

@@ -1,0 +1,69 @@
+"""A bench whose clock goes as the recorder lets it: runs of minutes take no time, whatever else the machine does."""
+
+from haptics.devices.contracts import StageLimits
+from haptics.devices.virtual.faults import Faults
+from haptics.devices.virtual.rig import VirtualRig
+from haptics.recorder.plan import Plan
+from haptics.recorder.recorder import Recorder
+from haptics.recorder.run_folder import RunFolder
+from haptics.safety.motion_guard import MotionLimits
+from tissue_sim import Rig
+from tissue_sim.experiment.protocol_text import parse_protocol
+from tissue_sim.experiment.segments import legs
+
+STIFFNESS, SURFACE = 400.0, 2e-3
+
+
+class Clock:
+    """s; goes on while somebody pauses."""
+
+    def __init__(self):
+        self.now = 1000.0
+
+    def __call__(self):
+        return self.now
+
+    def pause(self, seconds):
+        self.now += max(seconds, 1e-6)
+
+
+class Spring:
+    """Pushes back with so many newtons a metre; its top may go away, at a time."""
+
+    def __init__(self, stiffness=STIFFNESS):
+        self.stiffness = stiffness
+
+    def force(self, time, depth):
+        return self.stiffness * max(depth, 0.0)
+
+
+class VirtualBench:
+    """A recorder on a virtual rig, with everything that a test may change."""
+
+    def __init__(self, folder):
+        self.folder, self.clock = folder, Clock()
+        self.moments = []
+
+    def limits(self, **changes):
+        return MotionLimits(**{"force": 5.0, "lowest": -5e-3, "highest": 10e-3, "speed": 5e-3, "duration": 600.0,
+                               "stiffness": 1000.0, "force_margin": 2.0, **changes})
+
+    def plan(self, protocol="ramp 3mm @2mm/s; hold 0.5s; unload", **changes):
+        return Plan(**{"name": "spring", "legs": tuple(legs(parse_protocol(protocol), 1e-3)), "replicates": 2,
+                       "contact_force": 0.05, "approach_speed": 2e-3, **changes})
+
+    def rig(self, specimen=None, rig=None, **options):
+        options = {"resolution": 1e-4, "rate": 500.0, "surface": SURFACE, "start_at": -3e-3, **options}
+        return VirtualRig(specimen or Spring(), rig or Rig(), clock=self.clock,
+                          limits=options.pop("limits", StageLimits(-0.01, 0.02, 0.01)), **options)
+
+    def run(self, *, plan=None, limits=None, rig=None, faults=None, asked=lambda: None, digest="a", watch=None,
+            **options):
+        plan, limits = plan or self.plan(), limits or self.limits()
+        self.virtual = rig or self.rig(faults=faults or Faults(), **options)
+        self.run_folder = RunFolder(self.folder, digest)
+        with self.run_folder:
+            recorder = Recorder(self.virtual.bench, [plan], limits, self.run_folder, asked=asked,
+                                watch=watch or self.moments.append, clock=self.clock, pause=self.clock.pause)
+            recorder.run()
+        return self.run_folder
