@@ -47,7 +47,7 @@ class SequenceLine:
             hull.append(index)
         middle = number.mean()
         edges = [(a, b) for a, b in itertools.pairwise(hull) if number[a] <= middle <= number[b]]
-        if edges and number[edges[0][1]] - number[edges[0][0]] > 0.25 * (number[-1] - number[0]):
+        if edges:
             a, b = edges[0]
             slope = float((arrival[b] - arrival[a]) / (number[b] - number[a]))
             period = min(max(slope, (1 - _CLOCKS) * period), (1 + _CLOCKS) * period)
