@@ -159,6 +159,9 @@ def _campaign(path: Path, content: Mapping[str, Any]) -> Campaign:
         if isinstance(entry, dict) and "recordings" in entry:
             raise InputError("is what will be recorded; give a protocol instead, such as 'ramp 10mm @0.248mm/s; "
                              "hold 60s; unload'", field=f"test[{number}].recordings")
+        if isinstance(entry, dict) and "protocol" not in {**content.get("defaults", {}), **entry}:
+            raise InputError("there is no motion to record; give protocol = 'ramp 10mm @0.248mm/s; hold 60s; unload'",
+                             field=f"test[{number}].protocol")
     planned = {key: value for key, value in content.items() if key not in (*OWN_TABLES, "fit", "noise")}
     planned["fit"] = {"method": "inverse_fem", "laws": ["neo_hooke"]}
     # Beside the file, for the files that it names.
@@ -174,9 +177,6 @@ def _campaign(path: Path, content: Mapping[str, Any]) -> Campaign:
 
 
 def _plan(test: Any, record: RecordTable, number: int, content: Mapping[str, Any]) -> Plan:
-    if test.protocol is None:
-        raise InputError("there is no motion to record; give protocol = 'ramp 10mm @0.248mm/s; hold 60s; unload'",
-                         field=f"{test.place}.protocol")
     if test.experiment is None:
         raise InputError(f"a {test.kind.name} is not done with a tool that is pushed in; leave the test out",
                          field=f"{test.place}.kind")

@@ -1,0 +1,167 @@
+"""`tissue-sim record`: a protocol on the virtual rig, its recordings through `calibrate`, and what is refused."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from scenes.cli import main
+from tissue_sim import read_recording
+
+PROTOCOL = """
+[[specimen]]
+name = "phantom"
+radius_mm = 40.0
+height_mm = 70.0
+
+[[test]]
+name = "plates"
+kind = "lubricated_compression"
+protocol = "ramp 4mm @8mm/s; unload"
+
+[fit]
+method = "analytical"
+laws = ["neo_hooke"]
+
+[noise]
+force_N = "estimate"
+contact_jitter_mm = 0.03
+
+[limits]
+force_N = 20.0
+lowest_mm = -6.0
+highest_mm = 12.0
+speed_mm_s = 10.0
+duration_s = 600.0
+stiffness_N_per_mm = 2.0
+force_margin_N = 1e3
+sensor_silence_s = 30.0   # a test machine may have much else to do
+
+[record]
+replicates = 2
+contact_force_N = 0.1
+approach_speed_mm_s = 8.0
+lubricant = "silicone oil"
+temperature_degC = 21.5
+"""
+PATIENCE = 120.0
+
+
+@pytest.fixture
+def protocol(tmp_path):
+    def protocol(**changes):
+        text = PROTOCOL
+        for old, new in changes.pop("replace", {}).items():
+            assert old in text
+            text = text.replace(old, new)
+        path = tmp_path / "protocol.toml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return protocol
+
+
+def started(*words, **options):
+    """The command in a process of its own."""
+    return subprocess.Popen([sys.executable, "-c", "import sys; from scenes.cli import main; sys.exit(main())", *words],
+                            env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}, text=True,
+                            stdin=subprocess.DEVNULL, **options)
+
+
+def test_a_dry_run_says_what_would_be_done_and_starts_nothing(protocol, capsys):
+    assert main(["record", str(protocol()), "--dry-run"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "ramp to 4 mm at 8 mm/s, unload to 0 mm at 8 mm/s" in said
+    assert "It ends beyond 20 N, outside of -6 to 12 mm" in said and "stalled motor is seen by the encoder" in said
+    assert main(["record", str(protocol()), "--dry-run", "--json"]) == 0
+    planned = json.loads(capsys.readouterr().out)
+    assert planned["state"] == "planned" and planned["tests"][0]["replicates"] == 2
+
+
+def test_what_was_recorded_calibrates_unchanged(protocol, tmp_path, capsys):
+    run = tmp_path / "run"
+    assert main(["record", str(protocol()), "-o", str(run), "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["state"] == "complete" and answer["recordings"] == ["plates_1.csv", "plates_2.csv"]
+    metadata = read_recording(run / "plates_1.csv").metadata
+    assert (metadata["lubricant"], metadata["temperature_degC"]) == ("silicone oil", 21.5)
+    assert metadata["specimen"] == {"name": "phantom", "radius_mm": 40.0, "height_mm": 70.0}
+    assert main(["calibrate", str(run / "campaign.toml"), "-o", str(tmp_path / "out"), "--json"]) == 0
+    fit, = json.loads(capsys.readouterr().out)["fits"]
+    # The study's silicone, whose C20 neo-Hooke takes into C10 in part.
+    assert fit["parameters"]["C10"] == pytest.approx(1405.0, rel=0.03) and fit["R2"] > 0.999
+
+
+def test_a_fault_on_request_ends_it_with_the_reason_and_resume_goes_on(protocol, tmp_path, capsys):
+    run = tmp_path / "run"
+    limits = {"force_N = 20.0": "force_N = 1.0"}
+    assert main(["record", str(protocol(replace=limits)), "-o", str(run)]) == 1
+    said = capsys.readouterr()
+    assert "above the limit of 1 N" in said.err and "stopped (force) in plates, ramp" in said.out
+    assert main(["record", str(tmp_path / "protocol.toml"), "-o", str(run)]) == 2
+    assert "go on with it by --resume" in capsys.readouterr().err
+    # Another protocol is another run.
+    assert main(["record", str(protocol()), "-o", str(run), "--resume"]) == 2
+    assert "choose another folder" in capsys.readouterr().err
+
+
+def test_a_killed_run_leaves_files_that_load_and_goes_on(protocol, tmp_path):
+    slow = protocol(replace={"ramp 4mm @8mm/s; unload": "ramp 3mm @8mm/s; hold 100s; unload"})
+    run = tmp_path / "run"
+    program = started("record", str(slow), "-o", str(run), "--json", stdout=subprocess.DEVNULL)
+    partial = run / "plates_1.partial.csv"
+    end = time.monotonic() + PATIENCE
+    try:
+        while not partial.exists() or partial.read_text(encoding="utf-8").count("\n") < 300:
+            assert time.monotonic() < end and program.poll() is None
+            time.sleep(0.05)
+    finally:
+        program.kill()
+        program.wait()
+    recording = read_recording(partial)
+    assert len(recording) >= 250 and recording.displacement.max() == pytest.approx(3e-3, abs=1e-4)
+    assert json.loads((run / "run.json").read_text(encoding="utf-8"))["state"] == "running"
+    assert not (run / "campaign.toml").exists()
+
+
+def test_ctrl_c_stands_the_stage_and_keeps_what_there_is(protocol, tmp_path):
+    slow = protocol(replace={"ramp 4mm @8mm/s; unload": "ramp 3mm @8mm/s; hold 100s; unload"})
+    run = tmp_path / "run"
+    program = started("record", str(slow), "-o", str(run), "--json", stdout=subprocess.PIPE)
+    partial = run / "plates_1.partial.csv"
+    end = time.monotonic() + PATIENCE
+    while not partial.exists() or partial.read_text(encoding="utf-8").count("\n") < 100:
+        assert time.monotonic() < end and program.poll() is None
+        time.sleep(0.05)
+    program.send_signal(signal.SIGTERM)
+    out, _ = program.communicate(timeout=PATIENCE)
+    answer = json.loads(out)
+    assert program.returncode == 1 and answer["state"] == "stopped" and "by a signal" in answer["message"]
+    assert answer["stops"][0]["cause"] == "asked" and len(read_recording(partial)) > 50
+
+
+@pytest.mark.parametrize(("change", "said"), [
+    ({"[limits]": "[limitz]"}, "limits: a motor needs limits"),
+    ({"force_N = 20.0": "force_N = 0.0"}, "limits.force: 0 limits nothing"),
+    ({"lubricant = ": "lubrication = "}, "unknown key"),
+    ({"force_margin_N = 1e3": "force_margin_N = 0.1"}, "go no faster than"),
+    ({'protocol = "ramp 4mm @8mm/s; unload"': ""}, "there is no motion to record"),
+    ({'protocol = "ramp 4mm @8mm/s; unload"': 'recordings = ["a.csv"]'}, "is what will be recorded"),
+    ({"[limits]": '[devices]\nstage = "tic:/dev/null"\n[limits]'}, "make both virtual, or neither"),
+    ({"[limits]": '[devices]\nstage = "tic:/dev/null"\nsensor = "rdt://127.0.0.1"\n[limits]'}, "give --arm"),
+    ({"[limits]": '[virtual]\nfaults = "los=1"\n[limits]'}, "did you mean 'loss'"),
+])
+def test_what_makes_no_sense_is_one_sentence(protocol, tmp_path, capsys, change, said):
+    assert main(["record", str(protocol(replace=change)), "-o", str(tmp_path / "run")]) == 2
+    error = capsys.readouterr().err
+    assert said in error and error.count("\n") == 1
+    assert not (tmp_path / "run" / "run.json").exists()
+
+
+def test_an_unknown_test_names_the_nearest(protocol, tmp_path, capsys):
+    assert main(["record", str(protocol()), "-o", str(tmp_path / "run"), "--test", "plate"]) == 2
+    assert "did you mean 'plates'" in capsys.readouterr().err
