@@ -8,7 +8,6 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from haptics.devices.contracts import DeviceError, ForceSample, ForceSensor, SampleStatus
@@ -52,9 +51,9 @@ class AtiSerialSensor(ForceSensor):
     its number with it. Without a checksum, a digit that became another digit cannot be seen, nor, where the controller
     does not pad its fields, a digit that is missing.
 
-    In binary this program asks for each record (``^T``), so that a lost byte spoils one record and not all after it: the
-    13 bytes have nothing to find their beginning by. A wrong byte cannot be seen. The checksum of ``CD E`` is not used:
-    how it is computed is in no source that was at hand.
+    In binary this program asks for each record (``^T``), so that a lost byte spoils one record and not all after it:
+    the 13 bytes have nothing to find their beginning by. A wrong byte cannot be seen. The checksum of ``CD E`` is not
+    used: how it is computed is in no source that was at hand.
 
     The numbers of the records are this program's: the line has none, and a record that was lost whole is not seen. The
     biases in the controller are cleared (``SZ``); the tare is this program's, so the counts stay as they are.
@@ -119,7 +118,8 @@ class AtiSerialSensor(ForceSensor):
         if is_at_end_of_range(kept.record):
             status |= SampleStatus.SATURATED
         counts = kept.record.counts
-        values = tuple((count - zero) / scale for count, zero, scale in zip(counts, self._zero, self._scale, strict=True))
+        values = tuple((count - zero) / scale
+                       for count, zero, scale in zip(counts, self._zero, self._scale, strict=True))
         return ForceSample(counts, values, kept.sequence, int(status), kept.received)
 
     def tare(self) -> None:
@@ -173,9 +173,10 @@ class AtiSerialSensor(ForceSensor):
         while not times or time.monotonic() < times[0] + _WATCHED or len(times) < 3:
             times += [time.monotonic() for record in source.take(0.1) if record is not None]
             if time.monotonic() >= end + (_WATCHED if times else 0.0):
-                raise DeviceError(f"the ATI controller at {self._port} sends no records of an error flag and six counts "
-                                  f"({_shown(source.wrong)}); select all six components (CV 3F), and check the baud rate "
-                                  "and the cable")
+                raise DeviceError(f"the ATI controller at {self._port} sends no records of an error flag and six "
+                                  "counts "
+                                  f"({_shown(source.wrong)}); select all six components (CV 3F), and check the baud "
+                                  "rate and the cable")
         source.settle()
         line_rate = 1.0 / seconds_on_the_line(source.length, self._baud)
         measured = (len(times) - 1) / max(times[-1] - times[0], 1e-9)
@@ -227,8 +228,8 @@ class _Running:
                         self._recent.append(kept)
                     self._number += 1
                 if now - heard > self._silence:
-                    raise DeviceError(f"the ATI controller at {self._port} has sent nothing for {self._silence:g} s; check "
-                                      "its power and the cable, and start it again")
+                    raise DeviceError(f"the ATI controller at {self._port} has sent nothing for {self._silence:g} s; "
+                                      "check its power and the cable, and start it again")
         except DeviceError as error:
             self._trouble = error
 
@@ -363,10 +364,10 @@ def _not_a_controller(port: str, baud: int, said: bytes) -> str:
         return (f"nobody answers at {port}; check that the ATI controller has power, the cable, and the baud rate "
                 f"(here {baud}; its display shows its own at power on)")
     if sum(not _is_text(bytes([byte])) for byte in said) > len(said) / 8:
-        return (f"what comes from {port} is no text at {baud} baud; give the baud rate of the ATI controller, which its "
-                "display shows at power on, as in baud=38400")
-    return (f"what answers at {port} is not an ATI controller (it says {_shown(said)} and no prompt '>'); give the port "
-            "of the controller")
+        return (f"what comes from {port} is no text at {baud} baud; give the baud rate of the ATI controller, which "
+                "its display shows at power on, as in baud=38400")
+    return (f"what answers at {port} is not an ATI controller (it says {_shown(said)} and no prompt '>'); give the "
+            "port of the controller")
 
 
 def open_ati_serial(text: str) -> AtiSerialSensor:

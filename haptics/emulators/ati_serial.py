@@ -169,7 +169,8 @@ class AtiSerialEmulator(TerminalEmulator):
     def _record(self) -> bytes:
         """The next record as it stands on the line."""
         counts = self._counts()
-        biased = [count - bias for count, bias in zip(counts, self._biases[-1] if self._biases else (0,) * 6, strict=True)]
+        bias = self._biases[-1] if self._biases else (0,) * 6
+        biased = [count - zero for count, zero in zip(counts, bias, strict=True)]
         told = tuple(min(max(count, LOWEST), HIGHEST) for count in biased)
         record = Record(int(self._faulty or list(told) != biased), told)
         return encode_binary(record) if self._mode == "binary" else encode_ascii(record, self._padded) + _END

@@ -3,11 +3,11 @@
 Commands are two letters, some with an argument, and a carriage return; the controller repeats them and ends its answer
 with the prompt ``>``. A record holds an error flag and six counts: forces along x, y, z, then torques about them.
 
-Sources: ATI, Installation and Operations Manual for Stand-Alone F/T Sensor Systems (9610-05-1001): the commands, and the
-ASCII record ``0,-413,-1080,-2480,-3532,45,5890``. That the fields of a controller on the bench are padded to six
+Sources: ATI, Installation and Operations Manual for Stand-Alone F/T Sensor Systems (9610-05-1001): the commands, and
+the ASCII record ``0,-413,-1080,-2480,-3532,45,5890``. That the fields of a controller on the bench are padded to six
 characters and its lines end in CR LF, as in ``0,  -102,   -99,  -225,   -20,    39,   -39``, is what public drivers
-for it say; both forms are read. The checksum of ``CD E``, which only binary records have, is left out: how it is computed
-is in neither.
+for it say; both forms are read. The checksum of ``CD E``, which only binary records have, is left out: how it is
+computed is in neither.
 """
 
 from __future__ import annotations
