@@ -48,8 +48,8 @@ class AtiSerialSensor(ForceSensor):
     """Six channels by RS-232; `start` sets the controller up and watches its records for half a second.
 
     In ASCII the controller streams (``QS``). A record that lost or won a character, or has a wrong one, is left out and
-    its number with it. Without a checksum, a digit that became another digit cannot be seen, nor, where the controller
-    does not pad its fields, a digit that is missing.
+    its number with it. Without a checksum, a digit, sign or blank that became another one with which the field still is
+    a number cannot be seen, nor, where the controller does not pad its fields, a digit that is missing.
 
     In binary this program asks for each record (``^T``), so that a lost byte spoils one record and not all after it:
     the 13 bytes have nothing to find their beginning by. A wrong byte cannot be seen. The checksum of ``CD E`` is not
@@ -173,8 +173,7 @@ class AtiSerialSensor(ForceSensor):
         while not times or time.monotonic() < times[0] + _WATCHED or len(times) < 3:
             times += [time.monotonic() for record in source.take(0.1) if record is not None]
             if time.monotonic() >= end + (_WATCHED if times else 0.0):
-                raise DeviceError(f"the ATI controller at {self._port} sends no records of an error flag and six "
-                                  "counts "
+                raise DeviceError(f"the ATI controller at {self._port} sends no records of a flag and six counts "
                                   f"({_shown(source.wrong)}); select all six components (CV 3F), and check the baud "
                                   "rate and the cable")
         source.settle()

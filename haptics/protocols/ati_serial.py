@@ -56,8 +56,8 @@ def decode_ascii(line: bytes, padded: bool | None = None) -> Record | None:
     """The record in a line without its end; None: there is none.
 
     Accepts exactly what `encode_ascii` writes, so a line that lost or won a character, or has a wrong one, is seen,
-    with one exception that no reader without a checksum can see: a digit that became another digit, and where the
-    fields are not padded, a digit that is missing or too many.
+    with an exception that no reader without a checksum can see: a digit, sign or blank that became another one with
+    which the field still is a number, and where the fields are not padded, a digit that is missing or too many.
 
     Args:
         line: bytes. padded: whether fields have six characters; None: either.
