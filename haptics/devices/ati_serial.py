@@ -34,9 +34,11 @@ MODES = ("ascii", "binary")
 #: Samples that wait to be read; older ones are lost.
 BUFFER = 4096
 #: How long the records are watched before the start is done: form and rate, s; and the longest wait for the first, s.
-_WATCHED, _PATIENCE = 0.5, 2.0
+_WATCHED, _PATIENCE = 0.5, 5.0
+#: How long the controller may take to begin an answer, s.
+_ANSWER = 0.5
 #: A line that is silent for so long has lost the controller, s; or for so many periods, where that is longer.
-_SILENCE, _SILENT_PERIODS = 1.0, 5
+_SILENCE, _SILENT_PERIODS = 2.0, 5
 #: Of the rate of the line, by which the measured one may be off before it counts: the controller is the slower one.
 _NEAR = 0.2
 #: Time of which a tare takes the mean, s.
@@ -152,7 +154,7 @@ class AtiSerialSensor(ForceSensor):
         said = b""
         for _ in range(3):
             line.write(RETURN)
-            said = _all_said(line, quiet)
+            said = _all_said(line, quiet, _ANSWER)
             if said.rstrip(b" \r\n\0").endswith(PROMPT) and _is_text(said[-3:]):
                 break
         else:
@@ -212,23 +214,26 @@ class _Running:
         self._thread.start()
 
     def _receive(self) -> None:
-        heard = time.monotonic()
+        heard, wrong = time.monotonic(), b""
         try:
             while not self._ending.is_set():
                 records = self._source.take(0.02)
                 now = time.monotonic()
                 for record in records:
-                    heard = now
                     if record is None:
                         self.garbled += 1
+                        wrong = self._source.wrong
                     else:
+                        heard, wrong = now, b""
                         kept = _Kept(record, self._number, now)
                         self._waiting.append(kept)
                         self._recent.append(kept)
                     self._number += 1
                 if now - heard > self._silence:
-                    raise DeviceError(f"the ATI controller at {self._port} has sent nothing for {self._silence:g} s; "
-                                      "check its power and the cable, and start it again")
+                    # A controller whose sensor is saturated or not connected may tell so in words.
+                    sent = f"no whole record ({_shown(wrong)})" if wrong else "nothing"
+                    raise DeviceError(f"the ATI controller at {self._port} has sent {sent} for {self._silence:.2g} s; "
+                                      "check its power, its sensor and the cable, and start it again")
         except DeviceError as error:
             self._trouble = error
 
@@ -312,7 +317,8 @@ class _BinaryRequests:
 
     def __init__(self, line: SerialLine, baud: int):
         self._line = line
-        self._patience = 0.05 + 2 * seconds_on_the_line(self.length, baud)
+        #: A pause within an answer after which no more of it comes, s: adapters hold bytes back for up to 16 ms.
+        self._pause = 0.03 + seconds_on_the_line(self.length, baud)
         #: The last answer that was no record.
         self.wrong = b""
 
@@ -321,28 +327,30 @@ class _BinaryRequests:
 
     def take(self, timeout: float) -> list[Record | None]:
         """The answer to one request; None: it was cut, or too long. Empty: there was none."""
+        self._line.read()  # What came late belongs to no request.
         self._line.write(ONE_RECORD)
-        answer, end = b"", time.monotonic() + self._patience
-        while len(answer) < BINARY_LENGTH and time.monotonic() < end:
-            answer += self._line.read_within(max(end - time.monotonic(), 0.0))
+        answer = self._line.read_within(max(_ANSWER, self._pause))
+        while 0 < len(answer) < BINARY_LENGTH and (more := self._line.read_within(self._pause)):
+            answer += more
         answer += self._line.read()
         if not answer:
             return []
         record = decode_binary(answer)
         if record is None:
             self.wrong = answer
-            _all_said(self._line, self._patience)
+            if len(answer) > BINARY_LENGTH:
+                _all_said(self._line, self._pause)
         return [record]
 
     def settle(self) -> None:
         return
 
 
-def _all_said(line: SerialLine, quiet: float, longest: float = 1.5) -> bytes:
-    """What comes until the line is quiet for so long, s."""
+def _all_said(line: SerialLine, quiet: float, first: float = 0.0, longest: float = 1.5) -> bytes:
+    """What comes until the line is quiet for so long, s; the first of it may take as long as `first`."""
     said, end = b"", time.monotonic() + longest
     while time.monotonic() < end:
-        more = line.read_within(quiet)
+        more = line.read_within(quiet if said else max(quiet, first))
         if not more:
             break
         said += more

@@ -7,6 +7,7 @@ package: unverified on hardware.
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 from typing import Any
 
@@ -19,7 +20,7 @@ _ATTACH_MS = 2000
 #: After so long without a sign of life the controller lets the motor go, ms.
 _FAILSAFE_MS = 500
 #: Codes of `Phidget22.ErrorCode`.
-_TIMEOUT, _NOT_ATTACHED, _FAILSAFE = 3, 52, 59
+_TIMEOUT, _UNSUPPORTED, _NOT_ATTACHED, _FAILSAFE = 3, 20, 52, 59
 _EXAMPLE = "phidget:123456,steps_per_mm=25"
 
 
@@ -28,7 +29,8 @@ class PhidgetStage(Stage):
 
     There is no switch to look for: `home` makes the place where it stands the zero, without a motion, and gives the
     motor its current. The controller's failsafe is set to half a second: when nobody asks for `position` for so long,
-    it takes the current away, and the zero is lost. `halt` brakes with the acceleration, and the motor holds.
+    it takes the current away, and the zero is lost. An old one that has no failsafe goes on to where it was sent, and
+    `runs_on` says so. `halt` brakes with the acceleration, and the motor holds; `stop` takes its current away.
 
     Args:
         serial: number of the controller; None: the first that is found.
@@ -103,9 +105,8 @@ class PhidgetStage(Stage):
             if getattr(error, "code", None) == _TIMEOUT:
                 which = "no Phidget stepper" if self._serial is None else f"no Phidget stepper {self._serial}"
                 raise DeviceError(f"{which} answers within {_ATTACH_MS / 1000:g} s; check its power, the cable and the "
-                                  "serial "
-                                  "number, close the Phidget Control Panel, and on Linux let your user open it (udev "
-                                  "rule 99-libphidget22.rules)") from None
+                                  "serial number, close the Phidget Control Panel, and on Linux let your user open it "
+                                  "(udev rule 99-libphidget22.rules)") from None
             raise self._trouble(error) from None
         return motor
 
@@ -119,11 +120,21 @@ class PhidgetStage(Stage):
                                       motor.getMaxAcceleration()))
             if self._current is not None:
                 motor.setCurrentLimit(self._current)
-            motor.enableFailsafe(_FAILSAFE_MS)
+            self._enable_failsafe(motor)
         except DeviceError:
             raise
         except Exception as error:
             raise self._trouble(error) from None
+
+    def _enable_failsafe(self, motor: Any) -> None:
+        try:
+            motor.enableFailsafe(_FAILSAFE_MS)
+        except Exception as error:
+            if getattr(error, "code", None) != _UNSUPPORTED:
+                raise
+            self.runs_on = math.inf
+        else:
+            self.runs_on = 1e-3 * _FAILSAFE_MS
 
     def _require_speed(self, motor: Any) -> None:
         most = motor.getMaxVelocityLimit() * abs(self._per_count)
@@ -155,13 +166,13 @@ class PhidgetStage(Stage):
             raise InputError(f"{speed:g} m/s; give a speed above zero and up to {limits.speed:g} m/s", field="speed")
         if not self._homed:
             raise DeviceError("the Phidget stepper does not know its zero; home it first")
-        # The controller rounds a speed down to whole counts: one below a count would be none.
+        # The controller takes whole counts in a second, and rounds down: a speed below one would be none.
         if self._counts(speed) < 1.0:
             raise InputError(f"{speed:g} m/s is less than the slowest speed, {abs(self._per_count):.3g} m/s",
                              field="speed")
         try:
             motor.setTargetPosition(float(round(position / self._per_count)))
-            motor.setVelocityLimit(self._counts(speed))
+            motor.setVelocityLimit(float(round(self._counts(speed))))
         except Exception as error:
             raise self._trouble(error) from None
         self._goal = position
@@ -169,7 +180,8 @@ class PhidgetStage(Stage):
     def position(self) -> StageSample:
         motor = self._started()
         try:
-            motor.resetFailsafe()
+            if self.runs_on < math.inf:
+                motor.resetFailsafe()
             steps, turning = motor.getPosition(), bool(motor.getIsMoving())
         except Exception as error:
             raise self._trouble(error) from None
@@ -205,7 +217,9 @@ class PhidgetStage(Stage):
                 "microsteps": self._microsteps, "resolution_mm": abs(self._per_count) * 1e3,
                 "lowest_mm": self.limits.lowest * 1e3, "highest_mm": self.limits.highest * 1e3,
                 "top_speed_mm_s": self.limits.speed * 1e3, "acceleration_mm_s2": self._acceleration * 1e3,
-                "stall": "not detectable", "zero": "where it stood when it was homed",
+                "speed_step_mm_s": abs(self._per_count) * 1e3,
+                "stall": "not detectable", "failsafe_s": self.runs_on if self.runs_on < math.inf else None,
+                "zero": "where it stood when it was homed",
                 "verified": "against a stand-in for its library only"}
 
     def _started(self) -> Any:

@@ -14,15 +14,17 @@ from dataclasses import dataclass
 
 from haptics.protocols.ati_serial import CHANNELS
 from tissue_sim.errors import InputError, nearest
+from tissue_sim.units import to_si
 
-_LBF, _KGF, _INCH, _FOOT = 0.45359237 * 9.80665, 9.80665, 0.0254, 0.3048
 #: Unit -> in SI, as calibration files and configuration pages of ATI spell them.
-FORCE_UNITS = {"N": 1.0, "kN": 1e3, "lbf": _LBF, "lb": _LBF, "klbf": 1e3 * _LBF, "klb": 1e3 * _LBF, "kg": _KGF,
-               "kgf": _KGF, "g": 1e-3 * _KGF, "gf": 1e-3 * _KGF}
-LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": _INCH, "ft": _FOOT}
+FORCE_UNITS = {unit: to_si(unit, "force")[0] for unit in ("N", "kN", "lbf", "lb", "kg", "kgf", "g", "gf")}
+FORCE_UNITS |= {"klbf": 1e3 * FORCE_UNITS["lbf"], "klb": 1e3 * FORCE_UNITS["lbf"]}
+LENGTH_UNITS = {unit: to_si(unit, "length")[0] for unit in ("m", "cm", "mm", "in")}
+LENGTH_UNITS |= {"ft": 12 * LENGTH_UNITS["in"]}
 TORQUE_UNITS = {f"{force}-{length}": force_SI * length_SI for force, force_SI in FORCE_UNITS.items()
                 for length, length_SI in LENGTH_UNITS.items()}
-TORQUE_UNITS |= {"in-lb": _LBF * _INCH, "in-lbf": _LBF * _INCH, "ft-lb": _LBF * _FOOT, "ft-lbf": _LBF * _FOOT}
+TORQUE_UNITS |= {f"{length}-{force}": TORQUE_UNITS[f"{force}-{length}"]
+                 for force in ("lb", "lbf") for length in ("in", "ft")}
 #: V, of converters in these systems.
 _FULL_SPAN = 20.0
 Row = tuple[float, ...]

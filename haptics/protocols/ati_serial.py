@@ -57,7 +57,8 @@ def decode_ascii(line: bytes, padded: bool | None = None) -> Record | None:
 
     Accepts exactly what `encode_ascii` writes, so a line that lost or won a character, or has a wrong one, is seen,
     with an exception that no reader without a checksum can see: a digit, sign or blank that became another one with
-    which the field still is a number, and where the fields are not padded, a digit that is missing or too many.
+    which the field still is a number, the beginning of one record with the end of another, where all between them was
+    lost and the fields fit, and where the fields are not padded, a digit that is missing or too many.
 
     Args:
         line: bytes. padded: whether fields have six characters; None: either.

@@ -48,8 +48,8 @@ def test_the_axis_rows_beside_them_do_not_count():
 @pytest.mark.parametrize(("force", "newtons"), [("N", 1.0), ("lbf", 4.4482216152605), ("klbf", 4448.2216152605),
                                                 ("kN", 1000.0), ("kg", 9.80665)])
 @pytest.mark.parametrize(("torque", "newton_metres"), [("N-m", 1.0), ("N-mm", 1e-3), ("lbf-in", 0.112984829027617),
-                                                       ("lbf-ft", 1.35581794833140), ("kN-m", 1e3), ("kg-cm", 0.0980665),
-                                                       ("in-lb", 0.112984829027617)])
+                                                       ("lbf-ft", 1.35581794833140), ("kN-m", 1e3),
+                                                       ("kg-cm", 0.0980665), ("in-lb", 0.112984829027617)])
 def test_units_of_the_file(force, newtons, torque, newton_metres):
     """1 lbf, 1 lbf in and 1 lbf ft as in NIST SP 811, appendix B.8."""
     calibration = read_calibration(file_of(force=force, torque=torque))
@@ -63,9 +63,10 @@ def test_a_file_without_user_axes_is_read_as_those_with_them_are_made():
     """The first gages of a Gamma (FT8578), of which a published program quotes both kinds of rows."""
     axes = ((-0.27053, -0.14278), (0.21616, 37.46357), (18.48980, -0.25078), (0.05325, 0.15667), (37.31421, -0.62445),
             (-0.13536, -18.46474))
-    scales = (2.33993181642138, 2.33993181642138, 0.747981765296576, 44.8196831994584, 44.8196831994584, 43.1398206760749)
-    user_axes = ((-0.11562, -0.06102), (0.09238, 16.01054), (24.71959, -0.33527), (0.00230, 0.19585), (0.83393, -0.01320),
-                 (-0.00314, -0.42802))
+    scales = (2.33993181642138, 2.33993181642138, 0.747981765296576, 44.8196831994584, 44.8196831994584,
+              43.1398206760749)
+    user_axes = ((-0.11562, -0.06102), (0.09238, 16.01054), (24.71959, -0.33527), (0.00230, 0.19585),
+                 (0.83393, -0.01320), (-0.00314, -0.42802))
     text = file_of(tuple((*pair, 0.0, 0.0, 0.0, 0.0) for pair in axes), tag="Axis",
                    inside='<BasicTransform Dx="0" Dy="0" Dz="0.0120142" Rx="0" Ry="0" Rz="0"/>')
     for scale in scales:

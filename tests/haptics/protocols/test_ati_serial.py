@@ -29,8 +29,8 @@ BINARY = b"\x00\xff\x93\xff\x98\xfei\xff\xbb\x00\x06\xff\xdb"
 
 counts = st.integers(LOWEST, HIGHEST)
 records = st.builds(Record, st.integers(0, 9), st.tuples(*[counts] * 6))
-pieces = st.lists(st.sampled_from([b"0", b",", b" ", b"-", b"45", b"-3532", b"\r", b"\n", b">", b"QS", b"\xff", b"00", b"+",
-                                   b"1_0", "\u0663".encode()])).map(b"".join)
+pieces = st.lists(st.sampled_from([b"0", b",", b" ", b"-", b"45", b"-3532", b"\r", b"\n", b">", b"QS", b"\xff", b"00",
+                                   b"+", b"1_0", "\u0663".encode()])).map(b"".join)
 
 
 def test_records_that_others_have_seen():
