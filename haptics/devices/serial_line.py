@@ -54,6 +54,19 @@ class SerialLine:
         data, self._kept = self._kept, b""
         return data
 
+    def read_within(self, timeout: float) -> bytes:
+        """What has come, as soon as there is something; empty where nothing comes in that time, s.
+
+        Raises:
+            DeviceError: the port is gone.
+        """
+        end = time.monotonic() + timeout
+        self._fetch(wait=False)
+        while not self._kept and time.monotonic() < end:
+            self._fetch(wait=True)
+        data, self._kept = self._kept, b""
+        return data
+
     def read_some(self, count: int, timeout: float) -> bytes:
         """The next bytes.
 

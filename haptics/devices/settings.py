@@ -33,3 +33,43 @@ def read_settings(text: str, **defaults: float) -> dict[str, float]:
         if not math.isfinite(settings[name]):
             raise InputError(f"{value!r} is not a finite number", field=name)
     return settings
+
+
+def split_place(text: str, what: str, example: str) -> tuple[str, str]:
+    """The port, file or number that stands before the settings, and the settings.
+
+    Args:
+        text: ``/dev/ttyUSB0,baud=9600``.
+        what: the first part is, in messages: ``"the port of the controller"``.
+        example: of the whole.
+
+    Raises:
+        InputError: the first part is missing.
+    """
+    place, _, rest = text.partition(",")
+    if not place.strip() or "=" in place:
+        raise InputError(f"{what} is missing; give it first, as in {example}", field="name")
+    return place.strip(), rest
+
+
+def take_words(text: str, **choices: tuple[str, ...]) -> tuple[dict[str, str], str]:
+    """Settings that are words, and the rest of the text, for `read_settings`.
+
+    Args:
+        text: ``name=value``, with commas between.
+        choices: name -> words that it may be, the first of them where it is left out; a first word that is empty:
+            any word.
+
+    Raises:
+        InputError: another word (names the nearest).
+    """
+    words, rest = {name: allowed[0] for name, allowed in choices.items()}, []
+    for part in text.split(","):
+        name, equals, value = (word.strip() for word in part.partition("="))
+        if not equals or name not in choices:
+            rest.append(part)
+            continue
+        if choices[name][0] and value not in choices[name]:
+            raise InputError(f"{value!r} is none of them{nearest(value, choices[name])}", field=name)
+        words[name] = value
+    return words, ",".join(rest)

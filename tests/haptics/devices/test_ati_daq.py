@@ -1,0 +1,235 @@
+"""ATI sensors on a data acquisition board: the contract over made-up voltages, and what a function can get wrong."""
+
+import math
+import sys
+
+import numpy as np
+import pytest
+from device_contracts import ForceSensorContract
+
+from haptics.devices import ati_daq
+from haptics.devices.ati_daq import AtiDaqSensor
+from haptics.devices.back_ends import open_sensor
+from haptics.devices.contracts import DeviceError, SampleStatus
+from haptics.protocols.ati_calibration import AtiCalibration, read_calibration
+from tissue_sim.errors import InputError
+
+MATRIX = ((0.5, 0.1, 0.0, -9.0, 0.2, 9.1), (0.0, 10.5, 0.1, -5.0, 0.2, -5.1), (16.0, -0.3, 16.5, -0.4, 16.2, -0.5),
+          (0.01, 0.2, -0.7, -0.1, 0.7, -0.1), (0.8, 0.0, -0.4, 0.2, -0.4, -0.2), (0.0, -0.4, 0.0, -0.4, 0.0, -0.4))
+CALIBRATION = AtiCalibration("FT00001", "SI-40-2", "1/2/2003", MATRIX, (40.0, 40.0, 120.0, 2.0, 2.0, 2.0),
+                             (-10.0, 10.0), "UserAxis")
+LOAD = (1.0, -2.0, 3.0, 0.1, 0.2, -0.3)
+FILE = ('<FTSensor Serial="FT7" NumGages="6"><Calibration PartNumber="SI-40-2" ForceUnits="N" TorqueUnits="N-m" '
+        'OutputRange="20">' + "".join(
+            f'<UserAxis Name="{axis}" values="{" ".join(map(str, row))}" max="{most}"/>'
+            for axis, row, most in zip(("Fx", "Fy", "Fz", "Tx", "Ty", "Tz"), MATRIX, CALIBRATION.reach, strict=True))
+        + "</Calibration></FTSensor>")
+
+
+class Board:
+    """Samples six voltages at a rate, on a clock that goes as the test says; can be sent to another process."""
+
+    def __init__(self, volts, rate=1000.0):
+        self.volts, self.rate, self.now, self.given = volts, rate, 0.0, 0
+
+    def __call__(self):
+        first, self.given = self.given, math.floor(self.now * self.rate + 1e-9)
+        return np.tile(self.volts, (self.given - first, 1))
+
+
+def volts_of(load):
+    return np.linalg.solve(np.array(MATRIX), np.array(load))
+
+
+class TestAtiDaq(ForceSensorContract):
+    load, tolerance = LOAD, 1e-9
+
+    @pytest.fixture
+    def sensor(self):
+        self.board = Board(volts_of(LOAD))
+        return AtiDaqSensor(CALIBRATION, self.board)
+
+    def pass_time(self, seconds):
+        self.board.now += seconds
+
+    def now(self):
+        return self.board.now
+
+
+BOARD = Board(volts_of(LOAD), 500.0)
+
+
+class TestByName(ForceSensorContract):
+    """The function by the place where it is."""
+
+    load, tolerance = LOAD, 1e-9
+
+    @pytest.fixture
+    def sensor(self, tmp_path, monkeypatch):
+        (tmp_path / "FT7.cal").write_text(FILE, encoding="utf-8")
+        BOARD.now, BOARD.given = 0.0, 0
+        monkeypatch.setitem(sys.modules, "my_board", sys.modules[__name__])
+        return open_sensor(f"ati-daq:{tmp_path / 'FT7.cal'},volts=my_board:BOARD,rate_hz=500")
+
+    def pass_time(self, seconds):
+        BOARD.now += seconds
+
+    def now(self):
+        return BOARD.now
+
+
+def started(volts, range_of_volts=None):
+    board = Board(np.asarray(volts, dtype=float))
+    board.__name__ = "read_volts"
+    sensor = AtiDaqSensor(CALIBRATION, board, volts=range_of_volts)
+    sensor.start()
+    return sensor, board
+
+
+def test_counts_are_steps_of_sixteen_bits_and_do_not_feel_the_tare():
+    sensor, board = started((1.0, -1.0, 0.5, 0.0, 0.001, -2.0))
+    board.now = 0.1
+    before = sensor.read()[-1]
+    assert before.counts == (3277, -3277, 1638, 0, 3, -6554)  # of 20 V / 65536
+    assert sensor.describe()["count_V"] == 20.0 / 65536
+    sensor.tare()
+    board.now = 0.2
+    after = sensor.read()[-1]
+    assert after.counts == before.counts and after.values == pytest.approx((0.0,) * 6, abs=1e-12)
+
+
+def test_a_load_on_a_sensor_that_has_volts_without_one():
+    sensor, board = started((1.0, -1.0, 0.5, 0.0, 0.3, -2.0))
+    board.now = 0.1
+    sensor.tare()
+    board.volts = board.volts + volts_of(LOAD)
+    sensor.read()
+    board.now = 0.2
+    assert sensor.read()[-1].values == pytest.approx(LOAD)
+
+
+def test_a_tare_is_the_mean_of_a_tenth_of_a_second():
+    sensor, board = started((1.0,) * 6)
+    board.now = 0.05
+    sensor.read()
+    board.volts = np.full(6, 1.2)
+    board.now = 0.1
+    sensor.tare()
+    samples = sensor.read()
+    assert len(samples) == 50  # those that the tare has fetched
+    assert samples[-1].values == pytest.approx(CALIBRATION.wrench((0.1,) * 6))
+
+
+def test_a_tare_waits_for_the_first_sample(monkeypatch):
+    sensor, board = started((1.0,) * 6)
+    monkeypatch.setattr(ati_daq.time, "sleep", lambda seconds: setattr(board, "now", board.now + seconds))
+    sensor.tare()
+    assert sensor.read()[0].values == pytest.approx((0.0,) * 6, abs=1e-12)
+
+
+@pytest.mark.parametrize(("volts", "options", "status"), [
+    ((9.9, 0.0, 0.0, 0.0, 0.0, 0.0), {}, SampleStatus.SATURATED),          # Fz is 158 N of 120
+    ((0.0, 0.0, 0.0, 10.0, 0.0, 10.0), {}, SampleStatus.SATURATED),        # the volts are at their end
+    ((0.0, 0.0, 0.0, -10.0, 0.0, -10.0), {}, SampleStatus.SATURATED),
+    ((0.0, 0.0, 0.0, 2.0, 0.0, 2.0), {}, SampleStatus.GOOD),
+    ((0.0, 0.0, 0.0, 2.0, 0.0, 2.0), {"range_of_volts": (-2.0, 2.0)}, SampleStatus.SATURATED),
+    ((0.0,) * 6, {"range_of_volts": (0.0, 10.0)}, SampleStatus.GOOD),    # nothing is no end of a range
+])
+def test_what_is_at_the_end_of_its_range_is_marked(volts, options, status):
+    sensor, board = started(volts, **options)
+    board.now = 1e-3
+    sample, = sensor.read()
+    assert sample.status == status
+
+
+def test_who_reads_too_late_has_lost_samples_and_sees_it():
+    sensor, board = started((0.0,) * 6)
+    board.now = 10.0
+    samples = sensor.read()
+    assert len(samples) == ati_daq.BUFFER and samples[0].sequence == 10_000 - ati_daq.BUFFER
+    assert [sample.status for sample in samples[:2]] == [SampleStatus.GAP, SampleStatus.GOOD]
+
+
+def broken():
+    raise OSError("the board was unplugged")
+
+
+@pytest.mark.parametrize(("read_volts", "sentence"), [
+    (broken, r"^broken, which reads the voltages, failed \(OSError: the board was unplugged\); check the board, and "
+             r"start"),
+    (lambda: None, "returned a NoneType, not an array"),
+    (lambda: [1.0] * 6, r"returned a list, not an array \(n, 6\) of volts; return the samples since its last call"),
+    (lambda: np.zeros((6, 3)), r"returned shape \(6, 3\), not an array"),
+    (lambda: [["a"] * 6], "returned a list, not an array"),
+    (lambda: [[0.0] * 6, [0.0] * 5], "returned a list, not an array"),
+    (lambda: [[0.0] * 5 + [math.nan]], "returned a voltage that is not finite; check the board"),
+])
+def test_a_function_that_gives_something_else(read_volts, sentence):
+    sensor = AtiDaqSensor(CALIBRATION, read_volts)
+    sensor.start()
+    with pytest.raises(DeviceError, match=sentence):
+        sensor.read()
+
+
+def test_a_board_that_falls_silent(monkeypatch):
+    clock = [50.0]
+    monkeypatch.setattr(ati_daq.time, "monotonic", lambda: clock[0])
+    sensor, board = started((0.0,) * 6)
+    board.now = 0.1
+    assert sensor.read()
+    clock[0] += 0.9
+    assert sensor.read() == ()
+    clock[0] += 0.2
+    with pytest.raises(DeviceError, match=r"^read_volts has returned no sample for 1\.1 s; check that the board is "
+                                          r"sampling"):
+        sensor.read()
+
+
+def test_without_a_function_it_says_how_to_give_one(tmp_path):
+    (tmp_path / "FT7.cal").write_text(FILE, encoding="utf-8")
+    sensor = open_sensor(f"ati-daq:{tmp_path / 'FT7.cal'}")
+    with pytest.raises(DeviceError, match=r"^the ATI sensor FT7 has nothing that reads its voltages; give a function "
+                                          r"that returns the new samples, an array \(n, 6\) of volts, as in "
+                                          r"ati-daq:FT01234\.cal,volts=my_board:read_volts$"):
+        sensor.start()
+
+
+@pytest.mark.parametrize(("place", "sentence"), [
+    ("no_such_module_here:read", "no_such_module_here:read, which reads the voltages, cannot be imported .No module "
+                                 "named"),
+    ("math:read_volts", "math:read_volts, which reads the voltages, cannot be imported .module 'math' has no "
+                        "attribute"),
+    ("math:pi", "math:pi is a float and no function; give one that returns an array"),
+])
+def test_a_function_that_is_not_there(place, sentence):
+    with pytest.raises(DeviceError, match=sentence):
+        AtiDaqSensor(CALIBRATION, place).start()
+
+
+@pytest.mark.parametrize(("settings", "sentence"), [
+    (",volts=reader", r"volts: 'reader' is no function; give package\.module:function"),
+    (",rate_hz=0", "rate_hz: 0 Hz; give the rate that the board is set to"),
+    (",range_V=-5", "range_V: 5 to -5 V is no range"),
+    (",range=5", "range: unknown setting; did you mean 'range_V'"),
+])
+def test_settings_that_make_no_sense(tmp_path, settings, sentence):
+    (tmp_path / "FT7.cal").write_text(FILE, encoding="utf-8")
+    with pytest.raises(InputError, match=sentence):
+        open_sensor(f"ati-daq:{tmp_path / 'FT7.cal'}{settings}")
+
+
+def test_a_file_that_is_not_there_or_cut_off(tmp_path):
+    with pytest.raises(InputError, match=r"ati-daq.*no such file, expected the \.cal file of an ATI sensor; check the "
+                                         r"name"):
+        open_sensor(f"ati-daq:{tmp_path / 'FT8.cal'}")
+    (tmp_path / "FT7.cal").write_text(FILE[:-40], encoding="utf-8")
+    with pytest.raises(InputError, match=r"FT7\.cal: .*is no whole XML .*cut off or damaged; copy the \.cal file"):
+        open_sensor(f"ati-daq:{tmp_path / 'FT7.cal'}")
+    with pytest.raises(InputError, match=r"the calibration file is missing; give it first, as in ati-daq:FT01234"):
+        open_sensor("ati-daq:volts=a:b")
+
+
+def test_it_says_what_it_is():
+    described = AtiDaqSensor(read_calibration(FILE), volts=(-5.0, 5.0)).describe()
+    assert (described["serial"], described["part"], described["volts_V"]) == ("FT7", "SI-40-2", [-5.0, 5.0])
+    assert described["verified"] == "with made-up voltages only" and described["calibration_rows"] == "UserAxis"

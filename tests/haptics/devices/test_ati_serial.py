@@ -1,0 +1,431 @@
+"""The ATI stand-alone controller by RS-232, against its emulator: the contract, and each failure with its sentence."""
+
+import sys
+import time
+from itertools import pairwise
+from types import SimpleNamespace
+
+import pytest
+from device_contracts import ForceSensorContract
+
+if sys.platform == "win32":
+    pytest.skip("Windows has no pseudo-terminals", allow_module_level=True)
+
+from haptics.devices import ati_serial
+from haptics.devices.ati_serial import AtiSerialSensor
+from haptics.devices.back_ends import open_sensor
+from haptics.devices.contracts import Bench, DeviceError, SampleStatus
+from haptics.devices.serial_line import SerialLine
+from haptics.devices.virtual.faults import Faults
+from haptics.devices.virtual.force_sensor import VirtualForceSensor
+from haptics.emulators import ati_serial as emulation
+from haptics.emulators.ati_serial import AtiSerialEmulator
+from haptics.emulators.emulator import open_emulator
+from haptics.emulators.terminal import TerminalEmulator
+from haptics.protocols.ati_serial import Record, decode_ascii, decode_binary, encode_ascii
+from tissue_sim.errors import InputError
+
+AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
+LOAD = (1.0, -2.0, 3.0, 0.1, 0.2, -0.3)
+#: The same, in counts of the emulator's calibration: 100 for a N, 4000 for a N m.
+COUNTS = (100, -200, 300, 400, 800, -1200)
+#: s; nothing here takes as long unless it hangs.
+LONG = 60.0
+
+
+def six(time):
+    return LOAD
+
+
+def bench(load=six, reach=500.0):
+    return Bench(VirtualForceSensor(load, AXES, reach=reach), None)
+
+
+def wait_until(what, seconds=LONG):
+    """Until it is true; what it was then."""
+    end = time.monotonic() + seconds
+    while not (found := what()):
+        assert time.monotonic() < end, "it did not come"
+        time.sleep(1e-3)
+    return found
+
+
+def read_some(sensor, count=1):
+    """At least so many samples."""
+    samples = []
+    wait_until(lambda: samples.extend(sensor.read()) or len(samples) >= count)
+    return samples
+
+
+@pytest.fixture(autouse=True)
+def patience(monkeypatch):
+    """On a busy machine the emulator, too, may stand for a second; ``patience(seconds)`` is that of a test that waits
+    until it ends."""
+    def patience(seconds):
+        monkeypatch.setattr(ati_serial, "_PATIENCE", seconds)
+        monkeypatch.setattr(ati_serial, "_SILENCE", seconds)
+
+    patience(LONG)
+    return patience
+
+
+@pytest.fixture
+def emulator():
+    with open_emulator("ati-serial:", bench()) as emulator:
+        yield emulator
+
+
+class OverASerialLine(ForceSensorContract):
+    load, tolerance = LOAD, 1e-9
+
+    @pytest.fixture
+    def sensor(self):
+        with open_emulator(self.emulated, bench()) as emulator:
+            self.sensor_here = open_sensor(emulator.address)
+            yield self.sensor_here
+            self.sensor_here.stop()
+
+    def pass_time(self, seconds):
+        """As many records as that takes."""
+        running = self.sensor_here._running
+        count = max(round(seconds * self.sensor_here.rate), 1)
+        wait_until(lambda: len(running._waiting) >= count)
+
+    def now(self):
+        return time.monotonic()
+
+
+class TestAscii(OverASerialLine):
+    emulated = "ati-serial:"
+
+
+class TestAsciiWithoutPadding(OverASerialLine):
+    emulated = "ati-serial:padded=0"
+
+
+class TestBinary(OverASerialLine):
+    emulated = "ati-serial:mode=binary,baud=4800"
+
+
+def test_what_it_says_of_itself(emulator):
+    sensor = open_sensor(emulator.address)
+    sensor.start()
+    described = sensor.describe()
+    assert described["verified"] == "against an emulator only" and described["mode"] == "ascii"
+    assert described["resolution_N"] == 0.01 and described["range_Nm"] == pytest.approx(32767 / 4000)
+    assert read_some(sensor)[0].counts == COUNTS
+    sensor.stop()
+    assert emulator.describe()["records"] > 0
+
+
+def test_the_records_leave_as_fast_as_the_line_carries_them(monkeypatch):
+    """One second on a clock: at 9600 baud 21 padded records, 32 of these that are not, 73 in binary."""
+    clock = [1000.0]
+    monkeypatch.setattr(emulation, "time", SimpleNamespace(monotonic=lambda: clock[0]))
+    for padded, mode, wanted in ((True, b"CD A", 21), (False, b"CD A", 32), (True, b"CD B", 73)):
+        sensor = VirtualForceSensor(six, AXES, clock=lambda: clock[0])
+        emulator = AtiSerialEmulator(sensor, padded=padded)
+        emulator.begin()
+        clock[0] += 0.1
+        monkeypatch.setattr(emulator, "_is_its_baud", lambda: True)
+        emulator.received(mode + b"\rQS\r")
+        sent = []
+        for _ in range(200):
+            clock[0] += 1e-3
+            sent += emulator.due()
+        records = []
+        for _ in range(1000):
+            clock[0] += 1e-3
+            records += emulator.due()
+        assert len(records) == pytest.approx(wanted, abs=1)
+        decode = decode_binary if mode == b"CD B" else lambda line: decode_ascii(line.removesuffix(b"\r\n"))
+        assert {decode(record) for record in records} == {Record(0, COUNTS)}
+
+
+def test_a_load_beyond_the_range_is_marked():
+    with open_emulator("ati-serial:", bench(reach=2.5)) as emulator:
+        sensor = open_sensor(emulator.address)
+        sensor.start()
+        sample = read_some(sensor)[0]
+        sensor.stop()
+    assert sample.counts[2] == 250 and sample.status == SampleStatus.SATURATED | SampleStatus.FAULT
+
+
+def test_a_count_at_the_end_of_its_range_is_marked(emulator, monkeypatch):
+    """Also of a controller that does not set its flag."""
+    sensor = open_sensor(emulator.address)
+    sensor.start()
+    monkeypatch.setattr(emulator, "_record", lambda: b"0,  -102,-32768,  -225,   -20,    39,   -39\r\n")
+    sample = wait_until(lambda: [each for each in sensor.read() if each.counts != COUNTS])[0]
+    sensor.stop()
+    assert sample.counts[1] == -32768 and sample.status == SampleStatus.SATURATED
+
+
+@pytest.mark.parametrize("mode", ["ascii", "binary"])
+def test_a_record_that_is_cut_is_a_gap_and_no_sample(emulator, monkeypatch, mode):
+    sensor = open_sensor(emulator.address.replace("ascii", mode))
+    sensor.start()
+    read_some(sensor)
+    whole, turn = emulator._record, iter(range(10**6))
+    # Every third one has lost a byte, once at each place.
+    monkeypatch.setattr(emulator, "_record", lambda: (
+        lambda record, number: record if number % 3 else record[:number % 11] + record[number % 11 + 1:])(
+            whole(), next(turn)))
+    samples = read_some(sensor, 20)
+    garbled = sensor.describe()["garbled_records"]
+    sensor.stop()
+    assert garbled >= 5 and {sample.counts for sample in samples} == {COUNTS}
+    missing = [after.sequence - before.sequence - 1 for before, after in pairwise(samples)]
+    assert sum(missing) >= 5
+    assert [bool(count) for count in missing] == [sample.status == SampleStatus.GAP for sample in samples[1:]]
+
+
+def test_garbage_on_the_line_is_counted_and_a_wrong_sample_differs_by_a_digit():
+    """Without a checksum that is all there is: what is accepted reads as a number, in the same form."""
+    # With this seed the first messages, which the start needs, are whole.
+    sound = next(seed for seed in range(1000) if first_garbled(seed) > 12)
+    with open_emulator("ati-serial:", bench(), Faults(garble=0.3, seed=sound)) as emulator:
+        sensor = open_sensor(emulator.address)
+        sensor.start()
+        samples = read_some(sensor, 60)
+        garbled = sensor.describe()["garbled_records"]
+        sensor.stop()
+    assert garbled > 0
+    assert sum(sample.counts == COUNTS for sample in samples) > len(samples) / 2
+    true = encode_ascii(Record(0, COUNTS))
+    for sample in samples:
+        line = encode_ascii(Record(0, sample.counts))
+        assert sum(a != b for a, b in zip(line, true, strict=True)) <= 1
+
+
+def first_garbled(seed):
+    """Number of the first message that `FaultyLine` garbles, as it draws."""
+    from haptics.devices.virtual.faults import FaultyLine
+
+    line = FaultyLine(Faults(garble=0.3, seed=seed), 0.0)
+    for number in range(100):
+        line.put(b"x" * 45, 0.0)
+        if line.take(0.0) != [b"x" * 45]:
+            return number
+    return 100
+
+
+def test_commands_of_the_manual(emulator):
+    """Bias in three levels, one record, average, reset; asked on the bare line."""
+    line = SerialLine(emulator.path, 9600, "the test")
+
+    def ask(command, end=b">"):
+        line.write(command)
+        answer = b""
+
+        def whole():
+            nonlocal answer
+            answer += line.read()
+            return answer.endswith(end)
+
+        wait_until(whole)
+        return answer
+
+    assert ask(b"\r") == b"\r\n\r\n>"
+    assert ask(b"QR\r").splitlines()[1] == b"0,   100,  -200,   300,   400,   800, -1200"
+    ask(b"SB\r")
+    assert ask(b"qr\r").splitlines()[1] == b"0,     0,     0,     0,     0,     0,     0"
+    ask(b"SU\r")
+    assert decode_ascii(ask(b"QR\r").splitlines()[1]) == Record(0, COUNTS)
+    for _ in range(5):
+        ask(b"SB\r")
+    ask(b"SZ\r")
+    for silent in (b"SA 16\r", b"CD R\r", b"CD E\r", b"CD U\r"):
+        assert ask(silent) == silent + b"\n\r\n>"
+    assert decode_ascii(ask(b"\x14", b"\n").removesuffix(b"\r\n")) == Record(0, COUNTS)
+    ask(b"CD B\r")
+    line.write(b"\x14")
+    assert decode_binary(line.read_some(13, LONG)) == Record(0, COUNTS)
+    assert b"ERROR" in ask(b"XX\r")
+    assert ask(b"\x17").startswith(b"ATI")
+    assert decode_ascii(ask(b"QR\r").splitlines()[1]) == Record(0, COUNTS)
+    line.close()
+
+
+def test_a_stream_that_another_program_has_left_is_ended(emulator):
+    for mode in (b"CD A\r", b"CD B\r"):
+        line = SerialLine(emulator.path, 9600, "the test")
+        line.write(mode + b"QS\r")
+        line.read_some(60, LONG)
+        line.close()
+        sensor = open_sensor(emulator.address)
+        sensor.start()
+        assert read_some(sensor)[0].counts == COUNTS
+        sensor.stop()
+
+
+# What can be wrong at the port.
+
+def sensor_at(path, **options):
+    return AtiSerialSensor(path, 100.0, 4000.0, **options)
+
+
+def test_no_such_port():
+    with pytest.raises(DeviceError, match=r"^there is no port /dev/ttyNOT for the ATI controller; "):
+        sensor_at("/dev/ttyNOT").start()
+
+
+def test_a_busy_port(emulator):
+    other = SerialLine(emulator.path, 9600, "the other")
+    with pytest.raises(DeviceError, match=r"is in use by another program; close that one, then start the ATI "
+                                          r"controller"):
+        sensor_at(emulator.path).start()
+    other.close()
+    sensor = sensor_at(emulator.path)
+    sensor.start()
+    sensor.stop()
+
+
+@pytest.mark.parametrize("mode", ["ascii", "binary"])
+def test_a_wrong_baud_rate(emulator, mode):
+    with pytest.raises(DeviceError, match=r"^what comes from \S+ is no text at 38400 baud; give the baud rate of the "
+                                          "ATI controller, which its display shows at power on, as in baud=38400$"):
+        sensor_at(emulator.path, baud=38400, mode=mode).start()
+
+
+class Talker(TerminalEmulator):
+    """Some other device: answers each carriage return with the same."""
+
+    name = "other device"
+
+    def __init__(self, answer, unasked=()):
+        super().__init__(Faults())
+        self._answer, self._unasked = answer, list(unasked)
+
+    @property
+    def address(self):
+        return self.path
+
+    def begin(self):
+        return
+
+    def end(self):
+        return
+
+    def received(self, data):
+        return [self._answer] * data.count(b"\r") if self._answer else []
+
+    def due(self):
+        unasked, self._unasked = self._unasked, []
+        return unasked
+
+    def describe(self):
+        return {}
+
+
+@pytest.mark.parametrize(("answer", "unasked", "sentence"), [
+    (b"", (), r"^nobody answers at \S+; check that the ATI controller has power, the cable, and the baud rate \(here "
+              r"9600"),
+    (b"ok\r\n", (b"\r\nGrbl 1.1h ['$' for help]\r\n",),
+     r"^what answers at \S+ is not an ATI controller \(it says '.*ok' and no prompt '>'\); give the port of the "
+     r"controller$"),
+    (b"?\r\r>", (), r"^the ATI controller at \S+ sends no records of a flag and six counts \('\?'\); select all six"),
+    (b"0,1,2,3,4\r\n>", (), r"sends no records of a flag and six counts \(.*0,1,2,3,4'\); select all six components "
+                            r"\(CV 3F"),
+])
+@pytest.mark.parametrize("mode", ["ascii", "binary"])
+def test_another_device_at_the_port(answer, unasked, sentence, mode, patience):
+    """Nobody, as a Tic that waits for its own bytes; a Grbl; something with the same prompt; four components."""
+    patience(1.0)
+    with Talker(answer, unasked) as other:
+        sensor = sensor_at(other.path, mode=mode)
+        if mode == "binary" and b">" in answer:
+            sentence = "sends no records of a flag and six counts"
+        with pytest.raises(DeviceError, match=sentence):
+            sensor.start()
+        # The port is free again.
+        SerialLine(other.path, 9600, "the test").close()
+
+
+def test_a_controller_that_does_not_end_its_answer(emulator, monkeypatch, patience):
+    patience(1.0)
+    answer = emulator._answer
+    monkeypatch.setattr(emulator, "_answer", lambda command: None if command == b"CD R" else answer(command))
+    with pytest.raises(DeviceError, match=r"did not end its answer to 'CD R' \(nothing came\) with its prompt '>'; "
+                                          r"switch it off and on"):
+        sensor_at(emulator.path).start()
+
+
+@pytest.mark.parametrize("mode", ["ascii", "binary"])
+def test_a_controller_that_falls_silent(emulator, monkeypatch, mode):
+    sensor = open_sensor(emulator.address.replace("ascii", mode))
+    sensor.start()
+    assert read_some(sensor)
+    sensor._running._silence = 1.0
+    monkeypatch.setattr(emulator, "due", lambda: [])
+    with pytest.raises(DeviceError, match=r"has sent nothing for 1 s; check its power, its sensor and the cable, and"):
+        wait_until(lambda: sensor.read() and None)
+    with pytest.raises(DeviceError, match="has sent nothing"):
+        sensor.tare()
+    sensor.stop()
+
+
+def test_a_controller_that_speaks_instead_of_sending_records(emulator, monkeypatch):
+    """As of a sensor that is saturated or not connected, where it tells so in words."""
+    sensor = open_sensor(emulator.address)
+    sensor.start()
+    assert read_some(sensor)
+    sensor._running._silence = 1.0
+    monkeypatch.setattr(emulator, "_record", lambda: b"saturation error\r\n")
+    with pytest.raises(DeviceError, match=r"has sent no whole record \('saturation error'\) for 1 s; check its power"):
+        wait_until(lambda: sensor.read() and None)
+    assert sensor.describe()["garbled_records"] > 0
+    sensor.stop()
+
+
+def test_a_cable_that_is_pulled(emulator):
+    sensor = open_sensor(emulator.address)
+    sensor.start()
+    emulator.stop()
+    with pytest.raises(DeviceError, match=r"the ATI controller at \S+ is gone .*; plug it in again and start anew"):
+        wait_until(lambda: sensor.read() and None)
+    sensor.stop()
+    emulator.start()
+    again = open_sensor(emulator.address)
+    again.start()
+    assert read_some(again)[0].sequence == 0
+    again.stop()
+
+
+def test_who_does_not_read_loses_the_oldest_and_sees_it(emulator, monkeypatch):
+    sensor = open_sensor(emulator.address)
+    sensor.start()
+    read_some(sensor)
+    waiting = sensor._running._waiting
+    wait_until(lambda: len(waiting) >= 3)
+    waiting.popleft()  # as the full queue does
+    first, *others = sensor.read()
+    sensor.stop()
+    assert first.status == SampleStatus.GAP and all(sample.status == SampleStatus.GOOD for sample in others)
+
+
+@pytest.mark.parametrize(("name", "sentence"), [
+    ("ati-serial:", r"^ati-serial\.name: the port of the controller is missing; give it first, as in ati-serial:/dev"),
+    ("ati-serial:baud=9600", "the port of the controller is missing"),
+    ("ati-serial:/dev/ttyUSB0", r"counts_per_N: 0 counts; give the counts per unit of the sensor's calibration sheet"),
+    ("ati-serial:/dev/ttyUSB0,counts_per_N=100", "counts_per_Nm: 0 counts"),
+    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,mode=binry", "mode: 'binry' is none of them; did you mean "
+                                                                          "'bin"),
+    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,bawd=1", "bawd: unknown setting; did you mean 'baud'"),
+    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,baud=-1", "baud: -1 baud"),
+    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,rate_hz=-1", "rate_hz: -1 Hz"),
+    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,average=300", "average: 300; give 0 to 255"),
+])
+def test_settings_that_make_no_sense(name, sentence):
+    with pytest.raises(InputError, match=sentence):
+        open_sensor(name)
+
+
+def test_settings_of_the_emulator_that_make_no_sense():
+    for name, sentence in (("ati-serial:mode=hex", "mode: 'hex' is "
+                                                   "none"), ("ati-serial:baud=0", "baud: 0; give a number"),
+                           ("ati-serial:counts_per_N=-1", "counts_per_N: -1")):
+        with pytest.raises(InputError, match=sentence):
+            open_emulator(name, bench())
+    with pytest.raises(InputError, match="no mode"):
+        AtiSerialSensor("/dev/ttyUSB0", 1.0, 1.0, mode="hex")

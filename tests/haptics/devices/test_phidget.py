@@ -1,0 +1,357 @@
+"""The stage of a Phidget stepper, over a stand-in for its library that does what the documentation of phidget22
+says."""
+
+import ctypes.util
+import importlib.util
+import math
+import sys
+from types import ModuleType
+
+import pytest
+from device_contracts import StageContract
+
+from haptics.devices import phidget
+from haptics.devices.back_ends import open_stage
+from haptics.devices.contracts import DeviceError
+from tissue_sim.errors import InputError
+
+
+class PhidgetException(Exception):  # noqa: N818 (the library's name)
+    """As that of the library: a code of `ErrorCode`, and what it says."""
+
+    def __init__(self, code, details=""):
+        super().__init__(f"PhidgetException 0x{code:02x}\n{details}")
+        self.code, self.details = code, details
+
+
+class Stepper:
+    """A controller with a motor; positions in counts of 1/16 step. All speeds are reached at once."""
+
+    #: s; goes as the test says. What is attached, and what is made.
+    now, attached, made = 0.0, True, []
+
+    def __init__(self):
+        Stepper.made.append(self)
+        self.calls, self.serial, self.open, self.engaged = [], None, False, False
+        self.factor, self.limit, self.target, self.current = 1.0, 10000.0, None, None
+        self._place, self._since, self._failsafe, self._alive, self._tripped = 700.0, 0.0, math.inf, 0.0, False
+
+    def _check(self, name):
+        self.calls.append(name)
+        if not self.open or not Stepper.attached:
+            raise PhidgetException(52, "Device not Attached.")
+        self._run()
+        if self._tripped:
+            raise PhidgetException(59, "Failsafe Triggered on this channel.")
+
+    def _run(self):
+        """Move on to now, or to where the failsafe has tripped."""
+        end = min(Stepper.now, self._alive + self._failsafe)
+        if self.engaged and self.target is not None and end > self._since:
+            way = self.target - self._place
+            self._place += math.copysign(min(abs(way), self.limit * (end - self._since)), way)
+        self._since = Stepper.now
+        if Stepper.now > self._alive + self._failsafe:
+            self._tripped, self.engaged = True, False
+
+    def _moves(self):
+        return self.engaged and self.target is not None and self._place != self.target and self.limit > 0
+
+    def setDeviceSerialNumber(self, serial):
+        self.serial = serial
+
+    def openWaitForAttachment(self, timeout):
+        if not Stepper.attached or self.serial not in (None, 123):
+            raise PhidgetException(3, "No Phidgets were detected at all. Make sure your device is attached.")
+        self.open, self._since = True, Stepper.now
+
+    def close(self):
+        self.open, self.engaged = False, False
+
+    def setRescaleFactor(self, factor):
+        self._check("setRescaleFactor")
+        self.factor = factor
+
+    def getMaxVelocityLimit(self):
+        return 250000.0
+
+    def setVelocityLimit(self, limit):
+        self._check("setVelocityLimit")
+        if not 0 <= limit <= 250000:
+            raise PhidgetException(21, "Value must be in range.")
+        self.limit, self._alive = math.floor(limit), Stepper.now
+
+    def getMinAcceleration(self):
+        return 2.0
+
+    def getMaxAcceleration(self):
+        return 1e7
+
+    def setAcceleration(self, acceleration):
+        self._check("setAcceleration")
+        assert 2.0 <= acceleration <= 1e7
+        self._alive = Stepper.now
+
+    def setCurrentLimit(self, current):
+        self._check("setCurrentLimit")
+        self.current, self._alive = current, Stepper.now
+
+    def enableFailsafe(self, milliseconds):
+        self._check("enableFailsafe")
+        self._failsafe, self._alive = 1e-3 * milliseconds, Stepper.now
+
+    def resetFailsafe(self):
+        self._check("resetFailsafe")
+        self._alive = Stepper.now
+
+    def setEngaged(self, engaged):
+        self._check("setEngaged")
+        self.engaged, self._alive = engaged, Stepper.now
+
+    def addPositionOffset(self, offset):
+        self._check("addPositionOffset")
+        self._place += offset
+        self.target = None if self.target is None else self.target + offset
+
+    def setTargetPosition(self, target):
+        self._check("setTargetPosition")
+        self.target = target
+
+    def getPosition(self):
+        self._check("getPosition")
+        return self._place
+
+    def getIsMoving(self):
+        self._check("getIsMoving")
+        return self._moves()
+
+
+@pytest.fixture
+def library(monkeypatch):
+    """The stand-in, in the place of phidget22."""
+    names = ("Phidget22", "Phidget22.Devices", "Phidget22.Devices.Stepper", "Phidget22.Phidget")
+    modules = {name: ModuleType(name) for name in names}
+    modules["Phidget22.Devices.Stepper"].Stepper = Stepper
+    modules["Phidget22.Phidget"].Phidget = type("Phidget", (), {"getLibraryVersion": staticmethod(lambda: "made up")})
+    for name, module in modules.items():
+        monkeypatch.setitem(sys.modules, name, module)
+    for name, value in (("now", 0.0), ("attached", True), ("made", [])):
+        monkeypatch.setattr(Stepper, name, value)
+    return modules
+
+
+class OverTheStandIn(StageContract):
+    tolerance = 0.6 * 1e-3 / (25 * 16)
+
+    @pytest.fixture
+    def stage(self, library):
+        self.stage_here = open_stage(self.name)
+        yield self.stage_here
+        self.stage_here.stop()
+
+    def pass_time(self, seconds):
+        """With a sign of life in time, as a loop gives it; whoever asks for the position also has a number less."""
+        end = Stepper.now + seconds
+        while Stepper.now < end - 1e-9:
+            Stepper.now = min(Stepper.now + 0.4, end)
+            Stepper.made[-1].resetFailsafe()
+
+
+class TestPhidget(OverTheStandIn):
+    name = "phidget:123,steps_per_mm=25,lowest_mm=-5,highest_mm=20,top_speed_mm_s=10"
+
+
+class TestTheOtherWayRound(OverTheStandIn):
+    """A motor that turns the other way, of any controller."""
+
+    name = "phidget:any,steps_per_mm=-25,lowest_mm=-5,highest_mm=20,top_speed_mm_s=10,current_A=0.6"
+
+
+@pytest.fixture
+def stage(library):
+    stage = open_stage("phidget:123,steps_per_mm=25")
+    stage.start()
+    yield stage
+    stage.stop()
+
+
+def test_a_start_moves_nothing_and_sets_the_failsafe(stage):
+    motor, = Stepper.made
+    assert motor.serial == 123 and motor.limit == 0.0 and not motor.engaged
+    assert "setTargetPosition" not in motor.calls and motor.calls[-1] == "enableFailsafe"
+    assert stage.runs_on == 0.5 and motor._failsafe == 0.5 and not stage.measures_position
+
+
+def test_home_takes_the_place_where_it_stands(stage):
+    assert stage.position().counts == 700
+    stage.home()
+    motor, = Stepper.made
+    sample = stage.position()
+    assert (sample.counts, sample.homed, sample.moving, motor.engaged) == (0, True, False, True)
+
+
+def test_counts_and_speed_are_those_of_the_motor(stage):
+    stage.home()
+    stage.move(0.010, 0.005)
+    motor, = Stepper.made
+    assert motor.target == 10 * 25 * 16 and motor.limit == 5 * 25 * 16
+    Stepper.now += 0.4
+    sample = stage.position()
+    assert sample.counts == 800 and sample.position == pytest.approx(0.002) and sample.moving
+
+
+def test_who_is_silent_for_half_a_second_loses_the_motor_and_the_zero(stage):
+    stage.home()
+    stage.move(0.010, 0.005)
+    Stepper.now += 0.6
+    with pytest.raises(DeviceError, match=r"^the Phidget stepper has let its motor go, because this program was silent "
+                                          r"for 0\.5 s; stop it, start it and home it again$"):
+        stage.position()
+    motor, = Stepper.made
+    assert motor._place == pytest.approx(0.5 * 5 * 25 * 16) and not motor.engaged
+    stage.stop()
+    stage.start()
+    assert not stage.position().homed
+    with pytest.raises(DeviceError, match="does not know its zero; home it first"):
+        stage.move(0.0, 0.001)
+
+
+def test_an_old_controller_has_no_failsafe_and_it_says_so(library, monkeypatch):
+    def refuse(*_):
+        raise PhidgetException(20, "This API call is not supported.")
+
+    monkeypatch.setattr(Stepper, "enableFailsafe", refuse)
+    monkeypatch.setattr(Stepper, "resetFailsafe", refuse)
+    stage = open_stage("phidget:123,steps_per_mm=25")
+    stage.start()
+    stage.home()
+    stage.move(0.010, 0.005)
+    Stepper.now += 1.0
+    assert stage.position().position == pytest.approx(0.005)
+    assert stage.runs_on == math.inf and stage.describe()["failsafe_s"] is None
+    stage.stop()
+
+
+def test_a_controller_that_was_unplugged(stage, monkeypatch):
+    stage.home()
+    monkeypatch.setattr(Stepper, "attached", False)
+    for ask in (stage.position, stage.home, lambda: stage.move(0.0, 0.001)):
+        with pytest.raises(DeviceError, match=r"^the Phidget stepper is gone; check its power and the cable, and start "
+                                              r"it"):
+            ask()
+        stage._homed = True
+    stage.halt()
+
+
+def test_what_the_library_refuses_is_passed_on(stage, monkeypatch):
+    def refuse(*_):
+        raise PhidgetException(62, "The power supply of your device is outside the\nacceptable range.")
+
+    stage.home()
+    monkeypatch.setattr(Stepper, "setTargetPosition", refuse)
+    with pytest.raises(DeviceError, match=r"refuses \(The power supply of your device is outside the acceptable "
+                                          r"range\); check its power"):
+        stage.move(0.001, 0.001)
+
+
+def test_a_halt_without_an_answer_takes_the_current_away(stage, monkeypatch):
+    def refuse(*_):
+        raise PhidgetException(28)
+
+    stage.home()
+    stage.move(0.010, 0.005)
+    monkeypatch.setattr(Stepper, "setVelocityLimit", refuse)
+    stage.halt()
+    motor, = Stepper.made
+    assert not motor.engaged
+
+
+def test_a_speed_that_the_controller_would_round_to_nothing(stage):
+    stage.home()
+    with pytest.raises(InputError, match=r"speed: 1e-06 m/s is less than the slowest speed, 2\.5e-06 m/s"):
+        stage.move(0.001, 1e-6)
+
+
+def test_what_a_start_that_fails_leaves_behind(library, monkeypatch):
+    def refuse(*_):
+        raise PhidgetException(21, "Out of range.")
+
+    monkeypatch.setattr(Stepper, "setAcceleration", refuse)
+    stage = open_stage("phidget:123,steps_per_mm=25")
+    with pytest.raises(DeviceError, match=r"refuses \(Out of range\)"):
+        stage.start()
+    assert not Stepper.made[0].open
+    with pytest.raises(DeviceError, match="not started"):
+        stage.position()
+
+
+def test_no_controller(library):
+    for name, which in (("124", "no Phidget stepper 124"), ("any", "no Phidget stepper")):
+        if name == "any":
+            Stepper.attached = False
+        with pytest.raises(DeviceError, match=rf"^{which} answers within 2 s; check its power, the cable and the "
+                                              r"serial number, close the Phidget Control Panel, and on Linux .*udev"):
+            open_stage(f"phidget:{name},steps_per_mm=25").start()
+
+
+def test_a_speed_that_the_motor_does_not_reach(library):
+    with pytest.raises(DeviceError, match=r"reaches 625 mm/s at 25 steps per mm; give top_speed_mm_s=625 or less"):
+        open_stage("phidget:123,steps_per_mm=25,top_speed_mm_s=700").start()
+
+
+def test_without_the_package(library, monkeypatch):
+    for name in library:
+        monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(DeviceError, match=r"^the package phidget22 is missing, which a Phidget needs; install it with "
+                                          r"pip install 'tissue-sim\[phidget\]'$"):
+        open_stage("phidget:123,steps_per_mm=25").start()
+
+
+@pytest.mark.parametrize(("error", "sentence"), [
+    ("libusb-1.0.so.0: cannot open shared object file: No such file or directory",
+     r"^the library libusb-1\.0 is missing, which a Phidget needs; install it, .* sudo apt install libusb-1\.0-0$"),
+    ("wrong ELF "
+     "class", r"^the library of the package phidget22 cannot be loaded \(wrong ELF class\); install that package"),
+])
+def test_without_its_library(library, monkeypatch, error, sentence):
+    def refuse():
+        raise OSError(error)
+
+    monkeypatch.setattr(library["Phidget22.Phidget"].Phidget, "getLibraryVersion", staticmethod(refuse))
+    with pytest.raises(DeviceError, match=sentence):
+        open_stage("phidget:123,steps_per_mm=25").start()
+    assert not Stepper.made
+
+
+@pytest.mark.skipif(importlib.util.find_spec("Phidget22") is None, reason="the package phidget22 is not installed")
+def test_the_real_package_without_a_controller(capfd, monkeypatch):
+    """Nothing is plugged in: whatever is missing, one sentence, and nothing else on the screen."""
+    monkeypatch.setattr(phidget, "_ATTACH_MS", 100)
+    with pytest.raises(DeviceError) as caught:
+        open_stage("phidget:1,steps_per_mm=25").start()
+    there = ctypes.util.find_library("usb-1.0")
+    wanted = "no Phidget stepper 1 answers" if there else "the library libusb-1.0 is missing"
+    assert str(caught.value).startswith(wanted)
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize(("name", "sentence"), [
+    ("phidget:", r"phidget\.name: the serial number of the controller, or 'any', is missing; give it first, as in "
+                 r"phidget:1"),
+    ("phidget:steps_per_mm=25", "the serial number of the controller, or 'any', is missing"),
+    ("phidget:mine,steps_per_mm=25", "serial: 'mine' is no serial number; give that of the controller, or 'any'"),
+    ("phidget:123", "steps_per_mm: 0; give a number that is not zero, as in phidget:123456,steps_per_mm=25"),
+    ("phidget:123,steps_per_mm=25,microsteps=0", "microsteps: 0; give a number that is not zero"),
+    ("phidget:123,steps_per_mm=25,top_speed_mm_s=-1", "top_speed_mm_s: -0.001; give a number"),
+    ("phidget:123,steps_per_mm=25,highest_mm=-1", "limits: from 0 to -0.001 m; give a range with the zero in it"),
+    ("phidget:123,steps_per_m=25", "steps_per_m: unknown setting; did you mean 'steps_per_mm'"),
+])
+def test_settings_that_make_no_sense(name, sentence):
+    with pytest.raises(InputError, match=sentence):
+        open_stage(name)
+
+
+def test_it_says_what_it_cannot_see():
+    described = open_stage("phidget:123,steps_per_mm=25").describe()
+    assert described["stall"] == "not detectable" and described["resolution_mm"] == pytest.approx(0.0025)
+    assert described["verified"] == "against a stand-in for its library only"

@@ -1,0 +1,128 @@
+"""A sensor that plays a recording: the contract, its times, its channels and its end."""
+
+import math
+
+import numpy as np
+import pytest
+from device_contracts import ForceSensorContract
+
+from haptics.devices.back_ends import open_sensor
+from haptics.devices.contracts import DeviceError
+from haptics.devices.replay import ReplaySensor
+from tissue_sim.errors import InputError
+from tissue_sim.recording.file import write_recording
+from tissue_sim.recording.recording import Recording
+
+
+class Clock:
+    """s; goes as the test says."""
+
+    def __init__(self):
+        self.now = 100.0
+
+    def __call__(self):
+        return self.now
+
+
+def recording(time=None, **channels):
+    time = np.arange(5000) / 1000.0 if time is None else np.asarray(time)
+    channels = {name: np.broadcast_to(value, time.shape) for name, value in channels.items()}
+    return Recording({"time": time, **channels}, metadata={"name": "needle_1"})
+
+
+class TestReplay(ForceSensorContract):
+    load, tolerance = (0.1, -0.2, 3.0, 0.01, 0.02, -0.03), 1e-12
+
+    @pytest.fixture
+    def sensor(self):
+        self.clock = Clock()
+        return ReplaySensor(recording(Fx=0.1, Fy=-0.2, Fz=3.0, Tx=0.01, Ty=0.02, Tz=-0.03, force=9.0), clock=self.clock)
+
+    def pass_time(self, seconds):
+        self.clock.now += seconds
+
+    def now(self):
+        return self.clock.now
+
+
+class TestByName(ForceSensorContract):
+    """A file, twice as fast."""
+
+    load, tolerance = (2.5,), 1e-12
+
+    @pytest.fixture
+    def sensor(self, tmp_path):
+        write_recording(recording(force=2.5, displacement=0.001), tmp_path / "needle_1.csv")
+        sensor = open_sensor(f"replay:{tmp_path / 'needle_1.csv'},speed=2,resolution_N=0.01")
+        assert sensor.channels == ("Fz",) and sensor.rate == pytest.approx(2000.0)
+        self.clock = sensor._clock = Clock()
+        return sensor
+
+    def pass_time(self, seconds):
+        self.clock.now += seconds
+
+    def now(self):
+        return self.clock.now
+
+
+def test_it_plays_at_its_own_times():
+    """As uneven as they are, and from the first one."""
+    clock = Clock()
+    sensor = ReplaySensor(recording([7.0, 7.1, 7.15, 8.0, 8.0, 9.0], force=[0.0, 0.101, 0.2, 0.3, 0.4, -0.5]),
+                          resolution=0.01, clock=clock)
+    sensor.start()
+    assert [sample.values for sample in sensor.read()] == [(0.0,)]
+    clock.now += 0.12
+    sample, = sensor.read()
+    assert (sample.values, sample.counts, sample.sequence, sample.received) == ((0.101,), (10,), 1, 100.12)
+    assert sensor.read() == ()
+    clock.now += 0.9
+    assert [sample.sequence for sample in sensor.read()] == [2, 3, 4]
+    clock.now += 1.0
+    assert [sample.counts for sample in sensor.read()] == [(-50,)]
+
+
+def test_at_its_end_it_says_so_and_can_be_played_anew():
+    clock = Clock()
+    sensor = ReplaySensor(recording([0.0, 0.5, 1.0], force=[1.0, 2.0, 3.0]), speed=0.5, clock=clock)
+    for _ in range(2):
+        sensor.start()
+        clock.now += 60.0
+        assert [sample.values for sample in sensor.read()] == [(1.0,), (2.0,), (3.0,)]
+        for _ in range(2):
+            with pytest.raises(DeviceError, match=r"^the recording 'needle_1' is at its end, after 3 samples in 2 s; "
+                                                  r"start it again to play it anew$"):
+                sensor.read()
+        sensor.stop()
+
+
+def test_the_tare_is_what_plays_at_that_time():
+    clock = Clock()
+    sensor = ReplaySensor(recording([0.0, 0.5, 1.0], force=[1.0, 2.0, 3.5]), clock=clock)
+    sensor.start()
+    clock.now += 0.6
+    sensor.tare()
+    clock.now += 1.0
+    assert [sample.values for sample in sensor.read()] == [(-1.0,), (0.0,), (1.5,)]
+    assert sensor.describe()["duration_s"] == 1.0
+
+
+@pytest.mark.parametrize(("made_of", "options", "sentence"), [
+    (recording(force=1.0), {"speed": 0.0}, "speed: 0; give a number above zero"),
+    (recording(force=1.0), {"resolution": math.nan}, "resolution: nan; give"),
+    (recording([1.0], force=1.0), {}, "time: has no two times, which a replay needs"),
+    (recording([1.0, 1.0], force=1.0), {}, "time: has no two times, which a replay needs"),
+    (Recording({"force": [1.0, 2.0]}), {}, "time: has no time, which a replay needs"),
+    (recording(displacement=1.0), {}, "this recording has no 'force'; it has time, displacement"),
+])
+def test_what_cannot_be_played(made_of, options, sentence):
+    with pytest.raises(InputError, match=sentence):
+        ReplaySensor(made_of, **options)
+
+
+def test_names_that_make_no_sense(tmp_path):
+    for name, sentence in (("replay:", "the recording is missing; give it first, as in replay:needle_1.csv"),
+                           (f"replay:{tmp_path / 'no.csv'}", "no such file"),
+                           ("replay:x.csv,sped=2", "sped: unknown setting; did you mean 'speed'")):
+        with pytest.raises(InputError, match=sentence):
+            open_sensor(name)
