@@ -232,7 +232,7 @@ class GrblStage(Stage):
 
     def describe(self) -> dict[str, Any]:
         told = {} if math.isnan(self._steps_per_mm) else {"steps_per_mm": self._steps_per_mm,
-                                                          "resolution_mm": 1.0 / self._steps_per_mm}
+                                                          "resolution_mm": max(1.0 / self._steps_per_mm, 1e-3)}
         return {"stage": "Grbl 1.1", "port": self._port, "axis": self._axis, **told,
                 "lowest_mm": self.limits.lowest * 1e3, "highest_mm": self.limits.highest * 1e3,
                 "top_speed_mm_s": self.limits.speed * 1e3, "position": "commanded", "stalled_motor": "not detectable",

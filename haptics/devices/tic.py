@@ -83,7 +83,10 @@ class TicStage(Stage):
         #: The Tic's own timeout, and the ramp after it.
         self.runs_on = LONGEST_TIMEOUT + ramp
         self._line: SerialLine | None = None
-        self._sequence, self._halts, self._lapsed, self._homing_until = 0, 0, False, math.inf
+        self._sequence, self._halts, self._homing_until = 0, 0, math.inf
+        #: Where it was sent, microsteps, and whether home; whether the timeout has cut that short.
+        self._goal: int | None = None
+        self._homes = self._lapsed = False
 
     def __getstate__(self) -> dict[str, Any]:
         if self._line is not None:
@@ -97,7 +100,8 @@ class TicStage(Stage):
         if self._line is not None:
             return
         line = SerialLine(self._port, self._baud, "the Tic")
-        self._writing, self._line, self._sequence, self._lapsed = threading.Lock(), line, 0, False
+        self._writing, self._line, self._sequence = threading.Lock(), line, 0
+        self._goal, self._homes, self._lapsed = None, False, False
         try:
             self._meet(line)
         except BaseException:
@@ -116,8 +120,8 @@ class TicStage(Stage):
             raise DeviceError(f"{error}; baud, device, crc and response_crc must be as the Tic Control Center shows "
                               f"them{other}") from None
         if answers & tic.ANSWERS_OF_7_BITS or bool(answers & tic.ANSWERS_CHECKED) != self._response_crc:
-            raise DeviceError(f"the Tic at {self._port} is set to answer in another form; switch 7-bit responses off in "
-                              "the Tic Control Center, and give response_crc="
+            raise DeviceError(f"the Tic at {self._port} is set to answer in another form; switch 7-bit responses off "
+                              "in the Tic Control Center, and give response_crc="
                               f"{bool(answers & tic.ANSWERS_CHECKED):d}")
         # A motion that another program has left goes no further.
         self._send(Command.SET_TARGET_VELOCITY, 0)
@@ -185,9 +189,12 @@ class TicStage(Stage):
         now = time.monotonic()
         if place is None:
             raise self._nonsense()
+        uncertain = bool(status.flags & Flags.POSITION_UNCERTAIN)
+        self._homes = self._homes and (uncertain or bool(status.flags & Flags.HOMING))
         if status.errors & Errors.COMMAND_TIMEOUT:
-            # To clear it as if nothing had been would let a Tic without safe start go on by itself.
-            self._lapsed = True
+            # Of a motor that stands it is no fault. To clear it as if nothing had been would let a Tic without safe
+            # start go on by itself.
+            self._lapsed = self._lapsed or self._homes or self._goal not in (None, place.position)
             self._send(Command.SET_TARGET_VELOCITY, 0)
         else:
             self._send(Command.RESET_COMMAND_TIMEOUT)
@@ -199,17 +206,18 @@ class TicStage(Stage):
         on_its_way = (status.planning == Planning.POSITION and status.target != place.position
                       and status.state == State.NORMAL)
         bits = SampleStatus.GOOD
-        if status.errors & ~Errors.SAFE_START or self._lapsed:
+        if status.errors & ~(Errors.SAFE_START | Errors.COMMAND_TIMEOUT) or self._lapsed:
             bits |= SampleStatus.FAULT
         if status.flags & (Flags.FORWARD_LIMIT | Flags.REVERSE_LIMIT):
             bits |= SampleStatus.LIMIT
         self._sequence += 1
-        homed = not homing and not status.flags & Flags.POSITION_UNCERTAIN
+        homed = not homing and not uncertain
         return StageSample(place.position, place.position / self._steps, homing or place.velocity != 0 or on_its_way,
                            homed, self._sequence - 1, int(bits), now)
 
     def halt(self) -> None:
         self._halts += 1
+        self._goal, self._homes = None, False
         line, writing = self._line, self._writing
         if line is None or writing is None:
             return
@@ -306,6 +314,7 @@ class TicStage(Stage):
         assert writing is not None
         with writing:
             if halts == self._halts:
+                self._goal, self._homes = (None, True) if command == Command.GO_HOME else (value, False)
                 line.write(self._encode(command, value))
 
     def _require_start(self) -> SerialLine:

@@ -102,6 +102,32 @@ def test_a_silent_program_stops_the_motor_and_the_next_sample_says_so(clock):
         stage.stop()
 
 
+def test_a_silence_while_it_stands_is_no_fault(clock):
+    with open_emulator("tic:timeout_ms=150", bench(clock=clock)) as emulator:
+        stage = homed(emulator, clock)
+        stage.move(0.002, 0.004)
+        clock.now += 10.0
+        assert not stage.position().moving
+        for _ in range(2):
+            wait_for(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, what="the command timeout")
+            assert stage.position().status == SampleStatus.GOOD
+        stage.move(0.003, 0.004)
+        clock.now += 10.0
+        assert stage.position().position == pytest.approx(0.003, abs=2e-6)
+        stage.stop()
+
+
+def test_a_silence_while_it_homes_is_a_fault(clock):
+    with open_emulator("tic:timeout_ms=150", bench(start_at=0.008, clock=clock)) as emulator:
+        stage = open_stage(emulator.address)
+        stage.start()
+        stage.home()
+        wait_for(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, what="the command timeout")
+        sample = stage.position()
+        assert sample.status & SampleStatus.FAULT and not sample.homed and not sample.moving
+        stage.stop()
+
+
 def test_a_tic_without_safe_start_does_not_go_on_by_itself(clock):
     with open_emulator("tic:timeout_ms=150,safe_start=0", bench(clock=clock)) as emulator:
         stage = homed(emulator, clock)

@@ -61,7 +61,7 @@ def test_all_texts_of_the_tables_have_a_remedy():
 
 
 @given(st.sampled_from("XYZ"), thousandths, st.integers(1, 10**6).map(lambda number: number / 100))
-@settings(max_examples=CASES)
+@settings(max_examples=CASES, deadline=None)
 def test_a_jog_comes_back(axis, target, feed):
     jog = grbl.parse_jog(grbl.jog_line(axis, target, feed).decode().strip())
     assert jog == Jog(pytest.approx(feed, abs=1e-3), {axis: pytest.approx(target, abs=1e-4)}, machine=True)
@@ -75,13 +75,13 @@ reports = st.builds(
 
 
 @given(reports)
-@settings(max_examples=CASES)
+@settings(max_examples=CASES, deadline=None)
 def test_a_report_comes_back(report):
     assert grbl.parse_report(grbl.format_report(report)) == report
 
 
 @given(reports, st.data())
-@settings(max_examples=CASES)
+@settings(max_examples=CASES, deadline=None)
 def test_a_garbled_report_says_what_it_says_or_nothing(report, data):
     """Of text without a check no more can be asked: what was read is what stands there, and no part is missing."""
     line = grbl.format_report(report)
@@ -97,7 +97,7 @@ def test_a_garbled_report_says_what_it_says_or_nothing(report, data):
 
 
 @given(st.text(max_size=80))
-@settings(max_examples=CASES)
+@settings(max_examples=CASES, deadline=None)
 def test_any_text_is_read_or_not(text):
     for parse in (grbl.parse_report, grbl.parse_answer, grbl.parse_setting, grbl.parse_version, grbl.parse_banner,
                   grbl.parse_jog):

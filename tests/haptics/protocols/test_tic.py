@@ -43,7 +43,7 @@ def test_the_answer_of_the_manual_is_read():
 
 
 @given(st.sampled_from(WIDE), st.integers(-0x80000000, 0x7FFFFFFF), st.sampled_from([None, 0, 14, 127]), st.booleans())
-@settings(max_examples=CASES)
+@settings(max_examples=CASES, deadline=None)
 def test_commands_are_those_of_ticlib_and_come_back(command, value, device, crc):
     sent = bytearray()
 
@@ -62,7 +62,7 @@ def test_commands_are_those_of_ticlib_and_come_back(command, value, device, crc)
 
 
 @given(st.sampled_from(list(Command)), st.integers(0, 255), st.integers(1, 15), st.booleans(), st.data())
-@settings(max_examples=CASES)
+@settings(max_examples=CASES, deadline=None)
 def test_every_command_comes_back_in_any_pieces(command, value, length, crc, data):
     number = value if 0xE0 <= command <= 0xEC or command in (0xA1, 0xA2, 0xA8) else value & 0x7F
     message = tic.encode(command, number, length, crc=crc)
@@ -75,7 +75,7 @@ def test_every_command_comes_back_in_any_pieces(command, value, length, crc, dat
 
 
 @given(st.binary(max_size=60), st.booleans())
-@settings(max_examples=CASES)
+@settings(max_examples=CASES, deadline=None)
 def test_any_bytes_leave_the_parser_alive(data, crc):
     orders = Orders(crc=crc)
     for order in orders.feed(data):
@@ -85,7 +85,7 @@ def test_any_bytes_leave_the_parser_alive(data, crc):
 
 
 @given(st.sampled_from(WIDE), st.integers(0, 0xFFFFFFFF), st.integers(0, 6), st.integers(1, 127))
-@settings(max_examples=CASES)
+@settings(max_examples=CASES, deadline=None)
 def test_a_wrong_byte_never_passes_the_check(command, value, at, flip):
     message = bytearray(tic.encode(command, value, crc=True))
     message[at] ^= flip
@@ -95,7 +95,7 @@ def test_a_wrong_byte_never_passes_the_check(command, value, at, flip):
 
 
 @given(st.binary(min_size=0, max_size=20))
-@settings(max_examples=CASES)
+@settings(max_examples=CASES, deadline=None)
 def test_a_status_is_whole_and_possible_or_none(block):
     status, place = tic.parse_status(block), tic.parse_place(block)
     if status is not None:
@@ -106,7 +106,7 @@ def test_a_status_is_whole_and_possible_or_none(block):
 
 @given(st.sampled_from(list(State)), st.integers(0, 31), st.integers(0, 0x1FF), st.integers(0, 0x1FFFFF),
        st.sampled_from(list(Planning)), st.integers(-0x80000000, 0x7FFFFFFF), st.integers(0, 255))
-@settings(max_examples=CASES)
+@settings(max_examples=CASES, deadline=None)
 def test_every_status_that_can_be_is_read(state, flags, errors, occurred, planning, target, unused):
     block = (bytes([state, flags]) + errors.to_bytes(2, "little") + occurred.to_bytes(4, "little")
              + bytes([unused, planning]) + (target & 0xFFFFFFFF).to_bytes(4, "little"))
