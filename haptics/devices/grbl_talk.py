@@ -156,11 +156,13 @@ class GrblTalk:
             try:
                 data = self._line.read()
                 with self.lock:
-                    for line in self._lines(data):
+                    lines = self._lines(data)
+                    for line in lines:
                         self._hear(line)
                     busy = act(self) or self._wanted or self.unanswered > 0
                     self._ask_for_report(_EACH_BUSY if busy else _EACH_IDLE)
-                    self._news.notify_all()
+                    if lines:
+                        self._news.notify_all()
             except DeviceError as error:
                 with self.lock:
                     self.lost = str(error)
@@ -229,13 +231,14 @@ class GrblTalk:
     def fresh(self, timeout: float) -> Seen | None:
         """A report that was asked for after this call; None: none came in time, or the line is lost. Needs the lock."""
         begin = time.monotonic()
+        self._poke.set()
         while self.seen.asked < begin or not self.seen.number:
             left = begin + timeout - time.monotonic()
             if left <= 0 or self.lost:
                 return None
             self._wanted = True
-            self._poke.set()
-            self._news.wait(min(left, 0.1))
+            # Waked by news only: whoever looks again and again keeps the thread from its line.
+            self._news.wait(left)
         return self.seen
 
     def ask(self, line: bytes) -> None:

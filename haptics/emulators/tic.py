@@ -98,6 +98,7 @@ class TicEmulator(TerminalEmulator):
 
     def received(self, data: bytes) -> list[bytes]:
         answers = []
+        self._evaluate()
         for order in self._orders.feed(data):
             answer = self._obey(order)
             self._evaluate()
