@@ -143,6 +143,16 @@ def test_a_halt_while_homing_leaves_the_zero_unknown(clock):
         stage.stop()
 
 
+def test_a_halt_cancels_what_is_queued(emulator, clock):
+    stage = homed(emulator, clock)
+    stage.move(0.008, 0.004)
+    pass_time(emulator, stage, clock, 0.3)
+    assert emulator.queued > 0.0
+    stage.halt()
+    wait_for(lambda: emulator.queued == 0.0, what="the end of the queue, on a clock that stands")
+    stage.stop()
+
+
 def test_a_halt_from_another_thread_stops_it(emulator, clock):
     stage = homed(emulator, clock)
     stage.move(0.008, 0.004)
