@@ -187,6 +187,13 @@ class GrblEmulator(TerminalEmulator):
         if line == "$X":
             unlocked, self._alarm = self._alarm, False
             return [*(["[MSG:Caution: Unlocked]"] if unlocked else []), "ok"]
+        if line == "$G":
+            return ["[GC:G0 G54 G17 G21 G90 G94 M5 M9 T0 F0 S0]", "ok"]
+        if line == "$#":
+            offset = ",".join(f"{self._work_offset if axis == self._axis else 0.0:.3f}" for axis in grbl.AXES)
+            places = (f"[{name}:{offset if name == 'G54' else '0.000,0.000,0.000'}]"
+                      for name in ("G54", "G55", "G56", "G57", "G58", "G59", "G28", "G30", "G92"))
+            return [*places, "[TLO:0.000]", "[PRB:0.000,0.000,0.000:0]", "ok"]
         if line == "":
             return ["ok"]
         if line.startswith("$"):
