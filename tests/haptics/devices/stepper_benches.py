@@ -1,0 +1,68 @@
+"""What the tests of the steppers share: a bench on a clock that goes as the test says, and ports that
+answer nonsense."""
+
+import os
+import threading
+import time
+import tty
+from contextlib import contextmanager
+
+from haptics.devices.contracts import Bench, StageLimits
+from haptics.devices.virtual.force_sensor import VirtualForceSensor
+from haptics.devices.virtual.stage import VirtualStage
+
+
+class Clock:
+    """s; goes as the test says."""
+
+    def __init__(self):
+        self.now = 100.0
+
+    def __call__(self):
+        return self.now
+
+
+def no_load(time):
+    return (0.0,)
+
+
+def bench(lowest=0.0, highest=0.01, speed=0.004, start_at=0.0, clock=time.monotonic):
+    return Bench(VirtualForceSensor(no_load), VirtualStage(StageLimits(lowest, highest, speed), start_at=start_at,
+                                                           clock=clock))
+
+
+def wait_for(condition, seconds=60.0, what="it"):
+    """Until it holds; a generous end for a busy machine."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, f"waited {seconds} s for {what}"
+        time.sleep(0.002)
+
+
+@contextmanager
+def port_that_answers(answer):
+    """A serial port where a function of the bytes received gives what comes back."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    os.set_blocking(master, False)
+    ending = threading.Event()
+
+    def run():
+        while not ending.wait(0.001):
+            try:
+                data = os.read(master, 4096)
+            except BlockingIOError:
+                continue
+            back = answer(data)
+            if back:
+                os.write(master, back)
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    try:
+        yield os.ttyname(slave)
+    finally:
+        ending.set()
+        thread.join()
+        os.close(master)
+        os.close(slave)

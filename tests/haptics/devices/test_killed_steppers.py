@@ -1,0 +1,63 @@
+"""A program that is killed while it moves a stage leaves a motor that stands, within what `runs_on` promises."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from stepper_benches import bench, wait_for
+
+from haptics.devices.back_ends import open_stage
+from haptics.emulators.emulator import open_emulator
+
+PROGRAM = """
+import sys
+from haptics.devices.back_ends import open_stage
+
+stage = open_stage(sys.argv[1])
+stage.start()
+stage.home()
+while not stage.position().homed or stage.position().moving:
+    pass
+stage.move(stage.limits.highest, stage.limits.speed)
+while True:
+    sample = stage.position()
+    print(sample.position, flush=True)
+"""
+
+#: m, m/s; it would take 50 s.
+HIGHEST, SPEED = 0.1, 0.002
+
+
+@pytest.mark.parametrize(("protocol", "late"), [
+    # The timeout runs in a thread of this program, which a busy machine lets wait.
+    ("tic:", 2.0),
+    # What is queued is a way, however late: nothing is added.
+    ("grbl:", 0.0),
+])
+def test_the_motor_stands_soon_after_a_kill(protocol, late, root):
+    with open_emulator(protocol, bench(highest=HIGHEST, speed=SPEED)) as emulator:
+        program = subprocess.Popen([sys.executable, "-c", PROGRAM, emulator.address], stdout=subprocess.PIPE, text=True,
+                                   cwd=root, env=os.environ | {"PYTHONPATH": str(root)})
+        try:
+            for line in program.stdout:
+                if float(line) > 0.2e-3:
+                    break
+            os.kill(program.pid, signal.SIGKILL)
+        finally:
+            program.kill()
+            program.wait()
+            program.stdout.close()
+        stage = emulator._stage
+        died_at = stage.tool_place(time.monotonic())
+        wait_for(lambda: not stage.position().moving, what="the motor to stand")
+        way = stage.tool_place(time.monotonic()) - died_at
+        assert 0.2e-3 < died_at < 0.5 * HIGHEST
+        assert 0.0 <= way <= SPEED * (open_stage(emulator.address).runs_on + late) + 2e-6
+        # The next program can go on.
+        again = open_stage(emulator.address)
+        again.start()
+        assert not again.position().moving
+        again.stop()

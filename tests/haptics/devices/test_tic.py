@@ -1,0 +1,391 @@
+"""A Tic over its serial line: the contract over the emulator, and one sentence for everything that can be wrong."""
+
+import itertools
+import math
+import pickle
+import threading
+
+import pytest
+import serial
+from device_contracts import StageContract
+from stepper_benches import Clock, bench, port_that_answers, wait_for
+
+from haptics.devices.back_ends import open_stage
+from haptics.devices.contracts import DeviceError, SampleStatus, StageLimits
+from haptics.devices.tic import TicStage, open_tic
+from haptics.devices.virtual.faults import Faults
+from haptics.emulators.emulator import open_emulator
+from haptics.emulators.tic import TicEmulator
+from haptics.protocols.tic import Errors
+from tissue_sim.errors import InputError
+
+
+class TestTic(StageContract):
+    """With all checks on the line."""
+
+    tolerance = 1.5e-6
+    settings = "steps_per_mm=800,crc=1,response_crc=1"
+    more = ""
+
+    @pytest.fixture
+    def stage(self):
+        self.clock = Clock()
+        with open_emulator("tic:" + self.settings, bench(start_at=0.002, clock=self.clock)) as emulator:
+            stage = open_stage(emulator.address + self.more)
+            yield stage
+            stage.stop()
+
+    def pass_time(self, seconds):
+        self.clock.now += seconds
+
+
+class TestTicOfANumber(TestTic):
+    """The Pololu protocol, with a coarse scale and no checks."""
+
+    tolerance = 6e-6
+    settings = "steps_per_mm=100,device=99"
+    more = ",device=99,baud=115200"
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+@pytest.fixture
+def emulator(clock):
+    with TicEmulator(bench(clock=clock), Faults()) as emulator:
+        yield emulator
+
+
+def homed(emulator, clock):
+    stage = open_stage(emulator.address)
+    stage.start()
+    stage.home()
+    for _ in range(1000):
+        sample = stage.position()
+        if sample.homed and not sample.moving:
+            return stage
+        clock.now += 0.01
+    raise AssertionError("it does not home")
+
+
+def test_the_timeout_is_read_and_counts_as_what_it_runs_on(clock):
+    with open_emulator("tic:timeout_ms=400", bench(clock=clock)) as emulator:
+        stage = open_stage(emulator.address + ",ramp_ms=50")
+        assert stage.runs_on == pytest.approx(1.05)
+        stage.start()
+        assert stage.runs_on == pytest.approx(0.45) == stage.describe()["runs_on_s"]
+        stage.stop()
+
+
+def test_it_says_that_a_stalled_motor_is_not_seen(emulator):
+    stage = open_stage(emulator.address)
+    assert stage.describe()["stalled_motor"] == "not detectable" and not stage.measures_position
+    assert "unverified" in stage.describe()["checked_with"]
+
+
+def test_a_silent_program_stops_the_motor_and_the_next_sample_says_so(clock):
+    with open_emulator("tic:timeout_ms=150", bench(clock=clock)) as emulator:
+        stage = homed(emulator, clock)
+        stage.move(0.008, 0.004)
+        clock.now += 0.5
+        wait_for(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, what="the command timeout")
+        clock.now += 10.0
+        sample = stage.position()
+        assert sample.status & SampleStatus.FAULT and sample.homed and not sample.moving
+        assert sample.position == pytest.approx(0.002, abs=2e-6)
+        clock.now += 10.0
+        assert stage.position().position == pytest.approx(0.002, abs=2e-6)
+        stage.move(0.003, 0.004)
+        assert not stage.position().status
+        stage.stop()
+
+
+def test_a_silence_while_it_stands_is_no_fault(clock):
+    with open_emulator("tic:timeout_ms=150", bench(clock=clock)) as emulator:
+        stage = homed(emulator, clock)
+        stage.move(0.002, 0.004)
+        clock.now += 10.0
+        assert not stage.position().moving
+        for _ in range(2):
+            wait_for(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, what="the command timeout")
+            assert stage.position().status == SampleStatus.GOOD
+        stage.move(0.003, 0.004)
+        clock.now += 10.0
+        assert stage.position().position == pytest.approx(0.003, abs=2e-6)
+        stage.stop()
+
+
+def test_a_silence_while_it_homes_is_a_fault(clock):
+    with open_emulator("tic:timeout_ms=150", bench(start_at=0.008, clock=clock)) as emulator:
+        stage = open_stage(emulator.address)
+        stage.start()
+        stage.home()
+        wait_for(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, what="the command timeout")
+        sample = stage.position()
+        assert sample.status & SampleStatus.FAULT and not sample.homed and not sample.moving
+        stage.stop()
+
+
+def test_a_tic_without_safe_start_does_not_go_on_by_itself(clock):
+    with open_emulator("tic:timeout_ms=150,safe_start=0", bench(clock=clock)) as emulator:
+        stage = homed(emulator, clock)
+        stage.move(0.008, 0.004)
+        clock.now += 0.5
+        wait_for(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, what="the command timeout")
+        stage.position()
+        stage.position()
+        clock.now += 10.0
+        assert stage.position().position == pytest.approx(0.002, abs=2e-6)
+        stage.stop()
+
+
+@pytest.mark.parametrize(("error", "words"), [
+    (Errors.LOW_VIN, "VIN.*switch the motor's supply on"), (Errors.DRIVER_ERROR, "motor driver.*check motor"),
+    (Errors.KILL_SWITCH, "kill switch; release"), (Errors.DEENERGIZED, "de-energized.*Resume"),
+    (Errors.INPUT_INVALID, "control mode"), (Errors.ERR_LINE_HIGH, "ERR line"),
+])
+def test_what_stops_the_motor_is_a_status_and_then_a_sentence(emulator, clock, error, words):
+    stage = homed(emulator, clock)
+    stage.move(0.008, 0.004)
+    clock.now += 0.5
+    emulator.imposed = error
+    wait_for(lambda: emulator._errors & error, what="the error")
+    assert stage.position().status & SampleStatus.FAULT
+    clock.now += 10.0
+    with pytest.raises(DeviceError, match=words):
+        stage.move(0.001, 0.004)
+    with pytest.raises(DeviceError, match=words):
+        stage.home()
+    assert not stage.position().moving
+    emulator.imposed = Errors(0)
+    stage.home()
+    assert stage.position().moving
+    stage.stop()
+
+
+def test_a_motor_without_power_has_lost_its_zero(emulator, clock):
+    stage = homed(emulator, clock)
+    emulator.imposed = Errors.LOW_VIN
+    wait_for(lambda: not stage.position().homed, what="the loss of the zero")
+    emulator.imposed = Errors(0)
+    with pytest.raises(DeviceError, match="home it first"):
+        stage.move(0.001, 0.004)
+    stage.stop()
+
+
+def test_a_limit_switch_is_a_status(emulator, clock):
+    stage = homed(emulator, clock)
+    stage.move(0.01, 0.004)
+    clock.now += 10.0
+    assert stage.position().status == SampleStatus.LIMIT
+    stage.stop()
+
+
+def test_a_halt_while_homing_leaves_the_zero_unknown(clock):
+    with TicEmulator(bench(start_at=0.008, clock=clock), Faults()) as emulator:
+        stage = open_stage(emulator.address)
+        stage.start()
+        stage.home()
+        clock.now += 0.5
+        assert stage.position().moving
+        stage.halt()
+        stage.position()
+        clock.now += 10.0
+        sample = stage.position()
+        assert not sample.homed and not sample.moving and sample.position == pytest.approx(0.006, abs=2e-6)
+        stage.stop()
+
+
+def test_without_a_limit_switch_it_says_that_it_does_not_home(emulator, clock):
+    emulator.has_limit_switch = False
+    stage = open_stage(emulator.address)
+    stage.start()
+    with pytest.raises(DeviceError, match="does not begin to home; assign a reverse limit switch"):
+        stage.home()
+    stage.stop()
+
+
+def test_homing_that_never_ends_is_said_and_stops(clock, monkeypatch):
+    monkeypatch.setattr("haptics.devices.tic._HOMING_MORE", -1e6)
+    with TicEmulator(bench(start_at=0.008, clock=clock), Faults()) as emulator:
+        stage = open_stage(emulator.address)
+        stage.start()
+        stage.home()
+        with pytest.raises(DeviceError, match="does not end; check the reverse limit switch"):
+            stage.position()
+        sample = stage.position()
+        assert not sample.moving and not sample.homed
+        stage.stop()
+
+
+def test_a_halt_from_another_thread_stops_a_move_that_is_being_sent(emulator, clock, monkeypatch):
+    stage = homed(emulator, clock)
+    set_number = stage._set
+
+    def halted_meanwhile(*arguments):
+        set_number(*arguments)
+        thread = threading.Thread(target=stage.halt)
+        thread.start()
+        thread.join()
+
+    monkeypatch.setattr(stage, "_set", halted_meanwhile)
+    stage.move(0.008, 0.004)
+    clock.now += 1.0
+    assert stage.position().position == pytest.approx(0.0, abs=2e-6)
+    stage.stop()
+
+
+@pytest.mark.parametrize(("settings", "words"), [
+    ("timeout_ms=0", "command timeout.*switched off.*set it to 1 s or less"),
+    ("timeout_ms=1500", "command timeout.*is 1.5 s.*set it to 1 s or less"),
+    ("control_mode=1", "control mode 1.*Serial / I2C / USB"),
+    ("soft_error_response=3", "goes to a position.*Decelerate to hold"),
+    ("crc=1", "answered 0 of 14 bytes.*crc"),
+    ("response_crc=1", "answer in another form|no Tic, or is read at another.*response_crc"),
+])
+def test_settings_that_do_not_fit_are_refused_before_anything_moves(clock, settings, words):
+    with open_emulator("tic:" + settings, bench(clock=clock)) as emulator:
+        port = f"{emulator.path},steps_per_mm=800,highest_mm=10,top_speed_mm_s=4"
+        stage = open_tic(port)
+        for _ in range(2):
+            with pytest.raises(DeviceError, match=words):
+                stage.start()
+        with pytest.raises(DeviceError, match="start"):
+            stage.position()
+
+
+def test_a_wrong_number_or_check_of_answers_is_said(emulator):
+    for extra, words in ((",device=15", "answered 0 of 14 bytes.*device"), (",response_crc=1", "answered 14 of 15")):
+        with pytest.raises(DeviceError, match=words):
+            open_stage(emulator.address + extra).start()
+
+
+def test_there_is_no_such_port():
+    with pytest.raises(DeviceError, match="there is no port /dev/ttyNOWHERE for the Tic"):
+        open_tic("/dev/ttyNOWHERE,steps_per_mm=800").start()
+
+
+def test_a_busy_port_is_said(emulator):
+    first = open_stage(emulator.address)
+    first.start()
+    with pytest.raises(DeviceError, match="in use by another program; close that one"):
+        open_stage(emulator.address).start()
+    first.stop()
+    second = open_stage(emulator.address)
+    second.start()
+    second.stop()
+
+
+def test_a_port_without_permission_is_said(emulator, monkeypatch):
+    def refuse(*arguments, **options):
+        raise serial.SerialException(13, "Permission denied")
+
+    monkeypatch.setattr(serial, "Serial", refuse)
+    with pytest.raises(DeviceError, match=r"no permission to open .* for the Tic.*usermod"):
+        open_stage(emulator.address).start()
+
+
+def test_garbage_of_a_wrong_baud_rate_is_said():
+    rows = itertools.cycle([bytes([0xF8, 0x3C, 0x80, 0x1F] * 8)])
+    with port_that_answers(lambda data: next(rows)) as port, pytest.raises(
+            DeviceError, match="no Tic, or is read at another baud rate than 9600; check the baud rate"):
+        open_tic(port + ",steps_per_mm=800").start()
+
+
+@pytest.mark.parametrize(("answer", "words"), [
+    (lambda data: b"ok\r\n" if data.endswith(b"\r") else b"", "a Grbl answers there: name it grbl:"),
+    (lambda data: b"\r\n>" if data.endswith(b"\r") else b"", "an ATI controller answers there: name it ati-serial:"),
+    (lambda data: b"", "answered 0 of 14 bytes.*check that it has power, the cable and the baud rate"),
+])
+def test_another_device_or_none_is_said(answer, words):
+    with port_that_answers(answer) as port, pytest.raises(DeviceError, match=words):
+        open_tic(port + ",steps_per_mm=800").start()
+
+
+def test_a_grbl_where_a_tic_was_expected_is_named(clock):
+    with open_emulator("grbl:", bench(clock=clock)) as emulator, pytest.raises(DeviceError, match="name it grbl:"):
+        open_tic(emulator.path + ",steps_per_mm=800").start()
+
+
+def test_a_line_that_falls_silent_is_said_and_the_motor_stands(clock):
+    with TicEmulator(bench(clock=clock), Faults(disconnect_after=0.5), timeout=0.3) as emulator:
+        stage = homed(emulator, clock)
+        stage.move(0.008, 0.004)
+        with pytest.raises(DeviceError, match=r"answered \d+ of \d+ bytes within .* check that it has power"):
+            while True:
+                stage.position()
+        wait_for(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, what="the command timeout")
+        stood = emulator._stage.position().position
+        clock.now += 10.0
+        assert emulator._stage.position().position == stood
+        stage.halt()
+        stage.stop()
+
+
+def test_unplugged_is_said(emulator, clock):
+    stage = homed(emulator, clock)
+    emulator.stop()
+    with pytest.raises(DeviceError, match=r"is gone .* plug it in again"):
+        stage.position()
+    stage.halt()
+    stage.stop()
+
+
+def test_garbled_answers_never_pass_the_check(clock):
+    """One byte wrong in half of the answers: each is refused, and the rest say where it is."""
+    with TicEmulator(bench(clock=clock), Faults(), crc=True, response_crc=True) as emulator:
+        stage = homed(emulator, clock)
+        stage.move(0.005, 0.004)
+        clock.now += 10.0
+        answer, number = emulator.received, itertools.count()
+
+        def garbled(data):
+            return [bytes([part[0] ^ 0x10]) + part[1:] if next(number) % 3 == 2 else part for part in answer(data)]
+
+        emulator.received = garbled
+        refused = 0
+        for _ in range(30):
+            try:
+                assert stage.position().position == pytest.approx(0.005, abs=1e-9)
+            except DeviceError as error:
+                assert "check of an answer" in str(error)
+                refused += 1
+        assert 5 < refused < 25
+        stage.stop()
+
+
+@pytest.mark.parametrize(("settings", "field"), [
+    ("", "steps_per_mm"), ("steps_per_mm=0", "steps_per_mm"), ("steps_per_mm=800,lowest_mm=1", "lowest_mm, highest_mm"),
+    ("steps_per_mm=800,top_speed_mm_s=100", "top_speed_mm_s"), ("steps_per_mm=800,device=200", "device"),
+    ("steps_per_mm=800,ramp_ms=0", "ramp_ms"), ("steps_per_mm=800,highest_mm=1e7", "lowest_mm, highest_mm"),
+    ("steps_per_mm=800,speed=3", "speed"), ("steps_per_mm=800,baud=0", "baud"),
+])
+def test_settings_that_make_no_sense_are_refused(settings, field):
+    with pytest.raises(InputError) as caught:
+        open_tic("/dev/ttyUSB0," + settings)
+    assert caught.value.field == field
+
+
+def test_a_port_must_be_named():
+    with pytest.raises(InputError) as caught:
+        open_stage("tic:")
+    assert caught.value.field == "tic.port"
+
+
+def test_a_started_stage_stays_in_its_process(emulator, clock):
+    stage = homed(emulator, clock)
+    with pytest.raises(TypeError, match="stop it first"):
+        pickle.dumps(stage)
+    stage.stop()
+    assert math.isclose(pickle.loads(pickle.dumps(stage)).runs_on, 1.1)
+
+
+def test_emulators_with_settings_that_make_no_sense_are_refused():
+    for text, field in (("steps_per_mm=0", "steps_per_mm"), ("timeout_ms=70000", "timeout_ms"),
+                        ("device=128", "device")):
+        with pytest.raises(InputError) as caught:
+            open_emulator("tic:" + text, bench())
+        assert caught.value.field == field
+    assert TicStage("/dev/null", StageLimits(0.0, 0.01, 0.001), 8e5).limits.highest == 0.01

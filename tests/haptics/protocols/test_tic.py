@@ -1,0 +1,122 @@
+"""Bytes of the Pololu Tic: those of its manual, of a foreign client, and any others."""
+
+import os
+
+import pytest
+import ticlib
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from haptics.protocols import tic
+from haptics.protocols.tic import Command, Errors, Flags, Order, Orders, Planning, State, Variable
+
+CASES = int(os.environ.get("TISSUE_SIM_FUZZ_CASES", "500"))
+WIDE = [command for command in Command if 0xE0 <= command <= 0xEC]
+
+
+@pytest.mark.parametrize(("message", "wanted"), [
+    # Tic user's guide (docs/0J71), section 9, "Quick": halt and hold.
+    (tic.encode(Command.HALT_AND_HOLD), "89"),
+    # "7-bit write": set step mode to 1/8 step; the same in the Pololu protocol, device 14.
+    (tic.encode(Command.SET_STEP_MODE, 3), "94 03"),
+    (tic.encode(Command.SET_STEP_MODE, 3, device=14), "AA 0E 14 03"),
+    # "32-bit write": set target position to 1,234,567,890. Editions until 2018 print 0A for the second byte, against
+    # their own rule; the later ones print this.
+    (tic.encode(Command.SET_TARGET_POSITION, 1234567890), "E0 05 52 02 16 49"),
+    # "Block read": get variable "target position".
+    (tic.encode(Command.GET_VARIABLE, Variable.TARGET_POSITION, 4), "A1 0A 04"),
+])
+def test_it_says_what_the_manual_says(message, wanted):
+    assert message == bytes.fromhex(wanted)
+
+
+def test_the_check_is_that_of_the_manual():
+    # Section 9, "Cyclic Redundancy Check (CRC) Error Detection": the packet 0x83, 0x01 ends in 0x17.
+    assert tic.crc7(bytes([0x83, 0x01])) == 0x17
+
+
+def test_the_answer_of_the_manual_is_read():
+    # Section 9, "Block read": D2 02 96 49 is 1,234,567,890.
+    block = bytes([State.NORMAL, 1, 0, 0, 0, 0, 0, 0, 0, Planning.POSITION]) + bytes.fromhex("D2029649")
+    assert tic.parse_status(block) == tic.Status(State.NORMAL, Flags.ENERGIZED, Errors(0), 0, Planning.POSITION,
+                                                 1234567890)
+
+
+@given(st.sampled_from(WIDE), st.integers(-0x80000000, 0x7FFFFFFF), st.sampled_from([None, 0, 14, 127]), st.booleans())
+@settings(max_examples=CASES, deadline=None)
+def test_commands_are_those_of_ticlib_and_come_back(command, value, device, crc):
+    sent = bytearray()
+
+    class Port:
+        def write(self, data):
+            sent.extend(data)
+
+    foreign = ticlib.TicSerial(Port(), device_number=device, crc_for_commands=crc)
+    name = {code: name for name, code, _ in ticlib.ticlib.COMMANDS}[command]
+    getattr(foreign, name)(value)
+    message = tic.encode(command, value, device=device, crc=crc)
+    assert message == bytes(sent)
+    orders = Orders(14 if device is None else device, crc)
+    assert orders.feed(message) == [Order(command, value & 0xFFFFFFFF)] and orders.bad == 0
+    assert tic.signed(value & 0xFFFFFFFF) == value
+
+
+@given(st.sampled_from(list(Command)), st.integers(0, 255), st.integers(1, 15), st.booleans(), st.data())
+@settings(max_examples=CASES, deadline=None)
+def test_every_command_comes_back_in_any_pieces(command, value, length, crc, data):
+    number = value if 0xE0 <= command <= 0xEC or command in (0xA1, 0xA2, 0xA8) else value & 0x7F
+    message = tic.encode(command, number, length, crc=crc)
+    cut = data.draw(st.integers(0, len(message)))
+    orders = Orders(crc=crc)
+    got = orders.feed(message[:cut]) + orders.feed(message[cut:])
+    assert len(got) == 1 and got[0].command == command and orders.bad == 0
+    if len(message) - crc > 1:
+        assert got[0].value == number
+
+
+@given(st.binary(max_size=60), st.booleans())
+@settings(max_examples=CASES, deadline=None)
+def test_any_bytes_leave_the_parser_alive(data, crc):
+    orders = Orders(crc=crc)
+    for order in orders.feed(data):
+        assert order.command in set(Command) and 0 <= order.value <= 0xFFFFFFFF and 0 <= order.length <= 15
+    orders.feed(tic.encode(Command.HALT_AND_HOLD, crc=crc))  # ends what had begun
+    assert orders.feed(tic.encode(Command.GO_HOME, 1, crc=crc)) == [Order(Command.GO_HOME, 1)]
+
+
+@given(st.sampled_from(WIDE), st.integers(0, 0xFFFFFFFF), st.integers(0, 6), st.integers(1, 127))
+@settings(max_examples=CASES, deadline=None)
+def test_a_wrong_byte_never_passes_the_check(command, value, at, flip):
+    message = bytearray(tic.encode(command, value, crc=True))
+    message[at] ^= flip
+    assert Order(command, value) not in Orders(crc=True).feed(bytes(message))
+    # One wrong byte is a burst of at most 7 bits: a check of 7 bits sees every one.
+    assert Orders(crc=True).feed(bytes(message)) == [] or at == 0
+
+
+@given(st.binary(min_size=0, max_size=20))
+@settings(max_examples=CASES, deadline=None)
+def test_a_status_is_whole_and_possible_or_none(block):
+    status, place = tic.parse_status(block), tic.parse_place(block)
+    if status is not None:
+        assert len(block) == tic.STATUS_SIZE and block[0] in set(State) and not block[3] & 0xFE
+    if place is not None:
+        assert len(block) == tic.PLACE_SIZE and abs(place.velocity) <= tic.TOP_SPEED
+
+
+@given(st.sampled_from(list(State)), st.integers(0, 31), st.integers(0, 0x1FF), st.integers(0, 0x1FFFFF),
+       st.sampled_from(list(Planning)), st.integers(-0x80000000, 0x7FFFFFFF), st.integers(0, 255))
+@settings(max_examples=CASES, deadline=None)
+def test_every_status_that_can_be_is_read(state, flags, errors, occurred, planning, target, unused):
+    block = (bytes([state, flags]) + errors.to_bytes(2, "little") + occurred.to_bytes(4, "little")
+             + bytes([unused, planning]) + (target & 0xFFFFFFFF).to_bytes(4, "little"))
+    assert tic.parse_status(block) == tic.Status(state, Flags(flags), Errors(errors), occurred, planning, target)
+
+
+@pytest.mark.parametrize(("command", "value", "length"), [
+    (Command.SET_TARGET_POSITION, 1 << 32, 0), (Command.GO_HOME, 128, 0), (Command.GET_VARIABLE, 0, 16),
+    (Command.GET_VARIABLE, 0, 0),
+])
+def test_numbers_that_do_not_fit_are_refused(command, value, length):
+    with pytest.raises(ValueError, match=r"fit|block"):
+        tic.encode(command, value, length)
