@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +79,7 @@ class LoopReport:
         largest_force: magnitude of the largest rendered force, N.
         real_time: what the system has granted; empty where it was not asked.
         peak_memory: of the process, bytes; None where the platform does not say.
+        device: what the device said of itself at the end, with ``trouble`` where it was lost.
     """
 
     ended_by: str
@@ -94,6 +95,7 @@ class LoopReport:
     largest_force: float
     real_time: tuple[RealTimeFeature, ...]
     peak_memory: int | None
+    device: dict[str, Any] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:
         """For `json.dumps`; units are in the names of the keys."""
@@ -105,6 +107,7 @@ class LoopReport:
             "statuses": self.statuses, "flagged": self.flagged, "largest_force_N": self.largest_force,
             "real_time": [asdict(feature) for feature in self.real_time],
             "peak_memory_MB": None if self.peak_memory is None else self.peak_memory / 1e6,
+            "device": self.device,
         }
 
 
@@ -178,7 +181,7 @@ class Loop:
             ticker.lateness.quantiles, self._compute_time.quantiles,
             {status.name.lower(): self._statuses[status] for status in ForceStatus},
             {_FLAGS[flag]: count for flag, count in self._flagged.items()},
-            self._largest_force, features, peak_memory())
+            self._largest_force, features, peak_memory(), self._device.describe())
 
     def _tick(self, lateness: float, ring: RingWriter) -> None:
         ticker = self._ticker
