@@ -102,7 +102,7 @@ class HaplyDevice(HapticDevice):
         try:
             return WebSocketLine(self.address, CONNECT_WITHIN)
         except ImportError:
-            raise DeviceError("a Haply device needs the package websockets; install it: pip install websockets") from None
+            raise DeviceError("a Haply device needs the package websockets; give 'pip install websockets'") from None
         except LineClosedError as error:
             raise DeviceError(f"what listens at {self.address} is no Haply Inverse service ({error}); give the address "
                               "of its simulation channel, by default port 10001") from None

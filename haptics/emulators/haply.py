@@ -69,8 +69,8 @@ class HaplyEmulator(Emulator):
             # Without compression, as on a line that must be fast.
             self._server = serve(self._serve, "127.0.0.1", self._port, compression=None)
         except OSError as error:
-            raise DeviceError(f"port {self._port} cannot be opened for the emulator of a Haply service ({error}); is the "
-                              "service itself, or another emulator, running? give haply:port=0 for any free port"
+            raise DeviceError(f"port {self._port} cannot be opened for the emulator of a Haply service ({error}); the "
+                              "service itself or another emulator may run: give haply:port=0 for any free port"
                               ) from None
         self._port = self._server.socket.getsockname()[1]
         self._ending.clear()

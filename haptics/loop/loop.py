@@ -121,7 +121,8 @@ class Loop:
     Args:
         tissue: answers a pose and a time step with a `ToolForce`; warmed up.
         device: gives poses and takes forces, or a motion, which ignores them; started. The loop stops it at its end.
-        rendering: from the device's pose to the tool's, and from the tissue's wrench to the device's.
+        rendering: from the device's pose to the tool's, and from the tissue's wrench to the device's; its limit of the
+            force is lowered to what the device allows.
         settings: see there.
         ring: where every tick goes.
         snapshots: where the whole tissue goes, if it can be shown; None: nowhere.
@@ -134,6 +135,9 @@ class Loop:
                  listen: Callable[[Loop], None] | None = None, clock: Callable[[], int] = time.monotonic_ns,
                  sleep: Callable[[float], None] = time.sleep):
         self._tissue, self._device, self._rendering = tissue, device, rendering
+        #: As asked for; a device may allow less.
+        self._force_limit = rendering.limits.force
+        self._keep_to(device)
         self._settings, self._ring, self._listen = settings, ring, listen
         self._shown = (tissue, snapshots) if snapshots is not None and isinstance(tissue, ShownTissue) else None
         self._ticker = Ticker(settings.period, spin=settings.spin, clock=clock, sleep=sleep)
@@ -250,9 +254,14 @@ class Loop:
         device.start()
         self._device.stop()
         self._device, self._motion = device, 0
+        self._keep_to(device)
         if reset is not None:
             reset()
             self._rendering.reset()
+
+    def _keep_to(self, device: HapticDevice) -> None:
+        """No more force than a device allows."""
+        self._rendering.limits.force = min(self._force_limit, device.largest_force)
 
     def aim(self, depth: float) -> None:
         """Tell the device where to go, m.

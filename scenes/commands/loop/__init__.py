@@ -20,7 +20,7 @@ from scenes.commands.shared.parsing import Parser, add_json, at_least, not_negat
 from scenes.commands.shared.tissue_flags import add_solver_flags, check_solver, read_material
 from tissue_sim.errors import InputError
 
-SUMMARY = "run the 1 kHz loop without a device and report how well it keeps its time"
+SUMMARY = "run the 1 kHz loop, along a motion or with a haptic device, and report how well it keeps its time"
 EXAMPLE = "tissue-sim loop needle_indentation --material m.material.json --seconds 60 --motion random"
 #: What stops a mistyped motion, not what a device bears, N and N per tick.
 FORCE_LIMIT, FORCE_RATE = 100.0, 1.0
@@ -61,10 +61,17 @@ def add_arguments(parser: Parser) -> None:
                         help="the mass of the tissue counts; auto: where the tool is fast (default: auto)")
     timing.add_argument("--no-real-time", action="store_true",
                         help="ask the system for nothing: no SCHED_FIFO, no locked memory")
-    timing.add_argument("--force-limit-N", type=positive, metavar="N", default=FORCE_LIMIT,
-                        help=f"largest rendered force (default: {FORCE_LIMIT:g})")
+    timing.add_argument("--force-limit-N", type=positive, metavar="N",
+                        help=f"largest rendered force (default: {FORCE_LIMIT:g}, or what the device allows)")
     timing.add_argument("--force-rate-N", type=positive, metavar="N", default=FORCE_RATE,
                         help=f"its largest change in a tick (default: {FORCE_RATE:g})")
+    timing.add_argument("--coupling-stiffness-N-m", type=positive, metavar="N",
+                        help="a spring of so many N/m between the device and the tool (default: none)")
+    timing.add_argument("--coupling-damping-N-s-m", type=not_negative, metavar="N",
+                        help="damper beside that spring (default: 0)")
+    timing.add_argument("--passivity-damping-N-s-m", type=positive, metavar="N",
+                        help="most that the passivity controller adds while more energy has come out than was put in "
+                             "(default: no controller)")
     timing.add_argument("--ring", type=Path, metavar="FILE",
                         help="where viewers and recorders read the ticks (default: a file in memory)")
     add_experiment_flags(parser)
@@ -83,8 +90,6 @@ def run(arguments) -> int:
 
     from haptics.loop.loop import LoopSettings
     from haptics.loop.process import LoopError, LoopProcess
-    from haptics.safety.limits import ForceLimits
-    from haptics.safety.rendering import ForceRendering
     from tissue_sim import Model, Simulator
 
     material = read_material(arguments.material)
@@ -94,8 +99,8 @@ def run(arguments) -> int:
                             real_time=not arguments.no_real_time)
     make_tissue = partial(Simulator, model, resolution=arguments.resolution, inertia=arguments.inertia,
                           budget=arguments.budget_us * 1e-6 or None, solver=arguments.solver)
-    process = LoopProcess(make_tissue, open_named(arguments, name, protocol),
-                          ForceRendering(ForceLimits(arguments.force_limit_N, arguments.force_rate_N)), settings,
+    device = open_named(arguments, name, protocol)
+    process = LoopProcess(make_tissue, device, make_rendering(arguments, device.largest_force), settings,
                           ring_path=arguments.ring)
     try:
         report, interrupted = follow(process, arguments.seconds, quiet=arguments.json)
@@ -129,6 +134,33 @@ def open_named(arguments, name: str, protocol):
     by_flags = {"random": f"random:{depth},top_speed_mm_s={arguments.top_speed_mm_s!r},seed={arguments.seed}",
                 "sine": f"sine:{depth},frequency_hz={arguments.frequency_hz!r}"}
     return open_motion(by_flags.get(name, name))
+
+
+def make_rendering(arguments, largest_force: float):
+    """From the device's pose to its force, as the flags say.
+
+    Args:
+        largest_force: of the device, N.
+
+    Raises:
+        InputError: a limit above it, or a damper without its spring.
+    """
+    from haptics.safety.coupling import VirtualCoupling
+    from haptics.safety.limits import ForceLimits
+    from haptics.safety.rendering import ForceRendering
+
+    limit = arguments.force_limit_N or FORCE_LIMIT
+    if arguments.force_limit_N and limit > largest_force:
+        raise InputError(f"{limit:g} N, but the device allows {largest_force:g} N; give no more, or set the device "
+                         "otherwise", field="--force-limit-N")
+    coupling = None
+    if arguments.coupling_stiffness_N_m:
+        coupling = VirtualCoupling(arguments.coupling_stiffness_N_m, arguments.coupling_damping_N_s_m or 0.0)
+    elif arguments.coupling_damping_N_s_m is not None:
+        raise InputError("a damper needs a spring beside it; give --coupling-stiffness-N-m, too",
+                         field="--coupling-damping-N-s-m")
+    return ForceRendering(ForceLimits(limit, arguments.force_rate_N), coupling,
+                          controller_damping=arguments.passivity_damping_N_s_m)
 
 
 def follow(process, seconds: float, *, quiet: bool):
