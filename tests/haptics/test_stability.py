@@ -1,4 +1,4 @@
-"""Hands that shake at a tissue and hands that do not: what theory says, and small versions of benchmarks/stability.py."""
+"""Hands that shake at a tissue and hands that do not: what theory says, and points of benchmarks/stability.py."""
 
 import numpy as np
 import pytest

@@ -163,8 +163,8 @@ def test_a_device_feels_a_real_scene_within_its_limit(capsys):
 
     with emulate_haply(None, "port=0,depth_mm=12,frequency_hz=1,grip_N_m=800", Faults()) as service:
         device = f"{service.address},x_mm=0,y_mm=-150,z_mm=148,largest_force_N=1"
-        assert main(["loop", "--seconds", "1.5", "--device", device, "--passivity-damping-N-s-m", "2", "--budget-us", "0",
-                     "--no-real-time", "--json"]) == 0
+        assert main(["loop", "--seconds", "1.5", "--device", device, "--passivity-damping-N-s-m", "2", "--budget-us",
+                     "0", "--no-real-time", "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert answer["largest_force_N"] == pytest.approx(1.0) and answer["flagged"]["limited"] > 0
     assert service.largest_force == pytest.approx(1.0) and service.force == (0.0, 0.0, 0.0)

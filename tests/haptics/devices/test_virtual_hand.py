@@ -100,7 +100,8 @@ def test_it_comes_to_rest_where_hand_and_tissue_balance():
     assert depth == pytest.approx(2e-3, rel=1e-6) and rendered.force == pytest.approx(1.2, rel=1e-6)
 
 
-@pytest.mark.parametrize(("wrong", "field"), [({"mass": 0.0}, "mass"), ({"grip": -1.0}, "grip"), ({"push": math.nan}, "push"),
+@pytest.mark.parametrize(("wrong", "field"), [({"mass": 0.0}, "mass"), ({"grip": -1.0}, "grip"),
+                                              ({"push": math.nan}, "push"),
                                               ({"damping": -1.0}, "damping")])
 def test_hands_that_make_no_sense_are_refused(wrong, field):
     with pytest.raises(InputError) as caught:
