@@ -1,9 +1,10 @@
 """Up to which delay a hand and a tissue do not shake each other: virtual hands at the needle, with and without control.
 
 The tissues are the stiffest of the documentation (EF50_0T, docs/measured_silicones.md) and the study's silicone, under
-the needle of radius 8 mm. A polynomial through the simulator's forces stands in for them; some points are tried with
-the simulator itself. A hand presses with a constant force to the depth where the tissue balances it, after a step of
-its place by 0.5 mm. What counts as shaking is in `haptics.safety.stability`.
+the needle of radius 8 mm. A polynomial through the simulator's forces, without the mass of the tissue, stands in for
+them in the wide sweep; fewer hands are tried with the simulator itself, mass included. A hand presses with a constant
+force to the depth where the tissue balances it, after a step of its place by 0.5 mm. What counts as shaking is in
+`haptics.loop.stability`.
 """
 
 import argparse
@@ -22,16 +23,17 @@ import tissue_sim as ts
 from haptics.devices.contracts import AxialMotion
 from haptics.devices.virtual.delayed_hand import DelayedHand
 from haptics.devices.virtual.hand import VirtualHand
+from haptics.loop.stability import depths_in_time, shaking
 from haptics.safety.coupling import VirtualCoupling
 from haptics.safety.limits import ForceLimits
 from haptics.safety.rendering import ForceRendering
-from haptics.safety.stability import depths_in_time, shaking
 from tissue_sim.pose import Pose
 from tissue_sim.tool_force import ForceStatus, ToolForce
 
 MASSES = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 GRIPS = (0.0, 100.0, 400.0, 1000.0, 2000.0)
 DELAYS = tuple(0.5e-3 * number for number in range(11))
+SOME_DELAYS = (0.0, 0.5e-3, 1e-3, 1.5e-3, 2e-3, 3e-3, 4e-3, 5e-3)
 DAMPINGS = (1.0, 5.0)
 #: Jitter, s, and share that is lost, of forces and of poses.
 LINES = {"even": (0.0, 0.0), "jitter 1 ms, 2 % lost": (1e-3, 0.02)}
@@ -143,20 +145,40 @@ def sweep(tissues: dict, quick: bool, say: Callable[[str], None]) -> list[dict]:
     return rows
 
 
-def checks(tissues: dict, rows: list[dict], quick: bool) -> list[dict]:
-    """Trials on both sides of a boundary, with the simulator in place of its polynomial."""
+def tried(trial: Trial, tissues: dict, inertia: str) -> float:
+    """`run` with the simulator in place of its polynomial."""
+    simulator = ts.Simulator(model_of(trial.tissue), resolution="realtime", inertia=inertia)
+    simulator.warm_up()
+    return run(trial, simulator, tissues[trial.tissue][2])
+
+
+def checks(tissues: dict, quick: bool) -> list[dict]:
+    """Trials on both sides of a boundary, with the simulator without the mass of the tissue, as the polynomial is."""
     answers = []
-    for name, (tissue, _, rest) in tissues.items():
-        for control, damping, mass, grip in product(CONTROLS[:2], DAMPINGS[-1:] if quick else DAMPINGS, (0.05, 0.5),
-                                                    (400.0,)):
-            for delay in (0.0, 1e-3, 2e-3, 3e-3):
-                trial = Trial(name, control, "even", damping, mass, grip, delay)
-                simulator = ts.Simulator(model_of(name), resolution="realtime")
-                simulator.warm_up()
-                real, rough = run(trial, simulator, rest), run(trial, tissue, rest)
-                answers.append({**trial.__dict__, "simulator_mm": real * 1e3, "polynomial_mm": rough * 1e3,
-                                "agree": (real == 0) == (rough == 0)})
+    for name, control, mass, delay in product(tissues, CONTROLS[:2], (0.05, 0.5), (0.0, 1e-3) if quick else
+                                              (0.0, 1e-3, 2e-3, 3e-3)):
+        trial = Trial(name, control, "even", 5.0, mass, 400.0, delay)
+        real, rough = tried(trial, tissues, "off"), run(trial, tissues[name][0], tissues[name][2])
+        answers.append({**trial.__dict__, "simulator_mm": real * 1e3, "polynomial_mm": rough * 1e3,
+                        "agree": (real == 0) == (rough == 0)})
     return answers
+
+
+def with_mass(tissues: dict, quick: bool, say: Callable[[str], None]) -> list[dict]:
+    """The boundary of the simulator as the loop uses it, mass of the tissue included; up to the first that shakes."""
+    rows = []
+    for name, control, damping, mass in product(tissues, CONTROLS, DAMPINGS, (0.2,) if quick else (0.05, 0.2, 1.0)):
+        edge, amplitude = None, 0.0
+        for delay in SOME_DELAYS:
+            amplitude = tried(Trial(name, control, "even", damping, mass, 400.0, delay), tissues, "auto")
+            if amplitude:
+                break
+            edge = delay
+        rows.append({"tissue": name, "control": control, "line": "even", "damping_N_s_m": damping, "mass_kg": mass,
+                     "grip_N_m": 400.0, "stable_to_ms": None if edge is None else edge * 1e3,
+                     "next_amplitude_mm": amplitude * 1e3})
+        say(f"with mass: {rows[-1]}")
+    return rows
 
 
 def table(rows: list[dict], name: str, control: str, line: str, damping: float) -> list[str]:
@@ -172,8 +194,12 @@ def table(rows: list[dict], name: str, control: str, line: str, damping: float) 
     return lines
 
 
-def picture(rows: list[dict], path: Path) -> None:
-    """Longest stable delay over the mass, a panel for each tissue and damping, a line for each control."""
+def picture(rows: list[dict], real: list[dict], path: Path) -> None:
+    """Longest stable delay over the mass, a panel for each tissue and damping, a line for each control.
+
+    Args:
+        rows, real: of `sweep` and of `with_mass`.
+    """
     import matplotlib.pyplot as plt
 
     panels = list(product(TISSUES, DAMPINGS))
@@ -188,6 +214,13 @@ def picture(rows: list[dict], path: Path) -> None:
                          if row["mass_kg"] == mass) for mass in masses]
             axis.semilogx(masses, worst, dash, color=colours[control], marker=".",
                           label=f"{control}, {line}" if axis is axes[0] else None)
+        for control in CONTROLS:
+            chosen = [row for row in real if (row["tissue"], row["control"], row["damping_N_s_m"])
+                      == (name, control, damping)]
+            axis.semilogx([row["mass_kg"] for row in chosen],
+                          [-0.25 if row["stable_to_ms"] is None else row["stable_to_ms"] for row in chosen], "s",
+                          color=colours[control], markerfacecolor="none", markersize=8,
+                          label=f"{control}, with the tissue's mass" if axis is axes[0] else None)
         axis.set(title=f"{name}, {damping:g} N s/m", xlabel="mass of hand and handle [kg]", ylim=(-0.4, 5.2))
         axis.grid(alpha=0.3)
     axes[0].set_ylabel("stable to a delay of [ms],\nworst of all grips (below 0: never)")
@@ -204,14 +237,17 @@ def main() -> int:
     arguments = parser.parse_args()
     began = time.process_time()
     tissues = {name: stand_in(name) for name in TISSUES}
-    rows = sweep(tissues, arguments.quick, (lambda _: None) if arguments.json else lambda text: print("#", text))
-    checked = checks(tissues, rows, arguments.quick)
+    say: Callable[[str], None] = (lambda _: None) if arguments.json else lambda text: print("#", text)
+    rows = sweep(tissues, arguments.quick, say)
+    checked = checks(tissues, arguments.quick)
+    real = with_mass(tissues, arguments.quick, say)
     if arguments.figure:
-        picture(rows, arguments.figure)
+        picture(rows, real, arguments.figure)
     result = {"date": date.today().isoformat(), "machine": platform.machine(), "python": platform.python_version(),
               "cpu_s": time.process_time() - began, "delays_ms": [delay * 1e3 for delay in DELAYS],
               "tissues": {name: {"miss_N": miss, "rest_mm": rest * 1e3, "stiffness_N_m": tissue.stiffness(rest)}
-                          for name, (tissue, miss, rest) in tissues.items()}, "rows": rows, "checks": checked}
+                          for name, (tissue, miss, rest) in tissues.items()}, "rows": rows,
+              "checks": checked, "with_mass": real}
     if arguments.json:
         print(json.dumps(result))
         return 0
@@ -221,7 +257,11 @@ def main() -> int:
     for key in product(TISSUES, CONTROLS, LINES, DAMPINGS):
         print("\n".join(["", *table(rows, *key)]))
     agree = sum(each["agree"] for each in checked)
-    print(f"\n{agree} of {len(checked)} points are the same with the simulator in place of the polynomial")
+    print("\nwith the simulator, mass of the tissue included, grip 400 N/m: stable to a delay of [ms]")
+    for row in real:
+        edge = "never" if row["stable_to_ms"] is None else f"{row['stable_to_ms']:g}"
+        print(f"{row['tissue']}, {row['control']}, {row['damping_N_s_m']:g} N s/m, {row['mass_kg']:g} kg: {edge}")
+    print(f"\n{agree} of {len(checked)} points are the same with the simulator, without mass, as with the polynomial")
     for each in checked:
         if not each["agree"]:
             print("  not:", each)

@@ -6,10 +6,10 @@ import pytest
 from haptics.devices.contracts import AxialMotion
 from haptics.devices.virtual.delayed_hand import DelayedHand
 from haptics.devices.virtual.hand import VirtualHand
+from haptics.loop.stability import depths_in_time, shaking
 from haptics.safety.coupling import VirtualCoupling
 from haptics.safety.limits import ForceLimits
 from haptics.safety.rendering import ForceRendering
-from haptics.safety.stability import depths_in_time, shaking
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
 from tissue_sim.tool_force import ForceStatus, ToolForce

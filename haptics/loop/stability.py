@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from haptics.devices.contracts import HapticDevice
+from haptics.safety.rendering import ForceRendering
 from tissue_sim.tool_force import Tissue
-
-if TYPE_CHECKING:
-    from haptics.devices.contracts import HapticDevice
-    from haptics.safety.rendering import ForceRendering
 
 #: Of the newest motion, s; it is held against as long a time before.
 WINDOW = 0.5
