@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from functools import partial
 from pathlib import Path
@@ -24,6 +25,8 @@ SUMMARY = "run the 1 kHz loop, along a motion or with a haptic device, and repor
 EXAMPLE = "tissue-sim loop needle_indentation --material m.material.json --seconds 60 --motion random"
 #: What stops a mistyped motion, not what a device bears, N and N per tick.
 FORCE_LIMIT, FORCE_RATE = 100.0, 1.0
+#: Of real devices, unless the flags say otherwise: the hands of docs/haptic_rendering.md that do not shake with it.
+COUPLING, CONTROLLER = (1000.0, 1.0), 2.0
 #: Wall time of a step in a tick of 1000, us: the rest is for rendering, ring and surface.
 BUDGET = 800.0
 INTERRUPTED = 130
@@ -65,13 +68,14 @@ def add_arguments(parser: Parser) -> None:
                         help=f"largest rendered force (default: {FORCE_LIMIT:g}, or what the device allows)")
     timing.add_argument("--force-rate-N", type=positive, metavar="N", default=FORCE_RATE,
                         help=f"its largest change in a tick (default: {FORCE_RATE:g})")
-    timing.add_argument("--coupling-stiffness-N-m", type=positive, metavar="N",
-                        help="a spring of so many N/m between the device and the tool (default: none)")
+    timing.add_argument("--coupling-stiffness-N-m", type=not_negative, metavar="N",
+                        help="a spring between the device and the tool; 0: none (default: none, and "
+                             f"{COUPLING[0]:g} for a device that allows a certain force only)")
     timing.add_argument("--coupling-damping-N-s-m", type=not_negative, metavar="N",
-                        help="damper beside that spring (default: 0)")
-    timing.add_argument("--passivity-damping-N-s-m", type=positive, metavar="N",
-                        help="most that the passivity controller adds while more energy has come out than was put in "
-                             "(default: no controller)")
+                        help=f"damper beside that spring (default: {COUPLING[1]:g})")
+    timing.add_argument("--passivity-damping-N-s-m", type=not_negative, metavar="N",
+                        help="most that the passivity controller adds while more energy has come out than was put in; "
+                             f"0: no controller (default: none, and {CONTROLLER:g} for such a device)")
     timing.add_argument("--ring", type=Path, metavar="FILE",
                         help="where viewers and recorders read the ticks (default: a file in memory)")
     add_experiment_flags(parser)
@@ -153,14 +157,19 @@ def make_rendering(arguments, largest_force: float):
     if arguments.force_limit_N and limit > largest_force:
         raise InputError(f"{limit:g} N, but the device allows {largest_force:g} N; give no more, or set the device "
                          "otherwise", field="--force-limit-N")
-    coupling = None
-    if arguments.coupling_stiffness_N_m:
-        coupling = VirtualCoupling(arguments.coupling_stiffness_N_m, arguments.coupling_damping_N_s_m or 0.0)
-    elif arguments.coupling_damping_N_s_m is not None:
+    real = math.isfinite(largest_force)
+
+    def asked(value: float | None, for_real: float) -> float:
+        return value if value is not None else for_real if real else 0.0
+
+    stiffness = asked(arguments.coupling_stiffness_N_m, COUPLING[0])
+    damping = arguments.coupling_damping_N_s_m
+    if damping and not stiffness:
         raise InputError("a damper needs a spring beside it; give --coupling-stiffness-N-m, too",
                          field="--coupling-damping-N-s-m")
+    coupling = VirtualCoupling(stiffness, COUPLING[1] if damping is None else damping) if stiffness else None
     return ForceRendering(ForceLimits(limit, arguments.force_rate_N), coupling,
-                          controller_damping=arguments.passivity_damping_N_s_m)
+                          controller_damping=asked(arguments.passivity_damping_N_s_m, CONTROLLER) or None)
 
 
 def follow(process, seconds: float, *, quiet: bool):
