@@ -23,6 +23,9 @@ from tissue_sim.pose import Pose, Quaternion, Screw, Vector
 CONNECT_WITHIN, ANSWER_WITHIN = 3.0, 0.02
 #: A state that is older than this is no pose any more, s; the watchdog of the loop does the rest.
 STALE = 0.02
+#: Messages that may wait for their answer: more would be forces that arrive late at a service that is slow. After so
+#: long without any answer, s, they count as lost.
+UNANSWERED, LOST = 2, 0.5
 #: Without a force for so long, s, the loop stands: the hand is given none.
 SILENCE = 0.05
 #: By which the Haply Hub knows this program.
@@ -202,6 +205,7 @@ class _Exchange:
         self._line, self._device_id, self._address = line, first.device_id, address
         self._newest = (time.monotonic(), first)
         self._wanted: tuple[float, Vector] = (-math.inf, (0.0, 0.0, 0.0))
+        self._unanswered, self._answered = 0, time.monotonic()
         self._given, self._ending = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="Haply device", daemon=True)
         self.trouble = ""
@@ -239,13 +243,21 @@ class _Exchange:
         finally:
             if not self.trouble:
                 # Until it is answered: then the service has taken it.
+                self._unanswered = 0
                 with contextlib.suppress(OSError):
                     self._exchange((0.0, 0.0, 0.0), within=0.2)
             self._line.close()
 
     def _exchange(self, force: Vector, within: float = ANSWER_WITHIN) -> None:
-        self._line.send(force_message(self._device_id, force), within + 1.0)
-        for message in self._line.receive(within):
+        if self._unanswered < UNANSWERED:
+            self._line.send(force_message(self._device_id, force), within + 1.0)
+            self._unanswered += 1
+        messages = self._line.receive(within)
+        if messages:
+            self._unanswered, self._answered = max(self._unanswered - len(messages), 0), time.monotonic()
+        elif time.monotonic() - self._answered > LOST:
+            self._unanswered, self._answered = 0, time.monotonic()
+        for message in messages:
             # What makes no sense counts as not received.
             with contextlib.suppress(ValueError):
                 state = read_state(message, self._device_id)

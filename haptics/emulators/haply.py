@@ -7,8 +7,8 @@ import threading
 import time
 from typing import TYPE_CHECKING, Any
 
-from haptics.devices.contracts import Bench, DeviceError
-from haptics.devices.motions import SineMotion
+from haptics.devices.contracts import Bench, DeviceError, Motion
+from haptics.devices.motions import HandMotion, SineMotion
 from haptics.devices.settings import read_settings
 from haptics.devices.virtual.faults import Faults, FaultyLine
 from haptics.devices.virtual.hand import VirtualHand
@@ -167,8 +167,7 @@ def emulate_haply(bench: Bench, text: str, faults: Faults) -> HaplyEmulator:
     """
     given = read_settings(text, port=10001, mass_kg=0.15, damping_N_s_m=5.0, grip_N_m=400.0, depth_mm=0.0,
                           frequency_hz=0.5)
-    # A motion has some length.
-    depth = max(given["depth_mm"], 1e-9) * 1e-3
-    hand = VirtualHand(SineMotion(depth, 0.0, given["frequency_hz"]), given["mass_kg"], given["damping_N_s_m"],
-                       given["grip_N_m"])
+    depth = given["depth_mm"] * 1e-3
+    motion: Motion = SineMotion(depth, 0.0, given["frequency_hz"]) if depth else HandMotion()
+    hand = VirtualHand(motion, given["mass_kg"], given["damping_N_s_m"], given["grip_N_m"])
     return HaplyEmulator(hand, int(given["port"]), faults)
