@@ -6,6 +6,7 @@ thread, but for `Stage.halt`. A device that does not answer, or not as it should
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from enum import IntFlag
@@ -200,7 +201,13 @@ class Bench:
 
 
 class HapticDevice(ABC):
-    """Gives a pose and takes a wrench, tick after tick; the loop renders to it."""
+    """Gives a pose and takes a wrench, tick after tick; the loop renders to it.
+
+    Attributes:
+        largest_force: that it can give, or is allowed to, N; the limits of a loop should not be above it.
+    """
+
+    largest_force: float = math.inf
 
     def start(self) -> None:
         """Connect, with no force.

@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +79,7 @@ class LoopReport:
         largest_force: magnitude of the largest rendered force, N.
         real_time: what the system has granted; empty where it was not asked.
         peak_memory: of the process, bytes; None where the platform does not say.
+        device: what the device said of itself at the end, with ``trouble`` where it was lost.
     """
 
     ended_by: str
@@ -94,6 +95,7 @@ class LoopReport:
     largest_force: float
     real_time: tuple[RealTimeFeature, ...]
     peak_memory: int | None
+    device: dict[str, Any] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:
         """For `json.dumps`; units are in the names of the keys."""
@@ -105,6 +107,7 @@ class LoopReport:
             "statuses": self.statuses, "flagged": self.flagged, "largest_force_N": self.largest_force,
             "real_time": [asdict(feature) for feature in self.real_time],
             "peak_memory_MB": None if self.peak_memory is None else self.peak_memory / 1e6,
+            "device": self.device,
         }
 
 
@@ -118,7 +121,8 @@ class Loop:
     Args:
         tissue: answers a pose and a time step with a `ToolForce`; warmed up.
         device: gives poses and takes forces, or a motion, which ignores them; started. The loop stops it at its end.
-        rendering: from the device's pose to the tool's, and from the tissue's wrench to the device's.
+        rendering: from the device's pose to the tool's, and from the tissue's wrench to the device's; its limit of the
+            force is lowered to what the device allows.
         settings: see there.
         ring: where every tick goes.
         snapshots: where the whole tissue goes, if it can be shown; None: nowhere.
@@ -131,6 +135,9 @@ class Loop:
                  listen: Callable[[Loop], None] | None = None, clock: Callable[[], int] = time.monotonic_ns,
                  sleep: Callable[[float], None] = time.sleep):
         self._tissue, self._device, self._rendering = tissue, device, rendering
+        #: As asked for; a device may allow less.
+        self._force_limit = rendering.limits.force
+        self._keep_to(device)
         self._settings, self._ring, self._listen = settings, ring, listen
         self._shown = (tissue, snapshots) if snapshots is not None and isinstance(tissue, ShownTissue) else None
         self._ticker = Ticker(settings.period, spin=settings.spin, clock=clock, sleep=sleep)
@@ -178,7 +185,7 @@ class Loop:
             ticker.lateness.quantiles, self._compute_time.quantiles,
             {status.name.lower(): self._statuses[status] for status in ForceStatus},
             {_FLAGS[flag]: count for flag, count in self._flagged.items()},
-            self._largest_force, features, peak_memory())
+            self._largest_force, features, peak_memory(), self._device.describe())
 
     def _tick(self, lateness: float, ring: RingWriter) -> None:
         ticker = self._ticker
@@ -247,9 +254,14 @@ class Loop:
         device.start()
         self._device.stop()
         self._device, self._motion = device, 0
+        self._keep_to(device)
         if reset is not None:
             reset()
             self._rendering.reset()
+
+    def _keep_to(self, device: HapticDevice) -> None:
+        """No more force than a device allows."""
+        self._rendering.limits.force = min(self._force_limit, device.largest_force)
 
     def aim(self, depth: float) -> None:
         """Tell the device where to go, m.

@@ -5,7 +5,9 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+from haptics.devices.back_ends import HAPTIC_DEVICES, open_haptic
 from scenes.catalogue import SCENES
 from scenes.commands.shared.console import print_json
 from scenes.commands.shared.experiment_flags import (
@@ -35,6 +37,9 @@ def add_arguments(parser: Parser) -> None:
                         help="recordings to compare with; those whose sidecar names a kind of test go with that scene, "
                              "the others with SCENE")
     add_solver_flags(parser)
+    parser.add_argument("--device", metavar="NAME:SETTINGS",
+                        help=f"a haptic device that moves the tool and feels the force: one of "
+                             f"{', '.join(HAPTIC_DEVICES)}")
     parser.add_argument("--no-real-time", action="store_true",
                         help="ask the system for nothing: no SCHED_FIFO, no locked memory")
     add_page_flags(parser)
@@ -82,7 +87,10 @@ def run(arguments) -> int:
     scene = Scene(SCENES[arguments.scene], experiment, material,
                   BUILT_IN if arguments.material is None else arguments.material.name,
                   read_measurements(arguments.measured, arguments.scene), arguments.solver)
-    options = {"resolution": arguments.resolution, "settings": replace(SETTINGS, real_time=not arguments.no_real_time)}
+    options: dict[str, Any] = {"resolution": arguments.resolution,
+                               "settings": replace(SETTINGS, real_time=not arguments.no_real_time)}
+    if arguments.device:
+        options["device"] = open_haptic(arguments.device)
     if arguments.headless:
         answer = run_headless(scene, arguments.seconds, protocol=arguments.protocol,
                               speed=arguments.speed_mm_s * 1e-3, **options)

@@ -63,6 +63,7 @@ class Curves:
         trace: what was felt since the last reset.
         replayed: time of the loop (s) and force (N) of the recording whose motion is repeated; None where none is.
         number: grows with the trace.
+        felt: whether a hand is at a device, so that the force on it is drawn beside that of the tissue.
     """
 
     model: ts.Recording | None = None
@@ -72,6 +73,7 @@ class Curves:
     trace: Trace | None = None
     replayed: tuple[np.ndarray, np.ndarray] | None = None
     number: int = 0
+    felt: bool = False
 
 
 @dataclass(frozen=True, eq=False)

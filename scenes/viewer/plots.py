@@ -19,8 +19,8 @@ Pair = tuple[np.ndarray, np.ndarray]
 #: Of the force over time, s, and how finely: each part shows its smallest and its largest force.
 SECONDS, PARTS = 20.0, 200
 #: Okabe and Ito's, by role, on a light and on a dark page.
-LIGHT = {"measured": "#6b6b6b", "model": "#0072B2", "before": "#CC79A7", "live": "#D55E00"}
-DARK = {"measured": "#b5b5b5", "model": "#56B4E9", "before": "#CC79A7", "live": "#E69F00"}
+LIGHT = {"measured": "#6b6b6b", "model": "#0072B2", "before": "#CC79A7", "live": "#D55E00", "hand": "#009E73"}
+DARK = {"measured": "#b5b5b5", "model": "#56B4E9", "before": "#CC79A7", "live": "#E69F00", "hand": "#2FD3A2"}
 _BAND = "rgba(128, 128, 128, 0.28)"
 _GRID = "rgba(128, 128, 128, 0.18)"
 _DASH = (6, 4)
@@ -121,6 +121,7 @@ def residual_depth_options(x_range: tuple[float, float], y_range: tuple[float, f
 
 
 def force_time(time: np.ndarray, force: np.ndarray, now: float, *, measured: Pair | None = None,
+               hand: np.ndarray | None = None,
                seconds: float = SECONDS) -> tuple[tuple[np.ndarray, ...], tuple[float, float]]:
     """Data of the plot of the last seconds.
 
@@ -128,6 +129,7 @@ def force_time(time: np.ndarray, force: np.ndarray, now: float, *, measured: Pai
         time, force: of a trace, s and N, shape (n,).
         now: time of this moment, s.
         measured: time (s, of the same clock) and force (N) of a recording that is replayed.
+        hand: force on the hand at these times, N, shape (n,); None: no hand is there.
         seconds: how far back.
 
     Returns:
@@ -136,16 +138,20 @@ def force_time(time: np.ndarray, force: np.ndarray, now: float, *, measured: Pai
     """
     x = np.linspace(-seconds, 0.0, 2 * PARTS)
     live = _smallest_and_largest(np.asarray(time) - now, np.asarray(force), seconds)
+    felt = np.full(x.size, np.nan)
+    if hand is not None:
+        felt = _smallest_and_largest(np.asarray(time) - now, np.asarray(hand), seconds)
     replayed = np.full(x.size, np.nan)
     if measured is not None and len(measured[0]):
         replayed = np.interp(x + now, *measured, left=np.nan, right=np.nan)
-    return (x, replayed, live), _extent([replayed, live])
+    return (x, replayed, live, felt), _extent([replayed, live, felt])
 
 
 def force_time_options(y_range: tuple[float, float], *, seconds: float = SECONDS, dark: bool = False) -> dict[str, Any]:
     """Keyword arguments of `add_uplot` beside the data of `force_time`."""
     colours = DARK if dark else LIGHT
-    series = [{"label": "time [s]"}, _line("measured", colours["measured"], 1.5), _line("live", colours["live"], 2.0)]
+    series = [{"label": "time [s]"}, _line("measured", colours["measured"], 1.5), _line("live", colours["live"], 2.0),
+              _line("on the hand", colours["hand"], 1.5)]
     return _options(series, (-seconds, 0.0), y_range, "time before now [s]", "force [N]", height=150)
 
 
@@ -179,12 +185,13 @@ def settled_range(extent: tuple[float, float], previous: tuple[float, float] | N
 
 
 def legend_html(*, measured: int = 0, model: bool = True, before: str | None = None, live: bool = True,
-                dark: bool = False) -> str:
+                hand: bool = False, dark: bool = False) -> str:
     """The legend of `force_depth` as HTML for the page.
 
     Args:
         measured: number of replicates; 0: no measurement.
         model, live: whether they are drawn.
+        hand: whether the force on a hand is drawn over time.
         before: name of the second model curve, such as that of an effect; None: it is not drawn.
         dark: as in the options.
     """
@@ -194,7 +201,8 @@ def legend_html(*, measured: int = 0, model: bool = True, before: str | None = N
         entries.append(("measured" if measured == 1 else f"measured, {measured} replicates",
                         (_swatch(_BAND) if measured > 1 else "") + _stroke(colours["measured"])))
     entries += [(name, _stroke(colours[role])) for role, name, drawn in (
-        ("model", "model", model), ("before", before or "", before is not None), ("live", "live", live)) if drawn]
+        ("model", "model", model), ("before", before or "", before is not None), ("live", "live", live),
+        ("hand", "on the hand, over time", hand)) if drawn]
     entries.append(("load", _stroke("currentColor")))
     entries.append(("unload", _stroke("currentColor", "5 3")))
     spans = "".join('<span style="display:inline-flex;align-items:center;gap:0.35em;white-space:nowrap">'

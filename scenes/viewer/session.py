@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import tissue_sim as ts
-from haptics.devices.contracts import HapticDevice
+from haptics.devices.contracts import HapticDevice, Motion
 from haptics.devices.motions import HandMotion, ProtocolMotion
 from haptics.loop.loop import LoopSettings
 from scenes.viewer.frame import Curves, Frame, Phase, Viewer
@@ -46,11 +46,14 @@ class Session:
         resolution: of the loop's simulator.
         curve_resolution: of the whole test's curve.
         settings: of the loop.
+        device: that each simulation follows from its beginning on; None: the tool waits for a command.
     """
 
     def __init__(self, scene: Scene, *, resolution: str = "realtime", curve_resolution: str = "fast",
-                 settings: LoopSettings = SETTINGS):
-        self.scene = scene
+                 settings: LoopSettings = SETTINGS, device: HapticDevice | None = None):
+        self.scene, self._device = scene, device
+        #: Whether the device is still to be followed, and why it was not.
+        self._device_waits, self._refused = False, ""
         self._resolution, self._settings = resolution, settings
         self._requests: queue.SimpleQueue[tuple[str, Callable | None, dict[str, Any]]] = queue.SimpleQueue()
         self._curve = ModelCurve(curve_resolution, scene.solver)
@@ -60,6 +63,8 @@ class Session:
         #: Grows with every point of the trace, and where the trace starts again.
         self._felt = 0
         self._motion, self._target = "hand", 0.0
+        #: Whether somebody's hand is at a device; a motion feels nothing.
+        self._hand_feels = False
         #: Whether the material was changed while the simulation was starting, so that it still has the old one.
         self._material_is_late = False
         self._simulation = self._begin()
@@ -94,6 +99,9 @@ class Session:
                 # A new simulation begins with that material, or says why it cannot.
                 self._begin_anew()
                 simulation, records = self._simulation, None
+        if self._device_waits and simulation.phase is Phase.RUNNING:
+            self._begin_to_follow()
+            records = None
         if records is not None and len(records):
             self._felt += self._trace.append(records)
         self._curve.poll()
@@ -103,6 +111,8 @@ class Session:
         message = simulation.message
         if simulation.phase is Phase.DIED:
             message = f"The simulation has stopped: {message}. Press Restart to begin again."
+        elif self._refused:
+            message = self._refused
         elif self._curve.problem:
             message = self._curve.problem
         return Frame(simulation.phase, message, self.scene, simulation.snapshot, simulation.readouts, self._curves,
@@ -122,7 +132,7 @@ class Session:
         depth = min(max(depth, -CLEARANCE), self.scene.deepest)
         if self._motion != "hand":
             self._simulation.ask("follow", device=HandMotion(self._simulation.tool_depth, HAND_SPEED))
-            self._motion, self._target = "hand", self._simulation.tool_depth
+            self._motion, self._target, self._hand_feels = "hand", self._simulation.tool_depth, False
         self._simulation.ask("aim", depth=depth)
         self._target = depth
 
@@ -271,9 +281,10 @@ class Session:
         self._simulation = self._begin()
 
     def _begin(self) -> LiveSimulation:
-        self._motion, self._target = "hand", 0.0
+        self._motion, self._target, self._hand_feels = "hand", 0.0, False
         self._forget_trace()
         self._material_is_late = False
+        self._device_waits = self._device is not None
         simulation = LiveSimulation(self.scene.model, HandMotion(0.0, HAND_SPEED), solver=self.scene.solver,
                                     resolution=self._resolution, settings=self._settings)
         self._curve.ask(self._test())
@@ -287,7 +298,15 @@ class Session:
         simulation.ask("follow", device=device, anew=True)
         simulation.forget()
         self._forget_trace()
-        self._motion = kind
+        self._motion, self._hand_feels = kind, not isinstance(device, Motion)
+
+    def _begin_to_follow(self) -> None:
+        self._device_waits, self._refused = False, ""
+        if self._device is not None:
+            try:
+                self.follow(self._device)
+            except InputError as error:
+                self._refused = f"{error}. Press Restart to try again."
 
     def _require_depth(self, protocol: ts.Protocol, field: str) -> None:
         deepest, mesh = float(protocol.displacement.max()), self.scene.deepest
@@ -319,6 +338,8 @@ class Session:
                 time, force = self._replayed
                 replayed = (trace.time[0] + time, force)
             curves = replace(curves, trace=trace, replayed=replayed, number=self._felt)
+        if self._hand_feels is not curves.felt:
+            curves = replace(curves, felt=self._hand_feels)
         self._curves = curves
 
 

@@ -21,8 +21,9 @@ SHORTEST, LONGEST = 5e-3, 0.1
 #: A point is kept where depth (m), or force as a share of the largest so far, has changed by this much.
 DEPTH_STEP, FORCE_SHARE = 0.02e-3, 0.01
 MOST_POINTS = 20_000
-#: Of a kept point: time, depth, force, pose (7), wrench (6); and the channels of a recording of the wrench.
-_ROWS, _POSE, _WRENCH = 16, slice(3, 10), slice(10, 16)
+#: Of a kept point: time, depth, force, pose (7), wrench (6), rendered force; and the channels of a recording of the
+#: wrench.
+_ROWS, _POSE, _WRENCH, _RENDERED = 17, slice(3, 10), slice(10, 16), 16
 _CHANNELS = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 #: A branch that ends on a point of a grid may miss it by so much, m.
 _ROUNDING = 1e-12
@@ -102,7 +103,7 @@ class Trace:
         before = self._gone + self._end
         records = records[chosen]
         for point in np.column_stack([records[name] for name in ("time", "tool_depth", "tissue_force", "tool_pose",
-                                                                 "tissue_wrench")]).tolist():
+                                                                 "tissue_wrench", "force")]).tolist():
             if self._differs(*point[:3]):
                 self._keep(point)
         return self._gone + self._end - before
@@ -141,6 +142,11 @@ class Trace:
     def force(self) -> np.ndarray:
         """N, shape (n,)."""
         return self._points[2, self._first:self._end]
+
+    @property
+    def rendered_force(self) -> np.ndarray:
+        """Along z, as the hand gets it after coupling, control and limits, N, shape (n,)."""
+        return self._points[_RENDERED, self._first:self._end]
 
     @property
     def pose(self) -> np.ndarray:

@@ -27,7 +27,7 @@ from tissue_sim.tool_force import ForceStatus, ToolForce
 ROOT = Path(__file__).resolve().parents[2]
 KEYS = {"scene", "motion", "resolution", "ended_by", "seconds", "period_us", "ticks", "late", "missed",
         "missed_percent", "lateness_us", "compute_us", "statuses", "flagged", "largest_force_N", "real_time",
-        "peak_memory_MB"}
+        "peak_memory_MB", "device"}
 
 
 def writer_of(ring, ticks=50, seconds=600.0, alive=lambda: True):
@@ -145,6 +145,39 @@ def test_flags_reach_model_settings_and_limits(asked, tmp_path):
     assert asked("--gravity")[0].args[0].experiment.specimen.density == 1040.0, "the default material has a density"
 
 
+def test_flags_reach_the_coupling_and_the_controller(asked):
+    rendering = asked("--coupling-stiffness-N-m", "800", "--coupling-damping-N-s-m", "2", "--passivity-damping-N-s-m",
+                      "3")[2]
+    assert (rendering.coupling.stiffness, rendering.coupling.damping) == (800.0, 2.0)
+    assert rendering.controller.damping == 3.0 and rendering.limits.force == 100.0
+    rendering = asked()[2]
+    assert rendering.coupling is None and rendering.controller is None
+    build, device, rendering, *_ = asked("--device", "haply:ws://127.0.0.1:10001,largest_force_N=3",
+                                         "--force-limit-N", "2")
+    assert build.keywords["inertia"] == "off", "behind a coupling"
+    assert device.largest_force == 3.0 and rendering.limits.force == 2.0
+    assert rendering.coupling.stiffness == 1000.0 and rendering.controller.damping == 2.0, "of a real device"
+    rendering = asked("--device", "haply:ws://127.0.0.1:10001", "--coupling-stiffness-N-m", "0",
+                      "--passivity-damping-N-s-m", "0")[2]
+    assert rendering.coupling is None and rendering.controller is None
+    assert asked("--coupling-stiffness-N-m", "800", "--inertia", "on")[0].keywords["inertia"] == "on"
+
+
+def test_a_device_feels_a_real_scene_within_its_limit(capsys):
+    """The needle at the study's silicone, a hand in a Haply emulator that presses 12 mm deep, and 1 N at most."""
+    from haptics.devices.virtual.faults import Faults
+    from haptics.emulators.haply import emulate_haply
+
+    with emulate_haply(None, "port=0,depth_mm=12,frequency_hz=1,grip_N_m=800", Faults()) as service:
+        device = f"{service.address},x_mm=0,y_mm=-150,z_mm=148,largest_force_N=1"
+        assert main(["loop", "--seconds", "1.5", "--device", device, "--passivity-damping-N-s-m", "2", "--budget-us",
+                     "0", "--no-real-time", "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["largest_force_N"] == pytest.approx(1.0) and answer["flagged"]["limited"] > 0
+    assert service.largest_force == pytest.approx(1.0) and service.force == (0.0, 0.0, 0.0)
+    assert answer["device"]["device_id"] == "049D" and "trouble" not in answer["device"]
+
+
 def test_the_live_line_is_read_from_the_ring(tmp_path):
     with RingWriter(tmp_path / "ring") as ring, RingReader(tmp_path / "ring") as reader:
         live, answer = LiveLine(reader, 60.0), ToolForce.axial(0.25, 200.0, ForceStatus.CONVERGED)
@@ -168,6 +201,9 @@ def test_the_live_line_is_read_from_the_ring(tmp_path):
     (["--device", "jump:0"], "unknown haptic device 'jump'; known: virtual"),
     (["--device", "virtual:sine:deep=3"], "virtual.sine.deep: unknown setting; known: depth_mm, lift, frequency_hz"),
     (["--device", "virtual:", "--motion", "sine"], "--motion: a device brings its motion with it"),
+    (["--device", "haply:ws://127.0.0.1:1", "--force-limit-N", "9"], "--force-limit-N: 9 N, but the device allows 5 N"),
+    (["--device", "haply:127.0.0.1"], "haply.address: '127.0.0.1' is not the address of a service; give ws://HOST:PORT"),
+    (["--coupling-damping-N-s-m", "2"], "--coupling-damping-N-s-m: a damper needs a spring beside it"),
     (["--motion", "sine", "--protocol", "ramp 2mm"], "--protocol: a sine motion has none"),
     (["--material", "missing.json"], "missing.json"),
     (["--depth-mm", "70"], "deeper than the specimen is high"),

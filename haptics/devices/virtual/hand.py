@@ -22,25 +22,31 @@ class VirtualHand(HapticDevice):
         mass x'' + damping x' + grip (x - wanted) = force
 
     in all three directions; it is turned as the motion is, whatever the torque. Between two ticks the force and the
-    wanted place stand still, and the motion is solved exactly: no period is too long for it.
+    wanted place stand still, and the motion is solved exactly: no period is too long for it. Without a grip it begins
+    where the motion begins, and goes where the force drives it; a push is the weight that it lays on the tool.
 
     Args:
         motion: where the hand wants to be.
         mass: of handle and hand, kg.
         damping: of device and hand, N s/m.
-        grip: stiffness with which the hand holds its way, N/m.
+        grip: stiffness with which the hand holds its way, N/m; 0: it holds none.
+        push: into the tissue, along the axis of the scene, N.
 
     Raises:
-        InputError: a mass or a grip that is not positive, or a damping below zero.
+        InputError: a mass that is not positive, a damping or a grip below zero, or a push that is no number.
     """
 
-    def __init__(self, motion: Motion, mass: float = 0.15, damping: float = 5.0, grip: float = 400.0):
-        for value, unit, field in ((mass, "kg", "mass"), (grip, "N/m", "grip")):
-            if not 0 < value < math.inf:
-                raise InputError(f"{value:g} {unit}; give a number above zero", field=field)
-        if not 0 <= damping < math.inf:
-            raise InputError(f"{damping:g} N s/m; give zero or more", field="damping")
+    def __init__(self, motion: Motion, mass: float = 0.15, damping: float = 5.0, grip: float = 400.0,
+                 push: float = 0.0):
+        if not 0 < mass < math.inf:
+            raise InputError(f"{mass:g} kg; give a number above zero", field="mass")
+        for value, unit, field in ((damping, "N s/m", "damping"), (grip, "N/m", "grip")):
+            if not 0 <= value < math.inf:
+                raise InputError(f"{value:g} {unit}; give zero or more", field=field)
+        if not math.isfinite(push):
+            raise InputError(f"{push:g} N; give a finite number", field="push")
         self._motion, self._mass, self._damping, self._grip = motion, mass, damping, grip
+        self._push = push
         rate = complex(-damping / (2 * mass))
         swing = cmath.sqrt(rate * rate - grip / mass)
         if abs(swing) < _APART * abs(rate):
@@ -49,7 +55,8 @@ class VirtualHand(HapticDevice):
         self.start()
 
     def start(self) -> None:
-        self._force: Vector = (0.0, 0.0, 0.0)
+        #: On the hand: what is rendered, and its own push.
+        self._force: Vector = (0.0, 0.0, -self._push)
         self._time = 0.0
         self._place: Vector | None = None
         self._velocity: Vector = (0.0, 0.0, 0.0)
@@ -68,6 +75,8 @@ class VirtualHand(HapticDevice):
 
     def _moved(self, place: Vector, wanted: Vector, dt: float) -> tuple[Vector, Vector]:
         """Place and velocity of the hand that is held towards a place for a time, s."""
+        if self._grip == 0.0:
+            return self._drifted(place, dt)
         one, other = self._roots
         fade_one, fade_other = cmath.exp(one * dt), cmath.exp(other * dt)
         # Of x = a exp(one t) + b exp(other t), by the place (from its rest) and the velocity at the beginning.
@@ -85,18 +94,44 @@ class VirtualHand(HapticDevice):
         (x, u), (y, v), (z, w) = along(0), along(1), along(2)
         return (x, y, z), (u, v, w)
 
+    def _drifted(self, place: Vector, dt: float) -> tuple[Vector, Vector]:
+        """The same of a hand without a grip."""
+        mass, damping = self._mass, self._damping
+        slowed = damping * dt / mass
+        if slowed < _APART:
+            # As good as undamped; the formula below divides by the damping.
+            reach, gain, way, keeps = dt, dt / mass, 0.5 * dt * dt / mass, 1.0
+        else:
+            keeps = math.exp(-slowed)
+            gain = -math.expm1(-slowed) / damping
+            reach = mass * gain
+            way = (dt - reach) / damping
+
+        def along(axis: int) -> tuple[float, float]:
+            force, velocity = self._force[axis], self._velocity[axis]
+            return place[axis] + reach * velocity + way * force, keeps * velocity + gain * force
+
+        (x, u), (y, v), (z, w) = along(0), along(1), along(2)
+        return (x, y, z), (u, v, w)
+
+    @property
+    def velocity(self) -> Vector:
+        """When its pose was asked for the last time, m/s."""
+        return self._velocity
+
     def render(self, wrench: Screw) -> None:
-        self._force = wrench[:3]
+        x, y, z = wrench[:3]
+        self._force = (x, y, z - self._push)
 
     def stop(self) -> None:
-        self._force = (0.0, 0.0, 0.0)
+        self._force = (0.0, 0.0, -self._push)
 
     def aim(self, depth: float) -> None:
         self._motion.aim(depth)
 
     def describe(self) -> dict[str, Any]:
         return {"device": "virtual hand", "motion": type(self._motion).__name__, "mass_kg": self._mass,
-                "damping_N_s_m": self._damping, "grip_N_m": self._grip}
+                "damping_N_s_m": self._damping, "grip_N_m": self._grip, "push_N": self._push}
 
 
 def open_virtual(text: str) -> VirtualHand:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from functools import partial
 from pathlib import Path
@@ -20,10 +21,12 @@ from scenes.commands.shared.parsing import Parser, add_json, at_least, not_negat
 from scenes.commands.shared.tissue_flags import add_solver_flags, check_solver, read_material
 from tissue_sim.errors import InputError
 
-SUMMARY = "run the 1 kHz loop without a device and report how well it keeps its time"
+SUMMARY = "run the 1 kHz loop, along a motion or with a haptic device, and report how well it keeps its time"
 EXAMPLE = "tissue-sim loop needle_indentation --material m.material.json --seconds 60 --motion random"
 #: What stops a mistyped motion, not what a device bears, N and N per tick.
 FORCE_LIMIT, FORCE_RATE = 100.0, 1.0
+#: Of real devices, unless the flags say otherwise: the hands of docs/haptic_rendering.md that do not shake with it.
+COUPLING, CONTROLLER = (1000.0, 1.0), 2.0
 #: Wall time of a step in a tick of 1000, us: the rest is for rendering, ring and surface.
 BUDGET = 800.0
 INTERRUPTED = 130
@@ -58,13 +61,22 @@ def add_arguments(parser: Parser) -> None:
                         help="wall time of a step after which the last equilibrium's force is carried on; 0: however "
                              f"long it takes (default: {BUDGET:g})")
     timing.add_argument("--inertia", choices=("auto", "on", "off"), default="auto",
-                        help="the mass of the tissue counts; auto: where the tool is fast (default: auto)")
+                        help="the mass of the tissue counts; auto: where the tool is fast, and not behind a coupling "
+                             "(default: auto)")
     timing.add_argument("--no-real-time", action="store_true",
                         help="ask the system for nothing: no SCHED_FIFO, no locked memory")
-    timing.add_argument("--force-limit-N", type=positive, metavar="N", default=FORCE_LIMIT,
-                        help=f"largest rendered force (default: {FORCE_LIMIT:g})")
+    timing.add_argument("--force-limit-N", type=positive, metavar="N",
+                        help=f"largest rendered force (default: {FORCE_LIMIT:g}, or what the device allows)")
     timing.add_argument("--force-rate-N", type=positive, metavar="N", default=FORCE_RATE,
                         help=f"its largest change in a tick (default: {FORCE_RATE:g})")
+    timing.add_argument("--coupling-stiffness-N-m", type=not_negative, metavar="N",
+                        help="a spring between the device and the tool; 0: none (default: none, and "
+                             f"{COUPLING[0]:g} for a device that allows a certain force only)")
+    timing.add_argument("--coupling-damping-N-s-m", type=not_negative, metavar="N",
+                        help=f"damper beside that spring (default: {COUPLING[1]:g})")
+    timing.add_argument("--passivity-damping-N-s-m", type=not_negative, metavar="N",
+                        help="most that the passivity controller adds while more energy has come out than was put in; "
+                             f"0: no controller (default: none, and {CONTROLLER:g} for such a device)")
     timing.add_argument("--ring", type=Path, metavar="FILE",
                         help="where viewers and recorders read the ticks (default: a file in memory)")
     add_experiment_flags(parser)
@@ -83,8 +95,6 @@ def run(arguments) -> int:
 
     from haptics.loop.loop import LoopSettings
     from haptics.loop.process import LoopError, LoopProcess
-    from haptics.safety.limits import ForceLimits
-    from haptics.safety.rendering import ForceRendering
     from tissue_sim import Model, Simulator
 
     material = read_material(arguments.material)
@@ -92,11 +102,13 @@ def run(arguments) -> int:
     model = Model(make_experiment(arguments, protocol, material), material)
     settings = LoopSettings(seconds=arguments.seconds, spin=arguments.spin_us * 1e-6,
                             real_time=not arguments.no_real_time)
-    make_tissue = partial(Simulator, model, resolution=arguments.resolution, inertia=arguments.inertia,
+    device = open_named(arguments, name, protocol)
+    rendering = make_rendering(arguments, device.largest_force)
+    # Behind a coupling the mass of the tissue shakes the tool from tick to tick.
+    inertia = "off" if rendering.coupling is not None and arguments.inertia == "auto" else arguments.inertia
+    make_tissue = partial(Simulator, model, resolution=arguments.resolution, inertia=inertia,
                           budget=arguments.budget_us * 1e-6 or None, solver=arguments.solver)
-    process = LoopProcess(make_tissue, open_named(arguments, name, protocol),
-                          ForceRendering(ForceLimits(arguments.force_limit_N, arguments.force_rate_N)), settings,
-                          ring_path=arguments.ring)
+    process = LoopProcess(make_tissue, device, rendering, settings, ring_path=arguments.ring)
     try:
         report, interrupted = follow(process, arguments.seconds, quiet=arguments.json)
     except LoopError as error:
@@ -129,6 +141,38 @@ def open_named(arguments, name: str, protocol):
     by_flags = {"random": f"random:{depth},top_speed_mm_s={arguments.top_speed_mm_s!r},seed={arguments.seed}",
                 "sine": f"sine:{depth},frequency_hz={arguments.frequency_hz!r}"}
     return open_motion(by_flags.get(name, name))
+
+
+def make_rendering(arguments, largest_force: float):
+    """From the device's pose to its force, as the flags say.
+
+    Args:
+        largest_force: of the device, N.
+
+    Raises:
+        InputError: a limit above it, or a damper without its spring.
+    """
+    from haptics.safety.coupling import VirtualCoupling
+    from haptics.safety.limits import ForceLimits
+    from haptics.safety.rendering import ForceRendering
+
+    limit = arguments.force_limit_N or FORCE_LIMIT
+    if arguments.force_limit_N and limit > largest_force:
+        raise InputError(f"{limit:g} N, but the device allows {largest_force:g} N; give no more, or set the device "
+                         "otherwise", field="--force-limit-N")
+    real = math.isfinite(largest_force)
+
+    def asked(value: float | None, for_real: float) -> float:
+        return value if value is not None else for_real if real else 0.0
+
+    stiffness = asked(arguments.coupling_stiffness_N_m, COUPLING[0])
+    damping = arguments.coupling_damping_N_s_m
+    if damping and not stiffness:
+        raise InputError("a damper needs a spring beside it; give --coupling-stiffness-N-m, too",
+                         field="--coupling-damping-N-s-m")
+    coupling = VirtualCoupling(stiffness, COUPLING[1] if damping is None else damping) if stiffness else None
+    return ForceRendering(ForceLimits(limit, arguments.force_rate_N), coupling,
+                          controller_damping=asked(arguments.passivity_damping_N_s_m, CONTROLLER) or None)
 
 
 def follow(process, seconds: float, *, quiet: bool):

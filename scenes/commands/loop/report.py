@@ -57,6 +57,8 @@ def print_report(report: LoopReport, console: Console) -> None:
         if counted:
             print_sentence(console, f"{what}: {counted}")
     print_sentence(console, f"largest force: {report.largest_force:.4g} N")
+    if report.device.get("trouble"):
+        print_sentence(console, f"the device was lost: {report.device['trouble']}")
     if report.peak_memory is not None:
         print_sentence(console, f"peak memory: {answer['peak_memory_MB']:.0f} MB")
     obtained = [feature.name for feature in report.real_time if feature.obtained]

@@ -84,12 +84,14 @@ class CurvePlots:
                     lambda y: residual_depth_options(x, y, dark=self._dark))
         time, force = (np.empty(0), np.empty(0)) if trace is None else (trace.time, trace.force)
         now = readouts.time if readouts else 0.0
-        columns, extent = force_time(time, force, now, measured=curves.replayed)
+        hand = trace.rendered_force if trace is not None and curves.felt else None
+        columns, extent = force_time(time, force, now, measured=curves.replayed, hand=hand)
         self._write(self._time, columns, ("time", x, settled_range(extent, self._ranges.get("time"))),
                     lambda y: force_time_options(y, dark=self._dark))
         _set(self._legend, "content", legend_html(
             measured=0 if measured is None else len(measured.recordings), model=model is not None,
-            before=None if curves.before is None else curves.before[0], live=live is not None, dark=self._dark))
+            before=None if curves.before is None else curves.before[0], live=live is not None, hand=curves.felt,
+            dark=self._dark))
         _set(self._agreement, "content", agreement_html(frame))
 
     def _branches(self, name: str, recording: Recording | None, grid: np.ndarray) -> Pair | None:

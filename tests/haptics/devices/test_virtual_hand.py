@@ -9,6 +9,7 @@ from device_contracts import HapticDeviceContract
 from haptics.devices.back_ends import HAPTIC_DEVICES, open_haptic
 from haptics.devices.contracts import Motion
 from haptics.devices.motions import HandMotion
+from haptics.devices.virtual.delayed_hand import DelayedHand
 from haptics.devices.virtual.hand import VirtualHand
 from haptics.safety.limits import ForceLimits
 from haptics.safety.rendering import ForceRendering
@@ -99,7 +100,8 @@ def test_it_comes_to_rest_where_hand_and_tissue_balance():
     assert depth == pytest.approx(2e-3, rel=1e-6) and rendered.force == pytest.approx(1.2, rel=1e-6)
 
 
-@pytest.mark.parametrize(("wrong", "field"), [({"mass": 0.0}, "mass"), ({"grip": math.nan}, "grip"),
+@pytest.mark.parametrize(("wrong", "field"), [({"mass": 0.0}, "mass"), ({"grip": -1.0}, "grip"),
+                                              ({"push": math.nan}, "push"),
                                               ({"damping": -1.0}, "damping")])
 def test_hands_that_make_no_sense_are_refused(wrong, field):
     with pytest.raises(InputError) as caught:
@@ -112,3 +114,15 @@ def test_only_a_hand_that_follows_a_steered_motion_is_steered():
     with pytest.raises(InputError, match="a SineMotion goes where it likes"):
         open_haptic("virtual:sine").aim(1e-3)
     assert "virtual" in HAPTIC_DEVICES
+
+
+class TestDelayedHand(HapticDeviceContract):
+    @pytest.fixture
+    def device(self):
+        return DelayedHand(VirtualHand(Standing()), 2e-3, 1e-3, 0.05)
+
+
+class TestFreeHand(HapticDeviceContract):
+    @pytest.fixture
+    def device(self):
+        return VirtualHand(Standing(), grip=0.0, push=0.5)

@@ -127,7 +127,8 @@ def test_last_seconds_keep_every_peak():
     time = np.arange(0, 60, 5e-3) + 1.3e-3  # so that none falls on the edge of a part
     force, now = np.random.default_rng(0).normal(size=time.size), 60.0
     data, extent = force_time(time, force, now)
-    x, _, live = columns(data, force_time_options(extent)).values()
+    x, _, live, hand = columns(data, force_time_options(extent)).values()
+    assert np.isnan(hand).all(), "no hand is there"
     assert (x[0], x[-1], x.size) == (-SECONDS, 0, 2 * PARTS)
     assert extent == (force[time >= 40].min(), force[time >= 40].max())
     for i in range(PARTS):
@@ -138,11 +139,23 @@ def test_last_seconds_keep_every_peak():
 def test_slow_force_is_where_it_was():
     time = np.arange(0, 12, 0.1)
     data, _ = force_time(time, 0.3 * time, 12.0, measured=(time, 0.2 * time))
-    x, measured, live = data
+    x, measured, live, _ = data
     known = x + 12 > 0.1
     np.testing.assert_allclose(live[known & (x < -0.2)], 0.3 * (x + 12)[known & (x < -0.2)], atol=0.3 * SECONDS / PARTS)
     np.testing.assert_allclose(measured[known & (x < -0.2)], 0.2 * (x + 12)[known & (x < -0.2)], atol=1e-9)
     assert np.isnan(live[x + 12 < -0.2]).all() and np.isnan(measured[x > -0.05]).all()
+
+
+def test_the_force_on_a_hand_is_beside_that_of_the_tissue():
+    """A hand that gets no more than 1.5 N of 3."""
+    time = np.arange(0, 12, 0.01)
+    force = 0.3 * time
+    data, extent = force_time(time, force, 12.0, hand=np.minimum(force, 1.5))
+    found = columns(data, force_time_options(extent))
+    known = found["time [s]"] > -11.8
+    np.testing.assert_allclose(found["on the hand"][known], np.minimum(found["live"], 1.5)[known], atol=0.05)
+    assert extent == pytest.approx((0, force[-1])) and np.nanmax(found["on the hand"]) == 1.5
+    assert "on the hand" in legend_html(hand=True) and "on the hand" not in legend_html()
 
 
 extents = st.tuples(st.floats(-1e3, 0), st.floats(0, 1e3))

@@ -4,6 +4,7 @@ import math
 import multiprocessing
 import os
 import signal
+import socket
 import threading
 from dataclasses import replace
 
@@ -11,6 +12,9 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
+from haptics.devices.back_ends import open_haptic
+from haptics.devices.motions import HandMotion
+from haptics.devices.virtual.hand import VirtualHand
 from haptics.loop.loop import LoopSettings
 from haptics.loop.ring import PAUSED, RingReader
 from scenes.viewer.frame import NullViewer, Phase
@@ -419,3 +423,34 @@ def test_a_simulation_that_died_can_be_begun_again(springs, until):
     process = springs.simulation.process
     springs.close()
     assert not process.alive and not process.ring_path.exists()
+
+
+def test_a_hand_at_a_device_is_drawn_beside_the_tissue(of_gel, pool, needle, until):
+    """A hand that holds 2 mm deep, at a device that allows 0.1 N: the tissue gives more."""
+    hand = VirtualHand(HandMotion(2e-3), grip=2000.0)
+    hand.largest_force = 0.1
+    session = Session(needle, settings=LOOP, device=hand)
+    try:
+        frame = until(session.frame, lambda frame: frame.curves.felt and len(frame.curves.trace) > 5
+                      and frame.curves.trace.rendered_force[-1] > 0.09)
+        trace = frame.curves.trace
+        assert frame.motion == "device" and trace.rendered_force.max() <= 0.1 + 1e-12
+        assert trace.force[-1] > 0.2, "that of the tissue"
+        session.post("aim", depth=1e-3)
+        until(session.frame, lambda frame: frame.motion == "hand" and not frame.curves.felt)
+    finally:
+        session.close()
+
+
+def test_a_device_that_is_not_there_is_named_and_the_page_goes_on(of_gel, pool, needle, until):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        device = open_haptic(f"haply:ws://127.0.0.1:{taken.getsockname()[1]}")
+        session = Session(needle, settings=LOOP, device=device)
+        try:
+            frame = until(session.frame, lambda frame: "no Haply Inverse service answers" in frame.message)
+            assert frame.phase is Phase.RUNNING and not frame.curves.felt
+            session.post("aim", depth=1e-3)
+            until(session.frame, at_rest(1e-3))
+        finally:
+            session.close()

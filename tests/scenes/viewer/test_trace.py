@@ -52,6 +52,14 @@ def test_kept_points_are_apart_and_close_enough_to_draw():
     assert len(trace) < 1300 < 14_000
 
 
+def test_what_the_hand_got_is_kept_beside_what_the_tissue_gave():
+    records = played(CYCLE, 14)
+    records["force"] = np.minimum(records["tissue_force"], 1.2)
+    trace = fed(records)
+    np.testing.assert_array_equal(trace.rendered_force, np.minimum(trace.force, 1.2))
+    assert trace.rendered_force.max() == 1.2 < trace.force.max()
+
+
 def test_a_force_that_changes_at_rest_is_kept():
     time = np.arange(0, 1, 1e-3)
     trace = fed(ticks(time, np.full(time.size, 5e-3), np.exp(-time / 0.05)))

@@ -1,0 +1,13 @@
+"""A Haply service of its own process: says where it listens, then, for each line that it is given, what it has felt."""
+
+import json
+import sys
+
+from haptics.devices.virtual.faults import Faults
+from haptics.emulators.haply import emulate_haply
+
+if __name__ == "__main__":
+    with emulate_haply(None, sys.argv[1], Faults()) as service:
+        print(service.address, flush=True)
+        for _ in sys.stdin:
+            print(json.dumps(service.describe()), flush=True)

@@ -1,0 +1,341 @@
+"""The Haply device over the emulator of its service: the contract, the frame, and every way in which it can fail."""
+
+import json
+import math
+import pickle
+import socket
+import threading
+import time
+
+import pytest
+from device_contracts import HapticDeviceContract
+
+from haptics.devices.back_ends import open_haptic
+from haptics.devices.contracts import DeviceError
+from haptics.devices.haply import STALE, HaplyDevice
+from haptics.devices.virtual.faults import Faults
+from haptics.devices.virtual.hand import VirtualHand
+from haptics.emulators.emulator import open_emulator
+from haptics.emulators.haply import LETS_GO, START, HaplyEmulator, emulate_haply
+from haptics.protocols.haply import HapticState, read_force, state_message
+from tissue_sim.errors import InputError
+from tissue_sim.pose import Pose
+
+#: The scene's origin where the emulated hand begins.
+AT_START = "x_mm=0,y_mm=-150,z_mm=150"
+NO_WRENCH = (0.0,) * 6
+
+
+def wait_for(condition, seconds=20.0):
+    """Until it holds; returns what it said."""
+    end = time.monotonic() + seconds
+    while not (answer := condition()):
+        assert time.monotonic() < end, "it never came"
+        time.sleep(2e-3)
+    return answer
+
+
+@pytest.fixture
+def service():
+    with emulate_haply(None, "port=0", Faults()) as emulator:
+        yield emulator
+
+
+@pytest.fixture
+def started(service):
+    device = open_haptic(f"{service.address},{AT_START}")
+    device.start()
+    yield device
+    device.stop()
+
+
+class TestContract(HapticDeviceContract):
+    def ticks(self, device, wrench=NO_WRENCH, start=0.0, count=50):
+        poses = []
+        for _ in range(count):
+            poses.append(device.pose(start))
+            device.render(wrench)
+            time.sleep(1e-3)
+        return [pose for pose in poses if pose is not None] if wrench != NO_WRENCH else poses
+
+    @pytest.fixture
+    def device(self, service):
+        return open_haptic(service.address)
+
+    def test_it_gives_way_to_a_force_or_ignores_it(self, device):
+        """One after the other: the hand of the emulator begins anew with each client."""
+        other, places = pickle.loads(pickle.dumps(device)), []
+        for each, force in ((device, 0.0), (other, 1.0)):
+            each.start()
+            wrench = (0.0, 0.0, force, 0.0, 0.0, 0.0)
+            # 1 N on a grip of 400 N/m is 2.5 mm.
+            if force:
+                wait_for(lambda each=each, wrench=wrench: self.ticks(each, wrench, count=10)[-1].position[2]
+                         > places[0][2] + 2e-3)
+            places.append(wait_for(lambda each=each, wrench=wrench: self.ticks(each, wrench, count=2)[-1]).position)
+            each.stop()
+        free, pushed = places
+        assert pushed[2] > free[2] and pushed[:2] == pytest.approx(free[:2], abs=1e-12)
+
+
+def test_the_first_pose_is_above_the_tissue(service):
+    device = open_haptic(f"{service.address},above_mm=7")
+    device.start()
+    pose = device.pose(0.0)
+    device.stop()
+    assert pose.position == pytest.approx((0.0, 0.0, 7e-3), abs=1e-9)
+    assert device.pose(0.0) is None, "a device that is stopped knows no pose"
+
+
+def test_forces_arrive_and_the_last_one_is_none(started, service):
+    started.render((0.25, 0.5, 1.0, 9.0, 9.0, 9.0))
+    wait_for(lambda: service.force == (0.25, 0.5, 1.0))
+    started.stop()
+    assert service.force == (0.0, 0.0, 0.0)
+    started.render((0.0, 0.0, 1.0, 0.0, 0.0, 0.0))  # after its end it does nothing
+    started.stop()
+
+
+def test_a_force_that_is_too_large_is_cut_and_one_that_is_no_number_is_none(started, service):
+    started.render((30.0, 0.0, 40.0, 0.0, 0.0, 0.0))
+    wait_for(lambda: math.hypot(*service.force) == pytest.approx(started.largest_force))
+    assert service.force == pytest.approx((3.0, 0.0, 4.0))
+    started.render((math.nan, 0.0, 1.0, 0.0, 0.0, 0.0))
+    wait_for(lambda: service.force == (0.0, 0.0, 0.0))
+
+
+def test_axes_and_scale(service):
+    """Scene x, y, z are the device's y, z, x; the tool moves twice as far, and the hand feels half the force."""
+    device = open_haptic(f"{service.address},axes=yzx,scale=2,force_scale=0.5,x_mm=1,y_mm=-148,z_mm=147,turn=1")
+    device.start()
+    assert device.pose(0.0).position == pytest.approx((-4e-3, 6e-3, -2e-3), abs=1e-9)
+    assert device.pose(0.0).orientation == (1.0, 0.0, 0.0, 0.0)
+    device.render((1.0, 2.0, 3.0, 0.0, 0.0, 0.0))
+    wait_for(lambda: service.force == (1.5, 0.5, 1.0))
+    device.stop()
+    assert device.largest_force == 10.0
+
+
+def test_the_tool_turns_with_the_grip_about_the_axes_of_the_scene():
+    device = HaplyDevice(axes="yzx", turn=True)
+    s = math.sqrt(0.5)
+    # From a quarter turn about x to that, then a quarter turn about the device's z: the scene's y.
+    first, now = (s, s, 0.0, 0.0), (0.5, 0.5, 0.5, 0.5)
+    assert device._turned(now, first) == pytest.approx((s, 0.0, s, 0.0))
+    assert device._turned(first, first) == pytest.approx((1.0, 0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(("text", "field"), [
+    ("http://127.0.0.1:10001", "address"), ("ws://127.0.0.1", "address"), ("ws://127.0.0.1:99999", "address"),
+    ("ws://127.0.0.1:1,scale=0", "scale"), ("ws://127.0.0.1:1,axes=xyy", "axes"), ("ws://127.0.0.1:1,axes=xy", "axes"),
+    ("ws://127.0.0.1:1,axes=-xyz", "axes"), ("ws://127.0.0.1:1,axes=abc", "axes"), ("ws://127.0.0.1:1,x_mm=3", "x_mm"),
+    ("ws://127.0.0.1:1,largest_force_N=-1", "largest_force"), ("ws://127.0.0.1:1,speed=1", "speed")])
+def test_settings_that_make_no_sense_are_refused(text, field):
+    with pytest.raises(InputError) as caught:
+        open_haptic(f"haply:{text}")
+    assert field in caught.value.field
+
+
+def test_nobody_listens():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))  # bound, and not listening
+        address = f"ws://127.0.0.1:{taken.getsockname()[1]}"
+        with pytest.raises(DeviceError, match=f"no Haply Inverse service answers at {address} .*Haply Hub"):
+            HaplyDevice(address).start()
+
+
+class Says(threading.Thread):
+    """Listens on a port, and says bytes, or what a function makes of a WebSocket."""
+
+    def __init__(self, talk):
+        super().__init__(daemon=True)
+        from websockets.sync.server import serve
+
+        self._server = serve(talk, "127.0.0.1", 0, compression=None)
+        self.address = f"ws://127.0.0.1:{self._server.socket.getsockname()[1]}"
+
+    def run(self):
+        self._server.serve_forever()
+
+    def __enter__(self):
+        self.start()
+        return self
+
+    def __exit__(self, *_):
+        self._server.shutdown()
+        self.join()
+
+
+def said_first(message):
+    def talk(connection):
+        connection.send(message)
+        for _ in connection:
+            connection.send(message)
+
+    return talk
+
+
+@pytest.mark.parametrize(("first", "sentence"), [
+    ('{"session_id": 1, "inverse3": []}', "knows no Inverse3; connect the device"),
+    ("garbage", r"does not understand \(no JSON\); it needs version 3.1"),
+    ('{"inverse3": [{"device_id": "1", "state": {}}]}', r"does not understand \(no cursor_position\)"),
+    (state_message(HapticState("04BA", (0.0, 0.0, 0.1), status={"power_supply": False}), (0.0, 0.0, 0.0)),
+     "04BA has no power for its motors; plug")])
+def test_a_service_without_a_device_that_can_be_used(first, sentence):
+    with Says(said_first(first)) as server, pytest.raises(DeviceError, match=sentence):
+        HaplyDevice(server.address).start()
+
+
+@pytest.mark.parametrize("answer", [b"HTTP/1.1 404 Not Found\r\nContent-Length: 0\r\n\r\n", b"", b">\r\n"])
+def test_who_listens_is_no_service(answer):
+    """Another web server, one that hangs up, and a device that speaks something else."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        def speak():
+            connection, _ = server.accept()
+            with connection:
+                connection.recv(4096)
+                connection.sendall(answer)
+
+        thread = threading.Thread(target=speak)
+        thread.start()
+        with pytest.raises(DeviceError, match="no Haply Inverse service"):
+            HaplyDevice(f"ws://127.0.0.1:{server.getsockname()[1]}").start()
+        thread.join()
+
+
+def test_the_service_falls_silent_and_the_pose_is_lost():
+    with emulate_haply(None, "port=0", Faults(disconnect_after=0.3)) as service:
+        device = open_haptic(service.address)
+        device.start()
+        assert device.pose(0.0) is not None
+        wait_for(lambda: device.render(NO_WRENCH) or device.pose(0.0) is None)
+        device.stop()
+
+
+def test_garbage_between_good_answers_is_left_out_and_only_garbage_is_no_pose():
+    place, answers = [0.1], iter(range(10**9))
+
+    def talk(connection):
+        state = HapticState("1", (0.0, 0.0, 0.1))
+        connection.send(state_message(state, (0.0, 0.0, 0.0)))
+        for _ in connection:
+            good = place[0] is not None and next(answers) % 2 == 0
+            connection.send(state_message(HapticState("1", (0.0, 0.0, place[0])), (0.0, 0.0, 0.0)) if good else "{]")
+
+    with Says(talk) as server:
+        device = HaplyDevice(server.address, origin=(0.0, 0.0, 0.0))
+        device.start()
+        place[0] = 0.2
+        wait_for(lambda: device.render(NO_WRENCH) or device.pose(0.0) == Pose((0.0, 0.0, 0.2)))
+        place[0] = None
+        wait_for(lambda: device.render(NO_WRENCH) or device.pose(0.0) is None)
+        device.stop()
+
+
+def test_a_slow_service_does_not_hold_the_loop_up():
+    """Answers come after 0.2 s: poses are lost in between, and no call waits for one."""
+    with emulate_haply(None, "port=0", Faults(delay=0.2)) as service:
+        device = open_haptic(service.address)
+        device.start()
+        began, asked, none = time.monotonic(), 0, 0
+        while time.monotonic() - began < 0.6:
+            none += device.pose(0.0) is None
+            device.render(NO_WRENCH)
+            asked += 1
+            time.sleep(1e-3)
+        device.stop()
+    # One wait for an answer in each tick would leave three.
+    assert none > 0 and asked > 20 and STALE < 0.2
+
+
+def test_forces_do_not_queue_up_at_a_service_that_is_slow():
+    """50 ms for each answer, and a loop of 1 kHz: a new force waits for two answers at most."""
+    seen = []
+
+    def talk(connection):
+        state = state_message(HapticState("1", (0.0, 0.0, 0.1)), (0.0, 0.0, 0.0))
+        connection.send(state)
+        for message in connection:
+            seen.append(read_force(message, "1"))
+            time.sleep(0.05)
+            connection.send(state)
+
+    with Says(talk) as server:
+        device = HaplyDevice(server.address)
+        device.start()
+        wait_for(lambda: device.render(NO_WRENCH) or len(seen) > 20)
+        asked = len(seen)
+        wait_for(lambda: device.render((0.0, 0.0, 3.0, 0.0, 0.0, 0.0)) or (0.0, 0.0, 3.0) in seen)
+        assert seen.index((0.0, 0.0, 3.0)) <= asked + 3
+        device.stop()
+
+
+def test_messages_that_are_lost_do_not_stop_the_others():
+    with emulate_haply(None, "port=0", Faults(loss=0.3, seed=2)) as service:  # not the very first
+        device = open_haptic(service.address)
+        device.start()
+        before = service.messages
+        wait_for(lambda: device.render(NO_WRENCH) or service.messages > before + 10)
+        device.stop()
+
+
+def test_a_loop_that_stands_gives_no_force(started, service):
+    """The loop renders once and never again: the thread beside it takes the force away."""
+    started.render((0.0, 0.0, 2.0, 0.0, 0.0, 0.0))
+    wait_for(lambda: service.force == (0.0, 0.0, 2.0))
+    wait_for(lambda: service.force == (0.0, 0.0, 0.0))
+    assert started.pose(0.0) is not None, "states go on"
+
+
+def test_the_emulator_lets_go_when_nobody_speaks(service):
+    from websockets.sync.client import connect
+
+    from haptics.protocols.haply import force_message, read_state
+
+    with connect(service.address.removeprefix("haply:")) as client:
+        first = read_state(client.recv())
+        client.send(force_message(first.device_id, (0.0, 0.0, 3.0)))
+        assert read_state(client.recv()).device_id == "049D" and service.force == (0.0, 0.0, 3.0)
+        with pytest.raises(TimeoutError):
+            client.recv(timeout=2 * LETS_GO)  # it says nothing unasked
+        wait_for(lambda: service.force == (0.0, 0.0, 0.0))
+        client.send("nonsense")
+        assert read_state(client.recv()).device_id == "049D", "each message has one answer"
+    assert service.refused == 1 and service.messages == 2
+
+
+def test_the_emulated_hand_gives_way():
+    """A weak grip: 1 N on 100 N/m is 10 mm."""
+    with emulate_haply(None, "port=0,grip_N_m=100,damping_N_s_m=8", Faults()) as service:
+        device = open_haptic(f"{service.address},{AT_START}")
+        device.start()
+
+        def rises():
+            device.render((0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
+            pose = device.pose(0.0)
+            return pose is not None and abs(pose.position[2] - 10e-3) < 0.1e-3
+
+        wait_for(rises)
+        assert service.place() == pytest.approx((START[0], START[1], START[2] + 10e-3), abs=0.2e-3)
+        device.stop()
+
+
+def test_the_emulator_by_name_says_what_is_in_its_way(service):
+    port = service.address.rpartition(":")[2]
+    with pytest.raises(DeviceError, match=f"port {port} cannot be opened.*another emulator"):
+        open_emulator(f"haply:port={port}", None).start()
+    with pytest.raises(InputError):
+        open_emulator("haply:depth=3", None)
+    assert "unverified" in service.describe() and isinstance(service, HaplyEmulator)
+    json.dumps(service.describe())
+
+
+def test_a_hand_of_ones_own_can_be_behind_the_service():
+    from haptics.devices.motions import HandMotion
+
+    hand = VirtualHand(HandMotion(), grip=0.0)
+    with HaplyEmulator(hand) as service:
+        device = open_haptic(f"{service.address},{AT_START}")
+        device.start()
+        wait_for(lambda: device.render((0.0, 0.0, 0.1, 0.0, 0.0, 0.0)) or device.pose(0.0).position[2] > 1e-3)
+        device.stop()

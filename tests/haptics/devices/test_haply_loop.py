@@ -1,0 +1,114 @@
+"""The loop renders to a Haply device whose service is another process, and outlives it."""
+
+import json
+import math
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from haptics.devices.back_ends import open_haptic
+from haptics.loop.loop import LoopSettings
+from haptics.loop.process import LoopError, LoopProcess
+from haptics.safety.limits import ForceLimits
+from haptics.safety.rendering import ForceRendering
+from tissue_sim.tool_force import ForceStatus, ToolForce
+
+#: The scene's origin where the emulated hand begins.
+AT_START = "x_mm=0,y_mm=-150,z_mm=150"
+
+
+def wait_for(condition, seconds=20.0):
+    """Until it holds."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it never came"
+        time.sleep(2e-3)
+
+
+class Block:
+    """A tissue of 300 N/m."""
+
+    def step(self, pose, dt):
+        depth = max(pose.depth, 0.0)
+        return ToolForce.axial(300.0 * depth, 300.0 if depth else 0.0, ForceStatus.CONVERGED)
+
+
+@pytest.fixture
+def other_process():
+    """A service in another process, whose hand goes 6 mm into the tissue and out."""
+    root = Path(__file__).resolve().parents[3]
+    with subprocess.Popen([sys.executable, Path(__file__).with_name("haply_service.py"),
+                           "port=0,depth_mm=6,frequency_hz=2,grip_N_m=1000"], cwd=root, text=True,
+                          stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        process.address = process.stdout.readline().strip()
+        yield process
+        process.kill()
+
+
+def felt(process):
+    process.stdin.write("\n")
+    process.stdin.flush()
+    return json.loads(process.stdout.readline())
+
+
+def loop_with(address, seconds=None):
+    return LoopProcess(Block, open_haptic(f"{address},{AT_START}"), ForceRendering(ForceLimits(5.0, 0.5)),
+                       LoopSettings(seconds=seconds, real_time=False))
+
+
+def test_the_loop_renders_the_tissue_to_the_device(other_process):
+    with loop_with(other_process.address, seconds=1.5) as loop:
+        loop.wait_until_ready()
+        with loop.ring() as ring:
+            report = loop.wait()
+            records = ring.since(0).records
+    hand = felt(other_process)
+    # The grip gives way: 1000 N/m hold against 300, so the depth is 6 mm x 1000/1300, and the force 300 times that.
+    assert report.ended_by == "time" and report.largest_force == pytest.approx(300 * 6e-3 / 1.3, rel=0.1)
+    assert hand["largest_force_N"] == pytest.approx(report.largest_force, rel=0.05)
+    assert hand["force_N"] == [0.0, 0.0, 0.0], "the device is stopped"
+    touching = records[records["tool_depth"] > 2e-3]
+    assert len(touching) > 100 and touching["force"].min() > 0.3
+
+
+def test_a_service_that_dies_leaves_no_force_and_the_loop_goes_on(other_process):
+    with loop_with(other_process.address) as loop:
+        loop.wait_until_ready()
+        with loop.ring() as ring:
+            wait_for(lambda: (last := ring.latest()) is not None and last["force"] > 0.5)
+            other_process.kill()
+            wait_for(lambda: ring.latest()["force"] == 0.0 and math.isnan(ring.latest()["device_pose"][0]))
+            tick = ring.latest()["tick"]
+            wait_for(lambda: ring.latest()["tick"] > tick + 20)
+        report = loop.stop()
+    assert report.ended_by == "stop" and report.flagged["lost_pose"] > 0
+    assert "has gone" in report.device["trouble"] and other_process.address[6:] in report.device["trouble"]
+
+
+def test_a_loop_without_a_service_does_not_begin():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        with loop_with(f"haply:ws://127.0.0.1:{taken.getsockname()[1]}") as loop, \
+                pytest.raises(LoopError, match="no Haply Inverse service answers"):
+            loop.wait_until_ready()
+
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot hold a process still")
+def test_a_loop_that_is_killed_or_stands_leaves_no_force(other_process):
+    """The emulator lets go; of the real service that is not known."""
+    with loop_with(other_process.address) as loop:
+        loop.wait_until_ready()
+        wait_for(lambda: felt(other_process)["force_N"][2] > 0.5)
+        os.kill(loop.pid, signal.SIGSTOP)
+        wait_for(lambda: felt(other_process)["force_N"] == [0.0, 0.0, 0.0])
+        os.kill(loop.pid, signal.SIGCONT)
+        wait_for(lambda: felt(other_process)["force_N"][2] > 0.5)
+        os.kill(loop.pid, signal.SIGKILL)
+        wait_for(lambda: felt(other_process)["force_N"] == [0.0, 0.0, 0.0])
