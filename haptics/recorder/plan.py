@@ -26,6 +26,8 @@ class Plan:
         replicates: how often.
         contact: ``"force"``: the stage goes in from its zero until the force says so; ``"here"``: where it stands after
             homing, as with a plate that is glued on.
+        touch: ``"each"``: where it touches is found before each recording, so that the recordings show how well that is
+            known; ``"once"``: before the first.
         contact_force: from which on the tool touches, N.
         approach_speed: m/s.
         retract: how far above the touch the tool waits, m.
@@ -42,6 +44,7 @@ class Plan:
     legs: tuple[Leg, ...]
     replicates: int = 3
     contact: Literal["force", "here"] = "force"
+    touch: Literal["each", "once"] = "each"
     contact_force: float = 0.1
     approach_speed: float = 1e-3
     retract: float = 1e-3

@@ -88,7 +88,8 @@ def _chosen(protocol: ProtocolFile, name: str | None) -> list[Any]:
 def _record(arguments, protocol: ProtocolFile, tests: list[Any], console: Console,
             show: Callable[[RunFolder, Console], None]) -> int:
     from haptics.devices.contracts import DeviceError
-    from haptics.recorder.recorder import Recorder, StoppedError
+    from haptics.recorder.guarded_motion import StoppedError
+    from haptics.recorder.recorder import Recorder
     from haptics.recorder.run_folder import RunFolder
     from scenes.commands.record.bench import open_bench
     from tissue_sim import __version__
@@ -107,7 +108,7 @@ def _record(arguments, protocol: ProtocolFile, tests: list[Any], console: Consol
             if not folder.missing(plan.name, plan.replicates):
                 continue
             try:
-                recorder = Recorder(open_bench(protocol, test), [plan], protocol.limits, folder, about=about,
+                recorder = Recorder(open_bench(protocol, test), plan, protocol.limits, folder, about=about,
                                     asked=asked, watch=watch)
                 recorder.run()
             except (StoppedError, DeviceError) as error:

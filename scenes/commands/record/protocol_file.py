@@ -71,7 +71,8 @@ class RecordTable(_Table, frozen=True, kw_only=True):
     """``[record]``."""
 
     replicates: int = 3
-    contact: Literal["force", "here"] = "force"
+    contact: Literal["auto", "force", "here"] = "auto"
+    touch: Literal["each", "once"] = "each"
     contact_force_N: float = 0.1
     approach_speed_mm_s: float = 1.0
     retract_mm: float = 1.0
@@ -186,8 +187,11 @@ def _plan(test: Any, record: RecordTable, number: int, content: Mapping[str, Any
              "kind": test.kind.name, "tool": entry.get("tool", "plate"), "tool_radius_mm": entry.get("tool_radius_mm"),
              "friction": entry.get("friction"), "lubricant": record.lubricant,
              "temperature_degC": record.temperature_degC, "operator": record.operator, "notes": record.notes}
-    return Plan(test.name, tuple(legs(parse_protocol(test.protocol), _SPEED)), record.replicates, record.contact,
-                record.contact_force_N, record.approach_speed_mm_s * 1e-3, record.retract_mm * 1e-3,
+    # A plate that is glued to the specimen touches from the beginning.
+    glued = test.experiment.tool.is_plate and test.experiment.friction == "bonded"
+    contact = record.contact if record.contact != "auto" else "here" if glued else "force"
+    return Plan(test.name, tuple(legs(parse_protocol(test.protocol), _SPEED)), record.replicates, contact,
+                record.touch, record.contact_force_N, record.approach_speed_mm_s * 1e-3, record.retract_mm * 1e-3,
                 record.preconditioning, record.rest_s, record.sign, record.axis,
                 {key: value for key, value in about.items() if value is not None})
 

@@ -8,7 +8,7 @@ from virtual_bench import STIFFNESS, SURFACE, Spring
 
 from haptics.devices.contracts import DeviceError
 from haptics.devices.virtual.faults import Faults
-from haptics.recorder.recorder import StoppedError
+from haptics.recorder.guarded_motion import StoppedError
 from tissue_sim import Rig, read_recording
 from tissue_sim.errors import InputError
 
@@ -188,7 +188,7 @@ def test_a_late_program_is_noticed_by_another_thread(bench, monkeypatch):
     import threading
 
     halted = threading.Event()
-    monkeypatch.setattr("haptics.recorder.recorder._DEAD", 0.01)
+    monkeypatch.setattr("haptics.recorder.guarded_motion.DEAD", 0.01)
     rig = bench.rig()
     halt = rig.stage.halt
     rig.stage.halt = lambda: (halt(), halted.set())
