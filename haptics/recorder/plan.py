@@ -34,6 +34,7 @@ class Plan:
         preconditioning: how often the motion is done before it is recorded.
         rest: between two motions, s.
         sign: 1, or -1 where the sensor reads less when it is pushed. axis: its channel along the tool.
+        lag: of the sensor behind the stage, as a sidecar says it; None: unknown.
         about: what the sidecar says of specimen, tool, lubricant, temperature, ...
 
     Raises:
@@ -52,6 +53,7 @@ class Plan:
     rest: float = 0.0
     sign: int = 1
     axis: str = "Fz"
+    lag: dict[str, Any] | None = None
     about: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -39,7 +39,7 @@ def test_a_run_records_what_was_planned(bench):
         np.testing.assert_allclose(recording.force, STIFFNESS * depth, atol=6e-3)
         assert set(recording.labels["segment"]) == {"ramp", "hold", "unload"}
         assert np.median(np.diff(recording.time)) == pytest.approx(1 / 500, rel=1e-6)
-        assert metadata["sensor"]["rate_Hz"] == 500.0 and metadata["clock"]["lag_s"] == "unknown"
+        assert metadata["sensor"]["rate_Hz"] == 500.0 and metadata["clock"]["lag"] == "unknown"
         assert metadata["loadings_before"] == number - 1
     assert {moment.phase for moment in bench.moments} == {"home", "tare", "approach", "rest", "ramp", "hold", "unload"}
 
