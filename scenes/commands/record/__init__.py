@@ -89,6 +89,7 @@ def _record(arguments, protocol: ProtocolFile, tests: list[Any], console: Consol
             show: Callable[[RunFolder, Console], None]) -> int:
     from haptics.devices.contracts import DeviceError
     from haptics.recorder.guarded_motion import StoppedError
+    from haptics.recorder.live import LiveFile
     from haptics.recorder.recorder import Recorder
     from haptics.recorder.run_folder import RunFolder
     from scenes.commands.record.bench import open_bench
@@ -102,7 +103,13 @@ def _record(arguments, protocol: ProtocolFile, tests: list[Any], console: Consol
              "protocol_sha256": protocol.digest, "devices": {"sensor": protocol.devices.sensor,
                                                              "stage": protocol.devices.stage}}
     stopped: str | None = None
-    with folder, _wishes_to_stop(arguments.json) as asked, _shown(arguments.json) as watch:
+    live = LiveFile(arguments.output)
+    with folder, _wishes_to_stop(arguments.json) as asked, _shown(arguments.json) as show_here, live.shown():
+
+        def watch(moment: Moment) -> None:
+            live.show(moment)
+            show_here(moment)
+
         for test in tests:
             plan = protocol.plans[test.name]
             if not folder.missing(plan.name, plan.replicates):
