@@ -105,7 +105,7 @@ def test_bad_words_get_one_sentence(words, expected, capsys, tmp_path, monkeypat
 
 
 @pytest.mark.parametrize("words", [
-    *([name] for name in LATER), ["record", "--help"], ["material", "import", "x"],
+    *([name] for name in LATER), ["reduce", "--help"], ["material", "import", "x"],
 ], ids=" ".join)
 def test_what_is_planned_is_known(words, capsys):
     assert "not available in this version" in fails(capsys, words)
