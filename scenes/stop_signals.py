@@ -9,15 +9,23 @@ from typing import Any
 
 
 @contextmanager
-def stopped_by_signals(stop: Callable[[], None]) -> Iterator[None]:
-    """Ctrl-C and SIGTERM call `stop`; a second one does what it always does."""
+def stopped_by_signals(stop: Callable[[], None], *, patient: bool = False) -> Iterator[None]:
+    """Ctrl-C and SIGTERM call `stop`; a second one does what it always does.
+
+    Args:
+        stop: called in the main thread.
+        patient: whatever ends first must be ended in order, such as a motor: the end of the session counts, too, and
+            further signals are no other wish.
+    """
     before: dict[int, Any] = {}
 
     def stop_once(number: int, _: Any) -> None:
         stop()
-        signal.signal(number, before[number])
+        if not patient:
+            signal.signal(number, before[number])
 
-    for number in (signal.SIGINT, signal.SIGTERM):
+    hang_up = [signal.SIGHUP] if patient and hasattr(signal, "SIGHUP") else []
+    for number in (signal.SIGINT, signal.SIGTERM, *hang_up):
         before[number] = signal.signal(number, stop_once)
     try:
         yield

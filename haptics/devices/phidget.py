@@ -64,6 +64,8 @@ class PhidgetStage(Stage):
         self._homed, self._sequence = False, 0
         #: Where it is sent, m; None: it was halted.
         self._goal: float | None = None
+        #: How often it was halted: a motion that is being sent meanwhile is over.
+        self._halts = 0
 
     def start(self) -> None:
         if self._motor is not None:
@@ -170,9 +172,16 @@ class PhidgetStage(Stage):
         if self._counts(speed) < 1.0:
             raise InputError(f"{speed:g} m/s is less than the slowest speed, {abs(self._per_count):.3g} m/s",
                              field="speed")
+        halts = self._halts
         try:
+            # Not at the speed of the motion before.
+            motor.setVelocityLimit(0.0)
             motor.setTargetPosition(float(round(position / self._per_count)))
-            motor.setVelocityLimit(float(round(self._counts(speed))))
+            if self._halts == halts:
+                motor.setVelocityLimit(float(round(self._counts(speed))))
+            if self._halts != halts:  # somebody halted while this was sent
+                motor.setVelocityLimit(0.0)
+                return
         except Exception as error:
             raise self._trouble(error) from None
         self._goal = position
@@ -193,6 +202,7 @@ class PhidgetStage(Stage):
         return StageSample(round(steps), place, moving, self._homed, self._sequence - 1, int(SampleStatus.GOOD), now)
 
     def halt(self) -> None:
+        self._halts += 1
         motor, self._goal = self._motor, None
         if motor is not None:
             try:

@@ -164,7 +164,7 @@ class _Stream:
         self._failure = ""
         self._came = threading.Condition()
         self._thread = threading.Thread(target=self._receive, name="RDT", daemon=True)
-        self._last_sent = self._overflowed = self._foreign = 0
+        self._overflowed = self._told_overflow = 0
 
     def begin(self) -> None:
         """Ask for records, and wait for the first.
@@ -215,6 +215,10 @@ class _Stream:
         waiting, taken = self._waiting, []
         for _ in range(len(waiting)):
             taken.append(waiting.popleft())
+        if taken and self._overflowed != self._told_overflow:
+            self._told_overflow = self._overflowed
+            counts, number, status, at = taken[0]
+            taken[0] = counts, number, status | SampleStatus.GAP, at
         return taken
 
     def latest(self, count: int, timeout: float) -> list[tuple[int, ...]]:

@@ -7,22 +7,27 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from typing import TypeVar
 
 import numpy as np
 
 from haptics.devices.contracts import Bench, DeviceError, ForceSample, StageSample
-from haptics.recorder.plan import PERIOD
+from haptics.recorder.plan import DEAD, PERIOD
 from haptics.safety.motion_guard import Drive, MotionGuard, MotionLimits, Stop
 from tissue_sim.errors import InputError
 
-#: A look that stays away so long while the tool moves ends the motion, s.
-DEAD = 0.25
+T = TypeVar("T")
 #: Forces that are kept to take a mean of, s.
 _RECENT = 0.1
 #: The tool is where it was sent when it rests within this of it, m; and a stage that was told to move may take so long
 #: to say that it does, s.
 _PLACED, _SETTLES = 20e-6, 0.5
+#: A stage that is halted may take so long, beside `Stage.runs_on`, to stand, s; and no longer than this is waited.
+_STANDS, _LONGEST_STAND = 0.5, 5.0
+#: While the tool goes back after a stop, the force may grow by this share of the limit before that is given up, too.
+_GROWS = 0.1
 #: A stage has so long to find its zero, s, beside twice the way at its largest speed.
 _HOMING = 60.0
 
@@ -73,6 +78,10 @@ class GuardedMotion:
         self.zero = self.began = self._ticked = 0.0
         self._guard: MotionGuard | None = None
         self._drive: Drive | None = None
+        #: Whether the stage was sent off and has not been seen to stand.
+        self._moves = False
+        #: What the sensor read before the first tare of this run, N, and by how much later ones changed that.
+        self.tares: list[float] = []
         self._recent: deque[tuple[float, float]] = deque()
         #: By how much a look came late, s, where that halted the stage.
         self._late: float | None = None
@@ -93,7 +102,8 @@ class GuardedMotion:
             self.sensor.start()
             self.stage.start()
             self.began = self._ticked = self.now()
-            self._guard = MotionGuard(self.limits, self.sensor.rate, self.stage.measures_position, self.began)
+            self._guard = MotionGuard(self.limits, self.sensor.rate, self.sensor.channels,
+                                      self.stage.measures_position, self.began)
             with self._dead_man():
                 try:
                     yield
@@ -101,10 +111,12 @@ class GuardedMotion:
                     stop = self._end(_stop_of(error), away)
                     raise StoppedError(stop) from error
         finally:
-            with contextlib.suppress(Exception):
-                self.stage.stop()
-            with contextlib.suppress(Exception):
-                self.sensor.stop()
+            try:
+                with contextlib.suppress(Exception):
+                    self.stage.stop()
+            finally:
+                with contextlib.suppress(Exception):
+                    self.sensor.stop()
 
     @contextmanager
     def _dead_man(self) -> Iterator[None]:
@@ -114,7 +126,7 @@ class GuardedMotion:
         def watch() -> None:
             while not ending.wait(0.2 * DEAD):
                 late = self.now() - self._ticked
-                if self._drive is not None and late > max(DEAD, self.limits.sensor_silence):
+                if self._moves and late > max(DEAD, self.limits.sensor_silence):
                     with contextlib.suppress(Exception):
                         self.stage.halt()
                     self._late = late
@@ -128,36 +140,67 @@ class GuardedMotion:
             thread.join()
 
     def _end(self, stop: Stop, away: Callable[[], tuple[float, float]]) -> Stop:
-        """Stand still; then go back, where that is wanted and the stage is to be believed."""
+        """Stand still, and see that it does; then go back, where that is wanted and the stage is to be believed."""
+        self._moves, self._drive = False, None
+        if (trouble := self._stand()) is not None:
+            return Stop(stop.cause, f"{stop.message}; and the stage does not stand ({trouble}): switch it off")
+        if self.limits.retracts and stop.may_retract and self.place is not None and self.place.homed:
+            try:
+                trouble = self._go_back(*away())
+            except BaseException as error:
+                trouble = str(error) or type(error).__name__
+            if trouble is not None:
+                self._stand()
+                return Stop(stop.cause, f"{stop.message}; and the tool did not go back ({trouble})")
+        return stop
+
+    def _stand(self) -> str | None:
+        """Halt, and wait until the stage says that it stands; what is wrong where it does not."""
         try:
             self.stage.halt()
-        except Exception as error:
-            stop = Stop(stop.cause, f"{stop.message}; and the stage does not take the halt ({error}): switch it off")
-        self._drive = None
-        if self.limits.retracts and stop.may_retract and self.place is not None and self.place.homed:
-            with contextlib.suppress(Exception):
-                goal, speed = away()
-                goal = max(min(goal, self.place.position), self.limits.lowest)
-                until = self.now() + 2 * abs(goal - self.place.position) / speed + _SETTLES
-                self.stage.move(goal, speed)
-                while self.stage.position().moving and self.now() < until:
-                    self._pause(PERIOD)
-                self.stage.halt()
-        return stop
+            until = self.now() + min(self.stage.runs_on + _STANDS, _LONGEST_STAND)
+            while True:
+                self.place = self.stage.position()
+                if not self.place.moving:
+                    return None
+                if self.now() > until:
+                    return f"it still says that it moves, at {self.place.position * 1e3:.4g} mm"
+                self._pause(PERIOD)
+        except BaseException as error:
+            return str(error) or type(error).__name__
+
+    def _go_back(self, goal: float, speed: float) -> str | None:
+        """The way out after a stop, as long as the force does not grow on it; why it was given up.
+
+        A sensor that is silent, or at the end of its range, says nothing against the way out.
+        """
+        assert self.place is not None
+        goal = max(min(goal, self.place.position), self.limits.lowest)
+        until = self.now() + 2 * abs(goal - self.place.position) / speed + _SETTLES
+        allowed = max(abs(self.force) if self._recent else 0.0, self.limits.force) + _GROWS * self.limits.force
+        self.stage.move(goal, speed)
+        while self.now() < until:
+            self._pause(PERIOD)
+            with contextlib.suppress(DeviceError):
+                forces = [self._sign * sample.values[self._axis] - self.zero for sample in self.sensor.read()]
+                if any(abs(force) > allowed for force in forces):
+                    return f"the force grew to {max(map(abs, forces)):.3g} N"
+            self.place = self.stage.position()
+            if not self.place.moving and abs(self.place.position - goal) <= _PLACED:
+                return None
+        return f"it is at {self.place.position * 1e3:.4g} mm"
 
     def tick(self) -> None:
         """Look at both devices once, and let the guard judge.
 
         Raises:
-            StoppedError: the motion has to end.
+            StoppedError: the motion has to end; the stage was halted.
         """
         self._pause(max(0.0, self._ticked + PERIOD - self.now()))
-        if self._late is not None:
-            raise StoppedError(Stop(
-                "program late", f"the program did not look at its devices for {self._late:.2g} s while the stage "
-                                "moved, and the stage was halted; close what else runs on this computer, or allow a "
-                                "longer sensor_silence_s"))
+        self._require_on_time()
         if (words := self._asked()) is not None:
+            with contextlib.suppress(Exception):
+                self.stage.halt()
             raise StoppedError(Stop("asked", words))
         samples = self.sensor.read()
         place = self.place = self.stage.position()
@@ -170,7 +213,16 @@ class GuardedMotion:
         self._looked(samples, forces, place)
         assert self._guard is not None
         if (stop := self._guard.check(now, samples, forces, place, self._drive)) is not None:
+            # Here, before anybody writes down why.
+            with contextlib.suppress(Exception):
+                self.stage.halt()
             raise StoppedError(stop)
+
+    def _require_on_time(self) -> None:
+        if self._late is not None:
+            raise StoppedError(Stop(
+                "program late", f"the program did not look at its devices for {self._late:.2g} s while the stage could "
+                                "move, and the stage was halted; close what else runs on this computer"))
 
     def mean(self, seconds: float = _RECENT) -> float:
         """Of the last forces, N, of 0.1 s at most; NaN where there is none."""
@@ -197,26 +249,41 @@ class GuardedMotion:
             raise StoppedError(Stop(
                 "travel", f"the motion would go to {position * 1e3:.4g} mm, outside of its limits of "
                           f"{self.limits.lowest * 1e3:g} to {self.limits.highest * 1e3:g} mm; put the specimen nearer"))
+        self._require_on_time()
         start = self.place.position if self.place is not None else position
         near = max(_PLACED, 1e-3 * abs(position - start))
+        # What was computed since the last look is no reason to halt what has not been sent off yet.
+        self._ticked = self.now()
+        self._moves = True
         self.stage.move(position, speed)
-        drive = self._drive = Drive(start, position, speed, self.now())
-        while True:
+        drive, ended = Drive(start, position, speed, self.now()), False
+        self._drive = drive
+        while not ended:
             self.tick()
-            if until():
-                self.stage.halt()
-                self._drive = None
-                return True
+            if ended := until():
+                if (trouble := self._stand()) is not None:
+                    raise StoppedError(Stop("stage fault", f"the stage does not stand ({trouble}): switch it off"))
+                break
             assert self.place is not None
             there = abs(self.place.position - position) <= near
             if not self.place.moving and (there or self.now() - drive.began > _SETTLES):
                 break
-        self._drive = None
-        if not there:
+        self._moves = False
+        assert self.place is not None
+        self._drive = Drive(self.place.position, self.place.position, 0.0, self.now())
+        if not ended and abs(self.place.position - position) > near:
             raise StoppedError(Stop(
                 "stage stalled", f"the stage stands at {self.place.position * 1e3:.4g} mm, where "
                                  f"{position * 1e3:.4g} mm were asked for; home it again"))
-        return False
+        return ended
+
+    def do_meanwhile(self, task: Callable[[], T]) -> T:
+        """Do something that takes its time, in another thread, and look at the devices until it is done."""
+        with ThreadPoolExecutor(1) as pool:
+            done = pool.submit(task)
+            while not done.done():
+                self.tick()
+            return done.result()
 
     def rest(self, seconds: float) -> None:
         """Look for so long, s."""
@@ -225,33 +292,50 @@ class GuardedMotion:
             self.tick()
 
     def home(self) -> None:
-        """Find the zero of the stage, and wait until it is there."""
+        """Find the zero of the stage, and wait until it is there; from now on its place is judged."""
         self.tick()
+        self._ticked = self.now()
+        self._moves = True
         self.stage.home()
         until = self.now() + _HOMING + 2 * (self.limits.highest - self.limits.lowest) / self.limits.speed
         while True:
             self.tick()
             assert self.place is not None
             if self.place.homed and not self.place.moving:
-                return
+                break
             if self.now() > until:
                 raise StoppedError(Stop("stage stalled", "the stage does not find its zero; look at its limit switch"))
+        self._moves = False
+        assert self._guard is not None
+        self._guard.knows_place = True
 
-    def tare(self, allowed: float) -> None:
-        """Zero the sensor where it touches nothing, and see that it reads zero; what is left is taken off here.
+    def tare(self, first: float, change: float) -> None:
+        """Zero the sensor where it touches nothing; what its own tare leaves is taken off here.
 
         Args:
-            allowed: that may be left, N.
+            first: that it may read before the first tare of a run, N. change: by which later ones may differ, N.
+
+        Raises:
+            StoppedError: it read more than that: something presses, or its zero moves.
         """
-        self.sensor.tare()
         self.zero = 0.0
         self.forget()
         self.rest(_RECENT)
-        self.zero = self.mean()
-        if not abs(self.zero) <= allowed:
+        before, allowed = self.mean(), change if self.tares else first
+        if not abs(before) <= allowed:
             raise StoppedError(Stop(
-                "zero", f"the sensor reads {self.zero:.3g} N after its tare, with nothing on the tool; let it warm up, "
-                        "take what touches it away, or give a larger contact_force_N"))
+                "zero", f"the sensor reads {before:.3g} N before it is zeroed, where {allowed:.3g} N are allowed; see "
+                        "that nothing presses on the tool, let it warm up, or give a larger "
+                        f"{'contact_force_N' if self.tares else 'tare_N'}"))
+        self.tares.append(before)
+        self.sensor.tare()
+        assert self._guard is not None
+        self._guard.knows_zero = True
+        self.forget()
+        self.rest(_RECENT)
+        self.zero = self.mean()
+        if not abs(self.zero) <= change:
+            raise StoppedError(Stop("zero", f"the sensor reads {self.zero:.3g} N after its tare; let it warm up"))
 
     def check_zero(self, allowed: float) -> None:
         """See that the sensor still reads zero where it was zeroed: a zero that has moved, or lost steps, show here."""

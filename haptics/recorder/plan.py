@@ -12,8 +12,8 @@ from haptics.safety.motion_guard import MotionLimits, require_stoppable
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.segments import Leg
 
-#: Between two looks at the devices, s.
-PERIOD = 5e-3
+#: Between two looks at the devices, s; and a look that stays away so long while the tool moves ends the motion.
+PERIOD, DEAD = 5e-3, 0.25
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Plan:
     def highest(self) -> float:
         """How far above the touch it goes, m."""
         above = -min(min(leg.start, leg.end) for leg in self.legs)
-        return max(above, self.retract if self.contact == "force" else 0.0)
+        return max(above, 2 * self.retract if self.contact == "force" else 0.0)
 
     @property
     def speed(self) -> float:
@@ -112,12 +112,12 @@ def check_plans(plans: Sequence[Plan], limits: MotionLimits, stage: Stage, perio
     Raises:
         InputError: a motion outside of the limits or of the stage's, or one that cannot be stopped in time.
     """
-    seconds = max(limits.sensor_silence, 3 * period) + 2 * PERIOD + stage.runs_on
+    # A silent sensor, or a program that no longer looks, which another thread sees a fifth later.
+    seconds = max(limits.sensor_silence, 3 * period, 1.2 * DEAD) + 2 * PERIOD + stage.runs_on
     total = 0.0
     if limits.lowest < stage.limits.lowest or limits.highest > stage.limits.highest:
         raise InputError(f"the limits go from {limits.lowest * 1e3:g} to {limits.highest * 1e3:g} mm, the stage only "
-                         "from "
-                         f"{stage.limits.lowest * 1e3:g} to {stage.limits.highest * 1e3:g} mm; give less",
+                         f"from {stage.limits.lowest * 1e3:g} to {stage.limits.highest * 1e3:g} mm; give less",
                          field="limits")
     for plan in plans:
         way = plan.depth + plan.highest

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -9,15 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from haptics.devices.contracts import Bench, ForceSample, StageSample
+from haptics.devices.contracts import Bench, DeviceError, ForceSample, StageSample
 from haptics.recorder.guarded_motion import GuardedMotion, StoppedError
 from haptics.recorder.plan import PERIOD, Plan, check_plans
 from haptics.recorder.run_folder import PartialRecording, RunFolder
 from haptics.recorder.taken import Taken, as_recording, refined_touch
 from haptics.safety.motion_guard import MotionLimits, Stop
+from tissue_sim.errors import InputError
 
-#: After a tare this share of the contact force may be left.
-_ZERO_SHARE = 0.5
 #: Contact counts when the mean over so long has reached the contact force, s.
 _TOUCH_OVER = 0.02
 #: The second way in is so much slower than the first.
@@ -75,6 +75,7 @@ class Recorder:
         self._touch: float | None = None
         #: Below the touch in the motion that goes on, m.
         self._deepest = 0.0
+        self._first_touch: float | None = None
         self._touch_found: dict[str, Any] = {}
 
     def run(self) -> None:
@@ -89,26 +90,32 @@ class Recorder:
         try:
             with motion.running(self._way_back):
                 stage = motion.stage
+                # Some devices say only now how fast they sample, and how long they move on.
+                check_plans([plan], self._limits, stage, 1.0 / motion.sensor.rate)
                 folder.note(sensor=motion.sensor.describe(), stage=stage.describe(),
                             stall="seen by the encoder" if stage.measures_position else
                             "not detectable: the stage knows only where it was driven to")
+                self._tare()
                 self._phase = "home"
                 motion.home()
                 self._carry_out(folder.missing(plan.name, plan.replicates))
-        except StoppedError as error:
-            folder.note(state="stopped", stops=[*folder.state["stops"], {
-                "cause": error.stop.cause, "message": error.stop.message, "test": plan.name,
-                "phase": self._phase, "replicate": self._replicate, "at": _clock_time()}])
+        except (StoppedError, DeviceError) as error:
+            stop = error.stop if isinstance(error, StoppedError) else Stop("device", str(error))
+            # A disk that is full must not hide why the tool stands.
+            with contextlib.suppress(OSError, InputError):
+                folder.note_stop(stop.cause, stop.message, plan.name, self._phase, self._replicate)
             raise
         finally:
             if self._partial is not None:
                 self._partial.close()
                 self._partial = None
-        folder.note(state="complete")
+        folder.note(state="waiting")
 
     def _way_back(self) -> tuple[float, float]:
         """Where the tool goes after a stop, m, and at what speed, m/s."""
-        return (self._touch - self._plan.retract if self._touch is not None else 0.0), self._plan.approach_speed
+        plan, touch = self._plan, self._touch
+        away = 0.0 if touch is None else touch - (plan.retract if plan.contact == "force" else 0.0)
+        return away, plan.approach_speed
 
     def _look(self, samples: Sequence[ForceSample], forces: Sequence[float], place: StageSample) -> None:
         """Keep and show what came."""
@@ -155,7 +162,7 @@ class Recorder:
 
     def _tare(self) -> None:
         self._phase = "tare"
-        self._motion.tare(_ZERO_SHARE * self._plan.contact_force)
+        self._motion.tare(self._limits.tare, self._plan.contact_force)
 
     def _find_touch(self) -> None:
         """Go in until the force says so, and back to where the sensor is zeroed once more."""
@@ -172,8 +179,14 @@ class Recorder:
             halted = self._go_in(_SLOWER * plan.approach_speed)
         finally:
             self._taken = None
-        self._touch, self._touch_found = refined_touch(taken, plan, halted, motion.sensor.channels,
-                                                       1.0 / motion.sensor.rate)
+        self._touch, self._touch_found = motion.do_meanwhile(
+            lambda: refined_touch(taken, plan, halted, motion.sensor.channels, 1.0 / motion.sensor.rate))
+        if self._first_touch is None:
+            self._first_touch = self._touch
+        if abs(self._touch - self._first_touch) > 0.5 * plan.retract:
+            raise StoppedError(Stop(
+                "zero", f"the tool touches at {self._touch * 1e3:.4g} mm, where it touched at "
+                        f"{self._first_touch * 1e3:.4g} mm before: the stage has lost steps, or the specimen moved"))
         self._wait_above()
 
     def _go_in(self, speed: float) -> float:
@@ -191,13 +204,16 @@ class Recorder:
         """Above the touch, by so many times the plan's height, where the plan finds it by force; elsewhere at it."""
         assert self._touch is not None
         above = times * self._plan.retract if self._plan.contact == "force" else 0.0
-        self._motion.go(max(self._touch - above, self._limits.lowest), self._plan.approach_speed)
+        # No nearer than that: what is zeroed there must not touch.
+        self._motion.go(self._touch - above, self._plan.approach_speed)
 
     def _follow(self, words: str) -> None:
         """The motion of the plan, once; how deep it went is noted however it ends."""
         assert self._touch is not None
         plan, motion, touch = self._plan, self._motion, self._touch
         self._deepest = 0.0
+        # Noted before: a program that dies has loaded the specimen all the same.
+        entry = self._folder.note_loading(plan.name, words, plan.depth)
         try:
             motion.go(touch + plan.legs[0].start, plan.approach_speed)
             for leg in plan.legs:
@@ -209,20 +225,20 @@ class Recorder:
                 else:
                     motion.rest(leg.duration)
         finally:
-            self._folder.note(history=[*self._folder.state["history"], {
-                "test": plan.name, "what": words, "depth_mm": self._deepest * 1e3, "at": _clock_time()}])
+            with contextlib.suppress(OSError, InputError):
+                self._folder.note_loading(plan.name, words, self._deepest, entry)
 
     def _record(self, number: int) -> None:
         plan, motion, folder = self._plan, self._motion, self._folder
         self._phase = "rest"
         self._wait_above()
         motion.rest(plan.rest)
-        if plan.contact == "force":
-            motion.check_zero(plan.contact_force)
-            if plan.touch == "each":
-                self._refine_touch()
-                self._phase = "rest"
-        name, before, started = f"{plan.name}_{number}", len(folder.state["history"]), _clock_time()
+        self._check_zero()
+        if plan.contact == "force" and plan.touch == "each":
+            self._refine_touch()
+            self._phase = "rest"
+        name, started = f"{plan.name}_{number}", _clock_time()
+        before, stops = folder.of_test(plan.name)
         partial = self._partial = folder.partial(name, ["time [s]", "displacement [mm]", "force [N]", "segment"])
         taken = self._taken = Taken()
         try:
@@ -230,24 +246,42 @@ class Recorder:
             motion.rest(2 * PERIOD)
         finally:
             self._taken = None
+        # A motor that lost steps, or a sensor that fell asleep, shows here; what was recorded is no recording then.
+        self._phase = "check"
+        self._wait_above()
+        self._check_zero()
+        touch, zero, found = self._touch or 0.0, motion.zero, self._touch_found
+
+        def keep() -> None:
+            recording = as_recording(taken, plan, touch, zero, motion.sensor.channels, 1.0 / motion.sensor.rate)
+            if not recording.force.max() >= plan.contact_force:
+                raise StoppedError(Stop(
+                    "no contact", f"the force stayed below {plan.contact_force:g} N on a way to {plan.depth * 1e3:g} "
+                                  "mm: the motor has lost steps, or the sensor does not feel the tool"))
+            partial.close()
+            folder.keep(name, recording.with_metadata(**plan.about, **self._about, **{
+                "name": name, "test": plan.name, "replicate": number, "started": started, "ended": _clock_time(),
+                "sensor": motion.sensor.describe(), "stage": motion.stage.describe(), "axis": plan.axis,
+                "sign": plan.sign, "zeroed": "above the specimen, where it was before and after this recording"
+                if plan.contact == "force" else "with the specimen on the tool, after homing",
+                "tares_N": motion.tares, "zero_after_tare_N": zero, "touch_mm": touch * 1e3, **found,
+                "loadings_before": before, "stops_before": stops, **recording.metadata}))
+
+        # It takes seconds after a long test, and the devices want to be looked at.
+        motion.do_meanwhile(keep)
         self._partial = None
-        partial.close()
-        recording = as_recording(taken, plan, self._touch or 0.0, motion.zero, motion.sensor.channels,
-                                 1.0 / motion.sensor.rate)
-        folder.keep(name, recording.with_metadata(**plan.about, **self._about, **{
-            "name": name, "test": plan.name, "replicate": number, "started": started, "ended": _clock_time(),
-            "sensor": motion.sensor.describe(), "stage": motion.stage.describe(), "axis": plan.axis, "sign": plan.sign,
-            "zeroed": "before this test, above the specimen" if plan.contact == "force" else "before this test",
-            "zero_after_tare_N": motion.zero, "touch_mm": (self._touch or 0.0) * 1e3, **self._touch_found,
-            "loadings_before": before, "stops_before": folder.state["stops"], "stopped_by": None,
-            **recording.metadata}))
+
+    def _check_zero(self) -> None:
+        if self._plan.contact == "force":
+            self._motion.check_zero(self._plan.contact_force)
 
 
 def _described(limits: MotionLimits) -> dict[str, Any]:
     return {"force_N": limits.force, "lowest_mm": limits.lowest * 1e3, "highest_mm": limits.highest * 1e3,
             "speed_mm_s": limits.speed * 1e3, "duration_s": limits.duration,
             "stiffness_N_per_mm": limits.stiffness * 1e-3, "force_margin_N": limits.force_margin,
-            "sensor_silence_s": limits.sensor_silence, "on_stop": "retract" if limits.retracts else "stand"}
+            "sensor_silence_s": limits.sensor_silence, "tare_N": limits.tare,
+            "on_stop": "retract" if limits.retracts else "stand"}
 
 
 def _clock_time() -> str:

@@ -36,8 +36,14 @@ class RunFolder:
         self._lock: int | None = None
         self.state: dict[str, Any] = {"schema": "tissue_sim.run/1", "protocol_sha256": digest, "state": "new",
                                       "done": [], "history": [], "stops": []}
-        if folder.exists() and any(folder.iterdir()):
+        self._take_state()
+
+    def _take_state(self) -> None:
+        if self.folder.exists() and any(each.name != LOCK_FILE for each in self.folder.iterdir()):
             self.state = self._read_state()
+            if self.state["state"] == "running" and self._lock is not None:
+                # Nobody else has the lock: who ran has died.
+                self.note_stop("died", "the program ended without a word: killed, or a power cut", "", "", 0)
 
     def _read_state(self) -> dict[str, Any]:
         file = self.folder / RUN_FILE
@@ -59,10 +65,6 @@ class RunFolder:
         """Whether something was recorded, or tried, here."""
         return self.state["state"] != "new"
 
-    @property
-    def is_complete(self) -> bool:
-        return self.state["state"] == "complete"
-
     def __enter__(self) -> RunFolder:
         self.folder.mkdir(parents=True, exist_ok=True)
         self._lock = os.open(self.folder / LOCK_FILE, os.O_RDWR | os.O_CREAT, 0o644)
@@ -71,6 +73,7 @@ class RunFolder:
             self._lock = None
             raise InputError("another program records into this folder; wait for it, or choose another folder",
                              file=self.folder)
+        self._take_state()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -82,6 +85,27 @@ class RunFolder:
         """Put entries into ``run.json``."""
         self.state |= entries
         write_text(self.folder / RUN_FILE, json.dumps(self.state, indent=2, ensure_ascii=False) + "\n")
+
+    def note_stop(self, cause: str, message: str, test: str, phase: str, replicate: int) -> None:
+        """Why and where a run was ended."""
+        self.note(state="stopped", stops=[*self.state["stops"], {
+            "cause": cause, "message": message, "test": test, "phase": phase, "replicate": replicate, "at": _now()}])
+
+    def note_loading(self, test: str, words: str, depth: float, entry: int | None = None) -> int:
+        """That a specimen is loaded, to a depth, m; again, with the number that this returned, when it was."""
+        history = list(self.state["history"])
+        row = {"test": test, "what": words, "depth_mm": depth * 1e3, "at": _now()}
+        if entry is None:
+            history.append({**row, "planned": True})
+        else:
+            history[entry] = row
+        self.note(history=history)
+        return len(history) - 1 if entry is None else entry
+
+    def of_test(self, test: str) -> tuple[int, list[dict[str, Any]]]:
+        """How often the specimen of a test was loaded, and what stopped its runs."""
+        return (sum(entry["test"] == test for entry in self.state["history"]),
+                [stop for stop in self.state["stops"] if stop["test"] in (test, "")])
 
     def missing(self, name: str, replicates: int) -> list[int]:
         """Numbers of the recordings of a test that are not there yet."""
@@ -157,6 +181,10 @@ class PartialRecording:
         self._waiting.put(None)
         self._thread.join()
         os.close(self._file)
+
+
+def _now() -> str:
+    return time.strftime("%Y-%m-%dT%H:%M:%S%z")
 
 
 def _lock_file(descriptor: int) -> bool:

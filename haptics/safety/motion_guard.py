@@ -17,6 +17,8 @@ SILENCE, SILENT_PERIODS = 0.05, 3
 _SPEED_OVER, _SPEED_SLACK = 0.1, 0.25
 #: How far a driven tool may stay behind before it counts as stalled, s of its way, and m.
 _BEHIND_TIME, _BEHIND = 0.25, 50e-6
+#: How far it may be off the way that it was sent, or from where it rests, m.
+_ASTRAY = 0.1e-3
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,7 @@ class MotionLimits:
         stiffness: largest that the specimen may show, N/m: what a motion that ends late costs.
         force_margin: what that may cost, N.
         sensor_silence: how long the sensor may be silent, s.
+        tare: largest magnitude that the sensor may read before it is zeroed for the first time, N.
         retracts: whether the tool is taken back after a stop; otherwise it stands where it is.
 
     Raises:
@@ -45,6 +48,7 @@ class MotionLimits:
     stiffness: float
     force_margin: float
     sensor_silence: float = SILENCE
+    tare: float = 10.0
     retracts: bool = False
 
     def __post_init__(self) -> None:
@@ -66,8 +70,8 @@ class Stop:
 
     Attributes:
         cause: ``"force"``, ``"travel"``, ``"speed"``, ``"duration"``, ``"sensor lost"``, ``"sensor saturated"``,
-            ``"sensor fault"``, ``"stage fault"``, ``"limit switch"``, ``"stage stalled"``, ``"device"``, ``"asked"``,
-            ``"program late"``, ``"disk"``, ``"no contact"``, ``"zero"``.
+            ``"sensor fault"``, ``"stage fault"``, ``"limit switch"``, ``"stage stalled"``, ``"stage astray"``,
+            ``"device"``, ``"disk"``, ``"asked"``, ``"program late"``, ``"no contact"``, ``"zero"``.
         message: one sentence, with what to do.
     """
 
@@ -77,7 +81,8 @@ class Stop:
     @property
     def may_retract(self) -> bool:
         """Whether the stage can still be believed to move the tool back."""
-        return self.cause not in ("stage fault", "limit switch", "stage stalled", "device", "speed", "travel")
+        return self.cause not in ("stage fault", "limit switch", "stage stalled", "stage astray", "device", "speed",
+                                  "travel")
 
 
 @dataclass(frozen=True)
@@ -99,44 +104,43 @@ class MotionGuard:
 
     Args:
         limits: see there.
-        sensor_rate: Hz.
+        sensor_rate: Hz. channels: of the sensor: all forces among them count against the limit together.
         measures_position: of the stage: whether a stall can be seen in its position.
         began: when the run began, s on the clock of the samples.
+
+    Attributes:
+        knows_place, knows_zero: whether the stage was homed and the sensor zeroed in this run, so that they can be
+            judged. Nothing is moved before the sensor is.
     """
 
-    def __init__(self, limits: MotionLimits, sensor_rate: float, measures_position: bool, began: float):
+    def __init__(self, limits: MotionLimits, sensor_rate: float, channels: Sequence[str], measures_position: bool,
+                 began: float):
         self.limits, self._measured, self._began = limits, measures_position, began
         self._silence = max(limits.sensor_silence, SILENT_PERIODS / sensor_rate)
+        self._forces = [number for number, name in enumerate(channels) if name in ("Fx", "Fy", "Fz")]
         self._heard = began
         self._places: deque[tuple[float, float]] = deque()
-        self._stopped = False
-
-    @property
-    def silence(self) -> float:
-        """After which the sensor counts as lost, s."""
-        return self._silence
+        self.knows_place = self.knows_zero = False
 
     def check(self, now: float, samples: Sequence[ForceSample], forces: Sequence[float], stage: StageSample,
               drive: Drive | None) -> Stop | None:
         """Why the motion has to end; None: it need not.
 
         Args:
-            now: s on the clock of the samples. samples: new ones. forces: what they say of the tool, N.
+            now: s on the clock of the samples. samples: new ones. forces: what they say along the tool, N.
             stage: where it is. drive: what it was told last; None: nothing.
         """
-        return (self._check_sensor(now, samples) or self._check_force(forces) or self._check_stage(stage)
+        return (self._check_sensor(now, samples) or self._check_force(samples, forces) or self._check_stage(stage)
                 or self._check_motion(now, stage, drive))
 
     def _check_sensor(self, now: float, samples: Sequence[ForceSample]) -> Stop | None:
         for sample in samples:
             if sample.status & SampleStatus.SATURATED:
-                return Stop("sensor saturated", "the sensor is at the end of its range, so that the force may be "
-                                                "larger; "
+                return Stop("sensor saturated", "the sensor is at the end of its range, and the force may be larger; "
                                                 "take the load off and look whether it reads zero")
             if sample.status & SampleStatus.FAULT:
-                return Stop("sensor fault", "the sensor reports a fault, so that its samples are not to be trusted; "
-                                            "look at "
-                                            "what it says of itself")
+                return Stop("sensor fault", "the sensor reports a fault, and its samples are not to be trusted; look "
+                                            "at what it says of itself")
         if samples:
             self._heard = now
         elif now - self._heard > self._silence:
@@ -144,25 +148,30 @@ class MotionGuard:
                                        f"{self._silence:.3g} s are allowed; look at its cable and its power")
         return None
 
-    def _check_force(self, forces: Sequence[float]) -> Stop | None:
-        largest = max((abs(force) for force in forces), default=0.0)
-        if not largest <= self.limits.force:
-            return Stop("force", f"the force was {largest:.4g} N, above the limit of {self.limits.force:g} N")
+    def _check_force(self, samples: Sequence[ForceSample], forces: Sequence[float]) -> Stop | None:
+        if not self.knows_zero:
+            return None
+        for sample, force in zip(samples, forces, strict=True):
+            together = math.sqrt(sum(sample.values[number] ** 2 for number in self._forces))
+            for size, words in ((abs(force), "along the tool"), (together, "in all directions")):
+                # Not the other way round: what is no number passes no limit.
+                if not size <= self.limits.force:
+                    return Stop("force", f"the force {words} was {size:.4g} N, above the limit of "
+                                         f"{self.limits.force:g} N")
         return None
 
     def _check_stage(self, stage: StageSample) -> Stop | None:
         if stage.status & SampleStatus.FAULT:
             return Stop("stage fault", "the stage reports a fault; look at what it says of itself, and home it again")
-        if stage.status & SampleStatus.LIMIT and stage.homed:
-            return Stop("limit switch", "the stage stands at a limit switch, where it should never come to; home it "
-                                        "again")
+        if stage.status & SampleStatus.LIMIT and self.knows_place and not stage.moving:
+            return Stop("limit switch", "the stage stands at a limit switch, where it should not be; home it again")
         return None
 
     def _check_motion(self, now: float, stage: StageSample, drive: Drive | None) -> Stop | None:
         limits, places = self.limits, self._places
         if now - self._began > limits.duration:
             return Stop("duration", f"the run took longer than its limit of {limits.duration:g} s")
-        if not stage.homed:
+        if not self.knows_place or not stage.homed:
             places.clear()
             return None
         if not limits.lowest - _BEHIND <= stage.position <= limits.highest + _BEHIND:
@@ -177,12 +186,19 @@ class MotionGuard:
             if speed > (1 + _SPEED_SLACK) * limits.speed + _BEHIND / passed:
                 return Stop("speed", f"the stage moves at {speed * 1e3:.3g} mm/s, above the limit of "
                                      f"{limits.speed * 1e3:g} mm/s")
-        if self._measured and drive is not None:
-            behind = drive.expected(stage.received) - abs(stage.position - drive.start)
-            if behind > max(_BEHIND, _BEHIND_TIME * drive.speed) and stage.received - drive.began > _BEHIND_TIME:
-                return Stop("stage stalled", f"the stage is {behind * 1e3:.3g} mm behind where it was driven; look "
-                                             "what "
-                                             "holds it, and home it again")
+        return None if drive is None else self._check_drive(stage, drive)
+
+    def _check_drive(self, stage: StageSample, drive: Drive) -> Stop | None:
+        slack = max(_ASTRAY, _BEHIND_TIME * drive.speed)
+        low, high = sorted((drive.start, drive.goal))
+        if not low - slack <= stage.position <= high + slack:
+            return Stop("stage astray", f"the stage is at {stage.position * 1e3:.4g} mm, where it was sent from "
+                                        f"{drive.start * 1e3:.4g} to {drive.goal * 1e3:.4g} mm; home it again")
+        behind = drive.expected(stage.received) - abs(stage.position - drive.start)
+        if self._measured and drive.speed and stage.received - drive.began > _BEHIND_TIME and \
+                behind > max(_BEHIND, _BEHIND_TIME * drive.speed):
+            return Stop("stage stalled", f"the stage is {behind * 1e3:.3g} mm behind where it was driven; look what "
+                                         "holds it, and home it again")
         return None
 
 
@@ -201,6 +217,5 @@ def require_stoppable(limits: MotionLimits, speed: float, seconds: float) -> Non
         raise InputError(
             f"at {speed * 1e3:.3g} mm/s it takes {seconds:.3g} s until the tool stands, which costs {cost:.3g} N on a "
             f"specimen of {limits.stiffness * 1e-3:.3g} N/mm, more than the margin of {limits.force_margin:.3g} N; "
-            + (f"go no faster than {allowed * 1e3:.2g} mm/s" if allowed > 0 else "take a stage that stops when the "
-                                                                                 "program "
-               "ends"), field="limits.force_margin")
+            + (f"go no faster than {allowed * 1e3:.2g} mm/s" if allowed > 0 else
+               "take a stage that stops when the program ends"), field="limits.force_margin")

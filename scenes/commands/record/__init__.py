@@ -121,9 +121,12 @@ def _record(arguments, protocol: ProtocolFile, tests: list[Any], console: Consol
             except (StoppedError, DeviceError) as error:
                 stopped = str(error)
                 break
+        if not stopped and not any(folder.missing(plan.name, plan.replicates) for plan in protocol.plans.values()):
+            folder.note(state="complete")
         _write_campaign(protocol, folder)
     if arguments.json:
-        print_json({"state": "stopped" if stopped else "complete", "message": stopped, "folder": arguments.output,
+        print_json({"state": "stopped" if stopped else folder.state["state"], "message": stopped,
+                    "folder": arguments.output,
                     "recordings": folder.state["done"], "stops": folder.state["stops"],
                     "campaign": arguments.output / CAMPAIGN if folder.state["done"] else None})
     else:
@@ -144,7 +147,10 @@ def _write_campaign(protocol: ProtocolFile, folder: RunFolder) -> None:
     recordings = {name: [f"{name}_{number}.csv" for number in range(1, plan.replicates + 1)
                          if f"{name}_{number}.csv" in done] for name, plan in protocol.plans.items()}
     if any(recordings.values()):
-        write_text(folder.folder / CAMPAIGN, protocol.campaign_text(recordings))
+        missing = [f"{name}_{number}.csv" for name, plan in protocol.plans.items()
+                   for number in folder.missing(name, plan.replicates)]
+        words = f"# Not recorded yet, and not in here: {', '.join(missing)}.\n" if missing else ""
+        write_text(folder.folder / CAMPAIGN, words + protocol.campaign_text(recordings))
 
 
 @contextmanager
@@ -158,7 +164,8 @@ def _wishes_to_stop(quiet: bool) -> Iterator[Callable[[], str | None]]:
 
     if not quiet and sys.stdin is not None and sys.stdin.isatty():
         threading.Thread(target=listen, name="emergency stop", daemon=True).start()
-    with stopped_by_signals(lambda: said.append("stopped by a signal (Ctrl-C, or the end of the session)")):
+    with stopped_by_signals(lambda: said.append("stopped by a signal (Ctrl-C, or the end of the session)"),
+                            patient=True):
         yield lambda: said[0] if said else None
 
 

@@ -15,6 +15,8 @@ from tissue_sim import Model, Rig, load_rig
 from tissue_sim.errors import InputError
 
 VIRTUAL = "virtual:"
+#: Back-ends that know nothing of what is really pressed.
+_FEELS_NOTHING = ("virtual", "replay")
 
 
 def is_virtual(protocol: ProtocolFile) -> bool:
@@ -23,11 +25,15 @@ def is_virtual(protocol: ProtocolFile) -> bool:
     Raises:
         InputError: a virtual sensor on a real stage, or the other way round: it would not feel what is pressed.
     """
-    sensor, stage = protocol.devices.sensor == VIRTUAL, protocol.devices.stage == VIRTUAL
-    if sensor != stage:
-        raise InputError("a virtual sensor feels only what a virtual stage presses; make both virtual, or neither",
-                         field="devices", file=protocol.path)
-    return sensor
+    sensor, stage = (name.partition(":")[0] for name in (protocol.devices.sensor, protocol.devices.stage))
+    if (sensor in _FEELS_NOTHING) != (stage in _FEELS_NOTHING) or (sensor == "replay"):
+        raise InputError(f"a sensor {sensor!r} does not feel what a stage {stage!r} presses; make both virtual, or "
+                         "give the sensor that is on the tool", field="devices", file=protocol.path)
+    for name, field in ((protocol.devices.sensor, "devices.sensor"), (protocol.devices.stage, "devices.stage")):
+        if sensor == "virtual" and name != VIRTUAL:
+            raise InputError(f"{name!r}: what a virtual bench is like stands under [virtual]; give {VIRTUAL!r}",
+                             field=field, file=protocol.path)
+    return sensor == "virtual"
 
 
 def open_bench(protocol: ProtocolFile, test: Test) -> Bench:

@@ -66,6 +66,7 @@ class LimitsTable(_Table, frozen=True, kw_only=True):
     stiffness_N_per_mm: float
     force_margin_N: float
     sensor_silence_s: float = SILENCE
+    tare_N: float = 10.0
     on_stop: Literal["stand", "retract"] = "stand"
 
 
@@ -212,4 +213,4 @@ def _plan(test: Any, record: RecordTable, lag: dict[str, Any] | None, number: in
 def _limits(table: LimitsTable) -> MotionLimits:
     return MotionLimits(table.force_N, table.lowest_mm * 1e-3, table.highest_mm * 1e-3, table.speed_mm_s * 1e-3,
                         table.duration_s, table.stiffness_N_per_mm * 1e3, table.force_margin_N, table.sensor_silence_s,
-                        table.on_stop == "retract")
+                        table.tare_N, table.on_stop == "retract")

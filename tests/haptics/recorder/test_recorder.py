@@ -27,7 +27,7 @@ def stands_still(bench):
 def test_a_run_records_what_was_planned(bench):
     bench.run()
     state = state_of(bench)
-    assert state["state"] == "complete" and state["done"] == ["spring_1.csv", "spring_2.csv"] and not state["stops"]
+    assert state["state"] == "waiting" and state["done"] == ["spring_1.csv", "spring_2.csv"] and not state["stops"]
     for number in (1, 2):
         recording = read_recording(bench.folder / f"spring_{number}.csv")
         metadata = recording.metadata
@@ -41,7 +41,8 @@ def test_a_run_records_what_was_planned(bench):
         assert np.median(np.diff(recording.time)) == pytest.approx(1 / 500, rel=1e-6)
         assert metadata["sensor"]["rate_Hz"] == 500.0 and metadata["clock"]["lag"] == "unknown"
         assert metadata["loadings_before"] == number - 1
-    assert {moment.phase for moment in bench.moments} == {"home", "tare", "approach", "rest", "ramp", "hold", "unload"}
+    assert {moment.phase for moment in bench.moments} == {"home", "tare", "approach", "rest", "ramp", "hold", "unload",
+                                                          "check"}
 
 
 def test_cycles_before_are_done_and_not_recorded(bench):
@@ -94,7 +95,7 @@ STOPS = [
     ("sensor saturated", {"faults": Faults(saturate_after=12.0)}, "end of its range", None),
     ("sensor lost", {"faults": Faults(disconnect_after=12.0)}, "was silent for 0.0", None),
     ("stage stalled", {"faults": Faults(stall_after=12.0)}, "behind where it was driven", None),
-    ("zero", {"rig": Sticky}, "where it was zeroed", "rest"),
+    ("zero", {"rig": Sticky}, "where it was zeroed", "check"),
     ("no contact", {"limits": {"highest": 1e-3}, "plan": {"legs": "ramp 1mm @1mm/s; unload"}}, "put the specimen "
                                                                                                "nearer",
      "approach"),
@@ -117,6 +118,9 @@ def test_every_fault_stands_the_stage_and_keeps_the_reason(bench, cause, changes
     assert stop["cause"] == cause and said in stop["message"] and phase in (None, stop["phase"])
     assert state_of(bench)["state"] == "stopped"
     assert stands_still(bench)
+    if "rig" not in changes:
+        # Halted by the guard itself, before a disconnection halts it, too.
+        assert bench.halts and bench.halts[0] < bench.stops[0]
     partial = list(bench.folder.glob("*.partial.csv"))
     if stop["phase"] in ("ramp", "hold", "unload"):
         assert len(read_recording(partial[0])) > 5
@@ -146,9 +150,135 @@ def test_it_stands_or_goes_back_as_stated(bench, retracts, place):
 
 
 def test_a_stage_that_is_not_believed_does_not_go_back(bench):
+    rig = bench.rig()
+    goals = bench.goals_of(rig)
+
+    def stall(moment):
+        if moment.phase == "ramp" and moment.depth > 1e-3:
+            rig.stage._stalls = min(rig.stage._stalls, bench.clock())
+
+    with pytest.raises(StoppedError) as caught:
+        bench.run(rig=rig, limits=bench.limits(retracts=True), watch=stall)
+    assert caught.value.stop.cause == "stage stalled"
+    assert goals[-1] == pytest.approx(SURFACE + 3e-3, abs=2e-5)
+
+
+class Glued(Spring):
+    def force(self, time, depth):
+        return self.stiffness * depth
+
+
+def test_what_is_glued_is_not_pulled_after_a_stop(bench):
     with pytest.raises(StoppedError):
-        bench.run(limits=bench.limits(retracts=True), faults=Faults(stall_after=12.0))
+        bench.run(plan=bench.plan(contact="here"), limits=bench.limits(force=0.8, retracts=True),
+                  rig=bench.rig(Glued(), surface=0.0, start_at=0.0))
+    assert bench.virtual.stage.tool_place(bench.clock()) == pytest.approx(0.0, abs=3e-5)
+
+
+class Grows(Spring):
+    """Pulls harder the further the tool goes back."""
+
+    def __init__(self):
+        super().__init__()
+        self.deepest = 0.0
+
+    def force(self, time, depth):
+        self.deepest = max(self.deepest, depth)
+        return super().force(time, depth) - (2e4 * (self.deepest - depth) if self.deepest > 2e-3 else 0.0)
+
+
+def test_the_way_back_is_watched(bench):
+    with pytest.raises(StoppedError, match=r"the tool did not go back \(the force grew to"):
+        bench.run(limits=bench.limits(force=0.9, retracts=True), rig=bench.rig(Grows()))
     assert stands_still(bench)
+
+
+def test_a_wrong_axis_stops_at_the_limit_of_all_forces(bench):
+    with pytest.raises(StoppedError, match="in all directions was"):
+        bench.run(plan=bench.plan(axis="Fx"), limits=bench.limits(force=1.0), channels=("Fx", "Fy", "Fz"))
+
+
+def test_who_presses_before_the_tare_is_noticed(bench):
+    """The specimen stands so high that the tool touches it at the stage's zero already."""
+    with pytest.raises(StoppedError, match="before it is zeroed") as caught:
+        bench.run(surface=-1e-3)
+    assert caught.value.stop.cause == "zero"
+
+
+def test_lost_steps_make_no_recording(bench):
+    """A motor that stands in the last ramp, and does not know."""
+    began = []
+
+    def watch(moment):
+        if moment.replicate == 2 and moment.phase == "ramp" and moment.depth > 1e-3 and not began:
+            began.append(bench.clock())
+            bench.virtual.stage._stalls = bench.clock()
+
+    with pytest.raises(StoppedError, match="above the specimen, where it was zeroed"):
+        bench.run(watch=watch, encoder=False)
+    assert state_of(bench)["done"] == ["spring_1.csv"]
+
+
+def test_a_sensor_that_falls_asleep_makes_no_recording(bench):
+    class Sleeps(Spring):
+        def force(self, time, depth):
+            return 0.0 if bench.moments and bench.moments[-1].replicate == 2 else super().force(time, depth)
+
+    with pytest.raises(StoppedError, match="does not feel the tool"):
+        bench.run(plan=bench.plan(touch="once"), rig=bench.rig(Sleeps()))
+    assert state_of(bench)["done"] == ["spring_1.csv"]
+
+
+def test_a_touch_that_moves_is_noticed(bench):
+    class Sinks(Spring):
+        def force(self, time, depth):
+            return super().force(time, depth - (8e-4 if bench.moments and bench.moments[-1].replicate == 2 else 0.0))
+
+    with pytest.raises(StoppedError, match="where it touched at"):
+        bench.run(rig=bench.rig(Sinks()))
+
+
+def test_a_stage_that_does_not_take_the_halt_is_said(bench):
+    rig = bench.rig()
+    stage, halts = rig.stage, []
+    rig.stage.halt = lambda: halts.append(1)
+    with pytest.raises(StoppedError, match=r"does not stand .*switch it off"):
+        bench.run(rig=rig, limits=bench.limits(force=0.8))
+    assert halts and stage is rig.stage
+
+
+def test_a_full_disk_does_not_hide_why_the_tool_stands(bench, monkeypatch):
+    from haptics.recorder import run_folder
+
+    write = run_folder.write_text
+
+    def full(path, text):
+        if '"ramp' in text or "recording 1" in text:
+            raise OSError(28, "No space left on device")
+        return write(path, text)
+
+    with pytest.raises(StoppedError, match=r"limit of 0.8 N|No space left"):
+        monkeypatch.setattr(run_folder, "write_text", full)
+        bench.run(limits=bench.limits(force=0.8))
+    assert stands_still(bench)
+
+
+def test_a_killed_run_is_told_in_what_comes_after(bench):
+    class Killed(BaseException):
+        pass
+
+    def die(moment):
+        if moment.phase == "hold":
+            raise Killed
+
+    with pytest.raises(StoppedError):
+        bench.run(plan=bench.plan(replicates=1), watch=die)
+    # As a power cut would have left it.
+    state = {**state_of(bench), "state": "running", "stops": []}
+    (bench.folder / "run.json").write_text(json.dumps(state), encoding="utf-8")
+    bench.run(plan=bench.plan(replicates=1))
+    metadata = read_recording(bench.folder / "spring_1.csv").metadata
+    assert metadata["loadings_before"] == 1 and metadata["stops_before"][0]["cause"] == "died"
 
 
 def test_an_error_of_the_program_stands_the_stage(bench):
@@ -215,7 +345,7 @@ def test_a_run_goes_on_where_it_was_stopped(bench):
     first = (bench.folder / "spring_1.csv").read_bytes()
     bench.run(plan=bench.plan(replicates=3))
     state = state_of(bench)
-    assert state["state"] == "complete" and state["done"] == [f"spring_{number}.csv" for number in (1, 2, 3)]
+    assert state["state"] == "waiting" and state["done"] == [f"spring_{number}.csv" for number in (1, 2, 3)]
     assert (bench.folder / "spring_1.csv").read_bytes() == first
     metadata = read_recording(bench.folder / "spring_2.csv").metadata
     assert metadata["stops_before"][0]["cause"] == "asked" and metadata["loadings_before"] >= 1

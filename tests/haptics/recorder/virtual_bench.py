@@ -1,5 +1,7 @@
 """A bench whose clock goes as the recorder lets it: runs of minutes take no time, whatever else the machine does."""
 
+import itertools
+
 from haptics.devices.contracts import StageLimits
 from haptics.devices.virtual.faults import Faults
 from haptics.devices.virtual.rig import VirtualRig
@@ -43,6 +45,9 @@ class VirtualBench:
     def __init__(self, folder):
         self.folder, self.clock = folder, Clock()
         self.moments = []
+        #: In which order the stage was halted and stopped.
+        self._order = itertools.count()
+        self.halts, self.stops = [], []
 
     def limits(self, **changes):
         return MotionLimits(**{"force": 5.0, "lowest": -5e-3, "highest": 10e-3, "speed": 5e-3, "duration": 600.0,
@@ -57,10 +62,20 @@ class VirtualBench:
         return VirtualRig(specimen or Spring(), rig or Rig(), clock=self.clock,
                           limits=options.pop("limits", StageLimits(-0.01, 0.02, 0.01)), **options)
 
+    def goals_of(self, rig):
+        """Where the stage is sent, from now on, m."""
+        goals, move = [], rig.stage.move
+        rig.stage.move = lambda position, speed: (goals.append(position), move(position, speed))[1]
+        return goals
+
     def run(self, *, plan=None, limits=None, rig=None, faults=None, asked=lambda: None, digest="a", watch=None,
             **options):
         plan, limits = plan or self.plan(), limits or self.limits()
         self.virtual = rig or self.rig(faults=faults or Faults(), **options)
+        if rig is None:
+            stage, halt, stop = self.virtual.stage, self.virtual.stage.halt, self.virtual.stage.stop
+            stage.halt = lambda: (self.halts.append(next(self._order)), halt())[1]
+            stage.stop = lambda: (self.stops.append(next(self._order)), stop())[1]
         self.run_folder = RunFolder(self.folder, digest)
         with self.run_folder:
             recorder = Recorder(self.virtual.bench, plan, limits, self.run_folder, asked=asked,
