@@ -7,11 +7,15 @@ import sys
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 # Before numpy comes: threads help no matrix as small as ours, and on a busy machine they wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # The libraries leave so many objects that looking through them after every 700 new ones took a tenth of the time.
 gc.set_threshold(50_000)
+# How long an example takes says nothing on a machine that has much else to do.
+settings.register_profile("shared machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("shared machine")
 
 ROOT = Path(__file__).resolve().parents[1]
 # What tests of several folders share is a module beside this one.

@@ -82,9 +82,9 @@ class RdtSensor(ForceSensor):
     def _read_settings(self) -> Settings:
         address = f"http://{self._bracketed}:{self._http_port}{rdt.SETTINGS_PATH}"
         # Without the proxies of the environment: the box is on a network of its own.
-        opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+        fetch = urllib.request.build_opener(urllib.request.ProxyHandler({})).open
         try:
-            with opener.open(address, timeout=_PATIENCE) as answer:
+            with fetch(address, timeout=_PATIENCE) as answer:
                 page = answer.read(1 << 20)
         except urllib.error.HTTPError as error:
             raise DeviceError(f"{address} answers {error.code}; there is another device at this address, not an ATI box"

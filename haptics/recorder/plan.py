@@ -26,12 +26,15 @@ class Plan:
         replicates: how often.
         contact: ``"force"``: the stage goes in from its zero until the force says so; ``"here"``: where it stands after
             homing, as with a plate that is glued on.
+        touch: ``"each"``: where it touches is found before each recording, so that the recordings show how well that is
+            known; ``"once"``: before the first.
         contact_force: from which on the tool touches, N.
         approach_speed: m/s.
         retract: how far above the touch the tool waits, m.
         preconditioning: how often the motion is done before it is recorded.
         rest: between two motions, s.
         sign: 1, or -1 where the sensor reads less when it is pushed. axis: its channel along the tool.
+        lag: of the sensor behind the stage, as a sidecar says it; None: unknown.
         about: what the sidecar says of specimen, tool, lubricant, temperature, ...
 
     Raises:
@@ -42,6 +45,7 @@ class Plan:
     legs: tuple[Leg, ...]
     replicates: int = 3
     contact: Literal["force", "here"] = "force"
+    touch: Literal["each", "once"] = "each"
     contact_force: float = 0.1
     approach_speed: float = 1e-3
     retract: float = 1e-3
@@ -49,6 +53,7 @@ class Plan:
     rest: float = 0.0
     sign: int = 1
     axis: str = "Fz"
+    lag: dict[str, Any] | None = None
     about: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

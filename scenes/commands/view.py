@@ -42,6 +42,11 @@ def add_arguments(parser: Parser) -> None:
                              f"{', '.join(HAPTIC_DEVICES)}")
     parser.add_argument("--no-real-time", action="store_true",
                         help="ask the system for nothing: no SCHED_FIFO, no locked memory")
+    bench = parser.add_argument_group("a bench instead of a simulation; nothing on it is moved from the page")
+    bench.add_argument("--run", type=Path, metavar="DIR", dest="run_folder",
+                       help="watch the run that 'tissue-sim record -o DIR' makes, while it goes")
+    bench.add_argument("--sensor", metavar="NAME:SETTINGS", help="watch a force sensor, such as rdt://192.168.1.1")
+    bench.add_argument("--stage", metavar="NAME:SETTINGS", help="with --sensor: and where this stage is")
     add_page_flags(parser)
     headless = parser.add_argument_group("without a browser")
     headless.add_argument("--headless", action="store_true", help="show nothing: play the protocol, say what was felt")
@@ -76,6 +81,8 @@ def run(arguments) -> int:
     if arguments.slip:
         raise InputError("a face that slips in part is a correction of whole recordings and has no place in real time; "
                          "leave it out, or use --friction", field="--slip")
+    if arguments.run_folder or arguments.sensor or arguments.stage:
+        return _watch(arguments)
     check_solver(arguments.solver)
 
     from scenes.viewer.live_simulation import SETTINGS
@@ -104,6 +111,26 @@ def run(arguments) -> int:
         return 0 if answer["phase"] != "stopped" else 1
     folder = arguments.materials or (arguments.material.parent if arguments.material else Path())
     return run_page(scene, folder, page_options(arguments), seconds=arguments.seconds, json=arguments.json, **options)
+
+
+def _watch(arguments) -> int:
+    """Serve the page of a bench."""
+    from haptics.devices.back_ends import open_sensor, open_stage
+    from haptics.devices.contracts import DeviceError
+    from scenes.viewer.bench.page import run_bench_page
+    from scenes.viewer.bench.sources import DevicesSource, RunSource
+
+    if arguments.run_folder and (arguments.sensor or arguments.stage):
+        raise InputError("a run has its own devices; give --run or --sensor, not both", field="--run")
+    if not arguments.run_folder and not arguments.sensor:
+        raise InputError("a stage alone shows no force; give --sensor too", field="--stage")
+    try:
+        source = RunSource(arguments.run_folder) if arguments.run_folder else DevicesSource(
+            open_sensor(arguments.sensor), open_stage(arguments.stage) if arguments.stage else None)
+    except DeviceError as error:
+        print(f"tissue-sim: {error}", file=sys.stderr)
+        return 1
+    return run_bench_page(source, page_options(arguments), seconds=arguments.seconds, json=arguments.json)
 
 
 def page_options(arguments) -> dict:

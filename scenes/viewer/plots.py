@@ -160,6 +160,15 @@ def plot_scales(x_range: tuple[float, float], y_range: tuple[float, float]) -> d
     return {"x": {"time": False, "range": tuple(map(float, x_range))}, "y": {"range": tuple(map(float, y_range))}}
 
 
+def curve_options(label: str, x_range: tuple[float, float], y_range: tuple[float, float], *,
+                  dark: bool = False) -> dict[str, Any]:
+    """Keyword arguments of `add_uplot` for points of force, N, over what `label` says: samples go up and down."""
+    colour = (DARK if dark else LIGHT)["live"]
+    series: list[dict[str, Any]] = [{"label": label}, {"label": "force", "stroke": colour, "width": 0, "points": {
+        "show": True, "size": 3, "fill": colour, "stroke": colour}}]
+    return _options(series, x_range, y_range, label, "force [N]", height=230)
+
+
 def settled_range(extent: tuple[float, float], previous: tuple[float, float] | None = None, *,
                   about_zero: bool = False) -> tuple[float, float]:
     """Range of an axis that holds zero and `extent`, in round numbers, and stays where it was while that still fits.

@@ -25,7 +25,7 @@ RANGE, RESOLUTION = 120.0, 0.02
 #: The study's stage: room above the specimen and into it, m; fastest, m/s; a step of the motor, m.
 LIMITS, STEP = StageLimits(-0.05, 0.03, 0.02), 1e-6
 #: A curve is simulated at so many depths, and read from a table with so many steps, which goes on to this many depths.
-_POINTS, _TABLE, _BEYOND = 81, 4000, 1.2
+_POINTS, _TABLE, _BEYOND = 41, 4000, 1.2
 #: Over which time a speed is taken, s.
 _MOMENT = 2e-3
 
@@ -52,7 +52,7 @@ class ElasticSpecimen:
         InputError: a material or a contact that remembers, or ages: give such a one to `RememberingSpecimen`.
     """
 
-    def __init__(self, model: Model, depth: float, resolution: str = "fast"):
+    def __init__(self, model: Model, depth: float, resolution: str = "accurate"):
         if model.depends_on_way:
             raise InputError("this specimen remembers how it was loaded; make a RememberingSpecimen of it",
                              field="model")

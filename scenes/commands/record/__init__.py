@@ -91,7 +91,9 @@ def _chosen(protocol: ProtocolFile, name: str | None) -> list[Any]:
 def _record(arguments, protocol: ProtocolFile, tests: list[Any], console: Console,
             show: Callable[[RunFolder, Console], None]) -> int:
     from haptics.devices.contracts import DeviceError
-    from haptics.recorder.recorder import Recorder, StoppedError
+    from haptics.recorder.guarded_motion import StoppedError
+    from haptics.recorder.live import LiveFile
+    from haptics.recorder.recorder import Recorder
     from haptics.recorder.run_folder import RunFolder
     from scenes.commands.record.bench import open_bench
     from tissue_sim import __version__
@@ -104,13 +106,19 @@ def _record(arguments, protocol: ProtocolFile, tests: list[Any], console: Consol
              "protocol_sha256": protocol.digest, "devices": {"sensor": protocol.devices.sensor,
                                                              "stage": protocol.devices.stage}}
     stopped: str | None = None
-    with folder, _wishes_to_stop(arguments.json) as asked, _shown(arguments.json) as watch:
+    live = LiveFile(arguments.output)
+    with folder, _wishes_to_stop(arguments.json) as asked, _shown(arguments.json) as show_here, live.shown():
+
+        def watch(moment: Moment) -> None:
+            live.show(moment)
+            show_here(moment)
+
         for test in tests:
             plan = protocol.plans[test.name]
             if not folder.missing(plan.name, plan.replicates):
                 continue
             try:
-                recorder = Recorder(open_bench(protocol, test), [plan], protocol.limits, folder, about=about,
+                recorder = Recorder(open_bench(protocol, test), plan, protocol.limits, folder, about=about,
                                     asked=asked, watch=watch)
                 recorder.run()
             except (StoppedError, DeviceError) as error:

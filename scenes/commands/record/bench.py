@@ -52,7 +52,8 @@ def virtual_rig(protocol: ProtocolFile, test: Test) -> VirtualRig:
         raise InputError("there is nothing to press", field=test.place, file=protocol.path)
     model = Model(test.experiment, material, replace(Rig(), compliance=compliance))
     specimen: Specimen = RememberingSpecimen(model) if table.remembers else ElasticSpecimen(model, 1.05 * plan.depth)
-    return VirtualRig(specimen, rig, surface=table.surface_mm * 1e-3,
+    surface = 0.0 if plan.contact == "here" else table.surface_mm * 1e-3
+    return VirtualRig(specimen, rig, surface=surface,
                       limits=StageLimits(min(limits.lowest, -0.01), max(limits.highest, 0.01), limits.speed),
                       sign=plan.sign, rate=table.rate_Hz, reach=table.range_N, resolution=table.resolution_N,
                       encoder=table.encoder, faults=read_faults(table.faults))

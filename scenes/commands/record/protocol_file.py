@@ -14,6 +14,7 @@ import msgspec
 
 from calibration.campaign.campaign import Campaign, load_campaign
 from calibration.report.additions import to_toml
+from haptics.recorder.lag import measure_lag
 from haptics.recorder.plan import Plan
 from haptics.safety.motion_guard import SILENCE, MotionLimits
 from tissue_sim.decode import decode
@@ -21,6 +22,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol_text import parse_protocol
 from tissue_sim.experiment.segments import legs
 from tissue_sim.files import read_text
+from tissue_sim.recording.file import read_recording
 
 #: Tables that a campaign does not have.
 OWN_TABLES = ("devices", "virtual", "limits", "record")
@@ -71,7 +73,8 @@ class RecordTable(_Table, frozen=True, kw_only=True):
     """``[record]``."""
 
     replicates: int = 3
-    contact: Literal["force", "here"] = "force"
+    contact: Literal["auto", "force", "here"] = "auto"
+    touch: Literal["each", "once"] = "each"
     contact_force_N: float = 0.1
     approach_speed_mm_s: float = 1.0
     retract_mm: float = 1.0
@@ -79,6 +82,7 @@ class RecordTable(_Table, frozen=True, kw_only=True):
     rest_s: float = 0.0
     sign: int = 1
     axis: str = "Fz"
+    lag_from: str | None = None
     lubricant: str | None = None
     temperature_degC: float | None = None
     operator: str | None = None
@@ -145,7 +149,8 @@ def read_protocol_file(path: Path) -> ProtocolFile:
                              "stiffness_N_per_mm and force_margin_N", field="limits")
         tables = decode(own, _OwnTables)
         campaign = _campaign(path, content)
-        plans = {test.name: _plan(test, tables.record, number, content)
+        lag = _lag(tables.record, path.parent)
+        plans = {test.name: _plan(test, tables.record, lag, number, content)
                  for number, test in enumerate(campaign.tests)}
         return ProtocolFile(path, hashlib.sha256(text.encode()).hexdigest(), campaign, plans, _limits(tables.limits),
                             tables.devices, tables.virtual, tables.record, content)
@@ -176,7 +181,16 @@ def _campaign(path: Path, content: Mapping[str, Any]) -> Campaign:
         Path(file.name).unlink(missing_ok=True)
 
 
-def _plan(test: Any, record: RecordTable, number: int, content: Mapping[str, Any]) -> Plan:
+def _lag(record: RecordTable, folder: Path) -> dict[str, Any] | None:
+    """What a recording on something stiff says of the sensor's lag."""
+    if record.lag_from is None:
+        return None
+    found = measure_lag(read_recording(folder / record.lag_from))
+    return {"value_s": found.value, "interval95_s": list(found.interval), "from": record.lag_from}
+
+
+def _plan(test: Any, record: RecordTable, lag: dict[str, Any] | None, number: int,
+          content: Mapping[str, Any]) -> Plan:
     if test.experiment is None:
         raise InputError(f"a {test.kind.name} is not done with a tool that is pushed in; leave the test out",
                          field=f"{test.place}.kind")
@@ -186,9 +200,12 @@ def _plan(test: Any, record: RecordTable, number: int, content: Mapping[str, Any
              "kind": test.kind.name, "tool": entry.get("tool", "plate"), "tool_radius_mm": entry.get("tool_radius_mm"),
              "friction": entry.get("friction"), "lubricant": record.lubricant,
              "temperature_degC": record.temperature_degC, "operator": record.operator, "notes": record.notes}
-    return Plan(test.name, tuple(legs(parse_protocol(test.protocol), _SPEED)), record.replicates, record.contact,
-                record.contact_force_N, record.approach_speed_mm_s * 1e-3, record.retract_mm * 1e-3,
-                record.preconditioning, record.rest_s, record.sign, record.axis,
+    # A plate that is glued to the specimen touches from the beginning.
+    glued = test.experiment.tool.is_plate and test.experiment.friction == "bonded"
+    contact = record.contact if record.contact != "auto" else "here" if glued else "force"
+    return Plan(test.name, tuple(legs(parse_protocol(test.protocol), _SPEED)), record.replicates, contact,
+                record.touch, record.contact_force_N, record.approach_speed_mm_s * 1e-3, record.retract_mm * 1e-3,
+                record.preconditioning, record.rest_s, record.sign, record.axis, lag,
                 {key: value for key, value in about.items() if value is not None})
 
 

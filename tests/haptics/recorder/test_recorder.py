@@ -8,7 +8,7 @@ from virtual_bench import STIFFNESS, SURFACE, Spring
 
 from haptics.devices.contracts import DeviceError
 from haptics.devices.virtual.faults import Faults
-from haptics.recorder.recorder import StoppedError
+from haptics.recorder.guarded_motion import StoppedError
 from tissue_sim import Rig, read_recording
 from tissue_sim.errors import InputError
 
@@ -39,7 +39,7 @@ def test_a_run_records_what_was_planned(bench):
         np.testing.assert_allclose(recording.force, STIFFNESS * depth, atol=6e-3)
         assert set(recording.labels["segment"]) == {"ramp", "hold", "unload"}
         assert np.median(np.diff(recording.time)) == pytest.approx(1 / 500, rel=1e-6)
-        assert metadata["sensor"]["rate_Hz"] == 500.0 and metadata["clock"]["lag_s"] == "unknown"
+        assert metadata["sensor"]["rate_Hz"] == 500.0 and metadata["clock"]["lag"] == "unknown"
         assert metadata["loadings_before"] == number - 1
     assert {moment.phase for moment in bench.moments} == {"home", "tare", "approach", "rest", "ramp", "hold", "unload"}
 
@@ -188,7 +188,7 @@ def test_a_late_program_is_noticed_by_another_thread(bench, monkeypatch):
     import threading
 
     halted = threading.Event()
-    monkeypatch.setattr("haptics.recorder.recorder._DEAD", 0.01)
+    monkeypatch.setattr("haptics.recorder.guarded_motion.DEAD", 0.01)
     rig = bench.rig()
     halt = rig.stage.halt
     rig.stage.halt = lambda: (halt(), halted.set())

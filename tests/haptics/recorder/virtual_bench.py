@@ -63,7 +63,7 @@ class VirtualBench:
         self.virtual = rig or self.rig(faults=faults or Faults(), **options)
         self.run_folder = RunFolder(self.folder, digest)
         with self.run_folder:
-            recorder = Recorder(self.virtual.bench, [plan], limits, self.run_folder, asked=asked,
+            recorder = Recorder(self.virtual.bench, plan, limits, self.run_folder, asked=asked,
                                 watch=watch or self.moments.append, clock=self.clock, pause=self.clock.pause)
             recorder.run()
         return self.run_folder

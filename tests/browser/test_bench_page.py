@@ -1,0 +1,43 @@
+"""The page of a bench in a real browser: the run of a recorder as it goes."""
+
+import threading
+
+import pytest
+
+from haptics.recorder.recorder import Moment
+from haptics.recorder.run_folder import RunFolder
+from scenes.viewer.bench.page import BenchPage
+from scenes.viewer.bench.sources import RunSource
+
+
+@pytest.fixture
+def watched(tmp_path):
+    page = BenchPage(RunSource(tmp_path / "run"), "127.0.0.1", 0)
+    stop = threading.Event()
+    thread = threading.Thread(target=page.run, args=(stop,))
+    thread.start()
+    yield page, tmp_path / "run"
+    stop.set()
+    thread.join()
+    page.close()
+
+
+def test_a_run_is_shown_as_it_goes(watched, open_page):
+    from haptics.recorder.live import LiveFile
+
+    shown, path = watched
+    page = open_page(shown.server)
+    page.get_by_text("no run in").wait_for()
+    folder = RunFolder(path, "digest")
+    live = LiveFile(path)
+    with folder, live.shown():
+        folder.note(state="running")
+        live.show(Moment("needle", "ramp", 1, 5e-3, 3e-3, 0.437, 0.25))
+        partial = folder.partial("needle_1", ["time [s]", "displacement [mm]", "force [N]", "segment"])
+        partial.add([(0.01 * row, 0.1 * row, 0.02 * row, "ramp") for row in range(30)])
+        page.get_by_text("needle 1: ramp; 0 recordings done").wait_for()
+        page.get_by_text("0.437").wait_for()
+        page.locator(".uplot canvas").first.wait_for()
+        partial.close()
+        folder.note(state="stopped", stops=[{"message": "the sensor was silent for 0.06 s"}])
+    page.get_by_text("the sensor was silent for 0.06 s").wait_for()

@@ -1,0 +1,174 @@
+"""The virtual rig: a simulated specimen behind the contracts of a sensor and a stage."""
+
+import numpy as np
+import pytest
+from device_contracts import ForceSensorContract, StageContract
+
+import tissue_sim as ts
+from haptics.devices.contracts import StageLimits
+from haptics.devices.virtual.faults import Faults, read_faults
+from haptics.devices.virtual.rig import ElasticSpecimen, RememberingSpecimen, VirtualRig
+from tissue_sim.errors import InputError
+
+SURFACE, STIFFNESS = 2e-3, 300.0
+
+
+class Clock:
+    """s; goes as the test says."""
+
+    def __init__(self):
+        self.now = 50.0
+
+    def __call__(self):
+        return self.now
+
+
+class Spring:
+    def force(self, time, depth):
+        return STIFFNESS * max(depth, 0.0)
+
+
+def rig_of(clock, rig=None, **options):
+    return VirtualRig(Spring(), rig, clock=clock, resolution=1e-6, rate=100.0, surface=SURFACE,
+                      limits=StageLimits(-0.01, 0.02, 0.01), **options)
+
+
+class TestItsSensor(ForceSensorContract):
+    """Above the specimen."""
+
+    load, tolerance = (0.0,) * 6, 1e-9
+
+    @pytest.fixture
+    def sensor(self):
+        self.clock = Clock()
+        return rig_of(self.clock, channels=("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")).sensor
+
+    def pass_time(self, seconds):
+        self.clock.now += seconds
+
+    def now(self):
+        return self.clock.now
+
+
+class TestItsStage(StageContract):
+    tolerance = 1e-6
+
+    @pytest.fixture
+    def stage(self):
+        self.clock = Clock()
+        return rig_of(self.clock).stage
+
+    def pass_time(self, seconds):
+        self.clock.now += seconds
+
+
+@pytest.fixture
+def pressed():
+    """The samples of a way in to 3 mm below the surface at 5 mm/s, and back: time, place of the stage, forces."""
+    def pressed(rig=None, **options):
+        clock = Clock()
+        virtual = rig_of(clock, rig, start_at=0.0, **options)
+        sensor, stage = virtual.sensor, virtual.stage
+        sensor.start()
+        stage.start()
+        stage.home()
+        stage.position()
+        rows = []
+        for goal in (SURFACE + 3e-3, 0.0):
+            stage.move(goal, 5e-3)
+            while stage.position().moving:
+                clock.now += 0.01
+                for sample in sensor.read():
+                    taken = 50.0 + (sample.sequence + 1) / 100.0
+                    rows.append((taken, stage.tool_place(taken), sample.values[0]))
+        return np.array(rows).T
+
+    return pressed
+
+
+@pytest.mark.parametrize("values", [
+    {}, {"contact_offset": 2e-4}, {"displacement_gain": 0.05}, {"backlash": 1e-4}, {"step_loss": 3e-4,
+    "step_loss_depth": 1e-3}, {"sensor_gain": 0.02, "zero_offset": 0.3}, {"guide_friction": 0.05},
+    {"rate_damping": 10.0}, {"sensor_drift": 0.01}, {"latency": 0.05},
+])
+def test_it_reads_what_the_rig_of_a_simulation_reads(pressed, values):
+    """The rig of a recording, which is checked against closed forms elsewhere."""
+    rig = ts.Rig(**values)
+    time, place, force = pressed(rig)
+    motion = place - SURFACE
+    true = STIFFNESS * np.maximum(rig.tool_motion(np.append(-SURFACE, motion))[1:], 0.0)
+    reported = rig.read(ts.Recording({"time": time, "displacement": motion, "force": true})).force
+    speed = np.diff(motion, prepend=motion[0])
+    # Where it turns, and at its first samples, a speed is a matter of taste; a late sensor is interpolated there.
+    turns = np.convolve(np.abs(np.diff(np.sign(speed), prepend=0.0)), np.ones(21), "same") > 0
+    inside = (time > time[0] + 0.1) & ~turns
+    drift = rig.sensor_drift * 0.01  # a recording's first sample is the sensor's first here, but for one period
+    np.testing.assert_allclose(force[inside], reported[inside], atol=2e-5 + 2 * drift + 300.0 * 5e-3 * rig.latency / 40)
+
+
+def test_noise_is_of_the_size_and_the_colour_that_is_stated(pressed):
+    rig = ts.Rig(force_noise=0.02, noise_correlation_time=0.05, seed=3)
+    samples = []
+    for seed in range(8):
+        _, _, force = pressed(ts.Rig(force_noise=0.02, noise_correlation_time=0.05, seed=seed))
+        _, _, plain = pressed()
+        samples.append(force - plain)
+    noise = np.array(samples)
+    assert noise.std() == pytest.approx(rig.force_noise, rel=0.1)
+    assert np.mean(noise[:, 1:] * noise[:, :-1]) / noise.var() == pytest.approx(np.exp(-0.01 / 0.05), abs=0.06)
+
+
+def test_faults_of_sensor_and_motor(pressed):
+    time, _, force = pressed(faults=Faults(saturate_after=1.0))
+    late = time > time[0] + 1.01
+    assert (force[late] == 120.0).all() and not (force[~late][:-3] == 120.0).any()
+    _, _, drifting = pressed(faults=Faults(drift=0.1))
+    _, _, plain = pressed()
+    np.testing.assert_allclose(drifting - plain, 0.1 * (time - time[0] + 0.0), atol=2e-3)
+    silent, _, _ = pressed(faults=Faults(disconnect_after=0.5))
+    assert silent[-1] - silent[0] <= 0.5
+
+
+@pytest.mark.parametrize(("text", "field"), [("loss=2", "loss"), ("delay_ms=-1", "delay"), ("drft=1", "drft")])
+def test_faults_that_make_no_sense_are_refused(text, field):
+    with pytest.raises(InputError) as caught:
+        read_faults(text)
+    assert caught.value.field == field
+
+
+def needle(depth, **material):
+    experiment = ts.KINDS["needle_indentation"].experiment(
+        specimen=ts.Specimen(0.02, 0.03), protocol=ts.Protocol.ramp(depth, 9), tool=ts.Tool("flat", radius=4e-3),
+        friction="bonded")
+    return ts.Model(experiment, ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e3), **material))
+
+
+def test_an_elastic_specimen_is_its_simulation():
+    model = needle(2e-3)
+    specimen = ElasticSpecimen(model, 2e-3, "fast")
+    recording = ts.simulate(model)
+    forces = [specimen.force(0.0, depth) for depth in recording.displacement]
+    np.testing.assert_allclose(forces, recording.force, atol=1e-5 * recording.force[-1])
+    assert specimen.force(0.0, -1e-3) == 0.0
+    soft = ElasticSpecimen(ts.with_values(model, {"rig.compliance": 1e-3}), 2e-3, "fast")
+    behind = soft.force(0.0, 2e-3)
+    assert behind == pytest.approx(specimen.force(0.0, 2e-3 - 1e-3 * behind), rel=1e-4)
+
+
+def test_what_remembers_is_stepped():
+    model = needle(2e-3, viscoelastic=ts.Prony((ts.PronyTerm(0.4, 0.5),)))
+    with pytest.raises(InputError, match="make a RememberingSpecimen"):
+        ElasticSpecimen(model, 2e-3)
+    specimen = RememberingSpecimen(model)
+    way_in = [specimen.force(0.01 * step, 1e-4 * step) for step in range(11)]
+    held = [specimen.force(0.1 + 0.05 * step, 1e-3) for step in range(1, 60)]
+    assert way_in[-1] > 0 and held[-1] < 0.75 * way_in[-1] and (np.diff(held) < 1e-9).all()
+    with pytest.raises(InputError, match="compliance"):
+        RememberingSpecimen(ts.with_values(model, {"rig.compliance": 1e-3}))
+
+
+def test_a_rig_that_a_bench_does_not_have_is_refused():
+    with pytest.raises(InputError, match="no sampling rate"):
+        rig_of(Clock(), ts.Rig(sampling_rate=100.0))
+    with pytest.raises(InputError, match="name Fz"):
+        rig_of(Clock(), channels=("Fx",))

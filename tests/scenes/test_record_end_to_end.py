@@ -1,0 +1,124 @@
+"""Three tests recorded over real sockets and pseudo-terminals, calibrated: the virtual specimen is found again."""
+
+import json
+import socket
+
+import pytest
+
+from haptics.devices.virtual.faults import Faults
+from haptics.emulators.rdt import RdtEmulator
+from haptics.emulators.tic import emulate_tic
+from haptics.protocols.rdt import Settings
+from scenes.cli import main
+from scenes.commands.record.bench import virtual_rig
+from scenes.commands.record.protocol_file import read_protocol_file
+from scenes.demo.specimen import PHANTOM
+from tissue_sim import read_recording
+
+PROTOCOL = """
+[[specimen]]
+name = "phantom"
+radius_mm = 40.0
+height_mm = 70.0
+
+[[test]]
+name = "lubricated"
+kind = "lubricated_compression"
+protocol = "ramp 6mm @8mm/s; unload"
+
+[[test]]
+name = "bonded"
+kind = "bonded_compression"
+protocol = "ramp 6mm @8mm/s; unload"
+
+[[test]]
+name = "needle"
+kind = "needle_indentation"
+tool = "flat"
+tool_radius_mm = 8.0
+friction = "bonded"
+protocol = "ramp 8mm @8mm/s; unload"
+
+[fit]
+method = "inverse_fem"
+laws = ["reduced_polynomial_2"]
+bulk_ratio = 10000.0
+start = { C10 = 1000.0, C20 = 300.0 }
+
+[noise]
+force_N = "estimate"
+contact_jitter_mm = 0.03
+zero_jitter_N = 0.005
+
+[devices]
+sensor = "rdt://127.0.0.1:RDT,http_port=HTTP"
+stage = "tic:TIC,steps_per_mm=1000,lowest_mm=-8,highest_mm=14,top_speed_mm_s=10"
+
+[virtual]
+rig = "rig.json"
+rate_Hz = 250.0
+resolution_N = 0.001
+
+[limits]
+force_N = 60.0
+lowest_mm = -6.0
+highest_mm = 13.0
+speed_mm_s = 10.0
+duration_s = 600.0
+stiffness_N_per_mm = 5.0
+force_margin_N = 5e3
+sensor_silence_s = 30.0     # a test machine may have much else to do
+
+[record]
+replicates = 2
+contact_force_N = 0.1
+approach_speed_mm_s = 8.0
+"""
+
+
+def free_ports():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp, socket.socket() as tcp:
+        udp.bind(("127.0.0.1", 0))
+        tcp.bind(("127.0.0.1", 0))
+        return udp.getsockname()[1], tcp.getsockname()[1]
+
+
+@pytest.fixture
+def protocol(tmp_path):
+    import tissue_sim as ts
+
+    ts.write_rig(ts.Rig(force_noise=0.01, seed=4), tmp_path / "rig.json")
+    rdt, http = free_ports()
+    text = PROTOCOL.replace("RDT,", f"{rdt},").replace("HTTP", str(http)).replace("tic:TIC", f"tic:{tmp_path / 'port'}")
+    path = tmp_path / "protocol.toml"
+    path.write_text(text, encoding="utf-8")
+    return path, rdt, http
+
+
+def test_what_is_recorded_over_the_protocols_finds_the_specimen(protocol, tmp_path, capsys):
+    path, rdt, http = protocol
+    read = read_protocol_file(path)
+    run = tmp_path / "run"
+    for number, test in enumerate(read.campaign.tests):
+        # A specimen is mounted: its sensor and its stage speak the protocols of an ATI box and of a Tic.
+        rig = virtual_rig(read, test)
+        sensor = RdtEmulator(rig.sensor, port=rdt, http_port=http, settings=Settings(1e6, 1e6, rate=250.0))
+        stage = emulate_tic(rig.bench, "steps_per_mm=1000", Faults())
+        with sensor, stage:
+            (tmp_path / "port").symlink_to(stage.path)
+            words = ["record", str(path), "-o", str(run), "--test", test.name, "--json"]
+            if not number:
+                assert main(words) == 2 and "give --arm" in capsys.readouterr().err
+            code = main([*words, "--arm", *(["--resume"] if number else [])])
+            answer = json.loads(capsys.readouterr().out)
+            assert code == 0, answer["message"]
+        (tmp_path / "port").unlink()
+    recording = read_recording(run / "needle_1.csv")
+    assert recording.metadata["sensor"]["records"] > 500 and recording.metadata["sensor"]["lost"] == 0
+    assert "Tic" in recording.metadata["stage"]["stage"] and recording.metadata["gaps"] == 0
+    assert main(["calibrate", str(run / "campaign.toml"), "-o", str(tmp_path / "out"), "--json"]) == 0
+    fit, = json.loads(capsys.readouterr().out)["fits"]
+    for name, true in PHANTOM.items():
+        low, high = fit["intervals95"][name]
+        assert low <= true <= high, (name, fit["parameters"][name], low, high)
+    assert fit["R2"] > 0.999
