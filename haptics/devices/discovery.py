@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -89,5 +90,5 @@ def _try(name: str, kind: str, table: Any) -> Tried:
             device.stop()
     except (DeviceError, InputError) as error:
         return Tried(name, kind, False, str(error))
-    return Tried(name, kind, True, ", ".join(f"{key} {value}" for key, value in said.items()
-                                             if isinstance(value, str | int | float))[:200])
+    words = ", ".join(f"{key} {value}" for key, value in said.items() if isinstance(value, str | int | float))
+    return Tried(name, kind, True, textwrap.shorten(words, 200, placeholder=" ..."))

@@ -122,7 +122,8 @@ class RdtSensor(ForceSensor):
 
     def describe(self) -> dict[str, Any]:
         about: dict[str, Any] = {"sensor": "ATI RDT", "address": f"{self._bracketed}:{self._port}",
-                                 "rate_Hz": self.rate, "channels": list(self.channels)}
+                                 "rate_Hz": self.rate, "channels": list(self.channels),
+                                 "checked_with": "emulator, fake sensor of pynetft; unverified on hardware"}
         if (settings := self._settings) is not None:
             about |= {"product": settings.product, "calibration": settings.calibration,
                       "unit_of_force": settings.force_unit, "unit_of_torque": settings.torque_unit,

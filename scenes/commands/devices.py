@@ -19,7 +19,7 @@ def add_arguments(parser: Parser) -> None:
 
 def run(arguments) -> int:
     from haptics.devices.discovery import find_devices
-    from scenes.commands.shared.text_table import text_table
+    from scenes.commands.shared.text_table import print_sentence, text_table
 
     found = find_devices(arguments.names)
     if arguments.json:
@@ -30,5 +30,10 @@ def run(arguments) -> int:
     table.columns[3].no_wrap = False
     for each in found:
         table.add_row(each.name, each.kind, "yes" if each.opens else "no", each.says)
-    results_console().print(table)
+    console = results_console()
+    console.print(table)
+    if not arguments.names:
+        console.print()
+        print_sentence(console, "One with settings is tried by its name:  tissue-sim devices "
+                                "tic:/dev/ttyACM0,steps_per_mm=800")
     return 0

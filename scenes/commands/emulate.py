@@ -16,8 +16,8 @@ _NAMES = "rdt, ati-serial, tic, grbl, haply"
 
 def add_arguments(parser: Parser) -> None:
     parser.add_argument("names", nargs="+", metavar="NAME[:SETTINGS]",
-                        help=f"of {_NAMES}; several share one virtual rig, so that what the stage presses is what the "
-                             "sensor feels")
+                        help=f"of {_NAMES}, or what a package adds; several share one virtual rig, so that what "
+                             "the stage presses is what the sensor feels")
     parser.add_argument("--faults", default="", metavar="NAME=NUMBER,...",
                         help="loss, duplicate, reorder, garble (shares), delay_ms, disconnect_after_s, "
                              "saturate_after_s, stall_after_s, drift_N_per_s, seed")
@@ -54,7 +54,9 @@ def run(arguments) -> int:
             console = results_console()
             for name, address in addresses.items():
                 console.print(f"{name}: open it as {address}", highlight=False)
-            console.print("Ctrl-C ends it")
+            console.print("behind sensor and stage: the study's needle, 2 mm above its phantom where the stage is at "
+                          "its zero", soft_wrap=True)
+            console.print("Ctrl-C ends it" + (f", or {arguments.seconds:g} s" if arguments.seconds else ""))
         import sys
 
         sys.stdout.flush()

@@ -35,8 +35,7 @@ def add_arguments(parser: Parser) -> None:
                                                        "tool of one test are mounted at a time")
     parser.add_argument("--arm", action="store_true", help="let a real motor move")
     parser.add_argument("--dry-run", action="store_true", help="print the motion, how long it takes and what would "
-                                                               "stop "
-                                                               "it; nothing is started")
+                                                               "stop it; nothing is started")
     parser.add_argument("--resume", action="store_true",
                         help="go on with the recordings that are missing: homes again, checks zero and contact")
     add_json(parser)
@@ -62,7 +61,11 @@ def run(arguments) -> int:
                 {"name": test.name, "motion": protocol.plans[test.name].title,
                  "replicates": protocol.plans[test.name].replicates} for test in tests]})
         else:
-            print_plans([protocol.plans[test.name] for test in tests], protocol.limits, bench, seconds, console)
+            used = protocol.devices
+            devices = ("On the virtual rig; nothing real moves." if is_virtual(protocol) else
+                       f"Sensor {used.sensor}, stage {used.stage}; a real motor moves, with --arm only.")
+            print_plans([protocol.plans[test.name] for test in tests], protocol.limits, bench, devices, seconds,
+                        console)
         return 0
     if arguments.output is None:
         raise InputError("name the folder of the run with -o DIR", field="--output")
@@ -186,7 +189,6 @@ def _shown(quiet: bool) -> Iterator[Callable[[Moment], None]]:
             replicate = f" {moment.replicate}" if moment.replicate else ""
             progress.update(task, completed=moment.share, description=(
                 f"{moment.test}{replicate} {moment.phase}: {moment.position * 1e3:7.3f} mm {moment.force:7.3f} N; "
-                "Enter "
-                "stops"))
+                "Enter stops"))
 
         yield watch
