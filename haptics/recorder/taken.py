@@ -88,6 +88,7 @@ def as_recording(taken: Taken, plan: Plan, touch: float, zero: float, channels: 
               "cycle": np.array([each[2] for each in taken.legs])[leg]}
     return Recording(values, labels, {"gaps": taken.gaps, "clock": {
         "from": "line through the numbers of the samples", "period_s": line.period, "jitter_s": line.jitter,
+        "rate": "as the sensor says" if line.fits else "measured: what the sensor says does not fit",
         "stage": "interpolated", "lag": plan.lag or "unknown"}})
 
 

@@ -40,3 +40,22 @@ def test_few_samples_have_the_period_of_the_device(numbers):
     line = SequenceLine.of(numbers, [3.0 for _ in numbers], 0.01)
     assert line.period == 0.01
     np.testing.assert_allclose(line.time(numbers), [3.0 for _ in numbers])
+
+
+def test_a_rate_that_does_not_fit_is_measured():
+    """A controller that is slower than its line: 19 Hz where 21.3 are stated."""
+    numbers = np.arange(300)
+    late = np.random.default_rng(2).exponential(3e-3, numbers.size)
+    line = SequenceLine.of(numbers, 7.0 + numbers / 19.05 + late, 1 / 21.3)
+    assert not line.fits and line.period == pytest.approx(1 / 19.05, rel=1e-3)
+    np.testing.assert_allclose(line.time(numbers), 7.0 + numbers / 19.05, atol=3e-3)
+    assert SequenceLine.of(numbers, 7.0 + numbers / 21.3 + late, 1 / 21.3).fits
+
+
+def test_a_minute_at_7_kHz_is_a_matter_of_a_moment():
+    """The same line from the earliest of each stretch as from all."""
+    numbers = np.arange(420_000)
+    taken = numbers * (1.0003 / 7000.0)
+    received = np.maximum.accumulate(taken + np.random.default_rng(1).exponential(2e-4, numbers.size))
+    line = SequenceLine.of(numbers, received, 1 / 7000.0)
+    assert line.fits and np.abs(line.time(numbers) - taken).max() < 5e-5
