@@ -111,17 +111,14 @@ class VirtualCoupling:
     def _balance(self, away: Vector, velocity: Vector, answer: ToolForce, dt: float) -> Vector:
         """Motion of the proxy in this tick, m, from how far the device is away from it, m, and its velocity, m/s."""
         # A negative stiffness would push the implicit step the wrong way; the next tick mends what is left out.
-        matrix = answer.stiffness_matrix
+        ahead = answer if answer.ahead is None else answer.ahead
+        matrix = ahead.stiffness_matrix
         a, b, c = matrix[0][:3]
         d, e, f = matrix[1][:3]
         g, h, i = matrix[2][:3]
         a, e, i = max(a, 0.0), max(e, 0.0), max(i, 0.0)
         before_x, before_y, before_z = self._motion
-        load_x, load_y, load_z = answer.wrench[:3]
-        if answer.inertial:
-            load_x += a * before_x + b * before_y + c * before_z
-            load_y += d * before_x + e * before_y + f * before_z
-            load_z += g * before_x + h * before_y + i * before_z
+        load_x, load_y, load_z = ahead.wrench[:3]
         inertia, damping, stiffness = self.mass / dt**2, self.damping, self.stiffness
         x = inertia * before_x + damping * velocity[0] + stiffness * away[0] + load_x
         y = inertia * before_y + damping * velocity[1] + stiffness * away[1] + load_y
