@@ -136,7 +136,7 @@ class ToolForce:
     def is_finite(self) -> bool:
         """Whether wrench and stiffness are numbers."""
         total = sum(self.wrench)
-        rows = self.stiffness_matrix
+        rows: tuple[Screw, ...] = self.stiffness_matrix
         if self.ahead is not None:
             total += sum(self.ahead.wrench)
             rows += self.ahead.stiffness_matrix

@@ -3,7 +3,7 @@
 import cmath
 import math
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -33,7 +33,8 @@ class Load:
 
     def _force(self, depth, dt):
         speed = self._difference(depth, self.depths, dt)
-        return self.stiffness * depth + self.damping * speed + self.mass * self._difference(speed, self.speeds, dt), speed
+        lost, inert = self.damping * speed, self.mass * self._difference(speed, self.speeds, dt)
+        return self.stiffness * depth + lost + inert, speed
 
     def step(self, depth, dt):
         force, speed = self._force(depth, dt)
@@ -130,6 +131,20 @@ def test_condition_is_exact_for_a_proxy_that_stands(stiffness, damping):
               for angle in np.linspace(1e-3, math.pi, 500)]
     assert max(needed) == pytest.approx(stiffness * TICK / 2 + damping)
     assert VirtualCoupling(stiffness, damping).least_device_damping(TICK) == pytest.approx(max(needed))
+
+
+@pytest.mark.parametrize(("damping", "covered"), [(0.3, True), (1.0, True), (0.0, False)])
+def test_condition_with_a_mass_by_second_order_differences(damping, covered):
+    """It covers any mass where the coupling has a damper, and one at its resonance not where it has none."""
+    coupling, angles, needed = VirtualCoupling(1000.0, damping), np.linspace(1e-3, math.pi, 400), []
+    for mass, tissue in product(np.logspace(-5, 1, 25), (0.0, 200.0, 3000.0)):
+        load = Load(tissue, mass, order=2)
+        for angle in angles:
+            z = cmath.exp(1j * angle)
+            rate = sum(weight * z**-place for place, weight in enumerate(load.weights)) / TICK
+            spring, tissues = 1000.0 + damping * (1 - 1 / z) / TICK, tissue + mass * rate**2
+            needed.append(needed_damping(spring * tissues / (spring + tissues), angle))
+    assert (max(needed) <= coupling.least_device_damping(TICK) * (1 + 1e-9)) is covered
 
 
 @pytest.mark.parametrize(("damping", "mass"), [(0.0, 0.0), (2.0, 0.0), (2.0, 0.005)])

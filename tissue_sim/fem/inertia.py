@@ -55,11 +55,16 @@ class Motion:
         return (now / dt) ** 2
 
     def commit(self, before: np.ndarray, after: np.ndarray, dt: float, inertial: bool) -> None:
-        """After a step of dt (s) that converged; without inertia the velocity is that between the two states."""
+        """After a step of dt (s) that converged; without inertia the velocity is that between the two
+        states, and none in the first such step."""
         velocity, scratch, size = self.velocity, self._scratch, self.velocity.size
         if not inertial:
+            swung = self._before[0] > 0.0
             self._before[:] = 0.0
-            if dt > 0.0:
+            if swung:
+                # It jumped to where it would rest: no motion to go on from, if the mass counts again.
+                velocity[:] = 0.0
+            elif dt > 0.0:
                 np.subtract(after[:size], before[:size], out=velocity)
                 velocity /= dt
             return

@@ -118,9 +118,10 @@ class AxisymmetricSolver(Solver):
     def ahead(self, dt: float) -> NextForce | None:
         """See `Solver.ahead`. The tissue's equations, along the way that it goes with the tool within a step.
 
-        With D = how everything moves for a metre of the tool, which the stiffness D (K + rate M) D is computed with, the
-        force is D (f + M a) for the tissue's forces f and accelerations a. In a next step without motion f stays, as far
-        as nothing relaxes, and a is what the differences say of what stands still now.
+        With D = how everything moves for a metre of the tool, with which the stiffness D (K + rate M) D is found, the
+        force is D (f + M a) for the tissue's forces f and accelerations a. In a next step without motion f stays, as
+        far as nothing relaxes, and a is what the differences say of what stands still. Across a change of contact D is
+        another one.
         """
         motion, equations = self.committed.motion, self.equations
         _, _, _, force, _, _, stiffness = equations.report.tolist()
