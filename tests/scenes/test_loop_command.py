@@ -154,7 +154,7 @@ def test_flags_reach_the_coupling_and_the_controller(asked):
     assert rendering.coupling is None and rendering.controller is None
     build, device, rendering, *_ = asked("--device", "haply:ws://127.0.0.1:10001,largest_force_N=3",
                                          "--force-limit-N", "2")
-    assert build.keywords["inertia"] == "auto", "also behind a coupling"
+    assert build.keywords["inertia"] == "off", "behind a coupling"
     assert device.largest_force == 3.0 and rendering.limits.force == 2.0
     assert rendering.coupling.stiffness == 1000.0 and rendering.controller.damping == 2.0, "of a real device"
     rendering = asked("--device", "haply:ws://127.0.0.1:10001", "--coupling-stiffness-N-m", "0",

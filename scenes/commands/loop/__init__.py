@@ -61,7 +61,8 @@ def add_arguments(parser: Parser) -> None:
                         help="wall time of a step after which the last equilibrium's force is carried on; 0: however "
                              f"long it takes (default: {BUDGET:g})")
     timing.add_argument("--inertia", choices=("auto", "on", "off"), default="auto",
-                        help="the mass of the tissue counts; auto: where the tool is fast (default: auto)")
+                        help="the mass of the tissue counts; auto: where the tool is fast, and not behind a coupling "
+                             "(default: auto)")
     timing.add_argument("--no-real-time", action="store_true",
                         help="ask the system for nothing: no SCHED_FIFO, no locked memory")
     timing.add_argument("--force-limit-N", type=positive, metavar="N",
@@ -103,7 +104,10 @@ def run(arguments) -> int:
                             real_time=not arguments.no_real_time)
     device = open_named(arguments, name, protocol)
     rendering = make_rendering(arguments, device.largest_force)
-    make_tissue = partial(Simulator, model, resolution=arguments.resolution, inertia=arguments.inertia,
+    # Behind a coupling the mass of the tissue is stable in time; but where it makes most answers late, the force is up
+    # to six times too large (docs/haptic_rendering.md).
+    inertia = "off" if rendering.coupling is not None and arguments.inertia == "auto" else arguments.inertia
+    make_tissue = partial(Simulator, model, resolution=arguments.resolution, inertia=inertia,
                           budget=arguments.budget_us * 1e-6 or None, solver=arguments.solver)
     process = LoopProcess(make_tissue, device, rendering, settings, ring_path=arguments.ring)
     try:
