@@ -15,7 +15,16 @@ from tissue_sim.model import Model
 from tissue_sim.parameters import with_values
 from tissue_sim.pose import Pose, Screw, between, motion, scaled
 from tissue_sim.snapshot import Snapshot, snapshot
-from tissue_sim.tool_force import ForceStatus, Matrix, ToolForce, axial_stiffness, axial_wrench, carried_on, pose_of
+from tissue_sim.tool_force import (
+    ForceStatus,
+    Matrix,
+    NextForce,
+    ToolForce,
+    axial_stiffness,
+    axial_wrench,
+    carried_on,
+    pose_of,
+)
 
 #: Unbalanced over balanced forces at which an equilibrium is one.
 TOLERANCE = 1e-6
@@ -23,6 +32,8 @@ TOLERANCE = 1e-6
 _MOST_SOLVES = {True: 6, False: 30}
 #: A tool that moves further in one step than this share of the contact's radius is followed in parts.
 _LARGEST_PART = 0.0625
+#: That no part is made for.
+_ROUNDING = 1e-9
 #: A part is cut until it is this share of the largest one.
 _SMALLEST_CUT = 2.0**-8
 #: Tool speed, m/s, from which on the mass of the tissue counts, and for how long (s) after the tool was last so fast.
@@ -117,6 +128,8 @@ class Simulator:
         self._radius = model.experiment.contact_radius
         self._largest_part = _LARGEST_PART * self._radius
         self._reduced = ReducedForce(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
+        # What the effects on the whole force left of it at the last equilibrium.
+        self._left = 1.0
         # Wall time of a linear solve with all that belongs to it, s.
         self._solve_time = 1e-9
         self._answer = ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
@@ -168,7 +181,7 @@ class Simulator:
         if not (pose.is_finite and math.isfinite(dt) and dt >= 0.0):
             return replace(self._answer, status=ForceStatus.REFUSED, iterations=0,
                            compute_time=time.perf_counter() - began)
-        before, self._pose = self._pose, pose
+        before, self._pose, tick = self._pose, pose, dt
         self._lingers = 0.0 if self._distance(before, pose) >= INERTIAL_SPEED * dt > 0.0 else self._lingers + dt
         if not self._touched:
             height, height_before = pose.position[2], before.position[2]
@@ -181,7 +194,7 @@ class Simulator:
             # The way from the touch on.
             dt *= height / (height - height_before) if height_before > 0.0 else 1.0
         self._waiting += dt
-        self._answer = self._follow(pose, began)
+        self._answer = self._follow(pose, tick, began)
         return self._answer
 
     def _distance(self, start: Pose, end: Pose) -> float:
@@ -189,8 +202,8 @@ class Simulator:
         x, y, z, a, b, c = motion(start, end)
         return math.hypot(x, y, z) + self._radius * math.hypot(a, b, c)
 
-    def _follow(self, pose: Pose, began: float) -> ToolForce:
-        """Step to a pose in as many parts as it takes."""
+    def _follow(self, pose: Pose, tick: float, began: float) -> ToolForce:
+        """Step to a pose in as many parts as it takes; the next step is thought as long as this tick, s."""
         solver, status, solves, residual = self._solver, None, 0, self._answer.residual
         inertial = self.inertia == "on" or (self.inertia == "auto" and self._lingers < _LINGERS)
         extrapolates, resumes = True, self._attempt is not None
@@ -199,7 +212,8 @@ class Simulator:
             started = time.perf_counter()
             here = solver.pose
             way, part = self._distance(here, pose), self._share * self._largest_part
-            share = min(1.0, part / way) if way else 1.0
+            # Parts of one length: the mass of the tissue resists a short one as a blow.
+            share = 1.0 / max(1, math.ceil(way / part - _ROUNDING)) if way else 1.0
             # The last part ends where the tool is, without rounding.
             target, dt = between(here, pose, share), share * self._waiting
             if resumes and self._attempt is not None:
@@ -240,13 +254,23 @@ class Simulator:
                 elif self._share < _SMALLEST_CUT:
                     self._share, status = _SMALLEST_CUT, ForceStatus.STOPPED
         at, stiffness = self._equilibrium, self._equilibrium.stiffness
-        wrench = at.wrench
-        if status is not ForceStatus.CONVERGED:
+        wrench, ahead = at.wrench, None
+        if status is ForceStatus.CONVERGED:
+            ahead = self._ahead(tick) if at.inertial and tick > 0.0 else None
+        else:
             # Mass resists a motion within the step, not one that goes on.
             stiffness = self._elastic
             wrench = self._carried_on(wrench, motion(solver.pose, pose))
         return ToolForce(wrench, stiffness, status, solves, residual, time.perf_counter() - began, at.inertial,
-                         self._waiting, solver.pose)
+                         self._waiting, solver.pose, ahead)
+
+    def _ahead(self, tick: float) -> NextForce | None:
+        """What a next step of a tick, s, would answer, after one that converged."""
+        ahead, left = self._solver.ahead(tick), self._left
+        if ahead is None or left == 1.0:
+            return ahead
+        a, b, c, d, e, f = (scaled(left, row) for row in ahead.stiffness_matrix)
+        return NextForce(scaled(left, ahead.wrench), (a, b, c, d, e, f))
 
     def _carried_on(self, wrench: Screw, way: Screw) -> Screw:
         """The wrench of the last equilibrium a little further on; tissue that cannot pull at the tool does not."""
@@ -255,7 +279,7 @@ class Simulator:
 
     def _take(self, step: Step, dt: float, inertial: bool) -> None:
         """Keep what an equilibrium answers."""
-        left = self._reduced.go(self._solver.pose.depth, dt)
+        left = self._left = self._reduced.go(self._solver.pose.depth, dt)
         wrench, stiffness = step.wrench, _stiffness_of(step)
         if left != 1.0:
             a, b, c, d, e, f = (scaled(left, row) for row in stiffness)

@@ -55,6 +55,20 @@ class ForceStatus(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class NextForce:
+    """What a tissue with mass would answer to the next step, if that is as long as this one: wrench - stiffness m after
+    a way m of the tool.
+
+    Attributes:
+        wrench: of a step in which the tool stays where it is, N and N m: the tissue, which moves, runs against it.
+        stiffness_matrix: how it grows as the tool moves within that step, as in `ToolForce`.
+    """
+
+    wrench: Screw
+    stiffness_matrix: Matrix
+
+
+@dataclass(frozen=True, slots=True)
 class ToolForce:
     """The answer to one step.
 
@@ -70,6 +84,8 @@ class ToolForce:
         inertial: whether the mass of the tissue was taken into account.
         age: time since the last equilibrium, s; 0 where this one is.
         pose: of the tool at that last equilibrium.
+        ahead: what the next step would answer, for who chooses the next pose by the force, as a virtual coupling does;
+            None: this wrench with this stiffness.
     """
 
     wrench: Screw
@@ -81,6 +97,7 @@ class ToolForce:
     inertial: bool = False
     age: float = 0.0
     pose: Pose = _AT_THE_TOUCH
+    ahead: NextForce | None = None
 
     @classmethod
     def axial(cls, force: float, stiffness: float, status: ForceStatus, iterations: int = 0, residual: float = 0.0,
@@ -119,7 +136,11 @@ class ToolForce:
     def is_finite(self) -> bool:
         """Whether wrench and stiffness are numbers."""
         total = sum(self.wrench)
-        for row in self.stiffness_matrix:
+        rows: tuple[Screw, ...] = self.stiffness_matrix
+        if self.ahead is not None:
+            total += sum(self.ahead.wrench)
+            rows += self.ahead.stiffness_matrix
+        for row in rows:
             if row is not _NONE:
                 total += sum(row)
         return math.isfinite(total)

@@ -22,17 +22,27 @@ class VirtualCoupling:
     The coupling is the same in all three directions. The proxy is turned as the device is: rotation is coupled rigidly,
     and the torque of the tissue goes to the hand as it is.
 
-    Every tick the proxy moves by one implicit (backward Euler) step, with the tissue's force taken as linear about the
-    proxy: F - S (p - p_before), S being the stiffness. A tissue whose own mass was taken into account answers with a
-    force that belongs to the proxy's motion, so there the linear force is taken about the motion going on:
-    F - S (step - step_before). Without this the proxy is unstable where the mass of the tissue that it moves is above
-    2 mass + B tick + (K + k) tick^2/2, k being its stiffness at rest.
+    Every tick the proxy moves by one implicit (backward Euler) step, with the tissue's force taken as linear in the
+    proxy's way: F - S (p - p_before), F being that of a step in which the tool stays, S the stiffness within the step.
+    Of a tissue without mass that is its last answer. With mass it is not: the answer holds S = k + c m/T^2 times the
+    last acceleration, and the next force is
+
+        F_next(p) = F_next(p_before) - S (p - p_before),    F_next(p_before) = k p_before + m a(p_before, and the past)
+
+    which only the tissue knows: `ToolForce.ahead`. So coupling, proxy and tissue make one system that is stepped
+    implicitly: a linear tissue answers what the step took it for, f is F(p) - mass d2p/dt2 to rounding, and each of
+    them is stable by itself under backward differences (first and second order damp every oscillation), whatever k, m
+    and K. A guess from the motion alone will not do: with F - S (step - step_before) a mass by first-order differences
+    gives a root at -1, by second-order ones (c = 9/4) at -1.5: the force changes sides and grows. An inertial answer
+    that does not look ahead is taken as it is; the proxy is then stable only while the mass of the tissue that it moves
+    is below 2 mass + B tick + (K + k) tick^2/2 (first order).
 
     Passivity. With a zero-order hold of length T, a sampled wall K + B (z - 1)/(T z) on a device of physical damping b
     is passive if and only if b > K T/2 + |B| (Colgate and Schenkel 1997). A coupling to a proxy needs the same: for
-    B >= 0 and any load that is passive in discrete time (a spring, a damper, a mass, all stepped implicitly) the worst
-    case over all loads and frequencies is that of a proxy that does not move. A force that leaves n ticks later asks
-    for (1 + n)^2 times as much, which then is sufficient but not necessary.
+    B >= 0 and any load that is passive in discrete time (a spring, a damper, a mass, by first-order differences) the
+    worst case over all loads and frequencies is that of a proxy that does not move. A mass by second-order differences
+    is no such load; it asks for no more if B >= K T/5 (computed, masses of 1 mg to 100 kg). A force that leaves n ticks
+    later asks for (1 + n)^2 times as much, which then is sufficient but not necessary.
 
     Args:
         stiffness: K, N/m.
@@ -111,17 +121,14 @@ class VirtualCoupling:
     def _balance(self, away: Vector, velocity: Vector, answer: ToolForce, dt: float) -> Vector:
         """Motion of the proxy in this tick, m, from how far the device is away from it, m, and its velocity, m/s."""
         # A negative stiffness would push the implicit step the wrong way; the next tick mends what is left out.
-        matrix = answer.stiffness_matrix
+        ahead = answer if answer.ahead is None else answer.ahead
+        matrix = ahead.stiffness_matrix
         a, b, c = matrix[0][:3]
         d, e, f = matrix[1][:3]
         g, h, i = matrix[2][:3]
         a, e, i = max(a, 0.0), max(e, 0.0), max(i, 0.0)
         before_x, before_y, before_z = self._motion
-        load_x, load_y, load_z = answer.wrench[:3]
-        if answer.inertial:
-            load_x += a * before_x + b * before_y + c * before_z
-            load_y += d * before_x + e * before_y + f * before_z
-            load_z += g * before_x + h * before_y + i * before_z
+        load_x, load_y, load_z = ahead.wrench[:3]
         inertia, damping, stiffness = self.mass / dt**2, self.damping, self.stiffness
         x = inertia * before_x + damping * velocity[0] + stiffness * away[0] + load_x
         y = inertia * before_y + damping * velocity[1] + stiffness * away[1] + load_y

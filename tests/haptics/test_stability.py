@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import tissue_sim as ts
 from haptics.devices.contracts import AxialMotion
 from haptics.devices.virtual.delayed_hand import DelayedHand
 from haptics.devices.virtual.hand import VirtualHand
@@ -69,6 +70,50 @@ def test_a_coupling_bears_what_the_tissue_alone_does_not():
     for delay in (2e-3, 3e-3):
         assert shakes(3270.0, 0.1, 5.0, 400.0, delay) > 0.1e-3
         assert shakes(3270.0, 0.1, 5.0, 400.0, delay, coupling=VirtualCoupling(1000.0, 1.0), controller=2.0) == 0.0
+
+
+@pytest.fixture(scope="module")
+def pressed():
+    """The study's silicone under the needle, bonded, pressed slowly to 5.73 mm; a function that gives it anew."""
+    material = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4),
+                           density=1040.0)
+    simulator = ts.Simulator(ts.Model(ts.Experiment(ts.Specimen(0.040, 0.070), ts.Protocol.ramp(0.01),
+                                                    tool=ts.Tool("flat", 0.008)), material))
+    simulator.warm_up()
+    for depth in np.linspace(0.0, 5.733e-3, 61)[1:]:
+        simulator.step(float(depth), 0.1)
+    saved = simulator.save()
+
+    def again():
+        simulator.restore(saved)
+        return simulator
+
+    return again
+
+
+def test_a_tissue_with_mass_does_not_throw_a_proxy_that_is_put_into_it(pressed):
+    """The spring is not tense where the tissue pushes with 1.1 N: that throws the proxy by half a millimetre in a tick,
+    which the simulator steps in parts. Nothing grows, and the hand feels the tissue."""
+    tissue, coupling, answer, depths = pressed(), VirtualCoupling(1000.0, 1.0), None, []
+    for _ in range(600):
+        answer = tissue.step(coupling.step(Pose.at_depth(5.733e-3), answer, 1e-3), 1e-3)
+        assert answer.status is ForceStatus.CONVERGED
+        depths.append(answer.depth)
+    # What swings on is the tissue, which loses nothing.
+    assert min(depths) > 4.5e-3 and np.ptp(depths[-200:]) < 0.15e-3
+    assert coupling.force[2] == pytest.approx(answer.force, abs=0.01)
+
+
+@pytest.mark.parametrize("damping", [1.0, 5.0])
+def test_a_heavy_hand_behind_a_coupling_does_not_shake_a_tissue_with_mass(pressed, damping):
+    """0.5 kg, in time: these shook from tick to tick while the proxy took the inertial force for one that goes on."""
+    class Deeper(AxialMotion):
+        def depth(self, time):
+            return 5.733e-3 if time <= 0 else 6.233e-3
+
+    hand = DelayedHand(VirtualHand(Deeper(), 0.5, damping, 400.0, push=1.2), 0.0)
+    rendering = ForceRendering(ForceLimits(10.0, 1.0), VirtualCoupling(1000.0, 1.0), controller_damping=2.0)
+    assert shaking(depths_in_time(pressed(), hand, rendering, 2.0)) == 0.0
 
 
 def test_jitter_counts_as_delay_and_lost_messages_as_age():

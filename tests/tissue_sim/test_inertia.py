@@ -114,3 +114,37 @@ def test_density_where_nobody_said(model):
     assert ts.Simulator(model).density == 1000.0
     dense = replace(model, material=replace(model.material, density=1200.0))
     assert ts.Simulator(dense).density == 1200.0
+
+
+def test_it_knows_what_the_next_step_answers():
+    """The needle on its way, by steps that are then taken: one in which it stays, and one a micrometre further."""
+    silicone = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
+    needle = ts.Experiment(ts.Specimen(0.040, 0.070), ts.Protocol.ramp(0.01), tool=ts.Tool("flat", 0.008))
+    sim = ts.Simulator(ts.Model(needle, silicone), inertia="on")
+    compared = []
+    for tick in range(130):
+        depth = 3e-3 * (1 - np.cos(2 * np.pi * tick / 200))
+        answer = sim.step(depth, 1e-3)
+        if tick in (20, 60, 90, 110):
+            saved = sim.save()
+            stays = sim.step(depth, 1e-3).force
+            sim.restore(saved)
+            further = sim.step(depth + 1e-6, 1e-3).force
+            sim.restore(saved)
+            assert answer.ahead is not None
+            compared.append((answer.force, stays, answer.ahead.wrench[2], (further - stays) / 1e-6,
+                             answer.ahead.stiffness_matrix[2][2]))
+    now, stays, said, slope, stiffness = np.array(compared).T
+    np.testing.assert_allclose(said, stays, atol=3e-3)
+    np.testing.assert_allclose(stiffness, slope, rtol=0.02)
+    assert np.abs(stays - now).min() > 0.08, "what is held against it: far from the last force"
+
+
+def test_a_step_without_mass_is_no_motion_to_go_on_from():
+    """A column that swings is set at rest by one step without mass; with mass it then stays there."""
+    solver = confined_column()
+    for _ in range(20):
+        solver.step(AMPLITUDE, 1e-3, inertial=True)
+    rest = solver.step(AMPLITUDE, 1e-3).force
+    after = [solver.step(AMPLITUDE, 1e-3, inertial=True).force for _ in range(20)]
+    np.testing.assert_allclose(after, rest, rtol=1e-6)

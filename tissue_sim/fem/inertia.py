@@ -29,7 +29,9 @@ class Motion:
         self._rest = rest
         self.velocity = np.zeros_like(mass)
         self._earlier_place, self._earlier_velocity = np.zeros_like(mass), np.zeros_like(mass)
-        self._scratch = np.zeros_like(mass)
+        self._scratch, self._acceleration = np.zeros_like(mass), np.zeros_like(mass)
+        #: Of the last inertial step, 1/s2.
+        self._rate = 0.0
         #: Length of the step before, s; 0 where there is none to go on from; shape (1,).
         self._before = np.zeros(1)
         self._weights = (1.0, -1.0, 0.0)
@@ -53,15 +55,23 @@ class Motion:
         return (now / dt) ** 2
 
     def commit(self, before: np.ndarray, after: np.ndarray, dt: float, inertial: bool) -> None:
-        """After a step of dt (s) that converged; without inertia the velocity is that between the two states."""
+        """After a step of dt (s) that converged; without inertia the velocity is that between the two
+        states, and none in the first such step."""
         velocity, scratch, size = self.velocity, self._scratch, self.velocity.size
         if not inertial:
+            swung = self._before[0] > 0.0
             self._before[:] = 0.0
-            if dt > 0.0:
+            if swung:
+                # It jumped to where it would rest: no motion to go on from, if the mass counts again.
+                velocity[:] = 0.0
+            elif dt > 0.0:
                 np.subtract(after[:size], before[:size], out=velocity)
                 velocity /= dt
             return
         now, last, earlier = self._weights
+        self._rate = (now / dt) ** 2
+        np.subtract(after[:size], self._rest, out=self._acceleration)
+        self._acceleration *= self._rate
         self._earlier_velocity[:] = velocity
         np.multiply(after[:size], now / dt, out=velocity)
         for values, factor in ((before[:size], last / dt), (self._earlier_place, earlier / dt)):
@@ -69,6 +79,23 @@ class Motion:
             velocity += scratch
         self._earlier_place[:] = before[:size]
         self._before[:] = dt
+
+    def ahead(self, state: np.ndarray, dt: float, mass: np.ndarray, direction: np.ndarray) -> tuple[float, float]:
+        """By how much the inertial forces along a direction, N, and their stiffness, N/m, would be larger in a next
+        step of dt (s) in which nothing moves, just after an inertial step was committed; the next step must `prepare`
+        anew.
+
+        Args:
+            state: where everything is.
+            mass: of every freedom, kg, shape (freedoms,).
+            direction: how far each goes for a metre of the tool.
+        """
+        rate = self.prepare(state, dt)
+        change, weighted = self._scratch, mass * direction
+        np.subtract(state[: change.size], self._rest, out=change)
+        change *= rate
+        change -= self._acceleration
+        return float(weighted @ change), float(weighted @ direction) * (rate - self._rate)
 
     def stop(self) -> None:
         """Stand still."""

@@ -19,7 +19,7 @@ from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose, Screw
 from tissue_sim.registry import Registry
-from tissue_sim.tool_force import Matrix, axial_stiffness, axial_wrench
+from tissue_sim.tool_force import Matrix, NextForce, axial_stiffness, axial_wrench
 
 
 class StepStatus(IntEnum):
@@ -226,6 +226,11 @@ class Solver(ABC):
     def follow_motion(self, density: float) -> None:  # noqa: B027
         """Let the tissue have a mass (kg/m3) from now on, for steps that are inertial; a solver without mass ignores
         it."""
+
+    def ahead(self, dt: float) -> NextForce | None:
+        """What a next step of dt (s) would answer, just after an inertial one that converged; None where the solver
+        does not know: then a virtual coupling is not stable on tissue that is heavy."""
+        return None
 
     def differentiate(self, neighbours: Neighbours) -> Derivatives | None:
         """Carry exact derivatives along from now on, before the first step; None where the solver has none."""

@@ -104,7 +104,8 @@ def run(arguments) -> int:
                             real_time=not arguments.no_real_time)
     device = open_named(arguments, name, protocol)
     rendering = make_rendering(arguments, device.largest_force)
-    # Behind a coupling the mass of the tissue shakes the tool from tick to tick.
+    # Behind a coupling the mass of the tissue is stable in time; but where it makes most answers late, the force is up
+    # to six times too large (docs/haptic_rendering.md).
     inertia = "off" if rendering.coupling is not None and arguments.inertia == "auto" else arguments.inertia
     make_tissue = partial(Simulator, model, resolution=arguments.resolution, inertia=inertia,
                           budget=arguments.budget_us * 1e-6 or None, solver=arguments.solver)

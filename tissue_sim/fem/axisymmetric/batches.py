@@ -80,6 +80,20 @@ class ElementBatches:
         named |= zip(("k_rr", "k_zr", "k_rz", "k_zz"), np.split(self.stiffness, 4), strict=True)
         return named | dict(zip(("force_r", "force_z"), self.centre_force, strict=True))
 
+    def follow_shared(self, way: np.ndarray) -> None:
+        """Fill in how the interior nodes move where the shared ones move so, shape (freedoms,)."""
+        count, shared = self.count, self.centre_rows[0].shape[0] // self.batches
+        dofs = self.dofs.reshape(self.batches, -1, LANES)
+        if dofs.shape[1] == shared:
+            return
+        r = dofs[:, :shared].reshape(-1, LANES)
+        along_r, along_z = way[r], way[r + 1]
+        rr, rz, zr, zz = self.centre_rows
+        inside = dofs[:, shared].reshape(-1)[:count]
+        for place, on_r, on_z in ((inside, rr, rz), (inside + 1, zr, zz)):
+            moved = (on_r * along_r + on_z * along_z).reshape(self.batches, shared, LANES).sum(axis=1)
+            way[place] = -moved.reshape(-1)[:count]
+
     def set_moduli(self, moduli: np.ndarray) -> None:
         """Moduli of the elements, shape (elements,)."""
         self.moduli[:] = moduli[self.elements]

@@ -220,6 +220,25 @@ class Equations:
         np.add.at(volumes, self.mesh.connectivity[:, :shared], self.reference.volumes[:, :shared])
         return np.repeat(volumes, 2)
 
+    def all_masses(self) -> np.ndarray:
+        """The same with the interior nodes."""
+        volumes = np.zeros(len(self.mesh.nodes))
+        np.add.at(volumes, self.mesh.connectivity, self.reference.volumes)
+        return np.repeat(volumes, 2)
+
+    def along_with_tool(self) -> np.ndarray:
+        """How each freedom moves for a metre of the tool, as it was found with the stiffness of the last step, shape
+        (freedoms,)."""
+        way = self.direction.astype(float)
+        moved = self._free_freedoms
+        way[moved] = -self._right.reshape(-1)[self.equation[moved]]
+        self.batches.follow_shared(way)
+        return way
+
+    @cached_property
+    def _free_freedoms(self) -> np.ndarray:
+        return np.flatnonzero((self.equation >= 0) & (self.equation < self.free))
+
     def shared_arrays(self) -> dict[str, np.ndarray]:
         """Arrays of this solver that its kernel and that of `tissue_sim.fem.axisymmetric.sensitivity_kernel` both work
         on, by the name that they have in both."""

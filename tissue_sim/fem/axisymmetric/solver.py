@@ -23,7 +23,7 @@ from tissue_sim.fem.solver import Neighbours, Solver, Step, StepStatus
 from tissue_sim.material.material import Material
 from tissue_sim.mesh import Mesh
 from tissue_sim.pose import Pose
-from tissue_sim.tool_force import depth_of
+from tissue_sim.tool_force import NextForce, axial_stiffness, axial_wrench, depth_of
 
 _STATUSES = {int(status): status for status in StepStatus}
 
@@ -113,6 +113,22 @@ class AxisymmetricSolver(Solver):
         equations = self.equations
         self.committed.motion = Motion(equations.masses, equations.rest, density * equations.node_masses)
         equations.settings[newton.DENSITY] = density
+        self._masses = density * equations.all_masses()
+
+    def ahead(self, dt: float) -> NextForce | None:
+        """See `Solver.ahead`. The tissue's equations, along the way that it goes with the tool within a step.
+
+        With D = how everything moves for a metre of the tool, with which the stiffness D (K + rate M) D is found, the
+        force is D (f + M a) for the tissue's forces f and accelerations a. In a next step without motion f stays, as
+        far as nothing relaxes, and a is what the differences say of what stands still. Across a change of contact D is
+        another one.
+        """
+        motion, equations = self.committed.motion, self.equations
+        _, _, _, force, _, _, stiffness = equations.report.tolist()
+        if motion is None or stiffness <= 0.0:
+            return None
+        more, stiffer = motion.ahead(self.committed.latest, dt, self._masses, equations.along_with_tool())
+        return NextForce(axial_wrench(force + more), axial_stiffness(max(stiffness + stiffer, 0.0)))
 
     def ask_for_stiffness(self) -> None:
         """Let every step answer how the force grows with depth."""
