@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntFlag
 from typing import Any
@@ -126,6 +127,27 @@ class StageLimits:
     lowest: float
     highest: float
     speed: float
+
+    @classmethod
+    def of(cls, settings: Mapping[str, float]) -> StageLimits:
+        """From the settings ``lowest_mm``, ``highest_mm`` and ``top_speed_mm_s``."""
+        return cls(settings["lowest_mm"] * 1e-3, settings["highest_mm"] * 1e-3, settings["top_speed_mm_s"] * 1e-3)
+
+    def require(self, position: float, speed: float, slowest: float = 0.0) -> None:
+        """Refuse a motion that leaves them.
+
+        Args:
+            position: m. speed: m/s. slowest: m/s, that the stage can do.
+
+        Raises:
+            InputError: with the field ``position`` or ``speed``.
+        """
+        if not self.lowest <= position <= self.highest:
+            raise InputError(f"{position:g} m is out of reach; give {self.lowest:g} to {self.highest:g} m",
+                             field="position")
+        if not (0 < speed <= self.speed and speed >= slowest):
+            least = f"{slowest:.3g} m/s or more" if slowest else "a speed above zero"
+            raise InputError(f"{speed:g} m/s; give {least} and up to {self.speed:g} m/s", field="speed")
 
 
 class Stage(ABC):

@@ -159,13 +159,8 @@ class GrblStage(Stage):
             talk.wake()
 
     def move(self, position: float, speed: float) -> None:
-        halts, limits, talk = self._halts, self.limits, self._require_start()
-        if not limits.lowest <= position <= limits.highest:
-            raise InputError(f"{position:g} m is out of reach; give {limits.lowest:g} to {limits.highest:g} m",
-                             field="position")
-        if not grbl.LEAST_FEED / 60e3 <= speed <= limits.speed:
-            raise InputError(f"{speed:g} m/s; give {grbl.LEAST_FEED / 60e3:.3g} m/s or more, up to {limits.speed:g} "
-                             "m/s", field="speed")
+        halts, talk = self._halts, self._require_start()
+        self.limits.require(position, speed, slowest=grbl.LEAST_FEED / 60e3)
         with talk.lock:
             self._raise_trouble(talk)
             seen = talk.seen if self._homing_until is not None else self._fresh(talk)
@@ -360,5 +355,5 @@ def open_grbl(text: str) -> GrblStage:
     axis = next((part.partition("=")[2].strip() for part in parts if part.partition("=")[0].strip() == "axis"), "Z")
     rest = ",".join(part for part in parts if part.partition("=")[0].strip() != "axis")
     given = read_settings(rest, lowest_mm=0.0, highest_mm=50.0, top_speed_mm_s=0.5, baud=grbl.BAUD)
-    limits = StageLimits(given["lowest_mm"] * 1e-3, given["highest_mm"] * 1e-3, given["top_speed_mm_s"] * 1e-3)
+    limits = StageLimits.of(given)
     return GrblStage(port.strip(), limits, axis.upper(), int(given["baud"]))

@@ -160,12 +160,8 @@ class PhidgetStage(Stage):
         self._homed, self._goal = True, None
 
     def move(self, position: float, speed: float) -> None:
-        motor, limits = self._started(), self.limits
-        if not limits.lowest <= position <= limits.highest:
-            raise InputError(f"{position:g} m is out of reach; give {limits.lowest:g} to {limits.highest:g} m",
-                             field="position")
-        if not 0 < speed <= limits.speed:
-            raise InputError(f"{speed:g} m/s; give a speed above zero and up to {limits.speed:g} m/s", field="speed")
+        motor = self._started()
+        self.limits.require(position, speed)
         if not self._homed:
             raise DeviceError("the Phidget stepper does not know its zero; home it first")
         # The controller takes whole counts in a second, and rounds down: a speed below one would be none.
@@ -264,6 +260,6 @@ def open_phidget(text: str) -> PhidgetStage:
                          field="serial")
     given = read_settings(rest, steps_per_mm=0.0, lowest_mm=0.0, highest_mm=50.0, top_speed_mm_s=5.0,
                           acceleration_mm_s2=50.0, microsteps=16, current_A=0.0)
-    limits = StageLimits(given["lowest_mm"] * 1e-3, given["highest_mm"] * 1e-3, given["top_speed_mm_s"] * 1e-3)
+    limits = StageLimits.of(given)
     return PhidgetStage(None if place == "any" else int(place), given["steps_per_mm"], limits,
                         given["acceleration_mm_s2"] * 1e-3, int(given["microsteps"]), given["current_A"] or None)

@@ -162,13 +162,9 @@ class TicStage(Stage):
             status = self._status()
 
     def move(self, position: float, speed: float) -> None:
-        halts, limits = self._halts, self.limits
+        halts = self._halts
         self._require_start()
-        if not limits.lowest <= position <= limits.highest:
-            raise InputError(f"{position:g} m is out of reach; give {limits.lowest:g} to {limits.highest:g} m",
-                             field="position")
-        if not 0 < speed <= limits.speed:
-            raise InputError(f"{speed:g} m/s; give a speed above zero and up to {limits.speed:g} m/s", field="speed")
+        self.limits.require(position, speed)
         status = self._status()
         self._refuse(status.errors)
         if status.flags & (Flags.POSITION_UNCERTAIN | Flags.HOMING):
@@ -330,7 +326,7 @@ def open_tic(text: str) -> TicStage:
     port, _, settings = text.partition(",")
     given = read_settings(settings, steps_per_mm=0.0, lowest_mm=0.0, highest_mm=50.0, top_speed_mm_s=5.0, baud=9600,
                           device=-1, crc=0, response_crc=0, ramp_ms=100.0)
-    limits = StageLimits(given["lowest_mm"] * 1e-3, given["highest_mm"] * 1e-3, given["top_speed_mm_s"] * 1e-3)
+    limits = StageLimits.of(given)
     return TicStage(port.strip(), limits, given["steps_per_mm"] * 1e3, int(given["baud"]),
                     None if given["device"] == -1 else int(given["device"]), bool(given["crc"]),
                     bool(given["response_crc"]), given["ramp_ms"] * 1e-3)

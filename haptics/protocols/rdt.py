@@ -13,8 +13,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from xml.sax.saxutils import escape
 
+from haptics.protocols.ati_units import FORCE_UNITS, TORQUE_UNITS
 from tissue_sim.errors import InputError
-from tissue_sim.units import to_si
 
 PORT, HTTP_PORT, SETTINGS_PATH = 49152, 80, "/netftapi2.xml"
 STOP, REAL_TIME, BUFFERED, RESET_LATCH, BIAS = 0x0000, 0x0002, 0x0003, 0x0041, 0x0042
@@ -29,6 +29,9 @@ RECORD_SIZE = _RECORD.size
 #: which says nothing against the sample.
 _OUT_OF_RANGE = 1 << 27 | 1 << 30 | 1 << 17
 _THRESHOLD = 1 << 16
+#: Units that a configurations page offers.
+_OFFERED = {"force": ("N", "kN", "lbf", "klbf", "kg"),
+            "torque": ("N-m", "N-mm", "kN-m", "lbf-in", "lbf-ft", "kg-cm")}
 #: What the status code of an Axia says, by bit.
 _MEANINGS = {0: "its temperature is out of range", 1: "its supply voltage is out of range", 2: "a gage is broken",
              3: "it is busy with a change of its settings", 17: "it is saturated", 27: "a gage is out of range",
@@ -135,22 +138,15 @@ class Settings:
         return _unit(self.torque_unit, "torque") / self.counts_per_torque
 
 
-#: N m, by the names of ATI's boxes.
-_TORQUES = {"N-m": ("N", 1.0), "N-mm": ("N", 1e-3), "N-cm": ("N", 1e-2), "kN-m": ("kN", 1.0), "lbf-in": ("lbf", 0.0254),
-            "lbf-ft": ("lbf", 0.3048), "kg-cm": ("kg", 1e-2), "kgf-cm": ("kgf", 1e-2)}
-
-
 def _unit(name: str, quantity: str) -> float:
     """SI value of a unit."""
-    force, arm = (name, 1.0) if quantity == "force" else _TORQUES.get(name.replace("·", "-"), ("", 0.0))
-    if force == "klbf":
-        force, arm = "lbf", 1e3 * arm
+    known = FORCE_UNITS if quantity == "force" else TORQUE_UNITS
     try:
-        return to_si(force, "force")[0] * arm
-    except InputError:
-        known = "N, kN, lbf, klbf, kg" if quantity == "force" else ", ".join(_TORQUES)
+        return known[name.replace("·", "-")]
+    except KeyError:
         raise InputError(f"the box counts in {name!r}, which is no known unit of {quantity}; set it to one of "
-                         f"{known} on its configurations page", field=f"{quantity}_unit") from None
+                         f"{', '.join(_OFFERED[quantity])} on its configurations page", field=f"{quantity}_unit"
+                         ) from None
 
 
 def read_settings_page(page: bytes) -> Settings:

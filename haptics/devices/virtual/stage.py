@@ -79,12 +79,7 @@ class VirtualStage(Stage):
 
     def move(self, position: float, speed: float) -> None:
         self._require_start()
-        limits = self.limits
-        if not limits.lowest <= position <= limits.highest:
-            raise InputError(f"{position:g} m is out of reach; give {limits.lowest:g} to {limits.highest:g} m",
-                             field="position")
-        if not 0 < speed <= limits.speed:
-            raise InputError(f"{speed:g} m/s; give a speed above zero and up to {limits.speed:g} m/s", field="speed")
+        self.limits.require(position, speed)
         self._settle()
         if not self._homed:
             raise DeviceError("the virtual stage does not know its zero; home it first, and wait until it is there")
@@ -153,5 +148,5 @@ class VirtualStage(Stage):
 def open_virtual(text: str) -> VirtualStage:
     """``virtual:lowest_mm=-50,highest_mm=50,top_speed_mm_s=50,resolution_mm=0.001``."""
     given = read_settings(text, lowest_mm=-50.0, highest_mm=50.0, top_speed_mm_s=50.0, resolution_mm=1e-3)
-    limits = StageLimits(given["lowest_mm"] * 1e-3, given["highest_mm"] * 1e-3, given["top_speed_mm_s"] * 1e-3)
+    limits = StageLimits.of(given)
     return VirtualStage(limits, given["resolution_mm"] * 1e-3)

@@ -153,7 +153,9 @@ def test_any_json_is_a_state_or_is_refused(content):
 
 
 @settings(max_examples=CASES, deadline=None)
-@given(st.tuples(*[st.floats(-1.1, 1.1)] * 3), st.tuples(*[st.floats(-1e3, 1e3)] * 3))
+# Libraries with fast mathematics make numbers below the normal ones zero in the whole process.
+@given(st.tuples(*[st.floats(-1.1, 1.1, allow_subnormal=False)] * 3),
+       st.tuples(*[st.floats(-1e3, 1e3, allow_subnormal=False)] * 3))
 def test_numbers_survive_both_ways(position, force):
     assert read_state(state_message(HapticState("1", position), force)).position == position
     assert read_force(force_message("1", force), "1") == force
