@@ -47,7 +47,8 @@ ALARMS = {
     9: "homing found no limit switch; check its wiring, and the travel ($130 to $132)",
 }
 
-_NUMBER = r"-?\d{1,6}\.\d{3,4}"
+#: Without zeros before: a lost sign that became one is no number.
+_NUMBER = r"-?(?:0|[1-9]\d{0,5})\.\d{3,4}"
 _THREE = rf"{_NUMBER}(?:,{_NUMBER}){{2,5}}"
 _REPORT = re.compile(rf"<({'|'.join(STATES)})(?::(\d))?\|([MW])Pos:({_THREE})((?:\|[A-Za-z]+:[^|<>]*)*)>")
 _SETTING = re.compile(r"\$(\d{1,3})=(-?\d+(?:\.\d+)?)")

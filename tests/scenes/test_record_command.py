@@ -151,7 +151,7 @@ def test_ctrl_c_stands_the_stage_and_keeps_what_there_is(protocol, tmp_path):
     ({"force_margin_N = 1e3": "force_margin_N = 0.1"}, "go no faster than"),
     ({'protocol = "ramp 4mm @8mm/s; unload"': ""}, "there is no motion to record"),
     ({'protocol = "ramp 4mm @8mm/s; unload"': 'recordings = ["a.csv"]'}, "is what will be recorded"),
-    ({"[limits]": '[devices]\nstage = "tic:/dev/null"\n[limits]'}, "make both virtual, or neither"),
+    ({"[limits]": '[devices]\nstage = "tic:/dev/null"\n[limits]'}, "make both virtual, or give the sensor"),
     ({"[limits]": '[devices]\nstage = "tic:/dev/null"\nsensor = "rdt://127.0.0.1"\n[limits]'}, "give --arm"),
     ({"[limits]": '[virtual]\nfaults = "los=1"\n[limits]'}, "did you mean 'loss'"),
 ])
