@@ -7,7 +7,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from typing import TypeVar
 
@@ -281,7 +281,8 @@ class GuardedMotion:
         """Do something that takes its time, in another thread, and look at the devices until it is done."""
         with ThreadPoolExecutor(1) as pool:
             done = pool.submit(task)
-            while not done.done():
+            # The wait leaves the processor to the task, also where the clock of the looks is not that of the computer.
+            while not wait([done], timeout=0.5 * PERIOD).done:
                 self.tick()
             return done.result()
 

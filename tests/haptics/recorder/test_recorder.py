@@ -38,7 +38,8 @@ def test_a_run_records_what_was_planned(bench):
         # At a corner the stage is up to 5 ms, two looks, behind or before: 2 mm/s and 400 N/m make 4 mN of it.
         np.testing.assert_allclose(recording.force, STIFFNESS * depth, atol=6e-3)
         assert set(recording.labels["segment"]) == {"ramp", "hold", "unload"}
-        assert np.median(np.diff(recording.time)) == pytest.approx(1 / 500, rel=1e-6)
+        # A sensor's clock is believed to a thousandth; two or three samples come at each look.
+        assert np.median(np.diff(recording.time)) == pytest.approx(1 / 500, rel=1e-3)
         assert metadata["sensor"]["rate_Hz"] == 500.0 and metadata["clock"]["lag"] == "unknown"
         assert metadata["loadings_before"] == number - 1
     assert {moment.phase for moment in bench.moments} == {"home", "tare", "approach", "rest", "ramp", "hold", "unload",
