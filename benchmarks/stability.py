@@ -147,7 +147,7 @@ def sweep(tissues: dict, quick: bool, say: Callable[[str], None]) -> list[dict]:
 
 def tried(trial: Trial, tissues: dict, inertia: str) -> float:
     """`run` with the simulator in place of its polynomial."""
-    simulator = ts.Simulator(model_of(trial.tissue), resolution="realtime", inertia=inertia)
+    simulator = ts.Simulator(model_of(trial.tissue), resolution="realtime", inertia=inertia, looks_ahead=True)
     simulator.warm_up()
     rest = tissues[trial.tissue][2]
     # At 1 mm/s to where the hand begins: a tool that is there at once would set the tissue ringing.

@@ -94,6 +94,8 @@ class Simulator:
             ``"off"``.
         tolerance: unbalanced over balanced nodal forces.
         solver: name in `tissue_sim.fem.solver.SOLVERS`.
+        looks_ahead: whether answers in which the mass counts say what the next step would answer (`ToolForce.ahead`),
+            for a virtual coupling; a tenth of the step's time.
 
     Raises:
         InputError: an unknown solver, resolution or inertia, a tool that leans or slips in part, a bulk response or
@@ -104,7 +106,7 @@ class Simulator:
 
     def __init__(self, model: Model, *, resolution: str = "realtime", mesh: Any = None,
                  budget: float | None = None, inertia: str = "auto", tolerance: float = TOLERANCE,
-                 solver: str = "axisymmetric"):
+                 solver: str = "axisymmetric", looks_ahead: bool = False):
         if inertia not in ("auto", "on", "off"):
             raise InputError(f"{inertia!r} is not a choice of inertia; use 'auto', 'on' or 'off'", field="inertia")
         if budget is not None and not budget > 0:
@@ -116,6 +118,7 @@ class Simulator:
             raise InputError("a face that slips in part is a correction of whole recordings and has no place in real "
                              "time; leave the slip out, or use a coefficient of friction", field="slip")
         self.model, self.budget, self.inertia, self.tolerance = model, budget, inertia, tolerance
+        self.looks_ahead = looks_ahead
         self._solver = SOLVERS.find(solver, "solver")(model, resolution=resolution, mesh=mesh)
         self._solver.ask_for_stiffness()
         self.density = model.experiment.specimen.density or model.material.density or DENSITY
@@ -256,7 +259,7 @@ class Simulator:
         at, stiffness = self._equilibrium, self._equilibrium.stiffness
         wrench, ahead = at.wrench, None
         if status is ForceStatus.CONVERGED:
-            ahead = self._ahead(tick) if at.inertial and tick > 0.0 else None
+            ahead = self._ahead(tick) if self.looks_ahead and at.inertial and tick > 0.0 else None
         else:
             # Mass resists a motion within the step, not one that goes on.
             stiffness = self._elastic

@@ -138,6 +138,7 @@ def _why_not(port: str, owner: str, error: Exception) -> str:
 def _group(port: str) -> str:
     try:
         return Path(port).group()
+    # The last one is what pathlib raises on Windows, which has no groups.
     except (OSError, KeyError, NotImplementedError):
         return "dialout"
 

@@ -78,7 +78,7 @@ def pressed():
     material = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4),
                            density=1040.0)
     simulator = ts.Simulator(ts.Model(ts.Experiment(ts.Specimen(0.040, 0.070), ts.Protocol.ramp(0.01),
-                                                    tool=ts.Tool("flat", 0.008)), material))
+                                                    tool=ts.Tool("flat", 0.008)), material), looks_ahead=True)
     simulator.warm_up()
     for depth in np.linspace(0.0, 5.733e-3, 61)[1:]:
         simulator.step(float(depth), 0.1)

@@ -137,7 +137,7 @@ def test_flags_reach_model_settings_and_limits(asked, tmp_path):
     model, = build.args
     assert build.func is ts.Simulator
     assert build.keywords == {"resolution": "accurate", "inertia": "off", "budget": pytest.approx(5e-4),
-                              "solver": "axisymmetric"}
+                              "solver": "axisymmetric", "looks_ahead": False}
     assert asked("--budget-us", "0")[0].keywords["budget"] is None
     assert model.experiment.specimen.radius == pytest.approx(0.02) and model.material.parameters["C10"] == 1404.9
     assert settings.spin == pytest.approx(50e-6) and settings.seconds == 2.0 and not settings.real_time

@@ -120,7 +120,7 @@ def test_it_knows_what_the_next_step_answers():
     """The needle on its way, by steps that are then taken: one in which it stays, and one a micrometre further."""
     silicone = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
     needle = ts.Experiment(ts.Specimen(0.040, 0.070), ts.Protocol.ramp(0.01), tool=ts.Tool("flat", 0.008))
-    sim = ts.Simulator(ts.Model(needle, silicone), inertia="on")
+    sim = ts.Simulator(ts.Model(needle, silicone), inertia="on", looks_ahead=True)
     compared = []
     for tick in range(130):
         depth = 3e-3 * (1 - np.cos(2 * np.pi * tick / 200))
@@ -134,6 +134,7 @@ def test_it_knows_what_the_next_step_answers():
             assert answer.ahead is not None
             compared.append((answer.force, stays, answer.ahead.wrench[2], (further - stays) / 1e-6,
                              answer.ahead.stiffness_matrix[2][2]))
+    assert ts.Simulator(ts.Model(needle, silicone), inertia="on").step(1e-3, 1e-3).ahead is None, "nobody asked"
     now, stays, said, slope, stiffness = np.array(compared).T
     np.testing.assert_allclose(said, stays, atol=3e-3)
     np.testing.assert_allclose(stiffness, slope, rtol=0.02)

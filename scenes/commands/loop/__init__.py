@@ -108,6 +108,7 @@ def run(arguments) -> int:
     # to six times too large (docs/haptic_rendering.md).
     inertia = "off" if rendering.coupling is not None and arguments.inertia == "auto" else arguments.inertia
     make_tissue = partial(Simulator, model, resolution=arguments.resolution, inertia=inertia,
+                          looks_ahead=rendering.coupling is not None,
                           budget=arguments.budget_us * 1e-6 or None, solver=arguments.solver)
     process = LoopProcess(make_tissue, device, rendering, settings, ring_path=arguments.ring)
     try:

@@ -9,7 +9,8 @@ import pytest
 from device_contracts import ForceSensorContract
 
 if sys.platform == "win32":
-    pytest.skip("Windows has no pseudo-terminals", allow_module_level=True)
+    pytest.skip("the emulated controller stands on a pseudo-terminal, which Windows does not have",
+                allow_module_level=True)
 
 from haptics.devices import ati_serial
 from haptics.devices.ati_serial import AtiSerialSensor

@@ -323,7 +323,8 @@ def test_without_its_library(library, monkeypatch, error, sentence):
     assert not Stepper.made
 
 
-@pytest.mark.skipif(importlib.util.find_spec("Phidget22") is None, reason="the package phidget22 is not installed")
+@pytest.mark.skipif(importlib.util.find_spec("Phidget22") is None, reason="starts the maker's own library, "
+                    "which comes with the extra 'phidget', and is not installed")
 def test_the_real_package_without_a_controller(capfd, monkeypatch):
     """Nothing is plugged in: whatever is missing, one sentence, and nothing else on the screen."""
     monkeypatch.setattr(phidget, "_ATTACH_MS", 100)

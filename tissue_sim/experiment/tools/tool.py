@@ -78,7 +78,8 @@ class Tool(metaclass=_ByShape):
 
     @property
     def profile(self) -> Profile:
-        """The outline that the tissue meets."""
+        """The outline that the tissue meets; each shape states its own."""
+        # No abstract class: Tool("flat") makes a shape by its name, and type checkers refuse to call an abstract one.
         raise NotImplementedError
 
     @property
