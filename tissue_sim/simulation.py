@@ -19,8 +19,11 @@ from tissue_sim.recording.recording import Recording
 from tissue_sim.slip import slipped
 from tissue_sim.tilt import tilted
 
-#: A step is cut until it is this small a part of the way between two samples.
-_SMALLEST_CUT = 2.0**-10
+#: A step is cut until it is this small a part of the way between two samples; from the first part on that fails without
+#: an extrapolation, the tissue is also let creep there.
+_SMALLEST_CUT, _CREEPS = 2.0**-10, 2.0**-3
+#: Linear solves that a step may take.
+_MOST_SOLVES = 40
 #: The tool of a compliant rig is where it should be to this part of the travel.
 _PLACED, _MOST_TRIALS = 1e-7, 20
 _NOTHING = Step.axial(StepStatus.CONVERGED, 0, 0.0, 0.0)
@@ -62,7 +65,8 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
     Returns:
         Recording at the times of the protocol, with its labels, as the model's rig reports it; where the wrench on the
         tool is more than a force along z, with the channels Fx to Tz. ``metadata["solver"]`` holds status, message,
-        warnings, newton_iterations (linear solves), cuts, residual (the largest), wall_s, element, mesh and resolution;
+        warnings, newton_iterations (linear solves), cuts, residual (the largest), dissipated_J (by a drag, where the
+        tissue was let creep to its next equilibrium), wall_s, element, mesh and resolution;
         with contact also penetration_mm (the largest violation of a contact condition) and penetration_tolerance_mm;
         with friction slipping_points (the most at once); of a specimen that weighs also self_weight {density_kg_m3,
         gravity_m_s2, height_is, sag_mm, moulded_height_mm}.
@@ -88,7 +92,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
     wrenches: list[Screw] = []
     travels: list[float] = []
     samples: list[Any] = []
-    report = {"newton_iterations": 0, "cuts": 0, "residual": 0.0, **tissue.report(),
+    report = {"newton_iterations": 0, "cuts": 0, "residual": 0.0, "dissipated_J": 0.0, **tissue.report(),
               "resolution": "own mesh" if mesh is not None else resolution}
     if "self_weight" in report:
         specimen = model.experiment.specimen
@@ -117,6 +121,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
         for step in drive.to(place, dt) if sample >= first else [_NOTHING]:
             report["newton_iterations"] += step.iterations
             report["cuts"] += step.status is not StepStatus.CONVERGED
+            report["dissipated_J"] += step.dissipated
         if step.status is not StepStatus.CONVERGED:
             depth = tissue.pose.depth
             message = (f"stopped at {depth * 1e3:.4g} mm on the way to {place * 1e3:.4g} mm (sample "
@@ -249,8 +254,12 @@ def _approach(solver: Solver, target: Pose, dt: float = 0.0) -> Iterator[Step]:
         share = min(length, 1.0 - done)
         last = done + share >= 1.0 - 1e-9
         # Extrapolation leads astray where contact changes; the linear solution for the tool's way does not.
-        step = solver.step(target if last else between(start, target, done + share), share * dt, predictor_order=order)
+        goal = target if last else between(start, target, done + share)
+        step = solver.step(goal, share * dt, max_iterations=_MOST_SOLVES, predictor_order=order)
         yield step
+        if step.status is not StepStatus.CONVERGED and not order and length <= _CREEPS:
+            for step in solver.creep(goal, share * dt, max_iterations=_MOST_SOLVES):
+                yield step
         if step.status is StepStatus.CONVERGED:
             if last:
                 return

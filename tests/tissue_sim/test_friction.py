@@ -153,7 +153,7 @@ class TestEnergy:
         solver = build_solver(tested, build_mesh(tested.experiment))
         surface, freedoms = solver.equations.surface, 2 * len(solver.mesh.nodes)
         rows, work, loss, depth, force = [], 0.0, 0.0, 0.0, 0.0
-        radii, tractions = surface.places[..., 0].copy(), surface.forces[..., 0].copy()
+        radii, tractions = surface.places[:, 0].copy(), surface.forces[:, 0].copy()
         down = np.linspace(0.0, 10e-3, steps + 1)
         for place in [*down[1:], *down[-2::-1]]:
             *_, step = _approach(solver, ts.Pose.at_depth(float(place)))
@@ -162,7 +162,7 @@ class TestEnergy:
             depth, force = place, step.force
             displacement = solver.state[:freedoms].reshape(-1, 2)
             # Plates are level: only friction has a radial part.
-            moved, pulled = surface.positions(displacement)[..., 0], surface.forces[..., 0].copy()
+            moved, pulled = surface.positions(displacement)[:, 0], surface.forces[:, 0].copy()
             loss += (0.5 * (tractions + pulled) * (moved - radii)).sum()
             radii, tractions = moved, pulled
             rows.append((work, loss, TestEnergy.stored(solver, displacement)))
@@ -209,7 +209,7 @@ def test_hysteresis():
 
 class TestTangent:
     @pytest.mark.parametrize(("mu", "tool"), [
-        (0.1, None), (0.4, None), (0.1, ts.Tool("flat", RADIUS, 4e-3)), (0.3, ts.Tool("round", RADIUS))])
+        (0.1, None), (0.4, None), (0.1, ts.Tool("flat", RADIUS, 4e-3)), (0.1, ts.Tool("round", RADIUS))])
     def test_quadratic_convergence_with_slip(self, mu, tool):
         """Where no point changes between sticking and slipping, a step without prediction takes few exact tangents."""
         solver = stepped(mu, tool)
@@ -236,15 +236,15 @@ class TestTangent:
         before[sticking, 1:] = now[sticking]
         surface.anchors[:] = before
         with_contact = whole(solver)
-        slipping = surface.ways.copy()
+        slipping, pressed = surface.ways.copy(), surface.pressed.copy()
         solver.equations.counts[newton.CONTACTS] = 0
         added = with_contact - whole(solver)
         assert abs(added - added.T).max() > 1e-3 * abs(added).max(), "slip makes it unsymmetric"
 
         centre = np.array([RADIUS - edge, edge])
-        multipliers = state[-2 * surface.springs.size:].reshape(*surface.springs.shape, 2)
-        moving = surface.moves[:, None] & (surface.springs > 0)
-        touching = moving & (before[..., 0] == TOUCHED)
+        multipliers = state[-2 * surface.springs.size:].reshape(-1, 2)
+        moving = surface.moves & (pressed > 0)
+        touching = moving & (before[:, 0] == TOUCHED)
 
         def nodal_forces(u):
             moved = surface.positions(u.reshape(-1, 2)) - surface.places
@@ -256,18 +256,18 @@ class TestTangent:
             normal = out / reach
             tangent = np.stack([-normal[..., 1], normal[..., 0]], axis=-1)
             size = np.minimum((multipliers * normal).sum(axis=-1), 0) + surface.springs * (reach[..., 0] - edge)
-            size = np.where(moving, np.minimum(size, 0), 0)
+            size = np.where(moving, size, 0)
             travel = ((moved - before[..., 1:]) * tangent).sum(axis=-1)
             held = (multipliers * tangent).sum(axis=-1) + HOLD * surface.springs * travel
             drag = np.where(touching & (size < 0), np.where(slipping != 0, -mu * slipping * size, held), 0.0)
             force = size[..., None] * normal + drag[..., None] * tangent
             total = np.zeros((freedoms // 2, 2))
-            np.add.at(total, surface.edges, np.einsum("mqa,mqi->mai", surface.shapes, force))
+            np.add.at(total, surface.nodes, surface.shapes[..., None] * force[:, None])
             return total.ravel()
 
         h, u = 1e-8, state[:freedoms]
         free = np.flatnonzero((solver.equations.equation >= 0) & (solver.equations.equation < solver.equations.free))
-        touched = free[np.isin(free // 2, surface.edges[surface.moves])]
+        touched = free[np.isin(free // 2, surface.nodes[surface.moves])]
         numeric = np.zeros_like(added)
         for dof in touched:
             kick = h * (np.arange(freedoms) == dof)

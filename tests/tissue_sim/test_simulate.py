@@ -155,8 +155,9 @@ class TestRecordingOfASimulation:
         """A stand-in for the solver that manages 3 mm at a time shows the order of the trials."""
         class Slow:
             pose = ts.Pose.at_depth(0.0)
+            crept = 0
 
-            def step(self, trial, dt, predictor_order):
+            def step(self, trial, dt, predictor_order, max_iterations):
                 good = abs(trial.depth - self.pose.depth) <= 3.0
                 self.pose = trial if good else self.pose
                 return Step.axial(StepStatus.CONVERGED if good else StepStatus.SLOW, 1, 0.0, 0.0)
@@ -168,11 +169,33 @@ class TestRecordingOfASimulation:
         assert trials == [0.0] * 4 + [2.5] * 3 + [5.0] * 3 + [7.5, 10.0]
 
         class Stuck(Slow):
-            def step(self, trial, dt, predictor_order):
+            def step(self, trial, dt, predictor_order, max_iterations):
                 return Step.axial(StepStatus.SLOW, 1, 0.0, 0.0)
 
-        tried = list(_approach(Stuck(), ts.Pose.at_depth(10.0)))
+            def creep(self, trial, dt, max_iterations):
+                self.crept += 1
+                return iter(())
+
+        stuck = Stuck()
+        tried = list(_approach(stuck, ts.Pose.at_depth(10.0)))
         assert len(tried) == 2 * 11  # 2^0 down to 2^-10 of the way, each twice
+        assert stuck.crept == 8  # from 2^-3 on
+
+    def test_what_creeps_goes_on_from_there(self):
+        class Snaps:
+            pose = ts.Pose.at_depth(0.0)
+
+            def step(self, trial, dt, predictor_order, max_iterations):
+                return Step.axial(StepStatus.SLOW, 1, 0.0, 0.0)
+
+            def creep(self, trial, dt, max_iterations):
+                yield Step.axial(StepStatus.INVERTED, 1, 0.0, 0.0)
+                self.pose = trial
+                yield Step.axial(StepStatus.CONVERGED, 1, 0.0, 1.0)
+
+        solver = Snaps()
+        *_, last = _approach(solver, ts.Pose.at_depth(8.0))
+        assert last.status is StepStatus.CONVERGED and solver.pose.depth == 8.0
 
     def test_a_frictionless_plate_lifts_off(self):
         experiment = ts.Experiment(ts.Specimen(0.04, 0.07), ts.Protocol([0.0, 1.0, 2.0], [-1e-3, 0.0, 1e-3]),

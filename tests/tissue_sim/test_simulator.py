@@ -171,6 +171,25 @@ def test_no_equilibrium_says_so_and_comes_back(sim):
     assert back.status is ts.ForceStatus.CONVERGED and back.age == 0.0
 
 
+@pytest.mark.parametrize("friction", ["bonded", "stick", 0.3, "frictionless"])
+def test_after_a_jump_far_beyond_the_next_press_is_that_of_a_new_one(friction):
+    """With friction at the base, which the jump has dragged along; in the air it is let go of."""
+    edge = 0.0 if friction == "bonded" else 1e-3
+    options = {"tool": ts.Tool("flat", 8e-3, edge), "friction": friction, "friction_base": 0.3}
+    used, new = simulator(options, inertia="off"), simulator(options, inertia="off")
+    used.step(2e-3, 1e-3)
+    used.step(45e-3, 1e-3)
+    back = used.step(3e-3, 1e-3)
+    used.step(-5e-3, 1e-3)
+    if friction != "bonded":
+        assert used.step(-5e-3, 1e-3).force == 0.0
+    again, first = used.step(3e-3, 1e-3), new.step(3e-3, 1e-3)
+    assert back.status is again.status is first.status is ts.ForceStatus.CONVERGED
+    assert again.force == pytest.approx(first.force, rel=2e-2)
+    # What slid on the base far below has to slide back.
+    assert back.force == pytest.approx(first.force, rel=0.1)
+
+
 def test_lift_off_and_touch_again():
     sim = simulator({"tool": ts.Tool("flat", 0.008, 1e-3), "friction": "stick"})
     path = [*np.linspace(0, 1e-3, 11), *np.linspace(1e-3, -2e-3, 31), *np.linspace(-2e-3, 1e-3, 31)]

@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, ClassVar, Protocol, runtime_checkable
@@ -56,6 +56,7 @@ class Step:
             where it is asked for; else None.
         violation: the largest of a contact condition (penetration, or slip of what must not slip), m.
         slipping: how many points of the surface slip against friction.
+        dissipated: by the drag of a step that crept, J.
     """
 
     status: StepStatus
@@ -65,6 +66,7 @@ class Step:
     stiffness_matrix: Matrix | None = None
     violation: float = 0.0
     slipping: int = 0
+    dissipated: float = 0.0
 
     @classmethod
     def axial(cls, status: StepStatus, iterations: int, residual: float, force: float, violation: float = 0.0,
@@ -197,6 +199,13 @@ class Solver(ABC):
             resumes: go on from where the step before, which did not converge, ended; dt counts from the last one that
                 did.
         """
+
+    def creep(self, pose: Pose, dt: float = 0.0, *, tolerance: float = 1e-9,
+              max_iterations: int = 20) -> Iterator[Step]:
+        """Steps to a pose that `step` does not reach, against a drag that is let go: where equilibrium is lost the
+        tissue snaps to another one. The last one has converged without drag; if it has not, the state is as it was.
+        A solver that cannot creep yields none."""
+        return iter(())
 
     @abstractmethod
     def save(self) -> Any:

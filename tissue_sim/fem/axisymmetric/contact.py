@@ -11,10 +11,10 @@ from tissue_sim.experiment.contact_law import ContactLaw
 from tissue_sim.experiment.tools.outline import Profile
 from tissue_sim.mesh import Mesh
 
-#: Spring stiffness in units of mu0 over the length of the element edge.
+#: Stiffness of the springs that eliminate contact forces, in units of mu0 over the length of the element edge: each
+#: iteration leaves one part in so many of a gap.
 STIFFNESS = 3e3
-#: How many times stiffer a point that does not slip is held: it never chatters, and a soft hold lets a sharp edge
-#: buckle the tissue.
+#: How many times stiffer a point that does not slip is held.
 HOLD = 30.0
 #: What an interface without slip stands for among the coefficients of friction.
 STICK = -1.0
@@ -23,6 +23,9 @@ NODE_RULES = {1: (np.array([-1.0, 1.0]), np.array([1.0, 1.0])),
               2: (np.array([-1.0, 0.0, 1.0]), np.array([1.0, 4.0, 1.0]) / 3.0)}
 #: Columns of `ContactPoints.spans`.
 FIRST_LINE, LAST_LINE, SHAFT, MOVES, STAYS = range(5)
+#: Columns of `ContactPoints.rates`: of the force with the motion of the point, N/m; normal; coefficient of the
+#: friction that acts; force that the constraint still misses, N; what of the rates is that of contact laws, N/m.
+RR, RZ, ZR, ZZ, NORMAL_R, NORMAL_Z, FRICTION, MISSING_R, MISSING_Z, LAW_RR, LAW_RZ, LAW_ZZ, RATES = range(13)
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +40,9 @@ class Pair:
         tied: whether an interface without slip holds the edges from the start.
         stays: whether the edges stay on the body even when they are pulled.
         first_line: line of the profile's chain from which on the edges may meet it.
-        at_nodes: whether contact is watched at the nodes instead of Gauss points.
+        between_nodes: whether contact is watched at as many Gauss points of an edge as it brings freedoms along its
+            normal, instead of its nodes: a surface that slides round an edge no larger than an element, or up a ball,
+            is ten times as well placed by them. A pointed tip would poke through.
     """
 
     profile: Profile
@@ -47,7 +52,7 @@ class Pair:
     tied: bool = False
     stays: bool = False
     first_line: int = 0
-    at_nodes: bool = False
+    between_nodes: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,86 +75,81 @@ class Contact:
 
 
 class ContactPoints:
-    """The arrays that a step's kernel works on; without contact they hold one edge that is never looked at.
+    """The points that may meet a body, and the arrays that a step's kernel works on; without contact they hold one that
+    is never looked at.
+
+    A node is a point once for the bodies that rest and once for those that move, in the first pair that has it.
 
     Attributes:
-        count: edges that are looked at.
-        edges: their nodes, shape (m, a).
-        spans: per edge first and last line, first line of the shaft, whether the body moves, whether the edge stays on
-            it, (m, 5).
+        count: points that are looked at, n below.
+        nodes, shapes: of the edge of each point, and the shape functions there, shape (n, a).
+        spans: per point first and last line, first line of the shaft, whether the body moves, whether the point stays
+            on it, (n, 5).
         vertices: chains of all bodies, one behind the other, shape (v, 2).
-        rounding: of each edge's body, m, shape (m,).
-        friction: of the face and of the shaft of each edge's body, shape (m, 2).
-        shapes: shape functions of an edge at its points, shape (m, q, a); places: (r, z) of the points, m, (m, q, 2).
-        springs: N/m, shape (m, q), 0 where a point is not used; areas: m2, shape (m, q).
+        rounding: of each point's body, m, shape (n,).
+        friction: of the face and of the shaft of each point's body, shape (n, 2).
+        places: (r, z) of the undeformed points, m, (n, 2); areas: that they stand for, m2, shape (n,); springs: N/m,
+            shape (n,).
         anchors, held: how a point is bound (`contact_kernels.FREE`, `HELD`, `TOUCHED`) and where in the body's frame,
-            at the last equilibrium and during a step, shape (m, q, 3); met: what it would become. Where: displacement
+            at the last equilibrium and during a step, shape (n, 3); met: what it would become. Where: displacement
             of the point in that frame.
+        pressed: 1 where a point counts as in contact, else 0, shape (n,).
         ways, slipped: which way along the surface a point slips, 1, -1 or 0, during a step and at the last equilibrium.
-        forces: on the tissue, turned round, N, shape (m, q, 2); rates: with the motion of the points, rr, rz, zr, zz,
-            N/m, then the normal (r, z) and the coefficient of friction there, shape (m, q, 7); known_rates: those
-            that the matrix holds, (m, q, 4).
+        forces: on the tissue, turned round, N, shape (n, 2); rates: columns as named above, (n, RATES); known_rates:
+            those with the motion of the points that the matrix holds, N/m, (n, 4).
     """
 
     def __init__(self, mesh: Mesh, contact: Contact | None):
-        order = mesh.element.order
         pairs = () if contact is None else contact.pairs
-        self.count = sum(len(pair.edges) for pair in pairs)
-        if not pairs:
-            none = Profile(np.zeros((2, 2)), 0.0, 0)
-            pairs = (Pair(none, np.zeros((1, order + 1), np.int32), (0.0, 0.0)),)
-        sizes = [len(pair.edges) for pair in pairs]
-
-        def of_edges(values, dtype=float):
-            return np.repeat(np.array(values, dtype=dtype), sizes, axis=0)
-
-        self.edges = np.concatenate([pair.edges for pair in pairs]).astype(np.int32)
-        self.vertices = np.concatenate([pair.profile.vertices for pair in pairs])
-        ends = np.cumsum([len(pair.profile.vertices) for pair in pairs])
-        starts = ends - [len(pair.profile.vertices) for pair in pairs]
-        self.spans = np.ascontiguousarray(of_edges([
-            (start + pair.first_line, end - 2, start + pair.profile.shaft, pair.moves, pair.stays)
-            for pair, start, end in zip(pairs, starts, ends, strict=True)], np.int32))
-        self.rounding = of_edges([pair.profile.rounding for pair in pairs])
-        self.friction = of_edges([pair.friction for pair in pairs])
-        self.tied, self.moves = of_edges([pair.tied for pair in pairs], bool), self.spans[:, MOVES].astype(bool)
-        self._profiles, self._owner = [pair.profile for pair in pairs], of_edges(np.arange(len(pairs)), int)
-        # As many points as an edge brings freedoms along its normal: more of them would lock on a curved tool. An edge
-        # that is tied takes one more, which holds all of its nodes. What is left over has no weight.
-        few, many, nodes = leggauss(order), leggauss(order + 1), NODE_RULES[order]
-        at_nodes = of_edges([pair.at_nodes for pair in pairs], bool)[:, None]
-        along, weight = (np.where(at_nodes, own, np.where(self.tied[:, None], more, np.append(less, 0.0)))
-                         for less, more, own in zip(few, many, nodes, strict=True))
-        lines = np.linspace(-1.0, 1.0, order + 1)
+        order = mesh.element.order
+        # Of each point its pair, the nodes of its edge and where on it; of each edge its points and their weights.
+        points: list[tuple[Pair, np.ndarray, float]] = []
+        numbers: dict[tuple[int, bool], int] = {}
+        edges: list[tuple[np.ndarray, list[int], np.ndarray]] = []
+        for pair in pairs:
+            places, weights = leggauss(order) if pair.between_nodes else NODE_RULES[order]
+            for edge in pair.edges:
+                at = []
+                for node, place in zip(edge.tolist(), places.tolist(), strict=False):
+                    number = len(points) if pair.between_nodes else numbers.setdefault((node, pair.moves), len(points))
+                    if number == len(points):
+                        points.append((pair, edge, place))
+                    at.append(number)
+                edges.append((edge, at, weights))
+        self.count = len(points)
+        if not points:
+            nobody = Pair(Profile(np.zeros((2, 2)), 0.0, 0), np.zeros((1, order + 1), np.int32), (0.0, 0.0))
+            points = [(nobody, nobody.edges[0], 0.0)]
+        owners, n = [pair for pair, _edge, _place in points], len(points)
+        self.nodes = np.array([edge for _pair, edge, _place in points], dtype=np.int32)
+        along, lines = np.array([place for _pair, _edge, place in points]), np.linspace(-1.0, 1.0, order + 1)
         self.shapes = np.stack([np.prod([(along - other) / (own - other) for other in lines if other != own], axis=0)
                                 for own in lines], axis=-1)
-        self.places = np.einsum("mqa,mai->mqi", self.shapes, mesh.nodes[self.edges])
-        ends_of_edge = mesh.nodes[self.edges[:, [0, -1]]]
-        length = np.linalg.norm(ends_of_edge[:, 1] - ends_of_edge[:, 0], axis=-1)[:, None]
-        # Each point's share of the area: 2 pi r times half the length times its weight.
-        self.areas = np.pi * length * weight * self.places[..., 0]
-        # A node on the axis has no area, but must not be left alone.
-        on_axis = at_nodes & (self.places[..., 0] == 0.0)
-        held_by = self.areas + 0.25 * on_axis * self.areas.max(axis=1, keepdims=True)
-        for shares in (self.areas, held_by):
-            self._merge(shares, at_nodes[:, 0])
-        self._lengths = np.divide(held_by, length, out=np.zeros_like(held_by), where=length > 0)
-        self.springs = np.zeros(self.places.shape[:2])
-        self.anchors = np.zeros((*self.places.shape[:2], 3))
-        self.held, self.met = np.zeros_like(self.anchors), np.zeros_like(self.anchors)
-        self.ways, self.slipped = np.zeros_like(self.springs), np.zeros_like(self.springs)
-        self.forces, self.rates = np.zeros((*self.places.shape[:2], 2)), np.zeros((*self.places.shape[:2], 7))
-        self.known_rates = np.zeros((*self.places.shape[:2], 4))
-
-    def _merge(self, shares: np.ndarray, at_nodes: np.ndarray) -> None:
-        """One point a node and body: the first edge that has it takes the `shares` of the others."""
-        first: dict[tuple, tuple[int, int]] = {}
-        for m in np.flatnonzero(at_nodes).tolist():
-            for q, node in enumerate(self.edges[m]):
-                place = first.setdefault((node, self.moves[m]), (m, q))
-                if place != (m, q):
-                    shares[place] += shares[m, q]
-                    shares[m, q] = 0.0
+        self.places = np.einsum("na,nai->ni", self.shapes, mesh.nodes[self.nodes])
+        self._profiles = list({id(pair.profile): pair.profile for pair in owners}.values())
+        number_of = {id(profile): k for k, profile in enumerate(self._profiles)}
+        self._owner = np.array([number_of[id(pair.profile)] for pair in owners])
+        self.vertices = np.concatenate([profile.vertices for profile in self._profiles])
+        ends = np.cumsum([len(profile.vertices) for profile in self._profiles])
+        firsts = ends - [len(profile.vertices) for profile in self._profiles]
+        self.spans = np.array([
+            (firsts[k] + pair.first_line, ends[k] - 2, firsts[k] + pair.profile.shaft, pair.moves, pair.stays)
+            for k, pair in zip(self._owner, owners, strict=True)], dtype=np.int32)
+        self.rounding = np.array([pair.profile.rounding for pair in owners])
+        self.friction = np.array([pair.friction for pair in owners], dtype=float)
+        self.tied, self.moves = np.array([pair.tied for pair in owners]), self.spans[:, MOVES].astype(bool)
+        self.areas, self._lengths, self.springs = np.zeros((3, n))
+        for edge, at, weights in edges:
+            # Of each point's share of the edge: 2 pi r times half the length times its weight.
+            length = float(np.linalg.norm(mesh.nodes[edge[-1]] - mesh.nodes[edge[0]]))
+            r = self.places[at, 0]
+            areas = np.pi * length * weights * r
+            self.areas[at] += areas
+            # A point on the axis has no area, but must not be left alone.
+            self._lengths[at] += (areas + 0.25 * areas.max() * (r == 0.0)) / length
+        self.anchors, self.held, self.met = np.zeros((3, n, 3))
+        self.pressed, self.ways, self.slipped = np.zeros((3, n))
+        self.forces, self.rates, self.known_rates = np.zeros((n, 2)), np.zeros((n, RATES)), np.zeros((n, 4))
 
     @property
     def slips(self) -> bool:
@@ -165,13 +165,13 @@ class ContactPoints:
         self.rounding_rate = np.finfo(float).eps * float(np.linalg.norm(self.springs))
 
     def positions(self, displacement: np.ndarray) -> np.ndarray:
-        """Where the points are, (r, z), m, shape (m, q, 2), from nodal displacements (n, 2)."""
-        return self.places + np.einsum("mqa,mai->mqi", self.shapes, displacement[self.edges])
+        """Where the points are, (r, z), m, shape (n, 2), from nodal displacements (nodes, 2)."""
+        return self.places + np.einsum("na,nai->ni", self.shapes, displacement[self.nodes])
 
     def gaps(self, place: np.ndarray) -> np.ndarray:
-        """Signed distance of points (m, q, 2), each in the frame of its body, from its body, m, shape (m, q)."""
-        gaps = np.zeros(place.shape[:2])
+        """Signed distance of points (n, 2), each in the frame of its body, from its body, m, shape (n,)."""
+        gaps = np.zeros(len(place))
         for number, profile in enumerate(self._profiles):
             own = self._owner == number
-            gaps[own] = profile.gap(place[own].reshape(-1, 2)).reshape(gaps[own].shape)
+            gaps[own] = profile.gap(place[own])
         return gaps

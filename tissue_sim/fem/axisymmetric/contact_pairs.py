@@ -14,6 +14,9 @@ from tissue_sim.mesh import Mesh
 #: deformation is homogeneous closed forms are met.
 NEEDLE_TOLERANCE, PLATE_TOLERANCE, HOMOGENEOUS_TOLERANCE = 1e-4, 1e-7, 1e-11
 
+#: A tip of this radius, in radii of the contact, lies between nodes as it does at them.
+BLUNT = 0.5
+
 
 def coefficient(interface: str | float) -> float:
     """Coefficient of friction of an interface for tissue that meets it during the test."""
@@ -66,8 +69,7 @@ def _base(experiment: Experiment, mesh: Mesh, side: np.ndarray | None) -> list[P
     mu = coefficient(experiment.base_interface)
     pairs = []
     if experiment.base_interface not in ("bonded", "frictionless"):
-        pairs.append(Pair(plane, mesh.edges("base"), (mu, mu), moves=False, tied=mu == STICK, stays=True,
-                          at_nodes=True))
+        pairs.append(Pair(plane, mesh.edges("base"), (mu, mu), moves=False, tied=mu == STICK, stays=True))
     if side is not None:
         pairs.append(Pair(plane, side, (mu, mu), moves=False))
     return pairs
@@ -77,7 +79,7 @@ def _plate(experiment: Experiment, mesh: Mesh, side: np.ndarray | None) -> list[
     profile, mu = experiment.tool.profile, coefficient(experiment.friction)
     pairs = []
     if experiment.friction != "bonded":
-        pairs.append(Pair(profile, mesh.edges("top"), (mu, mu), tied=mu == STICK, at_nodes=True))
+        pairs.append(Pair(profile, mesh.edges("top"), (mu, mu), tied=mu == STICK))
     if side is not None:
         pairs.append(Pair(profile, side, (mu, mu)))
     return pairs
@@ -89,10 +91,12 @@ def _needle(experiment: Experiment, mesh: Mesh) -> list[Pair]:
     profile = tool.profile
     friction = coefficient(experiment.friction), coefficient(experiment.friction_wall)
     if tool.face_radius == 0:
-        return [Pair(profile, mesh.edges("top"), friction)]
+        blunt = profile.rounding >= BLUNT * experiment.contact_radius and friction[0] != STICK
+        return [Pair(profile, mesh.edges("top"), friction, between_nodes=blunt)]
     face, free = mesh.edges("face"), mesh.edges("free")
     if experiment.friction == "bonded":
         return [Pair(profile, free, friction, first_line=1)]
     # Tissue beside a sharp edge cannot come under the face without slip.
-    first = 0 if tool.edge_radius else profile.shaft
-    return [Pair(profile, face, friction, tied=friction[0] == STICK), Pair(profile, free, friction, first_line=first)]
+    first, tied = 0 if tool.edge_radius else 1, friction[0] == STICK
+    return [Pair(profile, face, friction, tied=tied, between_nodes=not tied),
+            Pair(profile, free, friction, first_line=first, between_nodes=not tied)]

@@ -126,7 +126,8 @@ class Equations:
         stiff = self.bulk_modulus * float(np.linalg.norm(self.reference.rounding * self.moduli))
         self._rounding_rate = stiff + self.surface.rounding_rate * HOLD
         self._rounding_of_places = self.surface.rounding_rate * height
-        self._sag = self.specific_weight * height**2 / (6.0 * material.mu0)
+        # How far the top sinks for a specific weight, m4/N.
+        self._sinks = height**2 / (6.0 * material.mu0)
         top = self.mesh.nodes[self.mesh.sets["top"], 0].max()
         # Below this force, N, nothing is loaded: the residual is measured against it instead of the reactions.
         self._floor = 1e-6 * material.mu0 * np.pi * top**2
@@ -173,7 +174,7 @@ class Equations:
             goes_on_from: the depth, m, for which state.x was meant; None: begin with an extrapolation.
         """
         resumes = goes_on_from is not None
-        rounding = self._rounding_rate * (abs(depth) + self._sag) + self._rounding_of_places
+        rounding = self._rounding_rate * (abs(depth) + self._sinks * self.specific_weight) + self._rounding_of_places
         self.settings[: newton.TOUCH] = (
             depth, goes_on_from if resumes else self._predicted, self.bulk_modulus, self.specific_weight,
             tolerance,
@@ -181,6 +182,7 @@ class Equations:
         self.counts[newton.MAX_ITERATIONS], self.counts[newton.KEEPS] = max_iterations, 2 * resumes
         if not resumes:
             self.surface.held[:], self.surface.ways[:] = self.surface.anchors, self.surface.slipped
+            self.surface.pressed[:] = 0.0
         with LOCK:
             self._kernel()
 
@@ -191,7 +193,7 @@ class Equations:
         remembered = [(array, array.copy()) for array in (
             self.memory.stresses, self.memory.energies, self.effects.found)]
         surface.held[:] = surface.anchors
-        released = (surface.anchors[..., 0] == contact_kernels.HELD) & (after != surface.anchors).any(axis=-1)
+        released = (surface.anchors[:, 0] == contact_kernels.HELD) & (after != surface.anchors).any(axis=-1)
         surface.held[released] = 0.0
         self.settings[newton.PREDICTED] = self.settings[newton.DEPTH]
         self.settings[newton.TOLERANCE] = -1.0
@@ -239,13 +241,24 @@ class Equations:
     def _free_freedoms(self) -> np.ndarray:
         return np.flatnonzero((self.equation >= 0) & (self.equation < self.free))
 
+    def begin_drag(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """Let the places of inertia hold a drag: volumes instead of masses. Returns the masses and the density as they
+        were, for `end_drag`, and the array of where each freedom is dragged from, m."""
+        masses, density = self.masses.copy(), float(self.settings[newton.DENSITY])
+        self.masses[:], self.settings[newton.DENSITY] = self.node_masses, 1.0
+        return masses, self.rest, density
+
+    def end_drag(self, masses: np.ndarray, density: float) -> None:
+        """After `begin_drag`."""
+        self.masses[:], self.settings[newton.DENSITY] = masses, density
+
     def shared_arrays(self) -> dict[str, np.ndarray]:
         """Arrays of this solver that its kernel and that of `tissue_sim.fem.axisymmetric.sensitivity_kernel` both work
         on, by the name that they have in both."""
         surface, memory, state = self.surface, self.memory, self.state
-        return {"counts": self.counts, "settings": self.settings, "equation": self.equation, "edges": surface.edges,
-                "spans": surface.spans, "edge_shapes": surface.shapes, "springs": surface.springs,
-                "held": surface.held, "ways": surface.ways, "contact_rates": surface.rates,
+        return {"counts": self.counts, "settings": self.settings, "equation": self.equation,
+                "contact_nodes": surface.nodes, "contact_shapes": surface.shapes, "spans": surface.spans,
+                "springs": surface.springs, "held": surface.held, "ways": surface.ways, "contact_rates": surface.rates,
                 "coefficients": self._coefficients, "past": memory.past, "inherited": memory.inherited,
                 "largest": memory.largest, "x": state.x, "entries": self.entries, "blocks": self.entries,
                 "upper_blocks": self.upper, "inverse": self._inverse, "right": self._right,
@@ -254,13 +267,13 @@ class Equations:
     def _kernel_arrays(self) -> dict[str, np.ndarray]:
         surface, memory, state = self.surface, self.memory, self.state
         return {**self.shared_arrays(), **self.batches.arrays(), "direction": self.direction, "start": self.start,
-                "target": self._target, "edge_places": surface.places, "areas": surface.areas,
-                "vertices": surface.vertices, "edge_rounding": surface.rounding, "friction": surface.friction,
-                "met": surface.met, "forces": surface.forces, "known_rates": surface.known_rates,
-                "law_settings": self._law_settings,
-                "stresses": memory.stresses, "energies": memory.energies,
-                "effect_settings": self.effects.settings, "effect_states": self.effects.states,
-                "effect_states_found": self.effects.found, "masses": self.masses, "rest": self.rest,
-                "motion": self._motion, "history": state.history, "slots": state.slots, "weights": self.weights,
+                "target": self._target, "contact_places": surface.places,
+                "areas": surface.areas, "vertices": surface.vertices, "contact_rounding": surface.rounding,
+                "friction": surface.friction, "pressed": surface.pressed, "met": surface.met,
+                "forces": surface.forces, "known_rates": surface.known_rates, "law_settings": self._law_settings,
+                "stresses": memory.stresses, "energies": memory.energies, "effect_settings": self.effects.settings,
+                "effect_states": self.effects.states, "effect_states_found": self.effects.found,
+                "masses": self.masses, "rest": self.rest, "motion": self._motion, "before": np.zeros_like(state.x),
+                "history": state.history, "slots": state.slots, "weights": self.weights,
                 "flat": self._scattered[:-1].reshape(-1, band.BLOCK), "scattered": self._scattered,
                 "upper": self.upper, "pull": self._pull, "reaction": self._reaction, "report": self.report}

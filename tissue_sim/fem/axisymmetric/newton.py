@@ -18,13 +18,12 @@ FRICTION_FLOOR = 1e-9
 #: A factor serves again where each solve with it takes the residual down to this share, or where two more solves that
 #: gain as much as the last one will do.
 REUSE = 1e-3
-#: What a step forgets of the forces of points that are held; their springs bring back what is needed.
-LEAK = 0.1
-#: All points of the surface may change between sticking and slipping at once, until so many iterations did not settle
-#: it: then one point at a time (Murty's least-index rule).
-ALL, CIRCLING = 1_000_000, 8
+#: All points of the surface may change their state at once, until so many iterations did not settle it.
+CIRCLING = 8
+#: A linear solution that turns an element inside out is halved so many times at most.
+HALVINGS = 6
 #: Places in the kernel's counts, settings and report. KEEPS: 0 a step begins with an extrapolation, 1 with the state as
-#: it is and nothing may change between sticking and slipping, 2 with the state as it is.
+#: it is and no point may change its own, 2 with the state as it is.
 PASSES, FREE, MAX_ITERATIONS, CONTACTS, REMEMBERS, UNSYMMETRIC, CHANGEABLE, KEEPS, STIFFNESS_ASKED = range(9)
 (DEPTH, PREDICTED, KAPPA, WEIGHT, TOLERANCE, FLOOR, ROUNDING, TOUCH, CONTACT_TOLERANCE, STRENGTH,
  REACH, INERTIA, DENSITY) = range(13)
@@ -61,34 +60,22 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
             x[i] = (weights[0] * history[slots[0], i] + weights[1] * history[slots[1], i]
                     + weights[2] * history[slots[2], i])
 
-    @ti.func
-    def keep_held(count, share, multipliers, held: ti.template(), x: ti.template(), history: ti.template(),
-                  slots: ti.template()):
-        """Begin with this share of the last forces of points that are held: some combinations of them do nothing, and
-        would grow without bound in an extrapolation."""
-        for m in range(count):
-            for q in range(held.shape[1]):
-                if held[m, q, 0] == contact_kernels.HELD:
-                    at = multipliers + 2 * (m * held.shape[1] + q)
-                    for i in range(at, at + 2):
-                        x[i] = share * history[slots[0], i]
-
     @ti.kernel
-    def step(counts: int1, settings: real1, equation: int1, direction: real1, start: real1, target: real1,
-             elements: int2, dofs: int2, real: vector1, gradient_r: vector1, gradient_z: vector1, value_r: vector1,
-             point_weights: vector1, mode_values: vector1, volumes: vector1, moduli: vector1, equations_r: int2,
-             equations_z: int2, places: int2, pull_starts: int1, pulls: int2, pull_factors: real1, k_rr: vector1,
-             k_zr: vector1, k_rz: vector1, k_zz: vector1, element_stiffness: real1, volume_r: vector1,
-             volume_z: vector1, gap: vector1, rows_rr: vector1, rows_rz: vector1, rows_zr: vector1, rows_zz: vector1,
-             inverse_rr: vector1, inverse_rz: vector1, inverse_zz: vector1, force_r: vector1, force_z: vector1,
-             edges: int2, spans: int2, edge_shapes: real3, edge_places: real3, areas: real2, vertices: real2,
-             edge_rounding: real1, friction: real2, springs: real2, held: real3, ways: real2, met: real3,
-             forces: real3, contact_rates: real3, known_rates: real3, law_settings: real1, coefficients: real1,
+    def step(counts: int1, settings: real1, equation: int1, direction: real1, start: real1, target: real1, elements:
+             int2, dofs: int2, real: vector1, gradient_r: vector1, gradient_z: vector1, value_r: vector1, point_weights:
+             vector1, mode_values: vector1, volumes: vector1, moduli: vector1, equations_r: int2, equations_z: int2,
+             places: int2, pull_starts: int1, pulls: int2, pull_factors: real1, k_rr: vector1, k_zr: vector1, k_rz:
+             vector1, k_zz: vector1, element_stiffness: real1, volume_r: vector1, volume_z: vector1, gap: vector1,
+             rows_rr: vector1, rows_rz: vector1, rows_zr: vector1, rows_zz: vector1, inverse_rr: vector1, inverse_rz:
+             vector1, inverse_zz: vector1, force_r: vector1, force_z: vector1, contact_nodes: int2, contact_shapes:
+             real2, spans: int2, contact_places: real2, areas: real1, vertices: real2,
+             contact_rounding: real1, friction: real2, springs: real1, held: real2, pressed: real1, ways: real1, met:
+             real2, forces: real2, contact_rates: real2, known_rates: real2, law_settings: real1, coefficients: real1,
              past: real1, inherited: real3, largest: real2, stresses: real3, energies: real2, effect_settings: real1,
-             effect_states: real3, effect_states_found: real3, masses: real1, rest: real1, x: real1, motion: real1,
-             history: real2, slots: int1, weights: real1, entries: real4, blocks: block3, flat: block1,
-             scattered: real1, upper: real4, upper_blocks: block3, inverse: real1, right: block1, residual: real1,
-             pull: real1, reaction: real1, report: real1):
+             effect_states: real3, effect_states_found: real3, masses: real1, rest: real1, x: real1, before: real1,
+             motion: real1, history: real2, slots: int1, weights: real1, entries: real4, blocks: block3, flat: block1,
+             scattered: real1, upper: real4, upper_blocks: block3, inverse: real1, right: block1, residual: real1, pull:
+             real1, reaction: real1, report: real1):
         # One pass of one serial task, started without waking a thread pool; the count is an argument so that the loop
         # is not unrolled into many tasks.
         ti.loop_config(serialize=True)
@@ -100,13 +87,11 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
             width, rows = entries.shape[1], entries.shape[0]
             batches, equations = real.shape[0], residual.shape[0] - 1
             pressures = equation.shape[0]
-            multipliers = x.shape[0] - 2 * springs.shape[0] * springs.shape[1]
+            multipliers = x.shape[0] - 2 * springs.shape[0]
             if counts[KEEPS] == 0:
                 predict(x, history, slots, weights)
-                keep_held(counts[CONTACTS], 1.0 if weights[0] == 1.0 else 1.0 - LEAK, multipliers, held, x, history,
-                          slots)
             if counts[KEEPS] != 1:
-                counts[CHANGEABLE] = ALL
+                counts[CHANGEABLE] = contact_kernels.ALL
             strength, reach = settings[STRENGTH], settings[REACH]
             pending = 0
             if counts[CONTACTS] > 0 and ti.abs(depth - settings[PREDICTED]) > 1e-10 * ti.abs(depth):
@@ -121,13 +106,14 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                     else:
                         x[dof] = target[dof]  # the rounding of the extrapolation
             report[STATUS], report[STIFFNESS] = 0.0, 0.0
-            iterations, tangent, factorised = 0, 1, 0
+            iterations, tangent, factorised, halvings = 0, 1, 0, HALVINGS
             # Far from equilibrium the surface's curvature would make the tangent indefinite.
             bending = 1.0 if max_iterations == 0 else 0.0
             first, first_ratio, last_ratio, axial = 1, 0.0, 0.0, 0.0
             # The status lives in the report: Taichi 1.7.4 loses a local variable that a branch of such a loop sets.
-            # Each solve may need one more pass, for a tangent that was skipped.
-            for _attempt in range(3 * max_iterations + 3):
+            # Each solve may need more passes: for halves of it, for a tangent that was skipped, for points that have to
+            # change.
+            for _attempt in range((HALVINGS + 3) * max_iterations + 3):
                 if report[STATUS] != 0.0:
                     break
                 for i in range(residual.shape[0]):
@@ -158,6 +144,11 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                     interior += work.interior(b, real, rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr, inverse_rz,
                                               inverse_zz, force_r, force_z)
                     work.scatter_force(b, equations_r, equations_z, residual)
+                if smallest <= 0.0 and halvings < HALVINGS:
+                    halvings += 1
+                    for i in range(x.shape[0]):
+                        x[i] = 0.5 * (x[i] + before[i])
+                    continue
                 if inertia != 0.0:
                     for dof in range(pressures):
                         i = equation[dof]
@@ -169,12 +160,12 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                 tool = settings[PREDICTED] if pending == 1 else depth
                 # At first what just touches counts as pressed: the tool is about to move, or a law pulls.
                 slack = 1e-9 if pending == 1 or (strength > 0.0 and iterations == 0) else 0.0
-                axial, balanced, violation, slipping = contact.add_contact(
-                    counts[CONTACTS], counts[CHANGEABLE], slack, pending, bending, depth - tool,
+                axial, balanced, violation, slipping, switched, wanting = contact.add_contact(
+                    counts[CONTACTS], counts[CHANGEABLE], slack, pending, bending, depth - tool, tool,
                     tool - settings[TOUCH], free, settings[CONTACT_TOLERANCE], FRICTION_FLOOR * floor, reach,
-                    law_settings, multipliers, edges, spans, edge_shapes, edge_places, areas, vertices,
-                    edge_rounding, friction, springs, held, ways, met, forces, contact_rates, x, target, equation,
-                    residual)
+                    law_settings, multipliers, contact_nodes, contact_shapes, spans, contact_places, areas, vertices,
+                    contact_rounding, friction, springs, held, pressed, ways, met, forces, contact_rates, x, target,
+                    equation, residual)
                 counts[CHANGEABLE] = 0
                 report[VIOLATION], report[SLIPPING] = violation, slipping
                 if tangent == 1:
@@ -182,8 +173,8 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                     if ti.static(slips):
                         if slipping > 0:
                             mirror(blocks, upper_blocks, rows, width)
-                    contact.add_rates(counts[CONTACTS], slipping, free, width, edges, edge_shapes, contact_rates,
-                                      equation, entries, upper)
+                    contact.add_rates(counts[CONTACTS], slipping, free, width, contact_nodes, contact_shapes,
+                                      contact_rates, equation, entries, upper)
                     contact.note_rates(counts[CONTACTS], contact_rates, known_rates)
                     factorised = 0
                 unbalanced, total = interior, axial
@@ -210,20 +201,35 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                       and contact.have_changed(counts[CONTACTS], springs, contact_rates, known_rates) == 1):
                     tangent = 1  # the stiffness needs it
                 elif pending == 0 and ratio <= goal:
-                    released = contact.augment(counts[CONTACTS], multipliers, strength, reach, edge_places, areas,
-                                               spans, vertices, edge_rounding, held, forces, x)
+                    released = 0
+                    if violation <= settings[CONTACT_TOLERANCE]:
+                        released = contact.release(counts[CONTACTS], strength, reach, contact_places, areas, spans,
+                                                   vertices, contact_rounding, held, forces)
                     if released > 0:
                         # Another problem from here on.
                         tangent, first = 1, iterations + 1
-                    elif violation <= settings[CONTACT_TOLERANCE]:
-                        contact.hold(counts[CONTACTS], held, met)
-                        report[STATUS] = converged
+                        counts[CHANGEABLE] = contact_kernels.ALL
+                    elif wanting > 0 and iterations < max_iterations:
+                        counts[CHANGEABLE], tangent = contact_kernels.ALL, 1
+                    elif violation <= settings[CONTACT_TOLERANCE] and wanting == 0:
+                        bound = contact.hold(counts[CONTACTS], held, met)
+                        if bound > 0 and counts[STIFFNESS_ASKED] == 1:
+                            # The stiffness is that with the new bonds.
+                            tangent = 1
+                        else:
+                            report[STATUS] = converged
+                    elif iterations >= max_iterations:
+                        report[STATUS] = slow
+                    elif tangent == 0:
+                        tangent = 1
+                    else:
+                        solves = 1
                 elif iterations >= max_iterations:
                     report[STATUS] = slow
-                elif iterations > first + 2 and ratio > 1e3 * first_ratio:
+                elif iterations > first + 2 and ratio > 1e3 * ti.max(first_ratio, 1.0):
                     report[STATUS] = diverged
-                elif tangent == 0 and ratio > REUSE * last_ratio and (
-                        ratio * ratio * ratio > goal * last_ratio * last_ratio):
+                elif tangent == 0 and (switched > 0 or (ratio > REUSE * last_ratio and (
+                        ratio * ratio * ratio > goal * last_ratio * last_ratio))):
                     tangent = 1
                 else:
                     solves = 1
@@ -236,12 +242,15 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                         for i in range(free):
                             residual[i], reaction[i] = pull[i], pull[i]
                         stiff = pull[free] + contact.add_tool_rates(
-                            counts[CONTACTS], free, edges, spans, edge_shapes, contact_rates, direction, equation,
-                            residual, reaction)
+                            counts[CONTACTS], free, contact_nodes, contact_shapes, spans, contact_rates, direction,
+                            equation, residual, reaction)
                         if inertia != 0.0:
                             for dof in range(pressures):
                                 if equation[dof] >= free:
                                     stiff += inertia * masses[dof] * direction[dof] * direction[dof]
+                    if solves == 1:
+                        contact.add_missing(counts[CONTACTS], contact_nodes, contact_shapes, contact_rates,
+                                            equation, residual)
                     for I in range(rows):
                         for k in ti.static(range(B)):
                             right[I][k] = residual[I * B + k] if I * B + k < free else 0.0
@@ -269,6 +278,10 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                     elif solves == 1 and definite == 0:
                         report[STATUS] = indefinite
                     elif solves == 1:
+                        for i in range(x.shape[0]):
+                            before[i] = x[i]
+                        # The tool's way is not cut in here.
+                        halvings = HALVINGS if pending == 1 else 0
                         for dof in range(pressures):
                             i = equation[dof]
                             if i >= free:
@@ -280,10 +293,12 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                         for b in range(batches):
                             work.update(b, kappa, x, pressures, motion, elements, dofs, real, moduli, volume_r,
                                         volume_z, gap, rows_rr, rows_rz, rows_zr, rows_zz, force_r, force_z)
+                        contact.update_forces(counts[CONTACTS], depth - tool, multipliers, contact_nodes,
+                                              contact_shapes, spans, contact_rates, motion, x)
                         # Where the old factor is likely to serve again, only the residual is computed first.
                         tangent = 1 if pending == 1 or ratio > 10.0 else 0
                         last_ratio = ratio
-                        counts[CHANGEABLE] = ALL if iterations < CIRCLING else 1
+                        counts[CHANGEABLE] = contact_kernels.ALL if iterations < CIRCLING else 1 + iterations
                         bending = 1.0 if ratio < 0.1 else 0.0
                         pending = 0
                         iterations += 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from tissue_sim.fem.axisymmetric.contact import NORMAL_R, NORMAL_Z
 from tissue_sim.fem.axisymmetric.contact_kernels import HELD
 from tissue_sim.fem.axisymmetric.equations import Equations
 from tissue_sim.fem.axisymmetric.sensitivity_kernel import ALL_POINTS, FRESH, NOTED, PARAMETER, respond_kernel
@@ -128,14 +129,14 @@ class Sensitivity:
     def _follow_contact(self) -> None:
         """Where a point was bound anew its anchor moves with it along the surface; where it parted nothing presses."""
         surface = self._equations.surface
-        normals = surface.rates[..., 4:6]
-        anew = (surface.held[..., 0] > 0) & (surface.held != surface.anchors).any(axis=-1)
-        along = np.stack([-normals[..., 1], normals[..., 0]], axis=-1)
-        slid = np.einsum("kmqi,mqi->kmq", self._point_rates, along)[..., None] * along
+        normals = surface.rates[:, [NORMAL_R, NORMAL_Z]]
+        anew = (surface.held[:, 0] > 0) & (surface.held != surface.anchors).any(axis=-1)
+        along = np.stack([-normals[:, 1], normals[:, 0]], axis=-1)
+        slid = np.einsum("kni,ni->kn", self._point_rates, along)[..., None] * along
         self._anchor_rates[:, anew] = slid[:, anew]
         touching = (surface.forces != 0).any(axis=-1)
         self._multiplier_rates[:, ~touching] = 0.0
-        contact = np.stack([touching, surface.held[..., 0] == HELD, surface.ways])
+        contact = np.stack([touching, surface.held[:, 0] == HELD, surface.ways])
         self._changed |= bool((contact != self._contact).any())
         self._contact = contact
 

@@ -11,7 +11,7 @@ import sympy as sp
 
 from tissue_sim.fem.axisymmetric import energy as point
 from tissue_sim.fem.axisymmetric.batches import LANES
-from tissue_sim.fem.axisymmetric.contact import HOLD, MOVES
+from tissue_sim.fem.axisymmetric.contact import FRICTION, HOLD, MOVES, NORMAL_R, NORMAL_Z, RR, RZ, ZR, ZZ
 from tissue_sim.fem.axisymmetric.contact_kernels import HELD, TOUCHED
 from tissue_sim.fem.axisymmetric.newton import CONTACTS, KAPPA, REMEMBERS, UNSYMMETRIC
 from tissue_sim.fem.axisymmetric.newton import FREE as FREE_EQUATIONS
@@ -163,42 +163,39 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
         return dW, soft, dP
 
     @ti.func
-    def contact_rate(m, q, a, dr, dz, held: ti.template(), ways: ti.template(), springs: ti.template(),
+    def contact_rate(i, k, dr, dz, held: ti.template(), ways: ti.template(), springs: ti.template(),
                      contact_rates: ti.template(), multiplier_rates: ti.template(), anchor_rates: ti.template()):
-        """Rate of the force of a point that moves by (dr, dz)."""
-        fr = contact_rates[m, q, 0] * dr + contact_rates[m, q, 1] * dz
-        fz = contact_rates[m, q, 2] * dr + contact_rates[m, q, 3] * dz
-        lr, lz = multiplier_rates[a, m, q, 0], multiplier_rates[a, m, q, 1]
-        hr, hz = anchor_rates[a, m, q, 0], anchor_rates[a, m, q, 1]
-        stiff = HOLD * springs[m, q]
-        if held[m, q, 0] == HELD:
+        """Rate of the force of point i with parameter k when it moves by (dr, dz)."""
+        fr = contact_rates[i, RR] * dr + contact_rates[i, RZ] * dz
+        fz = contact_rates[i, ZR] * dr + contact_rates[i, ZZ] * dz
+        lr, lz = multiplier_rates[k, i, 0], multiplier_rates[k, i, 1]
+        hr, hz = anchor_rates[k, i, 0], anchor_rates[k, i, 1]
+        stiff = HOLD * springs[i]
+        if held[i, 0] == HELD:
             fr += lr - stiff * hr
             fz += lz - stiff * hz
-        elif contact_rates[m, q, 0] != 0.0 or contact_rates[m, q, 3] != 0.0:
-            nr, nz, mu = contact_rates[m, q, 4], contact_rates[m, q, 5], contact_rates[m, q, 6]
+        elif contact_rates[i, RR] != 0.0 or contact_rates[i, ZZ] != 0.0:
+            nr, nz, mu = contact_rates[i, NORMAL_R], contact_rates[i, NORMAL_Z], contact_rates[i, FRICTION]
             tr, tz = -nz, nr
             pressed, along = lr * nr + lz * nz, 0.0
-            if mu > 0.0 and held[m, q, 0] == TOUCHED:
-                if ways[m, q] == 0.0:
-                    along = lr * tr + lz * tz - stiff * (hr * tr + hz * tz)
-                else:
-                    along = -ways[m, q] * mu * pressed
+            if mu > 0.0 and held[i, 0] == TOUCHED:
+                sticks = lr * tr + lz * tz - stiff * (hr * tr + hz * tz)
+                along = sticks if ways[i] == 0.0 else -ways[i] * mu * pressed
             fr += pressed * nr + along * tr
             fz += pressed * nz + along * tz
         return fr, fz
 
     @ti.kernel
     def respond(which: int1, counts: int1, settings: real1, connectivity: int2, equation: int1, node_gradients: real4,
-                quadrature: real3, along: real3, edges: int2, spans: int2, edge_shapes: real3, springs: real2,
-                held: real3, ways: real2, contact_rates: real3, coefficients: real1, element_moduli: real1,
-                past: real1, inherited: real3,
-                largest: real2, x: real1, entries: real4, blocks: block3, upper_blocks: block3, inverse: real1,
-                right: block1, residual: real1, volume_r: real2, volume_z: real2, rows_rr: real2, rows_rz: real2,
-                rows_zr: real2, rows_zz: real2, inverse_rr: real2, inverse_rz: real2, inverse_zz: real2,
+                quadrature: real3, along: real3, contact_nodes: int2, contact_shapes: real2, spans: int2, springs:
+                real1, held: real2, ways: real1, contact_rates: real2, coefficients: real1, element_moduli: real1, past:
+                real1, inherited: real3, largest: real2, x: real1, entries: real4, blocks: block3, upper_blocks: block3,
+                inverse: real1, right: block1, residual: real1, volume_r: real2, volume_z: real2, rows_rr: real2,
+                rows_rz: real2, rows_zr: real2, rows_zz: real2, inverse_rr: real2, inverse_rz: real2, inverse_zz: real2,
                 gap_rates: real2, node_forces: real2, centre_force: real2, kappa_rates: real1, moduli_rates: real2,
-                past_rates: real2, inherited_rates: real4, largest_rates: real3, multiplier_rates: real4,
-                anchor_rates: real4, direction: real1, law: real3, base: real1, dx: real1, stress_rates: real4,
-                energy_rates: real3, point_rates: real4, force_rates: real1):
+                past_rates: real2, inherited_rates: real4, largest_rates: real3, multiplier_rates: real3, anchor_rates:
+                real3, direction: real1, law: real3, base: real1, dx: real1, stress_rates: real4, energy_rates: real3,
+                point_rates: real3, force_rates: real1):
         ti.loop_config(serialize=True)
         for _ in range(1):
             free, width, rows = counts[FREE_EQUATIONS], entries.shape[1], entries.shape[0]
@@ -267,14 +264,13 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
                 changed, largest_rate = 0.0, 0.0
                 for i in range(residual.shape[0]):
                     residual[i] = base[i]
-                for m in range(counts[CONTACTS]):
-                    for q in range(springs.shape[1]):
-                        fr, fz = contact_rate(m, q, k, 0.0, 0.0, held, ways, springs, contact_rates,
-                                              multiplier_rates, anchor_rates)
-                        for a in range(edge_shapes.shape[2]):
-                            ir, iz = equation[2 * edges[m, a]], equation[2 * edges[m, a] + 1]
-                            residual[ir] = residual[ir] + edge_shapes[m, q, a] * fr
-                            residual[iz] = residual[iz] + edge_shapes[m, q, a] * fz
+                for c in range(counts[CONTACTS]):
+                    fr, fz = contact_rate(c, k, 0.0, 0.0, held, ways, springs, contact_rates, multiplier_rates,
+                                          anchor_rates)
+                    for a in range(contact_shapes.shape[1]):
+                        ir, iz = equation[2 * contact_nodes[c, a]], equation[2 * contact_nodes[c, a] + 1]
+                        residual[ir] = residual[ir] + contact_shapes[c, a] * fr
+                        residual[iz] = residual[iz] + contact_shapes[c, a] * fz
                 for I in range(rows):
                     for i in ti.static(range(B)):
                         right[I][i] = residual[I * B + i] if I * B + i < free else 0.0
@@ -288,25 +284,22 @@ def respond_kernel(element_name: str, energy: KernelEnergy):
                         dx[dof] = 0.0
                     elif i >= 0:
                         dx[dof] = -right[i // B][i % B]
-                for m in range(counts[CONTACTS]):
-                    for q in range(springs.shape[1]):
-                        dr, dz = 0.0, 0.0
-                        for a in range(edge_shapes.shape[2]):
-                            dr += edge_shapes[m, q, a] * dx[2 * edges[m, a]]
-                            dz += edge_shapes[m, q, a] * dx[2 * edges[m, a] + 1]
-                        fr, fz = contact_rate(m, q, k, dr, dz, held, ways, springs, contact_rates,
-                                              multiplier_rates, anchor_rates)
-                        changed += (ti.abs(fr - multiplier_rates[k, m, q, 0])
-                                    + ti.abs(fz - multiplier_rates[k, m, q, 1]))
-                        largest_rate += ti.abs(fr) + ti.abs(fz)
-                        multiplier_rates[k, m, q, 0], multiplier_rates[k, m, q, 1] = fr, fz
-                        point_rates[k, m, q, 0], point_rates[k, m, q, 1] = dr, dz
+                for c in range(counts[CONTACTS]):
+                    dr, dz = 0.0, 0.0
+                    for a in range(contact_shapes.shape[1]):
+                        dr += contact_shapes[c, a] * dx[2 * contact_nodes[c, a]]
+                        dz += contact_shapes[c, a] * dx[2 * contact_nodes[c, a] + 1]
+                    fr, fz = contact_rate(c, k, dr, dz, held, ways, springs, contact_rates, multiplier_rates,
+                                          anchor_rates)
+                    changed += ti.abs(fr - multiplier_rates[k, c, 0]) + ti.abs(fz - multiplier_rates[k, c, 1])
+                    largest_rate += ti.abs(fr) + ti.abs(fz)
+                    multiplier_rates[k, c, 0], multiplier_rates[k, c, 1] = fr, fz
+                    point_rates[k, c, 0], point_rates[k, c, 1] = dr, dz
                 if changed <= SETTLED * largest_rate:
                     break
             total = 0.0
-            for m in range(counts[CONTACTS]):
-                for q in range(springs.shape[1]):
-                    total += float(spans[m, MOVES]) * multiplier_rates[k, m, q, 1]
+            for c in range(counts[CONTACTS]):
+                total += float(spans[c, MOVES]) * multiplier_rates[k, c, 1]
             for e in range(elements):
                 bulk = settings[KAPPA] * element_moduli[e]
                 b, l = e // LANES, e % LANES

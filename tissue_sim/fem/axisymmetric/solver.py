@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +11,7 @@ from scipy.integrate import simpson
 
 from tissue_sim.fem.axisymmetric import newton
 from tissue_sim.fem.axisymmetric.contact import Contact
+from tissue_sim.fem.axisymmetric.creep import creep
 from tissue_sim.fem.axisymmetric.equations import Equations
 from tissue_sim.fem.axisymmetric.fields import Fields
 from tissue_sim.fem.axisymmetric.predictor import extrapolation
@@ -70,6 +71,7 @@ class AxisymmetricSolver(Solver):
         self._tried, self._pose = 0.0, Pose.at_depth(0.0)
         self.datum = equations.settings[newton.TOUCH] = 0.0 if contact is None else bring_down(
             mesh, contact, equations.surface, equations.start.reshape(-1, 2))
+        self.committed.note_bonds()
 
     def set_material(self, material: Material) -> None:
         """Change parameters, bulk response or law; the state is kept.
@@ -86,13 +88,20 @@ class AxisymmetricSolver(Solver):
     def step(self, pose: Pose | float, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
              predictor_order: int = 2, inertial: bool = False, resumes: bool = False) -> Step:
         """Move the tool to a depth, m, or that of a pose, and find equilibrium; see `Solver.step`."""
-        depth = depth_of(pose)
+        state, rate = self.committed, 0.0
+        if state.motion is not None and inertial:
+            rate = state.motion.prepare(state.latest, dt)
+        return self.try_step(depth_of(pose), dt, tolerance, max_iterations, predictor_order, rate, inertial=inertial,
+                             resumes=resumes)
+
+    def try_step(self, depth: float, dt: float, tolerance: float, max_iterations: int, predictor_order: int,
+                 rate: float, *, inertial: bool = False, resumes: bool = False) -> Step:
+        """A step in which `rate` (1/s2, or N/m4 of a drag) times mass draws each freedom to where it rests."""
         equations, state = self.equations, self.committed
         if not resumes:
             equations.predict(extrapolation(state.depths, depth, predictor_order))
         equations.prepare(dt)
-        if state.motion is not None:
-            equations.settings[newton.INERTIA] = state.motion.prepare(state.latest, dt) if inertial else 0.0
+        equations.settings[newton.INERTIA] = rate
         equations.solve(depth, tolerance, max_iterations, goes_on_from=self._tried if resumes else None)
         self._tried = depth
         status, iterations, residual, force, violation, slipping, stiffness = equations.report.tolist()
@@ -107,6 +116,11 @@ class AxisymmetricSolver(Solver):
                 state.motion.commit(state.latest, state.x, dt, inertial)
             state.commit(depth, watched=asked)
         return result
+
+    def creep(self, pose: Pose | float, dt: float = 0.0, *, tolerance: float = 1e-9,
+              max_iterations: int = 20) -> Iterator[Step]:
+        """Steps to a depth, m, or that of a pose, against a drag that is let go; see `Solver.creep`."""
+        return creep(self, depth_of(pose), dt, tolerance, max_iterations)
 
     def follow_motion(self, density: float) -> None:
         """Let the tissue have a mass (kg/m3) from now on, for steps that are inertial."""

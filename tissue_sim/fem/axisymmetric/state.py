@@ -50,6 +50,11 @@ class State:
         self.unchanged, self._touching = 0, (b"", b"")
         self.motion: Motion | None = None
         self._untouched = x.copy()
+        self.note_bonds()
+
+    def note_bonds(self) -> None:
+        """Take how the points of the contact are bound now as how they are before the first step."""
+        self._first_bonds = self.surface.anchors.copy(), self.surface.slipped.copy()
 
     @property
     def latest(self) -> np.ndarray:
@@ -80,10 +85,9 @@ class State:
 
     def lift_off(self) -> None:
         """Back to the displacements before the touch; memory stays."""
-        surface, moves = self.surface, self.surface.moves
         self.slots[:], self.depths, self.unchanged = np.arange(KEPT), [0.0], 0
         self.history[0] = self._untouched
-        surface.anchors[moves], surface.slipped[moves] = 0.0, 0.0
+        self.surface.anchors[:], self.surface.slipped[:] = self._first_bonds
         if self.motion is not None:
             self.motion.stop()
 

@@ -25,14 +25,12 @@ def bring_down(mesh: Mesh, contact: Contact, surface: ContactPoints, displacemen
     place, datum = surface.positions(displacement), 0.0
     if surface.moves.any():
         datum = _touching_height(mesh, contact, displacement, place[surface.moves])
-    place[surface.moves, :, 1] -= datum
+    place[surface.moves, 1] -= datum
     if contact.level:
         _level(mesh, surface, displacement, place, datum)
-    tied = surface.tied[:, None]
-    touches = (surface.springs > 0) & (surface.gaps(place) <= 1e-9 * np.ptp(mesh.nodes[:, 1]))
-    untouched = touches & (surface.anchors[..., 0] == contact_kernels.FREE)
-    surface.anchors[untouched, 0] = np.where(tied, contact_kernels.HELD, contact_kernels.TOUCHED).repeat(
-        touches.shape[1], axis=1)[untouched]
+    touches = surface.gaps(place) <= 1e-9 * np.ptp(mesh.nodes[:, 1])
+    untouched = touches & (surface.anchors[:, 0] == contact_kernels.FREE)
+    surface.anchors[untouched, 0] = np.where(surface.tied[untouched], contact_kernels.HELD, contact_kernels.TOUCHED)
     surface.anchors[untouched, 1:] = (place - surface.places)[untouched]
     return datum
 
@@ -50,9 +48,9 @@ def _level(mesh: Mesh, surface: ContactPoints, displacement: np.ndarray, place: 
 
 
 def _touching_height(mesh: Mesh, contact: Contact, displacement: np.ndarray, points: np.ndarray) -> float:
-    """z of the tool's deepest point where it first touches the nodes of the top or these Gauss points (m, q, 2)."""
+    """z of the tool's deepest point where it first touches the nodes of the top or these points (n, 2)."""
     profiles = [pair.profile for pair in contact.pairs if pair.moves]
-    place = np.concatenate([(mesh.nodes + displacement)[mesh.sets["top"]], points.reshape(-1, 2)])
+    place = np.concatenate([(mesh.nodes + displacement)[mesh.sets["top"]], points])
 
     def clearance(datum):
         return min(profile.gap(place - [0.0, datum]).min() for profile in profiles)

@@ -1,0 +1,53 @@
+"""How far a point is from a rigid body, as a Taichi function."""
+
+from functools import cache
+
+from tissue_sim.fem.axisymmetric.contact import FIRST_LINE, LAST_LINE, SHAFT
+from tissue_sim.fem.taichi.runtime import initialise
+
+
+@cache
+def nearest_function():
+    """Taichi function ``nearest(r, z, i, depth, spans, vertices, rounding) -> (gap, normal r, normal z, curvature,
+    line)`` of point i of `ContactPoints` at (r, z) in the frame of its body, with the tool at `depth`."""
+    ti = initialise()
+    far = 1e30
+
+    @ti.func
+    def nearest(r, z, i, depth, spans: ti.template(), vertices: ti.template(), rounding: ti.template()):
+        """Gap, outward normal, curvature of the surface, and line of the body's chain that is nearest to (r, z).
+
+        A sharp shaft goes on downwards while its tool is pressed in: what is held below the face leaves no room there
+        for the surface beside it.
+        """
+        first = spans[i, FIRST_LINE]
+        closed = first == spans[i, SHAFT] and rounding[i] == 0.0 and depth >= 0.0
+        best, gap, nr, nz, curved, line = far, far, 0.0, 0.0, 0.0, first
+        front_best = 0.0
+        for s in range(first, spans[i, LAST_LINE] + 1):
+            tr, tz = vertices[s + 1, 0] - vertices[s, 0], vertices[s + 1, 1] - vertices[s, 1]
+            length = ti.sqrt(tr * tr + tz * tz)
+            tr, tz = tr / length, tz / length
+            dr, dz = r - vertices[s, 0], z - vertices[s, 1]
+            along = dr * tr + dz * tz
+            share = ti.min(along, length)
+            if not (closed and s == first):
+                share = ti.max(share, 0.0)
+            dr, dz = dr - share * tr, dz - share * tz
+            distance = ti.sqrt(dr * dr + dz * dz)
+            front = dr * tz - dz * tr
+            # At a vertex two lines are equally near: the one that the point stands farther in front of decides.
+            if distance < best - 1e-15 or (distance < best + 1e-15 and ti.abs(front) > ti.abs(front_best)):
+                best, front_best, line = distance, front, s
+                # Before the start of the chain there is no inside.
+                inside = front < 0.0 and (closed or not (s == first and along < 0.0))
+                sign = -1.0 if inside else 1.0
+                gap = sign * distance - rounding[i]
+                beyond = share != along
+                nr, nz, curved = tz, -tr, 0.0
+                if beyond and distance > 0.0:
+                    nr, nz = sign * dr / distance, sign * dz / distance
+                    curved = 1.0 / distance
+        return gap, nr, nz, curved, line
+
+    return nearest

@@ -1,0 +1,86 @@
+"""From one equilibrium to the next where the tissue snaps, or where contact finds no state: it creeps there.
+
+Against a drag on every node, as in a viscous fluid, each step is as close to the one before as the drag is large, so
+that there is a solution near by; the drag is let go from step to step, and the last one has none. Pseudo-transient
+continuation (Kelley and Keyes, SIAM J. Numer. Anal. 35 (1998) 508), with the friction of the way that is gone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+
+from tissue_sim.fem.axisymmetric.equations import Equations
+from tissue_sim.fem.axisymmetric.predictor import extrapolation
+from tissue_sim.fem.axisymmetric.state import SavedState, State
+from tissue_sim.fem.solver import Step, StepStatus
+
+#: Drag per volume at first, and below which it is let go, in shear moduli over the squared height of the specimen.
+_FIRST, _LAST = 1e4, 1.0
+#: How much smaller each drag is than the one before, at most and at least.
+_LARGEST_RATIO, _SMALLEST_RATIO = 10.0, 2.5
+#: Where the first step fails its drag grows by this.
+_HARDER = 100.0
+_MOST_STEPS, _MOST_FAILURES = 60, 20
+
+
+class Dragged(Protocol):
+    """What `creep` needs of a solver."""
+
+    equations: Equations
+    committed: State
+
+    def try_step(self, depth: float, dt: float, tolerance: float, max_iterations: int, predictor_order: int,
+                 rate: float) -> Step:
+        """A step in which `rate`, N/m4, times its volume draws each freedom to where it rests."""
+
+    def save(self) -> SavedState:
+        """All that a committed step leaves behind."""
+
+    def restore(self, saved: SavedState) -> None:
+        """Go back to where `save` was called."""
+
+
+def creep(solver: Dragged, depth: float, dt: float, tolerance: float, max_iterations: int) -> Iterator[Step]:
+    """Steps to a depth, m, in a time dt, s; the last one has converged without drag, or the state is as it was.
+
+    The first one is dragged along with the extrapolated motion of the tissue, the others are dragged from where the
+    one before ended. `Step.dissipated` is what the drag takes.
+    """
+    equations, state = solver.equations, solver.committed
+    saved, volumes = solver.save(), equations.all_masses()
+    masses, rest, density = equations.begin_drag()
+    # What the whole specimen feels.
+    unit = equations.material.mu0 / float(np.ptp(equations.mesh.nodes[:, 1])) ** 2
+    drag, ratio, failures, begun = _FIRST * unit, _LARGEST_RATIO, 0, False
+    arrived = False
+    for _ in range(_MOST_STEPS):
+        if begun:
+            rest[:] = state.latest[: rest.size]
+        else:
+            weights = extrapolation(state.depths, depth, 1)
+            rest[:] = sum(weight * state.history[slot, : rest.size]
+                          for weight, slot in zip(weights, state.slots, strict=True))
+        origin = rest.copy()
+        step = solver.try_step(depth, 0.0 if begun else dt, tolerance, max_iterations, 0 if begun else 1, drag)
+        if step.status is StepStatus.CONVERGED:
+            way = state.latest[: rest.size] - origin
+            yield replace(step, dissipated=drag * float(volumes @ way**2))
+            arrived, begun = drag == 0.0, True
+            if arrived:
+                break
+            drag = drag / ratio if drag > _LAST * unit else 0.0
+        else:
+            yield step
+            failures += 1
+            if failures > _MOST_FAILURES:
+                break
+            drag = max(drag, 0.01 * unit) * (0.5 * ratio if begun else _HARDER)
+            ratio = max(_SMALLEST_RATIO, ratio / 1.5)
+    equations.end_drag(masses, density)
+    if not arrived:
+        solver.restore(saved)
+        yield replace(step, status=StepStatus.SLOW if step.status is StepStatus.CONVERGED else step.status)
