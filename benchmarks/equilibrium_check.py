@@ -159,17 +159,22 @@ class EquilibriumCheck:
 
     Adhesion, laws of contact or points that were added, softening, pores, tilt and slip in part are not known here.
 
+    Args:
+        model: that is simulated; tolerance: unbalanced over balanced nodal forces that was asked of it.
+
     Attributes:
         found: of all samples so far.
+        largest: force so far, N; who knows of larger ones between the samples may say so.
     """
 
-    def __init__(self, model: ts.Model):
+    def __init__(self, model: ts.Model, tolerance: float = TOLERANCE):
         experiment, material = model.experiment, model.material
         if (experiment.acting_laws or experiment.tilt or experiment.slip or material.effects or material.softening
                 or material.poroelasticity):
             raise ts.InputError("the check of equilibria knows elastic and viscoelastic tissue under tools that push "
                                 "and rub; leave out what else the model has")
-        self.model, self.found, self._forces, self._largest = model, Findings(), [], 0.0
+        self.model, self.found, self._forces, self.largest = model, Findings(), [], 0.0
+        self._slack = SLACK * tolerance
         self._energy = energy_of(material.energy_law, dict(material.parameters))
 
     def begin(self, solver) -> None:
@@ -249,12 +254,12 @@ class EquilibriumCheck:
         largest = np.linalg.norm(pushes[touches], axis=1).max(initial=0.0)
         tool_force = -float(push[self._on_tool, 1].sum() + pushes[by_tool & ~self._on_tool[points.numbers], 1].sum())
         self._forces.append(tool_force)
-        self._largest = max(self._largest, abs(tool_force))
+        self.largest = max(self.largest, abs(tool_force))
         reactions = np.hypot(np.linalg.norm(push[self._held]), np.linalg.norm(pushes[touches]))
-        scale = max(reactions, self._floor, FLOOR_SHARE * self._largest)
-        tight = SLACK * TOLERANCE * scale + ROUNDINGS * seen
+        scale = max(reactions, self._floor, FLOOR_SHARE * self.largest)
+        tight = self._slack * scale + ROUNDINGS * seen
         # The solver allows for no more than this of it.
-        allowed = max(tight, SLACK * TOLERANCE * scale + min(rounding, MOST_ROUNDING * scale))
+        allowed = max(tight, self._slack * scale + min(rounding, MOST_ROUNDING * scale))
         unbalanced = float(np.linalg.norm(inside))
         self.found.early = max(self.found.early, unbalanced / tight)
         note("residual", sample, unbalanced / scale, allowed / scale, np.argmax(np.abs(inside).max(axis=1)))

@@ -2,11 +2,13 @@
 
     python benchmarks/random_models.py [--seeds 1:401] [--resolution fast] [--quarter] [--resume FILE] [--json]
     python benchmarks/random_models.py --identities [--seeds 1:101] ...
+    python benchmarks/random_models.py --motion --resolution realtime [--seeds 1:101] ...
 
 A seed stands for one model (`random_model_generator`). Whoever does not reach the last sample has failed: it stopped,
 was refused, took longer than 90 s of CPU, or ended in an exception. Every sample is checked by other means than the
 solver's (`equilibrium_check`); that is counted apart. --quarter also takes steps a quarter as long and compares the
-samples that both have. --identities checks what must hold of any solver instead, of the elastic models on an ideal rig.
+samples that both have. --identities checks what must hold of any solver instead, of the elastic models on an ideal rig;
+--motion leads each through 2 s of irregular motion, tick by tick (`random_model_motion`).
 With --resume a run that was stopped goes on where it was; a file holds what one state of the program did.
 """
 
@@ -26,6 +28,7 @@ from pathlib import Path
 from measure import about, show
 from random_model_generator import draw
 from random_model_identities import identities
+from random_model_motion import draw_motion, motion, motion_figures
 from random_model_runs import run, run_quarter, stratum, warm_up
 from random_model_tables import draw_identities, draw_runs, figures, identity_figures
 
@@ -74,6 +77,7 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else on the output")
     parser.add_argument("--quarter", action="store_true", help="also with four times as many samples")
     parser.add_argument("--identities", action="store_true", help="instead: what must hold of any solver")
+    parser.add_argument("--motion", action="store_true", help="instead: irregular motion in real time")
     parser.add_argument("--resume", type=Path, metavar="FILE", help="of JSON lines, one a model")
     return parser
 
@@ -84,6 +88,8 @@ def _of(seed: int, asked: dict) -> dict:
              "ratio": one.ratio, "extra": list(one.extra)}
     if asked["identities"]:
         return entry | {"identities": identities(one, asked["resolution"])}
+    if asked["motion"]:
+        return entry | motion(one, asked["resolution"])
     entry |= run(one, asked["resolution"])
     return entry | {"quarter": run_quarter(one, asked["resolution"], entry)} if asked["quarter"] else entry
 
@@ -94,6 +100,11 @@ def _said(entry: dict) -> str:
     if "identities" in entry:
         return f"{line}: " + ", ".join(f"{name} {'' if one['passed'] else 'NOT '}({one['value']:.1e})"
                                        for name, one in entry["identities"].items())
+    if "statuses" in entry:
+        return (f"{line}: {entry['statuses']}, solves {entry['solves']}, {entry['tick_ms'][0]:.2f} ms, as new to "
+                f"{entry['recovered']:.1e}{', '.join(entry['faults'])}")
+    if "samples" not in entry:
+        return f"{line}: {entry['status']}: {entry['message']}"
     faults = ", ".join(f"{fault['check']} {fault['value']:.1e}" for fault in entry["faults"])
     quarter = entry.get("quarter", {})
     finer = f"; finer {quarter.get('difference', quarter['status'])}" if quarter else ""
@@ -103,7 +114,8 @@ def _said(entry: dict) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     chosen = options().parse_args(arguments)
-    asked = {"resolution": chosen.resolution, "quarter": chosen.quarter, "identities": chosen.identities}
+    asked = {"resolution": chosen.resolution, "quarter": chosen.quarter, "identities": chosen.identities,
+             "motion": chosen.motion}
     lines = Lines(chosen.resume, asked)
     left = [seed for seed in chosen.seeds if seed not in lines.known]
     if left:
@@ -118,6 +130,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     result = about("random_models") | asked | {"seeds": [chosen.seeds.start, chosen.seeds.stop]}
     if chosen.identities:
         show(result | {"figures": identity_figures(entries)}, draw_identities, as_json=chosen.json)
+    elif chosen.motion:
+        show(result | {"figures": motion_figures(entries)}, draw_motion, as_json=chosen.json)
     else:
         show(result | {"figures": figures(entries)}, draw_runs, as_json=chosen.json)
 

@@ -22,8 +22,8 @@ from tissue_sim.tilt import tilted
 #: A step is cut until it is this small a part of the way between two samples; from the first part on that fails without
 #: an extrapolation, the tissue is also let creep there.
 _SMALLEST_CUT, _CREEPS = 2.0**-10, 2.0**-3
-#: Linear solves that a step may take.
-_MOST_SOLVES = 40
+#: Linear solves that a step may take, and one that creeps.
+_MOST_SOLVES, _MOST_OF_CREEP = 40, 24
 #: The tool of a compliant rig is where it should be to this part of the travel.
 _PLACED, _MOST_TRIALS = 1e-7, 20
 _NOTHING = Step.axial(StepStatus.CONVERGED, 0, 0.0, 0.0)
@@ -258,7 +258,7 @@ def _approach(solver: Solver, target: Pose, dt: float = 0.0) -> Iterator[Step]:
         step = solver.step(goal, share * dt, max_iterations=_MOST_SOLVES, predictor_order=order)
         yield step
         if step.status is not StepStatus.CONVERGED and not order and length <= _CREEPS:
-            for step in solver.creep(goal, share * dt, max_iterations=_MOST_SOLVES):
+            for step in solver.creep(goal, share * dt, max_iterations=_MOST_OF_CREEP):
                 yield step
         if step.status is StepStatus.CONVERGED:
             if last:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Generator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -34,8 +35,9 @@ _MOST_SOLVES = {True: 6, False: 30}
 _LARGEST_PART = 0.0625
 #: That no part is made for.
 _ROUNDING = 1e-9
-#: A part is cut until it is this share of the largest one.
-_SMALLEST_CUT = 2.0**-8
+#: A part is cut until it is this share of the largest one; where one that is cut to less than the other share fails,
+#: the tissue is let creep there, in steps of so many linear solves at most.
+_SMALLEST_CUT, _CREEPS, _MOST_OF_CREEP = 2.0**-8, 0.5, 12
 #: Tool speed, m/s, from which on the mass of the tissue counts, and for how long (s) after the tool was last so fast.
 INERTIAL_SPEED, _LINGERS = 0.005, 0.1
 #: Of tissue whose density nobody stated, kg/m3: that of water.
@@ -49,15 +51,26 @@ _LEARNS, _FORGETS, _DOUBTS = 0.5, 0.1, 0.5
 
 @dataclass(frozen=True, slots=True)
 class _Equilibrium:
-    """What the last equilibrium answers; the stiffness holds mass where that was taken into account."""
+    """What the last equilibrium answers, and where; the stiffness holds mass where that was taken into account."""
 
+    pose: Pose
     wrench: Screw
     stiffness: Matrix
     inertial: bool
 
 
 #: Of a tool that touches nothing.
-_AT_REST = _Equilibrium(axial_wrench(0.0), axial_stiffness(0.0), inertial=False)
+_AT_REST = _Equilibrium(Pose.at_depth(0.0), axial_wrench(0.0), axial_stiffness(0.0), inertial=False)
+
+
+@dataclass(slots=True)
+class _Creep:
+    """The tissue on its way to an equilibrium at a pose, a time step (s) later, and its last step there."""
+
+    pose: Pose
+    dt: float
+    steps: Generator[Step]
+    last: Step
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +158,7 @@ class Simulator:
         # Pose and time step of an iteration that the budget ended, and how often it did.
         self._attempt: tuple[Pose, float] | None = None
         self._resumed = 0
+        self._creep: _Creep | None = None
         self._start = self.save()
 
     @property
@@ -212,7 +226,7 @@ class Simulator:
         extrapolates, resumes = True, self._attempt is not None
         anew = not self._bonded
         while status is None:
-            started = time.perf_counter()
+            started, creep = time.perf_counter(), self._creep
             here = solver.pose
             way, part = self._distance(here, pose), self._share * self._largest_part
             # Parts of one length: the mass of the tissue resists a short one as a blow.
@@ -230,26 +244,38 @@ class Simulator:
                 status = ForceStatus.LATE
                 self._solve_time *= _DOUBTS if solves == 0 else 1.0
                 break
-            step = solver.step(target, dt, tolerance=self.tolerance, max_iterations=allowed, predictor_order=order,
-                               inertial=inertial and dt > 0.0, resumes=resumes)
+            if creep is None:
+                step = solver.step(target, dt, tolerance=self.tolerance, max_iterations=allowed, predictor_order=order,
+                                   inertial=inertial and dt > 0.0, resumes=resumes)
+            elif (crept := next(creep.steps, None)) is not None:
+                step = creep.last = crept
+            else:
+                # It has arrived, or will not.
+                step, target, dt, self._creep = replace(creep.last, iterations=0), creep.pose, creep.dt, None
             solves, residual = solves + step.iterations, step.residual
             self._clock((time.perf_counter() - started) / (1 + step.iterations))
+            if self._creep is not None:
+                continue
             if step.status is StepStatus.CONVERGED:
-                self._take(step, dt, inertial and dt > 0.0)
+                self._take(step, dt, creep is None and inertial and dt > 0.0)
                 self._waiting = max(0.0, self._waiting - dt)
                 self._share, self._attempt, self._resumed = min(1.0, 2.0 * self._share), None, 0
                 extrapolates, resumes = True, False
-                if target == pose and (share == 1.0 or self._waiting == 0.0):
+                if target == pose and (creep is not None or share == 1.0 or self._waiting == 0.0):
                     self._waiting, status = 0.0, ForceStatus.CONVERGED
-            elif step.status is StepStatus.SLOW and allowed < most and self._resumed < _PATIENCE:
+            elif creep is None and step.status is StepStatus.SLOW and allowed < most and self._resumed < _PATIENCE:
                 # The next step goes on with this iteration, and with what is left of the way then.
                 self._attempt, self._resumed, status = (target, dt), self._resumed + 1, ForceStatus.LATE
             elif resumes:
                 self._attempt, self._resumed, resumes = None, 0, False
-            elif order:
+            elif creep is None and order:
                 extrapolates = False
+            elif creep is None and min(self._share, way / self._largest_part) < _CREEPS:
+                self._share = min(self._share, way / self._largest_part)
+                self._creep = _Creep(target, dt, solver.creep(target, dt, tolerance=self.tolerance,
+                                                              max_iterations=_MOST_OF_CREEP), step)
             else:
-                self._share, extrapolates = min(self._share, way / self._largest_part) / 2.0, True
+                self._share, extrapolates = 0.5 * self._share, True
                 if self._share < _SMALLEST_CUT and anew:
                     # Press anew from the touch on; what friction remembers begins there.
                     solver.lift_off()
@@ -263,9 +289,9 @@ class Simulator:
         else:
             # Mass resists a motion within the step, not one that goes on.
             stiffness = self._elastic
-            wrench = self._carried_on(wrench, motion(solver.pose, pose))
+            wrench = self._carried_on(wrench, motion(at.pose, pose))
         return ToolForce(wrench, stiffness, status, solves, residual, time.perf_counter() - began, at.inertial,
-                         self._waiting, solver.pose, ahead)
+                         self._waiting, at.pose, ahead)
 
     def _ahead(self, tick: float) -> NextForce | None:
         """What a next step of a tick, s, would answer, after one that converged."""
@@ -287,7 +313,7 @@ class Simulator:
         if left != 1.0:
             a, b, c, d, e, f = (scaled(left, row) for row in stiffness)
             wrench, stiffness = scaled(left, wrench), (a, b, c, d, e, f)
-        self._equilibrium = _Equilibrium(wrench, stiffness, inertial)
+        self._equilibrium = _Equilibrium(self._solver.pose, wrench, stiffness, inertial)
         if not inertial:
             self._elastic = stiffness
 
@@ -301,18 +327,26 @@ class Simulator:
         self.restore(self._start)
 
     def save(self) -> SimulatorState:
-        """All that the next step depends on, but for the parameters."""
+        """All that the next step depends on, but for the parameters; where the tissue creeps it will do so anew."""
+        self._stop_creeping()
         return SimulatorState(self._solver.save(), self._answer, self._equilibrium, self._elastic, self._pose,
                               self._waiting, self._lingers, self._share, self._touched, self._reduced.history)
 
     def restore(self, state: SimulatorState) -> None:
         """Go back to where `save` was called, in this simulator or in one of the same model and mesh."""
+        self._stop_creeping()
         self._solver.restore(state.solver)
         self._answer, self._equilibrium, self._elastic = state.answer, state.equilibrium, state.elastic
         self._pose = state.pose
         self._waiting, self._lingers, self._share = state.waiting, state.lingers, state.share
         self._touched, self._reduced.history = state.touched, state.history
         self._attempt, self._resumed = None, 0
+
+    def _stop_creeping(self) -> None:
+        """Back to the equilibrium from which the tissue crept away."""
+        if self._creep is not None:
+            self._creep.steps.close()
+            self._creep = None
 
     def set_parameters(self, **values: float) -> None:
         """Change parameters of the material; the state is kept, and the next step finds its equilibrium.
@@ -326,6 +360,7 @@ class Simulator:
         """
         material = with_values(self.model.material, values)
         _require_same_layers(self.model.material, material)
+        self._stop_creeping()
         self._solver.set_material(material)
         self.model = replace(self.model, material=material)
         history = self._reduced.history

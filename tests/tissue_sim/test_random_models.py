@@ -22,8 +22,10 @@ def random(root):
     before = set(sys.modules)
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(root / "benchmarks")
-        generator, check = (importlib.import_module(name) for name in ("random_model_generator", "equilibrium_check"))
-        yield SimpleNamespace(model=lambda seed: generator.build(generator.draw(seed)), check=check.EquilibriumCheck)
+        generator, check, motion = (importlib.import_module(name) for name in (
+            "random_model_generator", "equilibrium_check", "random_model_motion"))
+        yield SimpleNamespace(model=lambda seed: generator.build(generator.draw(seed)), check=check.EquilibriumCheck,
+                              draw=generator.draw, motion=motion)
     for name in set(sys.modules) - before:
         if name.startswith(("random_model", "equilibrium")):
             sys.modules.pop(name)
@@ -70,3 +72,12 @@ def test_derivatives_with_moduli_add_up_to_the_force(random, seed):
     answer = ts.sensitivities(model, moduli)
     force = answer.recording.force
     assert abs(answer.values @ [values[name] for name in moduli] - force).max() < 1e-8 * abs(force).max()
+
+
+@pytest.mark.parametrize("seed", [31, 35, 46])
+def test_every_tick_of_an_irregular_motion_is_in_equilibrium(random, seed):
+    """Where faces tear off or a layer under plates slides Newton's iteration alone finds none."""
+    found = random.motion.motion(random.draw(seed), "realtime")
+    assert found["status"] == "end" and not found["nan"]
+    assert found["statuses"] == {"converged": found["ticks"]} and found["after_the_jump"] == "converged"
+    assert not found["faults"] and found["recovered"] <= random.motion.AS_NEW

@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, ClassVar, Protocol, runtime_checkable
@@ -201,11 +201,12 @@ class Solver(ABC):
         """
 
     def creep(self, pose: Pose, dt: float = 0.0, *, tolerance: float = 1e-9,
-              max_iterations: int = 20) -> Iterator[Step]:
+              max_iterations: int = 20) -> Generator[Step]:
         """Steps to a pose that `step` does not reach, against a drag that is let go: where equilibrium is lost the
         tissue snaps to another one. The last one has converged without drag; if it has not, the state is as it was.
-        A solver that cannot creep yields none."""
-        return iter(())
+        Closed on the way, too. A solver that cannot creep yields none."""
+        return
+        yield
 
     @abstractmethod
     def save(self) -> Any:

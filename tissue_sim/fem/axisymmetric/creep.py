@@ -7,7 +7,7 @@ continuation (Kelley and Keyes, SIAM J. Numer. Anal. 35 (1998) 508), with the fr
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from dataclasses import replace
 from typing import Protocol
 
@@ -18,12 +18,15 @@ from tissue_sim.fem.axisymmetric.predictor import extrapolation
 from tissue_sim.fem.axisymmetric.state import SavedState, State
 from tissue_sim.fem.solver import Step, StepStatus
 
-#: Drag per volume at first, and below which it is let go, in shear moduli over the squared height of the specimen.
-_FIRST, _LAST = 1e4, 1.0
+#: Drag per volume at first, below which it is let go, and which it has again after that, in shear moduli over the
+#: squared height of the specimen.
+_FIRST, _LAST, _AGAIN = 1e4, 1.0, 0.01
 #: How much smaller each drag is than the one before, at most and at least.
 _LARGEST_RATIO, _SMALLEST_RATIO = 10.0, 2.5
-#: Where the first step fails its drag grows by this.
-_HARDER = 100.0
+#: That ratio grows by this after a step of few linear solves, and is halved after one that fails.
+_BOLDER, _FEW = 1.5, 5
+#: Where the first step fails its drag grows by this, and where one fails that has worked before by the other.
+_HARDER, _STIFFER = 100.0, 10.0
 _MOST_STEPS, _MOST_FAILURES = 60, 20
 
 
@@ -44,43 +47,50 @@ class Dragged(Protocol):
         """Go back to where `save` was called."""
 
 
-def creep(solver: Dragged, depth: float, dt: float, tolerance: float, max_iterations: int) -> Iterator[Step]:
+def creep(solver: Dragged, depth: float, dt: float, tolerance: float, max_iterations: int) -> Generator[Step]:
     """Steps to a depth, m, in a time dt, s; the last one has converged without drag, or the state is as it was.
 
     The first one is dragged along with the extrapolated motion of the tissue, the others are dragged from where the
-    one before ended. `Step.dissipated` is what the drag takes.
+    one before ended. `Step.dissipated` is what the drag takes. Who closes this on the way is back where it began.
     """
     equations, state = solver.equations, solver.committed
     saved, volumes = solver.save(), equations.all_masses()
     masses, rest, density = equations.begin_drag()
     # What the whole specimen feels.
     unit = equations.material.mu0 / float(np.ptp(equations.mesh.nodes[:, 1])) ** 2
-    drag, ratio, failures, begun = _FIRST * unit, _LARGEST_RATIO, 0, False
-    arrived = False
-    for _ in range(_MOST_STEPS):
-        if begun:
-            rest[:] = state.latest[: rest.size]
-        else:
-            weights = extrapolation(state.depths, depth, 1)
-            rest[:] = sum(weight * state.history[slot, : rest.size]
-                          for weight, slot in zip(weights, state.slots, strict=True))
-        origin = rest.copy()
-        step = solver.try_step(depth, 0.0 if begun else dt, tolerance, max_iterations, 0 if begun else 1, drag)
-        if step.status is StepStatus.CONVERGED:
-            way = state.latest[: rest.size] - origin
-            yield replace(step, dissipated=drag * float(volumes @ way**2))
-            arrived, begun = drag == 0.0, True
-            if arrived:
-                break
-            drag = drag / ratio if drag > _LAST * unit else 0.0
-        else:
-            yield step
-            failures += 1
-            if failures > _MOST_FAILURES:
-                break
-            drag = max(drag, 0.01 * unit) * (0.5 * ratio if begun else _HARDER)
-            ratio = max(_SMALLEST_RATIO, ratio / 1.5)
-    equations.end_drag(masses, density)
+    works = drag = _FIRST * unit
+    ratio, failures, begun, arrived = _LARGEST_RATIO, 0, False, False
+    try:
+        for _ in range(_MOST_STEPS):
+            if begun:
+                rest[:] = state.latest[: rest.size]
+            else:
+                weights = extrapolation(state.depths, depth, 1)
+                rest[:] = sum(weight * state.history[slot, : rest.size]
+                              for weight, slot in zip(weights, state.slots, strict=True))
+            origin = rest.copy()
+            step = solver.try_step(depth, 0.0 if begun else dt, tolerance, max_iterations, 0 if begun else 1, drag)
+            if step.status is StepStatus.CONVERGED:
+                way = state.latest[: rest.size] - origin
+                arrived, begun, works = drag == 0.0, True, max(drag, _AGAIN * unit)
+                yield replace(step, dissipated=drag * float(volumes @ way**2))
+                if arrived:
+                    break
+                if step.iterations <= _FEW:
+                    ratio = min(_LARGEST_RATIO, _BOLDER * ratio)
+                drag = drag / ratio if drag > _LAST * unit else 0.0
+            else:
+                yield step
+                failures += 1
+                if failures > _MOST_FAILURES:
+                    break
+                # What has worked does so again from where the tissue is now, nearly always.
+                if not begun or drag >= works:
+                    works = drag * (_STIFFER if begun else _HARDER)
+                drag, ratio = works, max(_SMALLEST_RATIO, 0.5 * ratio)
+    finally:
+        equations.end_drag(masses, density)
+        if not arrived:
+            solver.restore(saved)
     if not arrived:
-        solver.restore(saved)
         yield replace(step, status=StepStatus.SLOW if step.status is StepStatus.CONVERGED else step.status)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -109,7 +109,8 @@ class AxisymmetricSolver(Solver):
         result = Step.axial(_STATUSES[int(status)], int(iterations), residual, force, violation, int(slipping),
                             stiffness if asked else None)
         if result.status is StepStatus.CONVERGED:
-            state.largest_force = max(state.largest_force, abs(force))
+            if inertial or rate == 0.0:  # not that of a drag
+                state.largest_force = max(state.largest_force, abs(force))
             if self._sensitivity is not None:
                 self._sensitivity.advance()
             if state.motion is not None:
@@ -118,7 +119,7 @@ class AxisymmetricSolver(Solver):
         return result
 
     def creep(self, pose: Pose | float, dt: float = 0.0, *, tolerance: float = 1e-9,
-              max_iterations: int = 20) -> Iterator[Step]:
+              max_iterations: int = 20) -> Generator[Step]:
         """Steps to a depth, m, or that of a pose, against a drag that is let go; see `Solver.creep`."""
         return creep(self, depth_of(pose), dt, tolerance, max_iterations)
 

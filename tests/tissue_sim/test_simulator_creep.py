@@ -1,0 +1,97 @@
+"""Where Newton's iteration finds no equilibrium, the tissue creeps there: over as many steps as the budget makes of it,
+flagged, and with a way back."""
+
+import numpy as np
+import pytest
+
+import tissue_sim as ts
+from tissue_sim.fem.solver import Step, StepStatus
+
+MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
+MODEL = ts.Model(ts.Experiment(ts.Specimen(0.040, 0.070), ts.Protocol.ramp(4e-3, 2), tool=ts.Tool("flat", 8e-3, 1e-3),
+                               friction=0.3), MATERIAL)
+#: Where the iteration is made to fail, m.
+BARRED = 3e-3
+
+
+class Barred:
+    """A simulator whose solver finds no equilibrium from `BARRED` on by itself."""
+
+    def __init__(self, monkeypatch, **how):
+        self.simulator = ts.Simulator(MODEL, inertia="off", **how)
+        self.simulator.warm_up()
+        self.solver = self.simulator._solver
+        for k in range(1, 30):
+            self.last = self.simulator.step(1e-4 * k, 1e-3)
+            while self.last.status is not ts.ForceStatus.CONVERGED:
+                self.last = self.simulator.step(1e-4 * k, 1e-3)
+        step = type(self.solver).step
+
+        def fail(pose, dt=0.0, **options):
+            return Step.axial(StepStatus.DIVERGED, 1, 1.0, np.nan) if pose.depth >= BARRED \
+                else step(self.solver, pose, dt, **options)
+
+        monkeypatch.setattr(self.solver, "step", fail)
+
+
+@pytest.fixture
+def expected() -> float:
+    new = ts.Simulator(MODEL, inertia="off")
+    for k in range(1, 31):
+        answer = new.step(1e-4 * k, 1e-3)
+    return answer.force
+
+
+def test_arrives_at_the_same_force(monkeypatch, expected):
+    answer = Barred(monkeypatch).simulator.step(BARRED, 1e-3)
+    assert answer.status is ts.ForceStatus.CONVERGED and answer.depth == BARRED
+    assert answer.force == pytest.approx(expected, rel=1e-4)
+
+
+def test_within_a_budget_it_goes_on_from_step_to_step(monkeypatch, expected):
+    """All the while the force is that of the last equilibrium, carried on, and not that of a drag."""
+    barred = Barred(monkeypatch, budget=1e-3)
+    answers = [barred.simulator.step(BARRED, 1e-3)]
+    while answers[-1].status is ts.ForceStatus.LATE and len(answers) < 2000:
+        answers.append(barred.simulator.step(BARRED, 1e-3))
+    *late, last = answers
+    assert last.status is ts.ForceStatus.CONVERGED and last.force == pytest.approx(expected, rel=1e-4)
+    assert late and all(answer.status is ts.ForceStatus.LATE and answer.age > 0.0 for answer in late)
+    assert [answer.depth for answer in late] == [barred.last.depth] * len(late)
+    assert [answer.force for answer in late] == pytest.approx([late[0].force] * len(late))
+    assert late[0].force == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize("leave", [lambda one: one.save(), lambda one: one.reset(),
+                                   lambda one: one.set_parameters(C10=1404.9)], ids=["save", "reset", "parameters"])
+def test_who_leaves_on_the_way_is_back_at_the_last_equilibrium(monkeypatch, leave):
+    barred = Barred(monkeypatch)
+    equilibrium = barred.solver.state
+    creep, left = type(barred.solver).creep, []
+
+    def follow(*arguments, **options):
+        for step in creep(barred.solver, *arguments, **options):
+            if step.status is StepStatus.CONVERGED and not left:
+                assert np.abs(barred.solver.state - equilibrium).max() > 0.0
+                left.append(True)
+                raise KeyboardInterrupt
+            yield step
+
+    monkeypatch.setattr(barred.solver, "creep", follow)
+    with pytest.raises(KeyboardInterrupt):
+        barred.simulator.step(BARRED, 1e-3)
+    leave(barred.simulator)
+    if len(barred.solver.committed.depths) > 1:
+        np.testing.assert_array_equal(barred.solver.state, equilibrium)
+    assert barred.solver.depth in (0.0, barred.last.depth)
+    monkeypatch.undo()
+    again = barred.simulator.step(barred.last.depth, 1e-3)
+    assert again.status is ts.ForceStatus.CONVERGED
+
+
+def test_where_no_creep_helps_it_stops_and_says_so(monkeypatch):
+    """A solver that cannot creep yields no step."""
+    barred = Barred(monkeypatch)
+    monkeypatch.setattr(barred.solver, "creep", lambda *arguments, **options: iter(()))
+    answer = barred.simulator.step(BARRED, 1e-3)
+    assert answer.status is ts.ForceStatus.STOPPED and answer.depth < BARRED
