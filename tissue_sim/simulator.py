@@ -235,8 +235,9 @@ class Simulator:
             target, dt = between(here, pose, share), share * self._waiting
             if resumes and self._attempt is not None:
                 target, dt = self._attempt
-            # Across a change of contact extrapolation leads astray.
-            order = min(2, solver.unchanged) if extrapolates else 0
+            weighs = inertial and dt > 0.0 and creep is None
+            # Across a change of contact extrapolation leads astray, but less so where mass is in the way.
+            order = min(2, max(solver.unchanged, weighs)) if extrapolates else 0
             most = allowed = _MOST_SOLVES[order > 0]
             if self.budget is not None:
                 allowed = min(most, int((began + self.budget - started) / self._solve_time) - 1)
@@ -246,7 +247,7 @@ class Simulator:
                 break
             if creep is None:
                 step = solver.step(target, dt, tolerance=self.tolerance, max_iterations=allowed, predictor_order=order,
-                                   inertial=inertial and dt > 0.0, resumes=resumes)
+                                   inertial=weighs, resumes=resumes)
             elif (crept := next(creep.steps, None)) is not None:
                 step = creep.last = crept
             else:
@@ -257,7 +258,7 @@ class Simulator:
             if self._creep is not None:
                 continue
             if step.status is StepStatus.CONVERGED:
-                self._take(step, dt, creep is None and inertial and dt > 0.0)
+                self._take(step, dt, weighs)
                 self._waiting = max(0.0, self._waiting - dt)
                 self._share, self._attempt, self._resumed = min(1.0, 2.0 * self._share), None, 0
                 extrapolates, resumes = True, False

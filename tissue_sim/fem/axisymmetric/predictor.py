@@ -1,4 +1,4 @@
-"""Where an equilibrium is likely to be, from earlier ones."""
+"""Where an equilibrium is likely to be, from earlier ones: by the depth of the tool, or by time where tissue swings."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ def extrapolation(known: Sequence[float], depth: float, order: int) -> list[floa
     and far away it would be a wild guess.
 
     Args:
-        known: depths of the states, the latest first, m.
-        depth: where to, m.
+        known: depths (m) of the states, or times (s), the latest first.
+        depth: where to, in the same.
         order: the highest one; 0: the latest state as it is.
     """
     weights = [0.0] * KEPT

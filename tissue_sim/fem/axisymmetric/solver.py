@@ -99,7 +99,9 @@ class AxisymmetricSolver(Solver):
         """A step in which `rate` (1/s2, or N/m4 of a drag) times mass draws each freedom to where it rests."""
         equations, state = self.equations, self.committed
         if not resumes:
-            equations.predict(extrapolation(state.depths, depth, predictor_order))
+            swings = inertial and len(state.times) > 1
+            equations.predict(extrapolation(state.times, dt, predictor_order) if swings
+                              else extrapolation(state.depths, depth, predictor_order))
         equations.prepare(dt)
         equations.settings[newton.INERTIA] = rate
         equations.solve(depth, tolerance, max_iterations, goes_on_from=self._tried if resumes else None)
@@ -115,7 +117,7 @@ class AxisymmetricSolver(Solver):
                 self._sensitivity.advance()
             if state.motion is not None:
                 state.motion.commit(state.latest, state.x, dt, inertial)
-            state.commit(depth, watched=asked)
+            state.commit(depth, dt if inertial else 0.0, watched=asked)
         return result
 
     def creep(self, pose: Pose | float, dt: float = 0.0, *, tolerance: float = 1e-9,

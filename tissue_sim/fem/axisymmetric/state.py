@@ -19,6 +19,7 @@ class SavedState:
 
     arrays: tuple[np.ndarray, ...]
     depths: tuple[float, ...]
+    times: tuple[float, ...]
     largest_force: float
     unchanged: int
     touching: tuple[bytes, bytes]
@@ -35,6 +36,7 @@ class State:
         x: the state that a step works on.
         history: the latest committed states, shape (`KEPT`, unknowns), and `slots` their places, the latest first;
             depths: of the tool there, m.
+        times: of those of them between which the tissue swung, the latest at 0, s.
         largest_force: so far, N.
         unchanged: equilibria since points last met the tool, left it, stuck or slipped, where contact is `watched`.
         motion: velocities, where somebody asked for inertia.
@@ -45,7 +47,7 @@ class State:
         self.history = np.zeros((KEPT, x.size))
         self.history[0] = x
         self.slots = np.arange(KEPT, dtype=np.int32)
-        self.depths = [0.0]
+        self.depths, self.times = [0.0], [0.0]
         self.largest_force = 0.0
         self.unchanged, self._touching = 0, (b"", b"")
         self.motion: Motion | None = None
@@ -61,9 +63,11 @@ class State:
         """The last committed state; a view."""
         return self.history[self.slots[0]]
 
-    def commit(self, depth: float, watched: bool) -> None:
-        """Take over x as the equilibrium at a depth, m, and what memory and contact became there."""
-        if depth in self.depths:
+    def commit(self, depth: float, swung: float, watched: bool) -> None:
+        """Take over x as the equilibrium at a depth, m, and what memory and contact became there; the tissue swung to
+        it for so long, s, or came to rest (0)."""
+        self.times = [0.0, *(time - swung for time in self.times)][:KEPT] if swung else [0.0]
+        if depth in self.depths and not swung:
             # Coming back to a known depth: newest first, without a second sample at the same place.
             place = self.depths.index(depth)
             order = [place, *(i for i in range(KEPT) if i != place)]
@@ -85,7 +89,7 @@ class State:
 
     def lift_off(self) -> None:
         """Back to the displacements before the touch; memory stays."""
-        self.slots[:], self.depths, self.unchanged = np.arange(KEPT), [0.0], 0
+        self.slots[:], self.depths, self.times, self.unchanged = np.arange(KEPT), [0.0], [0.0], 0
         self.history[0] = self._untouched
         self.surface.anchors[:], self.surface.slipped[:] = self._first_bonds
         if self.motion is not None:
@@ -93,15 +97,15 @@ class State:
 
     def save(self) -> SavedState:
         """All that a committed step leaves behind."""
-        return SavedState(tuple(array.copy() for array in self._kept), tuple(self.depths), self.largest_force,
-                          self.unchanged, self._touching)
+        return SavedState(tuple(array.copy() for array in self._kept), tuple(self.depths), tuple(self.times),
+                          self.largest_force, self.unchanged, self._touching)
 
     def restore(self, saved: SavedState) -> None:
         """Go back to where `save` was called."""
         # Those of the motion come last, and one of the two may have none.
         for array, before in zip(self._kept, saved.arrays, strict=False):
             array[:] = before
-        self.depths, self.largest_force = list(saved.depths), saved.largest_force
+        self.depths, self.times, self.largest_force = list(saved.depths), list(saved.times), saved.largest_force
         self.unchanged, self._touching = saved.unchanged, saved.touching
 
     @property
