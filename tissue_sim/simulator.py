@@ -4,25 +4,26 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Generator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from tissue_sim.errors import InputError
-from tissue_sim.fem.solver import SOLVERS, Step, StepStatus, Surface
-from tissue_sim.material.effect import ReducedForce, ToolHistory
+from tissue_sim.fem.solver import SOLVERS, Rung, Step, StepStatus, Surface
+from tissue_sim.ladder import choose, measure_tick
+from tissue_sim.material.effect import ReducedForce
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.parameters import with_values
 from tissue_sim.pose import Pose, Screw, between, motion, scaled
+from tissue_sim.simulator_state import AT_REST, Creep, Equilibrium, SimulatorState
 from tissue_sim.snapshot import Snapshot, snapshot
 from tissue_sim.tool_force import (
     ForceStatus,
     Matrix,
     NextForce,
     ToolForce,
-    axial_stiffness,
-    axial_wrench,
     carried_on,
     pose_of,
 )
@@ -42,51 +43,13 @@ _SMALLEST_CUT, _CREEPS, _MOST_OF_CREEP = 2.0**-8, 0.5, 12
 INERTIAL_SPEED, _LINGERS = 0.005, 0.1
 #: Of tissue whose density nobody stated, kg/m3: that of water.
 DENSITY = 1000.0
+#: Number of the rung of the ladder of meshes that is tried first.
+_FIRST_RUNG = 1
 #: How many steps in a row one iteration may go on, where the budget ends it each time.
 _PATIENCE = 10
 #: How fast the guess of the time of a linear solve follows one that took longer, or shorter; and what is left of it
 #: after a step that did not try because of it: it may have met the computer in a bad moment.
 _LEARNS, _FORGETS, _DOUBTS = 0.5, 0.1, 0.5
-
-
-@dataclass(frozen=True, slots=True)
-class _Equilibrium:
-    """What the last equilibrium answers, and where; the stiffness holds mass where that was taken into account."""
-
-    pose: Pose
-    wrench: Screw
-    stiffness: Matrix
-    inertial: bool
-
-
-#: Of a tool that touches nothing.
-_AT_REST = _Equilibrium(Pose.at_depth(0.0), axial_wrench(0.0), axial_stiffness(0.0), inertial=False)
-
-
-@dataclass(slots=True)
-class _Creep:
-    """The tissue on its way to an equilibrium at a pose, a time step (s) later, and its last step there."""
-
-    pose: Pose
-    dt: float
-    steps: Generator[Step]
-    last: Step
-
-
-@dataclass(frozen=True, eq=False)
-class SimulatorState:
-    """Where a simulator stood; see `Simulator.save`."""
-
-    solver: Any
-    answer: ToolForce
-    equilibrium: _Equilibrium
-    elastic: Matrix
-    pose: Pose
-    waiting: float
-    lingers: float
-    share: float
-    touched: bool
-    history: ToolHistory
 
 
 class Simulator:
@@ -99,7 +62,8 @@ class Simulator:
     Args:
         model: experiment, material; of the protocol only the largest depth matters, to the mesh of tools without a
             flat face.
-        resolution: as in `simulate`.
+        resolution: as in `simulate`. With a budget ``"realtime"`` is the finest mesh of a ladder that this computer
+            steps in it, chosen by `warm_up`; ``"realtime_63"`` and the like fix it.
         mesh: a mesh of your own instead.
         budget: wall time of a step, s, after which it answers what it knows (`ForceStatus.LATE`); None: however long
             it takes, and the same motion gives the same forces bit for bit.
@@ -109,6 +73,10 @@ class Simulator:
         solver: name in `tissue_sim.fem.solver.SOLVERS`.
         looks_ahead: whether answers in which the mass counts say what the next step would answer (`ToolForce.ahead`),
             for a virtual coupling; a tenth of the step's time.
+
+    Attributes:
+        resolution: which of the solver's names it has come to; "own mesh" where it was given.
+        force_error: largest known error of the force on that mesh, over the force; None where nobody knows.
 
     Raises:
         InputError: an unknown solver, resolution or inertia, a tool that leans or slips in part, a bulk response or
@@ -133,6 +101,11 @@ class Simulator:
         self.model, self.budget, self.inertia, self.tolerance = model, budget, inertia, tolerance
         self.looks_ahead = looks_ahead
         self._solver = SOLVERS.find(solver, "solver")(model, resolution=resolution, mesh=mesh)
+        self._solver_name, rungs = solver, () if mesh is not None else self._solver.realtime_rungs(model)
+        #: To choose from.
+        self._rungs = rungs if resolution == "realtime" and budget is not None else ()
+        self.resolution = "own mesh" if mesh is not None else resolution
+        self.force_error = {rung.resolution: rung.force_error for rung in rungs}.get(resolution)
         self._solver.ask_for_stiffness()
         self.density = model.experiment.specimen.density or model.material.density or DENSITY
         if inertia != "off":
@@ -150,7 +123,7 @@ class Simulator:
         self._solve_time = 1e-9
         self._answer = ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
         # The last equilibrium, and the last stiffness without mass.
-        self._equilibrium, self._elastic = _AT_REST, _AT_REST.stiffness
+        self._equilibrium, self._elastic = AT_REST, AT_REST.stiffness
         # Where the tool is said to be; whether it has touched the tissue; time since the last equilibrium, and since
         # the tool was fast; and the share of the largest part that works.
         self._pose, self._touched = self._solver.pose, False
@@ -158,7 +131,7 @@ class Simulator:
         # Pose and time step of an iteration that the budget ended, and how often it did.
         self._attempt: tuple[Pose, float] | None = None
         self._resumed = 0
-        self._creep: _Creep | None = None
+        self._creep: Creep | None = None
         self._start = self.save()
 
     @property
@@ -167,8 +140,35 @@ class Simulator:
         return self._solver.mesh
 
     def warm_up(self) -> None:
-        """Compile what a step needs, or load it from the cache, and leave the state as it is. Takes seconds the first
-        time on a computer."""
+        """Compile what a step needs, or load it from the cache, choose a mesh where there is one to choose, and leave
+        the state as it is. Takes seconds the first time on a computer; call it before the first step."""
+        self._compile()
+        if self._rungs:
+            self._choose_mesh()
+
+    def _choose_mesh(self) -> None:
+        """Take the finest mesh whose ticks fit into the budget, once."""
+        rungs, self._rungs = self._rungs, ()
+        depth = float(np.max(self.model.experiment.protocol.displacement))
+        made: dict[str, Simulator] = {}
+
+        def tick_of(rung: Rung) -> float:
+            made[rung.resolution] = one = Simulator(
+                self.model, resolution=rung.resolution, inertia=self.inertia, tolerance=self.tolerance,
+                solver=self._solver_name, looks_ahead=self.looks_ahead)
+            one._compile()
+            tick = measure_tick(one, depth, lifts=not self._bonded)
+            one.reset()
+            return tick
+
+        rung = choose(rungs, _FIRST_RUNG, self.budget or math.inf, tick_of)
+        one = made[rung.resolution]
+        self._solver, self._solve_time, self._start = one._solver, one._solve_time, one._start
+        self.resolution, self.force_error = rung.resolution, rung.force_error
+        self.restore(self._start)
+
+    def _compile(self) -> None:
+        """Take three tiny steps, and go back."""
         saved, pose = self.save(), self._solver.pose
         x, y, z = pose.position
         spent = []
@@ -204,7 +204,7 @@ class Simulator:
             height, height_before = pose.position[2], before.position[2]
             if height > 0.0:
                 # In the air, and the tissue rests as it was.
-                self._answer = ToolForce(_AT_REST.wrench, _AT_REST.stiffness, ForceStatus.CONVERGED, pose=pose,
+                self._answer = ToolForce(AT_REST.wrench, AT_REST.stiffness, ForceStatus.CONVERGED, pose=pose,
                                          compute_time=time.perf_counter() - began)
                 return self._answer
             self._touched = True
@@ -273,7 +273,7 @@ class Simulator:
                 extrapolates = False
             elif creep is None and min(self._share, way / self._largest_part) < _CREEPS:
                 self._share = min(self._share, way / self._largest_part)
-                self._creep = _Creep(target, dt, solver.creep(target, dt, tolerance=self.tolerance,
+                self._creep = Creep(target, dt, solver.creep(target, dt, tolerance=self.tolerance,
                                                               max_iterations=_MOST_OF_CREEP), step)
             else:
                 self._share, extrapolates = 0.5 * self._share, True
@@ -305,7 +305,7 @@ class Simulator:
     def _carried_on(self, wrench: Screw, way: Screw) -> Screw:
         """The wrench of the last equilibrium a little further on; tissue that cannot pull at the tool does not."""
         wrench = carried_on(wrench, self._elastic, way)
-        return wrench if self._pulls or wrench[2] > 0.0 else _AT_REST.wrench
+        return wrench if self._pulls or wrench[2] > 0.0 else AT_REST.wrench
 
     def _take(self, step: Step, dt: float, inertial: bool) -> None:
         """Keep what an equilibrium answers."""
@@ -314,7 +314,7 @@ class Simulator:
         if left != 1.0:
             a, b, c, d, e, f = (scaled(left, row) for row in stiffness)
             wrench, stiffness = scaled(left, wrench), (a, b, c, d, e, f)
-        self._equilibrium = _Equilibrium(self._solver.pose, wrench, stiffness, inertial)
+        self._equilibrium = Equilibrium(self._solver.pose, wrench, stiffness, inertial)
         if not inertial:
             self._elastic = stiffness
 

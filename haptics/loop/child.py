@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from haptics.devices.contracts import DeviceError, HapticDevice
 from haptics.loop.commands import COMMANDS
-from haptics.loop.loop import Loop, LoopReport, LoopSettings
+from haptics.loop.loop import Loop, LoopReport, LoopSettings, mesh_of
 from haptics.loop.ring import RingWriter
 from haptics.loop.shared_slots import remove
 from haptics.loop.snapshot_board import SnapshotBoard
@@ -97,7 +97,7 @@ def _loop(connection: Connection, parts: LoopParts, files: LoopFiles) -> LoopRep
                     listen=lambda loop: _listen(loop, connection, shown))
         # Last, so that nobody holds a device that waits for a compiler.
         parts.device.start()
-        _say(connection, "ready")
+        _say(connection, "ready", mesh_of(tissue))
         return loop.run()
 
 

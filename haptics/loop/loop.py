@@ -80,6 +80,8 @@ class LoopReport:
         real_time: what the system has granted; empty where it was not asked.
         peak_memory: of the process, bytes; None where the platform does not say.
         device: what the device said of itself at the end, with ``trouble`` where it was lost.
+        resolution, force_error: of the tissue's mesh, and the largest known error of its force, over the force; "" and
+            None where the tissue does not say.
     """
 
     ended_by: str
@@ -96,6 +98,8 @@ class LoopReport:
     real_time: tuple[RealTimeFeature, ...]
     peak_memory: int | None
     device: dict[str, Any] = field(default_factory=dict)
+    resolution: str = ""
+    force_error: float | None = None
 
     def as_json(self) -> dict[str, Any]:
         """For `json.dumps`; units are in the names of the keys."""
@@ -107,8 +111,14 @@ class LoopReport:
             "statuses": self.statuses, "flagged": self.flagged, "largest_force_N": self.largest_force,
             "real_time": [asdict(feature) for feature in self.real_time],
             "peak_memory_MB": None if self.peak_memory is None else self.peak_memory / 1e6,
-            "device": self.device,
+            "device": self.device, "resolution": self.resolution,
+            "force_error_percent": None if self.force_error is None else 100 * self.force_error,
         }
+
+
+def mesh_of(tissue: Tissue) -> tuple[str, float | None]:
+    """Name of a tissue's resolution, and largest known error of its force, over the force, where it knows."""
+    return getattr(tissue, "resolution", ""), getattr(tissue, "force_error", None)
 
 
 def _microseconds(times: Quantiles) -> dict[str, float]:
@@ -185,7 +195,7 @@ class Loop:
             ticker.lateness.quantiles, self._compute_time.quantiles,
             {status.name.lower(): self._statuses[status] for status in ForceStatus},
             {_FLAGS[flag]: count for flag, count in self._flagged.items()},
-            self._largest_force, features, peak_memory(), self._device.describe())
+            self._largest_force, features, peak_memory(), self._device.describe(), *mesh_of(self._tissue))
 
     def _tick(self, lateness: float, ring: RingWriter) -> None:
         ticker = self._ticker

@@ -51,6 +51,7 @@ class LoopProcess:
         ring_path, snapshot_path: files for viewers and recorders, while the process lives.
         pattern: what its snapshots have in common, of the material as it is now; None where it publishes none.
         message: what the process has last said of itself.
+        resolution, force_error: of the tissue's mesh, when it is ready; see `LoopReport`.
         report: of a loop that has ended; None before, and of one that died.
 
     Raises:
@@ -74,6 +75,7 @@ class LoopProcess:
         self._failure: Exception | None = None
         self._answers: list[str] = []
         self.pattern: Snapshot | None = None
+        self.resolution, self.force_error = "", None
 
     def start(self) -> None:
         """Start the process and return at once.
@@ -275,6 +277,7 @@ class LoopProcess:
             self.message = content
         elif kind == "ready":
             self.message, self._ready = "running", True
+            self.resolution, self.force_error = content
         elif kind == "pattern":
             self.pattern = content
         elif kind == "changed" and self.pattern is not None:

@@ -36,19 +36,23 @@ class _State(_Command, frozen=True):
     name: Name
 
 
+Description = Mapping[str, Any] | Callable[[], Mapping[str, Any]]
+
+
 class Commands:
     """Executes the commands on the tissue of a `StepService`, between its steps.
 
     Args:
         service: the tissue, and who owns it.
-        description: what ``describe`` says of scene, specimen, tool, material and mesh; of JSON's types.
+        description: what ``describe`` says of scene, specimen, tool, material and mesh; of JSON's types, or what gives
+            it when it is asked for.
         parameters: name -> value of those that ``set_parameters`` knows, SI.
     """
 
-    def __init__(self, service: StepService, description: Mapping[str, Any] | None = None,
+    def __init__(self, service: StepService, description: Description | None = None,
                  parameters: Mapping[str, float] | None = None):
         self._service, self._tissue = service, service.tissue
-        self._description = as_json_types(description or {})
+        self._description = description if callable(description) else as_json_types(description or {})
         self._parameters = dict(parameters or {})
         self._states: dict[str, tuple[Any, dict[str, float]]] = {}
         self._commands: dict[str, tuple[type[_Command], Callable[[Any], Iterator[bytes] | dict[str, Any]]]] = {
@@ -99,8 +103,9 @@ class Commands:
         return {"command": name, **answer} if isinstance(answer, dict) else answer
 
     def _describe(self, _: _Command) -> dict[str, Any]:
+        given = as_json_types(self._description()) if callable(self._description) else self._description
         return {"protocol": {"version": VERSION, "request_bytes": REQUEST_SIZE, "reply_bytes": REPLY_SIZE},
-                "frame": FRAME, **self._description, "parameters": self._parameters,
+                "frame": FRAME, **given, "parameters": self._parameters,
                 "commands": list(self._commands), "states": list(self._states)}
 
     def _statistics(self, _: _Command) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from contextlib import suppress
 from functools import partial
 from typing import Any
 
-from haptics.server.commands import Commands
+from haptics.server.commands import Commands, Description
 from haptics.server.connections import ConfigurationPort
 from haptics.server.steps import SILENCE, Counters, ServedTissue, StepService
 from haptics.server.wire import REQUEST_SIZE
@@ -34,7 +34,7 @@ class TissueServer:
         host: address of the network interface.
         port: UDP port of the poses; 0 chooses a free one.
         configuration_port: TCP port of the configuration; 0 chooses a free one, None: no configuration.
-        description: what ``describe`` says of scene, material and mesh; of JSON's types.
+        description: what ``describe`` says of scene, material and mesh; of JSON's types, or what gives it then.
         parameters: name -> value of what ``set_parameters`` may set, SI.
         silence: a client that is silent for so long loses the tissue to another, s.
         spin: keep polling for so long after a packet before going to sleep, s. It saves the time of waking up, and
@@ -48,7 +48,7 @@ class TissueServer:
 
     def __init__(self, tissue: ServedTissue, *, host: str = LOOPBACK, port: int = 0,
                  configuration_port: int | None = None,
-                 description: Mapping[str, Any] | None = None, parameters: Mapping[str, float] | None = None,
+                 description: Description | None = None, parameters: Mapping[str, float] | None = None,
                  silence: float = SILENCE, spin: float = 0.0, expose: bool = False):
         _require_loopback(host, expose)
         self._service = StepService(tissue, silence)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from scenes.commands.shared.console import print_json, results_console
 from scenes.commands.shared.parsing import Parser, add_json, positive
 
-SUMMARY = "check Python, Taichi, the four packages, the 1 kHz clock, caches and ports"
+SUMMARY = "check Python, Taichi, the packages, real time, caches and ports"
 EXAMPLE = "tissue-sim doctor"
 _COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}
 

@@ -77,7 +77,7 @@ def run(arguments) -> int:
                                  budget=budget(arguments), inertia=arguments.inertia, solver=arguments.solver)
     # The ports come before the compilation: one that is taken should be known at once.
     with TissueServer(simulator, host=arguments.host, port=arguments.port, configuration_port=port,
-                      description=describe(arguments, experiment, material_file, simulator),
+                      description=lambda: describe(arguments, experiment, material_file, simulator),
                       parameters=parameter_values(material), spin=spin(arguments), expose=arguments.expose) as server:
         with progress.status("loading the solver (a machine's first run compiles it)"):
             simulator.warm_up()
@@ -120,7 +120,8 @@ def describe(arguments, experiment: Experiment, material_file, simulator) -> dic
         "interfaces": {name: getattr(experiment, name) for name in ("friction", "friction_base", "friction_wall")},
         "material_file": arguments.material,
         "material": summarise(material_file),
-        "resolution": arguments.resolution,
+        "resolution": simulator.resolution,
+        "force_error": simulator.force_error,
         "inertia": arguments.inertia,
         "budget": simulator.budget,
         "solver": arguments.solver,

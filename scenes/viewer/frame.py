@@ -38,6 +38,7 @@ class Readouts:
         rate: ticks a second of wall time.
         late: share of the ticks so far that began late or were missed.
         status: of the tissue's answers, in words: the worst of the last half second.
+        mesh: of the tissue, in words.
     """
 
     time: float
@@ -49,6 +50,7 @@ class Readouts:
     rate: float
     late: float
     status: str
+    mesh: str = ""
 
 
 @dataclass(frozen=True, eq=False)

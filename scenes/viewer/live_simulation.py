@@ -168,7 +168,13 @@ class LiveSimulation:
         self.readouts = Readouts(
             float(last["time"]), float(last["tool_depth"]), float(last["tissue_force"]), float(last["stiffness"]),
             float(np.median(recent["compute_time"])), float(recent["iterations"].mean()), rate,
-            float((last["late"] + last["missed"]) / max(deadlines, 1)), _in_words(int(recent["status"].max()), last))
+            float((last["late"] + last["missed"]) / max(deadlines, 1)), _in_words(int(recent["status"].max()), last),
+            _mesh_in_words(self._loop.resolution, self._loop.force_error))
+
+
+def _mesh_in_words(resolution: str, force_error: float | None) -> str:
+    """The mesh, and how good it is known to be."""
+    return resolution if force_error is None else f"{resolution}, force within {100 * force_error:.2g} %"
 
 
 def _in_words(status: int, last: np.void) -> str:

@@ -86,6 +86,19 @@ class Step:
         return 0.0 if self.stiffness_matrix is None else self.stiffness_matrix[2][2]
 
 
+@dataclass(frozen=True, slots=True)
+class Rung:
+    """One of a ladder of resolutions for real time.
+
+    Attributes:
+        resolution: its name.
+        force_error: largest known error of the force, over the force.
+    """
+
+    resolution: str
+    force_error: float
+
+
 class Fields(Protocol):
     """Fields of the samples of a simulation, computed when asked for."""
 
@@ -207,6 +220,12 @@ class Solver(ABC):
         Closed on the way, too. A solver that cannot creep yields none."""
         return
         yield
+
+    @classmethod
+    def realtime_rungs(cls, model: Model) -> Sequence[Rung]:
+        """Resolutions of a model for real time, the finest first, of which `Simulator` takes what the computer can do;
+        empty of a solver that has none to choose from."""
+        return ()
 
     @abstractmethod
     def save(self) -> Any:

@@ -117,8 +117,7 @@ def run(arguments) -> int:
         print(f"tissue-sim: {error}", file=sys.stderr)
         return 1
     if arguments.json:
-        print_json({"scene": arguments.scene, "motion": name, "resolution": arguments.resolution,
-                    **report.as_json()})
+        print_json({"scene": arguments.scene, "motion": name, **report.as_json()})
     else:
         from scenes.commands.loop.report import print_report
 

@@ -56,6 +56,9 @@ def print_report(report: LoopReport, console: Console) -> None:
         counted = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items() if count)
         if counted:
             print_sentence(console, f"{what}: {counted}")
+    if report.resolution:
+        error = "" if report.force_error is None else f", whose force errs by {100 * report.force_error:.2g} % at most"
+        print_sentence(console, f"mesh: {report.resolution}{error}")
     print_sentence(console, f"largest force: {report.largest_force:.4g} N")
     if report.device.get("trouble"):
         print_sentence(console, f"the device was lost: {report.device['trouble']}")

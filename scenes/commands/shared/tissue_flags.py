@@ -12,12 +12,17 @@ from tissue_sim.errors import InputError, nearest
 if TYPE_CHECKING:
     from tissue_sim import Material
 
-_RESOLUTIONS = {"realtime": "realtime", "fast": "fast (force within 1 %%)", "accurate": "accurate (within 0.2 %%)"}
+#: Meshes for real time; with a budget "realtime" is the finest of them that the computer steps in it.
+_RUNGS = ("realtime_120", "realtime_63", "realtime_35", "realtime_20")
+_RESOLUTIONS = {"realtime": f"realtime (within a budget the finest of {', '.join(_RUNGS)} that this computer steps in "
+                            "it; one of these fixes it)",
+                "fast": "fast (force within 1 %%)", "accurate": "accurate (within 0.2 %%)"}
 
 
 def add_solver_flags(parser: Parser, resolutions: Sequence[str] = tuple(_RESOLUTIONS)) -> None:
     """The solver, and its resolution: one of `resolutions`, by default the first."""
-    parser.add_argument("--resolution", choices=resolutions, default=resolutions[0],
+    parser.add_argument("--resolution", choices=(*resolutions, *(_RUNGS if "realtime" in resolutions else ())),
+                        default=resolutions[0],
                         help=f"{', '.join(_RESOLUTIONS[name] for name in resolutions)} (default: %(default)s)")
     parser.add_argument("--solver", metavar="NAME", default="axisymmetric",
                         help="axisymmetric, or one that an installed package adds (default: %(default)s)")

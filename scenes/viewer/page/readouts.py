@@ -37,7 +37,8 @@ def readouts_html(frame: Frame) -> str:
              ("iterations", "iterations", "–" if now is None else f"{now.iterations:.1f} per tick"),
              ("rate", "loop", "–" if now is None else f"{now.rate:.0f} Hz"),
              ("late", "late ticks", "–" if now is None else f"{now.late * 100:.2f} %"),
-             ("solution", "tissue", "–" if now is None else now.status)]
+             ("solution", "tissue", "–" if now is None else now.status),
+             ("mesh", "mesh", "–" if now is None else now.mesh or "–")]
     cells = "".join(f'<div style="flex:1"><div style="font-size:0.75em;opacity:0.7">{label}</div>'
                     f'<div style="font-size:1.7em;font-weight:600;font-variant-numeric:tabular-nums">'
                     f'<span data-testid="{key}">{value}</span> <span style="font-size:0.6em">{unit}</span></div></div>'

@@ -9,6 +9,7 @@ import numpy as np
 from tissue_sim.errors import ConvergenceError, InputError, nearest
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.fem.axisymmetric.contact_pairs import build_contact
+from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, STUDY_SLENDERNESS, UNMEASURED, Resolution
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.material.layer import Layer
@@ -17,19 +18,11 @@ from tissue_sim.mesh.elements import Q9P1, Element
 from tissue_sim.model import Model
 from tissue_sim.specimen import Specimen
 
-#: Resolution -> elements and grading along r and z of a cylinder as slender as the study's (radius 40, height 70 mm)
-#: between plates. Bonded compression to 10 mm errs by 0.28 % (fast) and 0.03 % (accurate) at most.
-RESOLUTIONS = {"realtime": ((6, 8), (10.0, 4.0)), "fast": ((6, 8), (10.0, 4.0)), "accurate": ((16, 20), (50.0, 25.0))}
-_STUDY_SLENDERNESS = 70.0 / 40.0
-#: Resolution -> smallest and largest element in radii of the needle, and growth from one to the next. The study's
-#: needle at 2, 5 and 10 mm errs by 0.7 % (fast) and 0.1 % (accurate) at most.
-NEEDLE_RESOLUTIONS = {"realtime": (0.1, 2.25, 2.5), "fast": (0.1625, 1.875, 1.8), "accurate": (0.00625, 1.5, 1.5)}
-#: The same for tips without a flat face, in radii of the contact at the largest depth.
-TIP_RESOLUTIONS = {"realtime": (0.25, 2.5, 1.6), "fast": (0.25, 2.5, 1.6), "accurate": (0.08, 1.5, 1.35)}
-#: Fewest elements in a layer of the material.
-LAYER_ELEMENTS = {"realtime": 2, "fast": 2, "accurate": 4}
 #: Elements need not be smaller than this share of a rounded edge, nor larger than this share of the specimen.
 _ROUNDING_SHARE, _SPECIMEN_SHARE = 0.25, 0.17
+#: Where the contact reaches the shoulder of a tip, from this share of its radius on, stresses are as high as at the edge
+#: of a flat face: elements are smaller by the next share there, down to the last one of the contact.
+_AT_THE_SHOULDER, _SHOULDER_SHARE, _FINE_ENOUGH = 0.9, 0.4, 0.08
 _HELD = {"bonded": "rz", "frictionless": "z"}
 
 
@@ -39,16 +32,18 @@ def build_mesh(experiment: Experiment, resolution: str = "fast", element: Elemen
 
     Args:
         experiment: what is done.
-        resolution: a key of `RESOLUTIONS`.
+        resolution: a key of `RESOLUTIONS`, or "realtime".
         element: element type.
         layers: of the material; element boundaries lie on their interfaces.
 
     Raises:
         InputError: unknown resolution, or layers thicker than the specimen is high.
     """
-    if resolution not in RESOLUTIONS:
-        raise InputError(f"unknown resolution {resolution!r}{nearest(resolution, RESOLUTIONS)}", field="resolution")
-    mesh = _mesh_of_one_material(experiment, resolution, element, small=experiment.homogeneous and not layers)
+    chosen = RESOLUTIONS.get(UNMEASURED.get(resolution, resolution))
+    if chosen is None:
+        raise InputError(f"unknown resolution {resolution!r}{nearest(resolution, [*UNMEASURED, *RESOLUTIONS])}",
+                         field="resolution")
+    mesh = _mesh_of_one_material(experiment, chosen, element, small=experiment.homogeneous and not layers)
     if not layers:
         return mesh
     interfaces = -np.cumsum([layer.thickness for layer in layers])
@@ -57,32 +52,34 @@ def build_mesh(experiment: Experiment, resolution: str = "fast", element: Elemen
                          f"{experiment.specimen.height * 1e3:g} mm high", field="layers")
     corners = mesh.nodes[mesh.connectivity[:, :4]].reshape(-1, 2)
     r, z = np.unique(corners[:, 0]), np.unique(corners[:, 1])
-    layered = structured_mesh(r, with_lines(z, interfaces.tolist(), LAYER_ELEMENTS[resolution]), element)
+    layered = structured_mesh(r, with_lines(z, interfaces.tolist(), chosen.layer_elements), element)
     top, old = layered.sets["top"], mesh.sets["top"]
     top_sets = {name: top[np.isin(old, nodes)] for name, nodes in mesh.sets.items() if name in ("face", "free")}
     return replace(layered, sets={**layered.sets, **top_sets})
 
 
-def _mesh_of_one_material(experiment: Experiment, resolution: str, element: Element, *, small: bool) -> Mesh:
+def _mesh_of_one_material(experiment: Experiment, resolution: Resolution, element: Element, *, small: bool) -> Mesh:
     specimen, tool = experiment.specimen, experiment.tool
     if small:
         # Every mesh is exact.
         return cylinder_mesh(specimen.radius, specimen.height, (2, 2), element)
     least = _SPECIMEN_SHARE * max(specimen.radius, specimen.height)
     if tool.face_radius == 0:
-        smallest, largest, growth = TIP_RESOLUTIONS[resolution]
+        smallest, largest, growth = resolution.tip
         contact = experiment.contact_radius
+        if tool.profile.shaft and contact >= _AT_THE_SHOULDER * tool.require_radius():
+            smallest = max(_SHOULDER_SHARE * smallest, min(smallest, _FINE_ENOUGH))
         return tip_mesh(specimen.radius, specimen.height, contact, element, growth=growth,
                         smallest=smallest * contact, largest=max(largest * contact, least))
     if tool.face_radius:
-        smallest, largest, growth = NEEDLE_RESOLUTIONS[resolution]
+        smallest, largest, growth = resolution.needle
         radius = tool.require_radius()
         return needle_mesh(
             specimen.radius, specimen.height, tool.face_radius, element, growth=growth,
             smallest=max(smallest * radius, _ROUNDING_SHARE * tool.edge_radius), largest=max(largest * radius, least))
-    (along_r, along_z), grading = RESOLUTIONS[resolution]
+    (along_r, along_z), grading = resolution.plates
     # As many elements in other shapes, with no fewer than half and no more than four times as many along a side.
-    stretch = np.sqrt(specimen.height / specimen.radius / _STUDY_SLENDERNESS)
+    stretch = np.sqrt(specimen.height / specimen.radius / STUDY_SLENDERNESS)
     columns, rows = (round(float(np.clip(count * share, count / 2, 4 * count)))
                      for count, share in ((along_r, 1 / stretch), (along_z, stretch)))
     return cylinder_mesh(specimen.radius, specimen.height, (columns, rows), element, grading=grading)
@@ -109,7 +106,7 @@ def make_solver(model: Model, *, resolution: str = "fast", mesh: Mesh | None = N
 
     Args:
         model: experiment and material.
-        resolution: a key of `RESOLUTIONS`.
+        resolution: a key of `RESOLUTIONS`, or "realtime".
         mesh: a mesh of your own instead.
         topology: a model of another geometry, whose mesh is taken (or whose `mesh` is given) and moved to this one's.
     """

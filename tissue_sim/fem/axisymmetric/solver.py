@@ -15,14 +15,16 @@ from tissue_sim.fem.axisymmetric.creep import creep
 from tissue_sim.fem.axisymmetric.equations import Equations
 from tissue_sim.fem.axisymmetric.fields import Fields
 from tissue_sim.fem.axisymmetric.predictor import extrapolation
+from tissue_sim.fem.axisymmetric.resolutions import realtime_rungs
 from tissue_sim.fem.axisymmetric.sensitivity import Sensitivity
 from tissue_sim.fem.axisymmetric.state import SavedState
 from tissue_sim.fem.axisymmetric.surface import DeformedSurface, deformed_surface
 from tissue_sim.fem.axisymmetric.touch import bring_down
 from tissue_sim.fem.inertia import Motion
-from tissue_sim.fem.solver import Neighbours, Solver, Step, StepStatus
+from tissue_sim.fem.solver import Neighbours, Rung, Solver, Step, StepStatus
 from tissue_sim.material.material import Material
 from tissue_sim.mesh import Mesh
+from tissue_sim.model import Model
 from tissue_sim.pose import Pose
 from tissue_sim.tool_force import NextForce, axial_stiffness, axial_wrench, depth_of
 
@@ -150,6 +152,11 @@ class AxisymmetricSolver(Solver):
     def ask_for_stiffness(self) -> None:
         """Let every step answer how the force grows with depth."""
         self.equations.counts[newton.STIFFNESS_ASKED] = 1
+
+    @classmethod
+    def realtime_rungs(cls, model: Model) -> Sequence[Rung]:
+        """See `Solver.realtime_rungs`."""
+        return realtime_rungs(model.experiment)
 
     def differentiate(self, neighbours: Neighbours) -> Sensitivity | None:
         """Carry exact derivatives along from now on, before the first step; there are none with effects at points."""

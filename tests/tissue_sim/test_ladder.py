@@ -1,0 +1,114 @@
+"""Meshes for real time: how the finest that fits is found, and that their forces err by no more than they say."""
+
+import numpy as np
+import pytest
+
+import tissue_sim as ts
+from scenes.commands.shared import tissue_flags
+from scenes.doctor import realtime_mesh
+from tissue_sim import ladder, simulator
+from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, realtime_rungs
+from tissue_sim.fem.solver import Rung
+
+SPECIMEN = ts.Specimen(0.040, 0.070)
+MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
+RUNGS = tuple(Rung(name, 0.01) for name in "abcd")
+TESTS = {"plates": {}, "needle": {"tool": ts.Tool("flat", 8e-3)},
+         "needle with friction": {"tool": ts.Tool("flat", 8e-3, 0.25e-3), "friction": 0.7},
+         "ball": {"tool": ts.Tool("sphere", 8e-3), "friction": 0.3}}
+
+
+def model(name: str, depth: float = 10e-3, samples: int = 21) -> ts.Model:
+    return ts.Model(ts.Experiment(SPECIMEN, ts.Protocol.ramp(depth, samples), **TESTS[name]), MATERIAL)
+
+
+@pytest.mark.parametrize(("ticks", "chosen", "measured"), [
+    ((9.0, 0.9, 0.4, 0.2), "b", "b"), ((1.3, 0.6, 0.4, 0.2), "b", "ba"), ((0.9, 0.4, 0.2, 0.1), "a", "ba"),
+    ((9.0, 4.0, 0.9, 0.4), "c", "bc"), ((9.0, 4.0, 1.1, 0.9), "d", "bcd"), ((90.0, 40.0, 20.0, 10.0), "d", "bcd"),
+], ids=["it fits", "the finer one does not", "the finer one does", "a coarser one", "the coarsest", "none"])
+def test_finest_that_fits(ticks, chosen, measured):
+    seen = []
+
+    def tick_of(rung):
+        seen.append(rung.resolution)
+        return ticks["abcd".index(rung.resolution)]
+
+    assert ladder.choose(RUNGS, 1, 1.0, tick_of).resolution == chosen
+    assert "".join(seen) == measured
+
+
+class Counting:
+    """A simulator that keeps where it was led."""
+
+    def __init__(self):
+        self.depths = []
+
+    def step(self, depth, dt):
+        assert dt == ladder.TICK
+        self.depths.append(depth)
+
+
+@pytest.mark.parametrize("lifts", [True, False])
+def test_the_motion_that_is_measured(lifts):
+    one = Counting()
+    assert ladder.measure_tick(one, 10e-3, lifts=lifts) >= 0.0
+    depths = np.array(one.depths)
+    assert 4e-3 < depths.max() <= 5e-3 and (depths.min() < 0.0) == lifts
+    assert 0.05 < np.abs(np.diff(depths)).max() / ladder.TICK < 0.2
+
+
+def led_to(monkeypatch, name: str, ticks, **how) -> ts.Simulator:
+    """A simulator with a budget of 1 s, on a computer that takes so long (s) for the ticks of each rung."""
+    times = iter(ticks)
+    monkeypatch.setattr(simulator, "measure_tick", lambda *arguments, **options: next(times))
+    return ts.Simulator(model(name), **{"budget": 1.0, "inertia": "off"} | how)
+
+
+def test_chosen_at_warm_up_and_kept(monkeypatch):
+    sim = led_to(monkeypatch, "needle", (2.0, 0.5))
+    assert sim.resolution == "realtime"
+    sim.warm_up()
+    rung = {rung.resolution: rung for rung in realtime_rungs(sim.model.experiment)}[sim.resolution]
+    assert rung.resolution == "realtime_35" and sim.force_error == rung.force_error
+    assert len(sim.mesh.connectivity) == 35
+    answer, mesh = sim.step(2e-3, 1e-3), sim.mesh
+    fixed = ts.Simulator(model("needle"), resolution="realtime_35", inertia="off")
+    fixed.warm_up()
+    assert answer.force == fixed.step(2e-3, 1e-3).force
+    sim.warm_up()  # asks nobody any more
+    assert sim.mesh is mesh
+    sim.reset()
+    assert sim.step(2e-3, 1e-3).force == answer.force
+
+
+@pytest.mark.parametrize("how", [{"budget": None}, {"resolution": "realtime_20"}, {"resolution": "fast"}],
+                         ids=["no budget", "a rung", "another mesh"])
+def test_who_does_not_ask_gets_no_other_mesh(monkeypatch, how):
+    sim = led_to(monkeypatch, "plates", (), **how)
+    elements = len(sim.mesh.connectivity)
+    sim.warm_up()
+    assert len(sim.mesh.connectivity) == elements and sim.resolution == how.get("resolution", "realtime")
+
+
+def test_everybody_calls_them_the_same():
+    names = [name for name, one in RESOLUTIONS.items() if one.force_errors]
+    assert [rung.resolution for rung in realtime_rungs(model("plates").experiment)] == names
+    assert list(tissue_flags._RUNGS) == names and names[-1] == realtime_mesh.COARSEST
+
+
+@pytest.mark.parametrize("name", TESTS)
+def test_forces_err_by_no_more_than_they_say(name):
+    """Against the accurate mesh in the same steps; to 6 mm, which keeps this short."""
+    test = model(name, 6e-3, 13)
+    exact = ts.simulate(test, resolution="accurate").force[4:]
+    for rung in realtime_rungs(test.experiment):
+        force = ts.simulate(test, resolution=rung.resolution).force[4:]
+        assert np.abs(force / exact - 1.0).max() <= rung.force_error, rung
+
+
+def test_a_shoulder_in_contact_is_meshed_as_an_edge():
+    """A cone pressed in to beyond its shoulder: with elements of a contact radius over four it was 2.9 % too soft."""
+    test = ts.Model(ts.Experiment(SPECIMEN, ts.Protocol.ramp(6e-3, 13), friction="frictionless",
+                                  tool=ts.Tool("cone", 8e-3, half_angle=np.radians(70.0))), MATERIAL)
+    fast, accurate = (ts.simulate(test, resolution=name).force for name in ("fast", "accurate"))
+    assert fast[-1] == pytest.approx(accurate[-1], rel=0.011)
