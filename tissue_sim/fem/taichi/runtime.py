@@ -57,7 +57,11 @@ def _initialise():
     with contextlib.redirect_stdout(io.StringIO()):
         ti.init(arch=ti.cpu, default_fp=ti.f64, default_ip=ti.i32, cpu_max_num_threads=1, offline_cache=True,
                 offline_cache_file_path=str(folder), log_level=ti.ERROR, fast_math=True,
-                # Halves the compile time and does not slow the kernels down.
-                cfg_optimization=False)
+                # LLVM finds what is common and what is not read again as well, and in a fraction of the time. Taichi
+                # takes time that grows with the square of a kernel.
+                cfg_optimization=False, opt_level=0,
+                # Keeps numbers of arrays in local variables while a kernel runs, one for each expression that names
+                # their place: what one of them is set to, another does not see.
+                cache_loop_invariant_global_vars=False)
     logging.getLogger("taichi").setLevel(logging.ERROR)
     return ti
