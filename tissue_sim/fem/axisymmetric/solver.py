@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.integrate import simpson
 
 from tissue_sim.fem.axisymmetric import newton
 from tissue_sim.fem.axisymmetric.contact import Contact
@@ -15,7 +14,6 @@ from tissue_sim.fem.axisymmetric.creep import creep
 from tissue_sim.fem.axisymmetric.equations import Equations
 from tissue_sim.fem.axisymmetric.fields import Fields
 from tissue_sim.fem.axisymmetric.predictor import extrapolation
-from tissue_sim.fem.axisymmetric.sensitivity import Sensitivity
 from tissue_sim.fem.axisymmetric.state import SavedState
 from tissue_sim.fem.axisymmetric.surface import DeformedSurface, deformed_surface
 from tissue_sim.fem.axisymmetric.touch import bring_down
@@ -25,6 +23,9 @@ from tissue_sim.material.material import Material
 from tissue_sim.mesh import Mesh
 from tissue_sim.pose import Pose
 from tissue_sim.tool_force import NextForce, axial_stiffness, axial_wrench, depth_of
+
+if TYPE_CHECKING:
+    from tissue_sim.fem.axisymmetric.sensitivity import Sensitivity
 
 _STATUSES = {int(status): status for status in StepStatus}
 
@@ -152,6 +153,8 @@ class AxisymmetricSolver(Solver):
         """Carry exact derivatives along from now on, before the first step; there are none with effects at points."""
         if neighbours and self.equations.effects.formulas:
             return None
+        from tissue_sim.fem.axisymmetric.sensitivity import Sensitivity
+
         self._sensitivity = Sensitivity(self.equations, neighbours)
         return self._sensitivity
 
@@ -192,6 +195,8 @@ class AxisymmetricSolver(Solver):
     @property
     def sag(self) -> float:
         """How much lower the top stands, on the mean of its area, than it was moulded when the tool touches, m."""
+        from scipy.integrate import simpson
+
         top = self.mesh.sets["top"]
         r = self.mesh.nodes[top, 0]
         return -float(simpson(self.equations.start[2 * top + 1] * r, x=r) / simpson(r, x=r))
