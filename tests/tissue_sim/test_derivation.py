@@ -50,6 +50,13 @@ def test_a_damaged_source_is_derived_again(folder, content):
     assert path.read_text().startswith("def _lambdifygenerated(") and path.read_text().strip() != content
 
 
+def test_a_printed_formula_is_kept_too(folder, monkeypatch):
+    printed = ReducedPolynomial(2).formula(), ReducedPolynomial(2).latex()
+    assert len(list(folder.iterdir())) == 2
+    monkeypatch.setattr(ReducedPolynomial, "_in_order", None)  # printing would need it
+    assert (ReducedPolynomial(2).formula(), ReducedPolynomial(2).latex()) == printed
+
+
 def test_a_law_from_elsewhere_is_not_kept(folder):
     class Elsewhere(InvariantLaw):
         name, title, units = "elsewhere", "Elsewhere", {"A": "Pa", "B": "Pa"}

@@ -1,4 +1,4 @@
-"""What sympy derives from a formula, as Python functions; their source is kept in the cache folder.
+"""What sympy derives from a formula, as Python functions and as text; both are kept in the cache folder.
 
 Importing sympy and deriving what one simulation needs takes longer than the simulation. Only formulas of this package
 are kept: what one from elsewhere follows from is not known here.
@@ -35,11 +35,8 @@ def derived(derive: Callable[[], tuple[Any, Any] | None], *, kept_as: tuple | No
         names: its functions (exp, log, ...); numpy's unless given.
     """
     namespace = dict(vars(np) if names is None else names)
-    path = None
-    if kept_as is not None:
-        files = (*sorted(Path(__file__).parent.glob("*.py")), *([] if source is None else [Path(source)]))
-        key = sha256(repr((_state_of(files), kept_as)).encode()).hexdigest()
-        path = cache_folder() / "formulas" / f"{key[:32]}.py"
+    path = _place(kept_as, source)
+    if path is not None:
         try:
             exec(compile(path.read_text(encoding="utf-8"), str(path), "exec"), namespace)
             return namespace[_NAME]
@@ -51,11 +48,36 @@ def derived(derive: Callable[[], tuple[Any, Any] | None], *, kept_as: tuple | No
     import sympy as sp
 
     function = sp.lambdify(*formula, modules="numpy" if names is None else [dict(names)], cse=True)
+    _keep(path, "".join(linecache.getlines(function.__code__.co_filename)))
+    return function
+
+
+def printed(write: Callable[[], str], *, kept_as: tuple | None) -> str:
+    """What sympy makes of a formula as text, or has made of it before; see `derived`."""
+    path = _place(kept_as)
+    if path is not None:
+        with suppress(OSError, ValueError):
+            if text := path.read_text(encoding="utf-8"):
+                return text
+    text = write()
+    _keep(path, text)
+    return text
+
+
+def _place(kept_as: tuple | None, source: str | None = None) -> Path | None:
+    """The file of what is kept."""
+    if kept_as is None:
+        return None
+    files = (*sorted(Path(__file__).parent.glob("*.py")), *([] if source is None else [Path(source)]))
+    key = sha256(repr((_state_of(files), kept_as)).encode()).hexdigest()
+    return cache_folder() / "formulas" / key[:32]
+
+
+def _keep(path: Path | None, text: str) -> None:
     if path is not None:
         # A folder that cannot be written to costs time alone.
         with suppress(InputError):
-            write_text(path, "".join(linecache.getlines(function.__code__.co_filename)))
-    return function
+            write_text(path, text)
 
 
 @cache

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tissue_sim.errors import InputError, nearest
-from tissue_sim.laws.derivation import derived
+from tissue_sim.laws.derivation import derived, printed
 from tissue_sim.public_names import ModuleOnUse
 
 if TYPE_CHECKING:
@@ -186,11 +186,16 @@ class Law:
 
     def formula(self) -> str:
         """The energy as one line of text."""
-        return "W = " + self._in_order(sp.sstr).replace("**", "^")
+        return "W = " + self._printed("sstr").replace("**", "^")
 
     def latex(self) -> str:
         """The energy as LaTeX, for reports."""
-        return "W = " + self._in_order(sp.latex)
+        return "W = " + self._printed("latex")
+
+    def _printed(self, by: str) -> str:
+        """The formula by a printer of sympy."""
+        return printed(lambda: self._in_order(getattr(sp, by)),
+                       kept_as=None if self.kept_as is None else (*self.kept_as, by))
 
     def _in_order(self, write) -> str:
         """The formula with its terms in the order of the parameters, where sympy has an order of its own."""
