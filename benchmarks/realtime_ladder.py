@@ -71,7 +71,8 @@ def measure(kind: str, name: str, overrides: dict, repeats: int) -> list[dict]:
         rows.append({"kind": kind, "test": name, "resolution": rung.resolution,
                      "elements": len(simulator.mesh.connectivity), "stated": rung.force_error,
                      "error": float(np.abs(force[reached] / exact[: force.size][reached] - 1.0).max()),
-                     "reached_mm": 1e3 * float(protocol.displacement[force.size - 1]), "tick_s": statistics.median(ticks)})
+                     "reached_mm": 1e3 * float(protocol.displacement[force.size - 1]),
+                     "tick_s": statistics.median(ticks)})
     return rows
 
 

@@ -1,8 +1,9 @@
-"""The content of an input file, or one sentence that says why there is none."""
+"""The content of an input file, or one sentence that says why there is none; and where files are kept."""
 
 from __future__ import annotations
 
 import codecs
+import os
 from pathlib import Path
 
 from tissue_sim.errors import InputError
@@ -101,3 +102,15 @@ def decode_text(data: bytes, path: str | Path, expected: str) -> tuple[str, str]
     if not text.strip():
         raise InputError(f"is empty, expected {expected}", file=path)
     return text, {"utf-8-sig": "utf-8"}.get(name, name)
+
+
+def cache_folder() -> Path:
+    """Where compiled kernels and derived formulas are kept: `TISSUE_SIM_CACHE`, else a folder in the user's cache
+    directory."""
+    if "TISSUE_SIM_CACHE" in os.environ:
+        return Path(os.environ["TISSUE_SIM_CACHE"])
+    if os.name == "nt":
+        base = os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local")
+    else:
+        base = os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")
+    return Path(base) / "tissue_sim" / "kernels"

@@ -1,10 +1,11 @@
-"""Public names of a package, imported on first use, so that importing the package is instant."""
+"""Public names of a package, and modules, imported on first use, so that importing the package is instant."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable
 from importlib import import_module
+from types import ModuleType
 from typing import Any
 
 
@@ -34,3 +35,10 @@ def import_on_use(package: str) -> tuple[list[str], Callable[[str], Any], Callab
         return sorted({*vars(sys.modules[package]), *homes})
 
     return sorted(homes), get, names
+
+
+class ModuleOnUse(ModuleType):
+    """A module that is imported when one of its names is asked for; its ``__name__`` is that of the module."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(import_module(self.__name__), name)

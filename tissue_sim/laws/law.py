@@ -10,11 +10,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
-import sympy as sp
 
 from tissue_sim.errors import InputError, nearest
+from tissue_sim.laws.derivation import derived, printed
+from tissue_sim.public_names import ModuleOnUse
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = ModuleOnUse("sympy")
 
 #: Homogeneous incompressible deformations: mode -> (principal stretches of lambda, work-conjugate factor of P).
 _MODES = {
@@ -45,6 +52,16 @@ class KernelEnergy:
     coefficients: tuple[sp.Symbol, ...]
     energy: sp.Expr
 
+    @property
+    def count(self) -> int:
+        """How many coefficients there are."""
+        return len(self.coefficients)
+
+    @property
+    def kept_as(self) -> tuple | None:
+        """What tells functions derived from it from others, see `derived`; None where this package does not know."""
+        return None
+
 
 class Law:
     """A strain energy W in Pa of an incompressible or, with the isochoric part, nearly incompressible solid.
@@ -69,6 +86,16 @@ class Law:
     def energy_of_stretches(self, l1, l2, l3, parameters) -> sp.Expr:
         """W at three principal stretches with l1 l2 l3 = 1 (symbols or numbers)."""
         raise TypeError(f"{type(self).__name__} must derive from InvariantLaw or StretchLaw")
+
+    @property
+    def kept_as(self) -> tuple | None:
+        """What tells functions derived from it from others, see `derived`; None for a law from elsewhere."""
+        kind = type(self)
+        return (kind.__name__, self.name) if kind.__module__.startswith("tissue_sim.laws.") else None
+
+    def derived(self, what: str, derive):
+        """A function that `derive` gives arguments and expressions of, see `derived`."""
+        return derived(derive, kept_as=None if self.kept_as is None else (*self.kept_as, what))
 
     @property
     def kernel_energy(self) -> KernelEnergy:
@@ -159,11 +186,16 @@ class Law:
 
     def formula(self) -> str:
         """The energy as one line of text."""
-        return "W = " + self._in_order(sp.sstr).replace("**", "^")
+        return "W = " + self._printed("sstr").replace("**", "^")
 
     def latex(self) -> str:
         """The energy as LaTeX, for reports."""
-        return "W = " + self._in_order(sp.latex)
+        return "W = " + self._printed("latex")
+
+    def _printed(self, by: str) -> str:
+        """The formula by a printer of sympy."""
+        return printed(lambda: self._in_order(getattr(sp, by)),
+                       kept_as=None if self.kept_as is None else (*self.kept_as, by))
 
     def _in_order(self, write) -> str:
         """The formula with its terms in the order of the parameters, where sympy has an order of its own."""
@@ -180,6 +212,10 @@ class Law:
 @lru_cache
 def _along(law: Law, mode: str):
     """Compiled nominal stress, its slope and its parameter derivatives along a homogeneous deformation."""
+    return law.derived(mode, lambda: _stress_along(law, mode))
+
+
+def _stress_along(law: Law, mode: str):
     if mode == "simple_shear":
         # Principal stretches of simple shear gamma: l and 1/l with l - 1/l = gamma.
         s = sp.Symbol("gamma", real=True)
@@ -191,16 +227,20 @@ def _along(law: Law, mode: str):
         stretches = path(s)
     stress = sp.diff(law.energy_of_stretches(*stretches, law.symbols), s) / share
     derivatives = [sp.diff(stress, variable) for variable in (s, *law.symbols)]
-    return sp.lambdify((s, *law.symbols), [stress, *derivatives], modules="numpy", cse=True)
+    return (s, *law.symbols), [stress, *derivatives]
 
 
 @lru_cache
 def _principal(law: Law):
     """Compiled energy and its derivatives with respect to the logarithms of three stretches."""
+    return law.derived("principal", lambda: _principal_slopes(law))
+
+
+def _principal_slopes(law: Law):
     l1, l2, l3 = stretches = sp.symbols("l1:4", positive=True)
     energy = law.energy_of_stretches(l1, l2, l3, law.symbols)
     slopes = [s * sp.diff(energy, s) for s in stretches]
-    return sp.lambdify((*stretches, *law.symbols), [energy, *slopes], modules="numpy", cse=True)
+    return (*stretches, *law.symbols), [energy, *slopes]
 
 
 class InvariantLaw(Law):
@@ -219,11 +259,10 @@ class InvariantLaw(Law):
         return sp.sympify(self.energy(I1, I2, *parameters))
 
     def formula_expression(self) -> sp.Expr:
-        return sp.sympify(self.energy(*_I1_I2, *self.symbols))
+        return sp.sympify(self.energy(*_invariants(), *self.symbols))
 
-    @cached_property
-    def _polynomial(self) -> sp.Matrix | None:
-        """Coefficients of (I1-3)^i (I2-3)^j as expressions of the parameters, None where that does not exist."""
+    def _polynomial(self):
+        """Parameters, and coefficients of (I1-3)^i (I2-3)^j as expressions of them; None where that does not exist."""
         x, y = sp.symbols("x y", real=True)
         try:
             polynomial = sp.Poly(sp.sympify(self.energy(x + 3, y + 3, *self.symbols)), x, y)
@@ -232,22 +271,22 @@ class InvariantLaw(Law):
         terms = dict(polynomial.terms())
         if any(power not in (*POWERS, (0, 0)) for power in terms):
             return None
-        return sp.Matrix([terms.get(power, 0) for power in POWERS])
-
-    @cached_property
-    def kernel_energy(self) -> KernelEnergy:
-        if self._polynomial is not None:
-            return _POLYNOMIAL
-        return KernelEnergy(self.name, "invariants", _I1_I2, self.symbols, self.formula_expression())
-
-    def kernel_coefficients(self, values) -> np.ndarray:
-        if self._polynomial is None:
-            return self.as_array(values)
-        return self._polynomial_function(*self.as_array(values)).astype(float).ravel()
+        return self.symbols, [sp.sympify(terms.get(power, 0)) for power in POWERS]
 
     @cached_property
     def _polynomial_function(self):
-        return sp.lambdify(self.symbols, self._polynomial, modules="numpy")
+        return self.derived("polynomial", self._polynomial)
+
+    @cached_property
+    def kernel_energy(self) -> KernelEnergy:
+        if self._polynomial_function is not None:
+            return _POLYNOMIAL
+        return KernelEnergy(self.name, "invariants", _invariants(), self.symbols, self.formula_expression())
+
+    def kernel_coefficients(self, values) -> np.ndarray:
+        if self._polynomial_function is None:
+            return self.as_array(values)
+        return np.array(self._polynomial_function(*self.as_array(values)), dtype=float)
 
 
 class StretchLaw(Law):
@@ -272,15 +311,52 @@ class StretchLaw(Law):
 
     @cached_property
     def kernel_energy(self) -> KernelEnergy:
-        return KernelEnergy(self.name, "stretches", (_STRETCH,), self.symbols,
-                            sp.sympify(self.energy_of_stretch(_STRETCH, *self.symbols)))
+        stretch = sp.Symbol("stretch", positive=True)
+        return KernelEnergy(self.name, "stretches", (stretch,), self.symbols,
+                            sp.sympify(self.energy_of_stretch(stretch, *self.symbols)))
 
 
-_I1_I2 = tuple(sp.symbols("I1 I2", positive=True))
-_STRETCH = sp.Symbol("stretch", positive=True)
 #: (i, j) of the monomials (I1-3)^i (I2-3)^j in the shared polynomial kernel.
 POWERS = ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))
-_C = tuple(sp.Symbol(f"C{i}{j}", real=True) for i, j in POWERS)
-_POLYNOMIAL = KernelEnergy(
-    "polynomial", "invariants", _I1_I2, _C,
-    sum(c * (_I1_I2[0] - 3)**i * (_I1_I2[1] - 3)**j for c, (i, j) in zip(_C, POWERS, strict=True)))
+
+
+def _invariants() -> tuple[sp.Symbol, ...]:
+    return tuple(sp.symbols("I1 I2", positive=True))
+
+
+class _Polynomial(KernelEnergy):
+    """The energy that the polynomial laws share; its symbols are made on demand, since sympy is slow to import."""
+
+    def __init__(self):
+        object.__setattr__(self, "key", "polynomial")
+        object.__setattr__(self, "family", "invariants")
+
+    def __eq__(self, other):
+        return isinstance(other, _Polynomial)
+
+    def __hash__(self):
+        return hash(self.key)
+
+    @cached_property
+    def variables(self) -> tuple[sp.Symbol, ...]:
+        return _invariants()
+
+    @cached_property
+    def coefficients(self) -> tuple[sp.Symbol, ...]:
+        return tuple(sp.Symbol(f"C{i}{j}", real=True) for i, j in POWERS)
+
+    @cached_property
+    def energy(self) -> sp.Expr:
+        I1, I2 = self.variables
+        return sum(c * (I1 - 3)**i * (I2 - 3)**j for c, (i, j) in zip(self.coefficients, POWERS, strict=True))
+
+    @property
+    def count(self) -> int:
+        return len(POWERS)
+
+    @property
+    def kept_as(self) -> tuple | None:
+        return (self.key,)
+
+
+_POLYNOMIAL = _Polynomial()

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import sympy as sp
 
 from tissue_sim.laws.law import MODES, Law
 
@@ -61,11 +60,17 @@ class Stability:
 @lru_cache
 def _hessian(law: Law):
     """Compiled d2W/(de_i de_j) of the three logarithmic strains, taken as independent: 11, 22, 33, 12, 13, 23."""
+    return law.derived("hessian", lambda: _second_derivatives(law))
+
+
+def _second_derivatives(law: Law):
+    import sympy as sp
+
     e = sp.symbols("e1:4", real=True)
     l1, l2, l3 = (sp.exp(strain) for strain in e)
     energy = law.energy_of_stretches(l1, l2, l3, law.symbols)
     entries = [sp.diff(energy, e[i], e[k]) for i, k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
-    return sp.lambdify((*e, *law.symbols), entries, modules="numpy", cse=True)
+    return (*e, *law.symbols), entries
 
 
 def _is_stable(law: Law, values: np.ndarray, strains: np.ndarray) -> np.ndarray:

@@ -274,25 +274,19 @@ def functions(slips: bool, laws: tuple[Formula, ...] = ()) -> ContactFunctions:
                   equation: ti.template(), entries: ti.template(), upper: ti.template()):
         """Add the rates of the contact forces to the matrix; only where points slip it needs its upper half."""
         for i in range(count):
-            krr, krz, kzr, kzz = rates[i, RR], rates[i, RZ], rates[i, ZR], rates[i, ZZ]
-            if krr != 0.0 or kzz != 0.0:
+            if rates[i, RR] != 0.0 or rates[i, ZZ] != 0.0:
                 for a in range(shapes.shape[1]):
-                    ir, iz = equation[2 * nodes[i, a]], equation[2 * nodes[i, a] + 1]
                     for b in range(shapes.shape[1]):
                         share = shapes[i, a] * shapes[i, b]
-                        jr, jz = equation[2 * nodes[i, b]], equation[2 * nodes[i, b] + 1]
                         if share != 0.0:
-                            if ti.static(slips):
-                                if slipping > 0:
-                                    add_any(ir, jr, share * krr, free, width, entries, upper)
-                                    add_any(ir, jz, share * krz, free, width, entries, upper)
-                                    add_any(iz, jr, share * kzr, free, width, entries, upper)
-                                    add_any(iz, jz, share * kzz, free, width, entries, upper)
-                            if slipping == 0:
-                                add_entry(ir, jr, share * krr, free, width, entries)
-                                add_entry(ir, jz, share * krz, free, width, entries)
-                                add_entry(iz, jr, share * kzr, free, width, entries)
-                                add_entry(iz, jz, share * kzz, free, width, entries)
+                            for e in range(4):
+                                row, column = equation[2 * nodes[i, a] + e // 2], equation[2 * nodes[i, b] + e % 2]
+                                value = share * rates[i, e]
+                                if ti.static(slips):
+                                    if slipping > 0:
+                                        add_any(row, column, value, free, width, entries, upper)
+                                if slipping == 0:
+                                    add_entry(row, column, value, free, width, entries)
 
     @ti.func
     def note_rates(count, rates: ti.template(), known: ti.template()):

@@ -8,11 +8,17 @@ Every function here works on lists of numbers, of one point, and on lists of vec
 """
 
 from functools import cache
-
-import sympy as sp
+from typing import TYPE_CHECKING
 
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
+from tissue_sim.laws.derivation import derived
+from tissue_sim.public_names import ModuleOnUse
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = ModuleOnUse("sympy")
 
 #: Packed symmetric 5 x 5: row and column of every entry of the tangent.
 PACKED = tuple((i, j) for i in range(5) for j in range(i + 1))
@@ -34,6 +40,10 @@ def _isochoric_chain(tangents: bool):
     gradient; j, its determinant; c, the hoop stretch: I1 = a + c^2, I2 = j^2 + a c^2, J = j c. The derivatives are
     those with respect to a, j and c; s = J^(-2/3) comes in ready, so that no other power is taken.
     """
+    return _taichi_function(lambda: _isochoric_derivatives(tangents), ("chain", tangents))
+
+
+def _isochoric_derivatives(tangents: bool):
     a, j, c = v = sp.symbols("a j c", positive=True)
     s = sp.Symbol("s", positive=True)
     first = sp.symbols("W1 W2", real=True)
@@ -51,14 +61,19 @@ def _isochoric_chain(tangents: bool):
     curvature = [sum(first[m] * total(slopes[m][i], v[k]) for m in range(2))
                  + sum(hessian[m, n] * slopes[m][i] * slopes[n][k] for m in range(2) for n in range(2))
                  for i in range(3) for k in range(i + 1)]
-    return _taichi_expression((*v, s, *first, *second), [*gradient, *curvature] if tangents else gradient)
+    return (*v, s, *first, *second), [*gradient, *curvature] if tangents else gradient
 
 
-def _taichi_expression(arguments, expressions):
-    """A Python function that builds these expressions out of Taichi variables when a kernel is compiled."""
+def _taichi_function(derive, kept_as: tuple | None):
+    """A Python function that builds expressions, which `derive` gives with their arguments, out of Taichi variables
+    when a kernel is compiled."""
     ti = initialise()
     names = {name: getattr(ti, name) for name in ("exp", "log", "sqrt", "sin", "cos", "tan", "tanh")}
-    return sp.lambdify(arguments, expressions, modules=[names], cse=True)
+    return derived(derive, kept_as=kept_as, source=__file__, names=names)
+
+
+def _of_energy(energy: KernelEnergy, derive, *what):
+    return _taichi_function(derive, None if energy.kept_as is None else (*energy.kept_as, *what))
 
 
 @cache
@@ -159,12 +174,14 @@ def function(energy: KernelEnergy, tangents: bool = True):
 
 def _of_invariants(energy: KernelEnergy, tangents: bool):
     ti = initialise()
-    count = len(energy.coefficients)
-    W, (I1, I2) = energy.energy, energy.variables
-    derivatives = _taichi_expression(
-        (I1, I2, energy.coefficients),
-        [W, sp.diff(W, I1), sp.diff(W, I2),
-         *([sp.diff(W, I1, 2), sp.diff(W, I1, I2), sp.diff(W, I2, 2)] if tangents else [sp.Integer(0)] * 3)])
+    count = energy.count
+
+    def derive():
+        W, (I1, I2) = energy.energy, energy.variables
+        second = [sp.diff(W, I1, 2), sp.diff(W, I1, I2), sp.diff(W, I2, 2)] if tangents else [sp.Integer(0)] * 3
+        return (I1, I2, energy.coefficients), [W, sp.diff(W, I1), sp.diff(W, I2), *second]
+
+    derivatives = _of_energy(energy, derive, "energy", tangents)
     chain = _isochoric_chain(tangents)
 
     @ti.func
@@ -199,9 +216,13 @@ def _of_invariants(energy: KernelEnergy, tangents: bool):
 
 def _of_stretches(energy: KernelEnergy, tangents: bool):
     ti = initialise()
-    count = len(energy.coefficients)
-    W, (stretch,) = energy.energy, energy.variables
-    derivatives = _taichi_expression((stretch, energy.coefficients), [sp.diff(W, stretch), sp.diff(W, stretch, 2), W])
+    count = energy.count
+
+    def derive():
+        W, (stretch,) = energy.energy, energy.variables
+        return (stretch, energy.coefficients), [sp.diff(W, stretch), sp.diff(W, stretch, 2), W]
+
+    derivatives = _of_energy(energy, derive, "energy")
 
     @ti.func
     def stress_and_tangent(F, root, coefficients: ti.template()):

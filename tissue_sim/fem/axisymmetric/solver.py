@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.integrate import simpson
 
 from tissue_sim.fem.axisymmetric import newton
 from tissue_sim.fem.axisymmetric.contact import Contact
@@ -16,7 +15,6 @@ from tissue_sim.fem.axisymmetric.equations import Equations
 from tissue_sim.fem.axisymmetric.fields import Fields
 from tissue_sim.fem.axisymmetric.predictor import extrapolation
 from tissue_sim.fem.axisymmetric.resolutions import realtime_rungs
-from tissue_sim.fem.axisymmetric.sensitivity import Sensitivity
 from tissue_sim.fem.axisymmetric.state import SavedState
 from tissue_sim.fem.axisymmetric.surface import DeformedSurface, deformed_surface
 from tissue_sim.fem.axisymmetric.touch import bring_down
@@ -27,6 +25,9 @@ from tissue_sim.mesh import Mesh
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose
 from tissue_sim.tool_force import NextForce, axial_stiffness, axial_wrench, depth_of
+
+if TYPE_CHECKING:
+    from tissue_sim.fem.axisymmetric.sensitivity import Sensitivity
 
 _STATUSES = {int(status): status for status in StepStatus}
 
@@ -162,6 +163,8 @@ class AxisymmetricSolver(Solver):
         """Carry exact derivatives along from now on, before the first step; there are none with effects at points."""
         if neighbours and self.equations.effects.formulas:
             return None
+        from tissue_sim.fem.axisymmetric.sensitivity import Sensitivity
+
         self._sensitivity = Sensitivity(self.equations, neighbours)
         return self._sensitivity
 
@@ -202,6 +205,8 @@ class AxisymmetricSolver(Solver):
     @property
     def sag(self) -> float:
         """How much lower the top stands, on the mean of its area, than it was moulded when the tool touches, m."""
+        from scipy.integrate import simpson
+
         top = self.mesh.sets["top"]
         r = self.mesh.nodes[top, 0]
         return -float(simpson(self.equations.start[2 * top + 1] * r, x=r) / simpson(r, x=r))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import brentq
 
 from tissue_sim.fem.axisymmetric import contact_kernels
 from tissue_sim.fem.axisymmetric.contact import Contact, ContactPoints
@@ -58,6 +57,8 @@ def _touching_height(mesh: Mesh, contact: Contact, displacement: np.ndarray, poi
     high = place[:, 1].max()
     if clearance(high) <= 0.0:
         return high
+    from scipy.optimize import brentq
+
     # Lowered by more and more; far below the surface a ball would be in the tissue as a whole, and touch nothing.
     step = 1e-6 * np.ptp(mesh.nodes[:, 1])
     while clearance(high - step) > 0.0:

@@ -23,17 +23,17 @@ def lu_functions() -> Factorisation:
         ok = 1
         for I in range(rows):
             first = ti.max(0, I - width + 1)
-            for J in range(first, I):
+            for J in range(first, I + 1):
                 w = J - I + width - 1
                 subtract(I, J, first, width, lower, upper)
-                subtract(I, J, first, width, upper, lower)
-                for c in range(BLOCK):
-                    v, u = lower[I, w, c], upper[I, w, c]
-                    for k in range(c):
-                        v -= lower[I, w, k] * lower[J, width - 1, c][k]
-                        u -= upper[I, w, k] * lower[J, width - 1, k][c]
-                    lower[I, w, c], upper[I, w, c] = v * inverse[J * BLOCK + c], u
-            subtract(I, I, first, width, lower, upper)
+                if J < I:
+                    subtract(I, J, first, width, upper, lower)
+                    for c in range(BLOCK):
+                        v, u = lower[I, w, c], upper[I, w, c]
+                        for k in range(c):
+                            v -= lower[I, w, k] * lower[J, width - 1, c][k]
+                            u -= upper[I, w, k] * lower[J, width - 1, k][c]
+                        lower[I, w, c], upper[I, w, c] = v * inverse[J * BLOCK + c], u
             for c in range(BLOCK):
                 v = lower[I, width - 1, c]
                 largest = ti.abs(v[c])

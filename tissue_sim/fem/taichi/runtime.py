@@ -12,21 +12,10 @@ import logging
 import os
 import threading
 from functools import cache
-from pathlib import Path
+from typing import Any
 
 from tissue_sim.errors import MissingBackendError
-
-
-def cache_folder() -> Path:
-    """Where compiled kernels are kept: `TISSUE_SIM_CACHE`, else a folder in the user's cache directory."""
-    if "TISSUE_SIM_CACHE" in os.environ:
-        return Path(os.environ["TISSUE_SIM_CACHE"])
-    if os.name == "nt":
-        base = os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local")
-    else:
-        base = os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")
-    return Path(base) / "tissue_sim" / "kernels"
-
+from tissue_sim.files import cache_folder
 
 #: Taichi compiles and starts kernels for one thread at a time. A running kernel holds the interpreter lock anyway.
 LOCK = threading.RLock()
@@ -48,16 +37,28 @@ def _initialise():
     os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
     try:
         import taichi as ti
+        from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
     except ImportError as error:
         raise MissingBackendError(
             "the finite elements need taichi 1.7.4, which exists for Linux x86-64, Windows x86-64 and macOS on Apple "
             f"silicon ({error}); analytical calibration works without it") from None
+    # Taichi draws the source of every expression that it reads, for messages; that takes longer than the rest.
+    ASTTransformerContext.get_pos_info = _place
     folder = cache_folder()
     folder.mkdir(parents=True, exist_ok=True)
     with contextlib.redirect_stdout(io.StringIO()):
         ti.init(arch=ti.cpu, default_fp=ti.f64, default_ip=ti.i32, cpu_max_num_threads=1, offline_cache=True,
                 offline_cache_file_path=str(folder), log_level=ti.ERROR, fast_math=True,
-                # Halves the compile time and does not slow the kernels down.
-                cfg_optimization=False)
+                # LLVM finds what is common and what is not read again as well, and in a fraction of the time. Taichi
+                # takes time that grows with the square of a kernel.
+                cfg_optimization=False, opt_level=0,
+                # Keeps numbers of arrays in local variables while a kernel runs, one for each expression that names
+                # their place: what one of them is set to, another does not see.
+                cache_loop_invariant_global_vars=False)
     logging.getLogger("taichi").setLevel(logging.ERROR)
     return ti
+
+
+def _place(context: Any, node: Any) -> str:
+    """Where an expression of a kernel stands."""
+    return f'File "{context.file}", line {node.lineno + context.lineno_offset}, in {context.func.func.__name__}:\n'
