@@ -18,7 +18,7 @@ class Barred:
     """A simulator whose solver finds no equilibrium from `BARRED` on by itself."""
 
     def __init__(self, monkeypatch, **how):
-        self.simulator = ts.Simulator(MODEL, inertia="off", **how)
+        self.simulator = ts.Simulator(MODEL, resolution="realtime_63", inertia="off", **how)
         self.simulator.warm_up()
         self.solver = self.simulator._solver
         for k in range(1, 30):

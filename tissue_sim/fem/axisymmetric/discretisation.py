@@ -20,7 +20,7 @@ from tissue_sim.specimen import Specimen
 
 #: Elements need not be smaller than this share of a rounded edge, nor larger than this share of the specimen.
 _ROUNDING_SHARE, _SPECIMEN_SHARE = 0.25, 0.17
-#: Where the contact reaches the shoulder of a tip, from this share of its radius on, stresses are as high as at an edge:
+#: Where the contact reaches the shoulder of a tip, from this share of its radius on, stresses are those of an edge:
 #: elements are smaller by the next share there, down to the last one of the contact.
 _AT_THE_SHOULDER, _SHOULDER_SHARE, _FINE_ENOUGH = 0.9, 0.4, 0.08
 _HELD = {"bonded": "rz", "frictionless": "z"}
