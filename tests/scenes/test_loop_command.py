@@ -27,7 +27,7 @@ from tissue_sim.tool_force import ForceStatus, ToolForce
 ROOT = Path(__file__).resolve().parents[2]
 KEYS = {"scene", "motion", "resolution", "ended_by", "seconds", "period_us", "ticks", "late", "missed",
         "missed_percent", "lateness_us", "compute_us", "statuses", "flagged", "largest_force_N", "real_time",
-        "peak_memory_MB", "device"}
+        "peak_memory_MB", "device", "force_error_percent"}
 
 
 def writer_of(ring, ticks=50, seconds=600.0, alive=lambda: True):
@@ -99,6 +99,7 @@ def test_a_short_loop_answers_in_json(capsys):
     assert sum(answer["statuses"].values()) == answer["ticks"] and answer["statuses"]["refused"] == 0
     assert (answer["scene"], answer["motion"], answer["real_time"]) == ("needle_indentation", "protocol", [])
     assert answer["largest_force_N"] == pytest.approx(0.3601, rel=0.02)
+    assert answer["resolution"] == "realtime"
 
 
 def test_a_short_loop_prints_a_table(of_springs, capsys):
