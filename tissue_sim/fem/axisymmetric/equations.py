@@ -255,25 +255,29 @@ class Equations:
     def shared_arrays(self) -> dict[str, np.ndarray]:
         """Arrays of this solver that its kernel and that of `tissue_sim.fem.axisymmetric.sensitivity_kernel` both work
         on, by the name that they have in both."""
-        surface, memory, state = self.surface, self.memory, self.state
+        surface, memory, state, batches = self.surface, self.memory, self.state, self.batches.arrays()
+        of_elements = ("elements", "dofs", "gradient_r", "gradient_z", "value_r", "point_weights", "moduli",
+                       "equations_r", "equations_z")
         return {"counts": self.counts, "settings": self.settings, "equation": self.equation,
-                "contact_nodes": surface.nodes, "contact_shapes": surface.shapes, "spans": surface.spans,
-                "springs": surface.springs, "held": surface.held, "ways": surface.ways, "contact_rates": surface.rates,
-                "coefficients": self._coefficients, "past": memory.past, "inherited": memory.inherited,
-                "largest": memory.largest, "x": state.x, "entries": self.entries, "blocks": self.entries,
+                "direction": self.direction, "contact_nodes": surface.nodes, "contact_shapes": surface.shapes,
+                "spans": surface.spans, "springs": surface.springs, "held": surface.held, "ways": surface.ways,
+                "contact_rates": surface.rates, "coefficients": self._coefficients, "past": memory.past,
+                "inherited": memory.inherited, "largest": memory.largest, "stresses": memory.stresses,
+                "energies": memory.energies, "x": state.x, "entries": self.entries, "blocks": self.entries,
                 "upper_blocks": self.upper, "inverse": self._inverse, "right": self._right,
-                "residual": self.residual, **self.batches.eliminated()}
+                "residual": self.residual, "pull": self._pull, **self.batches.eliminated(),
+                **{name: batches[name] for name in of_elements}}
 
     def _kernel_arrays(self) -> dict[str, np.ndarray]:
-        surface, memory, state = self.surface, self.memory, self.state
-        return {**self.shared_arrays(), **self.batches.arrays(), "direction": self.direction, "start": self.start,
+        surface, state = self.surface, self.state
+        return {**self.shared_arrays(), **self.batches.arrays(), "start": self.start,
                 "target": self._target, "contact_places": surface.places,
                 "areas": surface.areas, "vertices": surface.vertices, "contact_rounding": surface.rounding,
                 "friction": surface.friction, "pressed": surface.pressed, "met": surface.met,
                 "forces": surface.forces, "known_rates": surface.known_rates, "law_settings": self._law_settings,
-                "stresses": memory.stresses, "energies": memory.energies, "effect_settings": self.effects.settings,
+                "effect_settings": self.effects.settings,
                 "effect_states": self.effects.states, "effect_states_found": self.effects.found,
                 "masses": self.masses, "rest": self.rest, "motion": self._motion, "before": np.zeros_like(state.x),
                 "history": state.history, "slots": state.slots, "weights": self.weights,
                 "flat": self._scattered[:-1].reshape(-1, band.BLOCK), "scattered": self._scattered,
-                "upper": self.upper, "pull": self._pull, "reaction": self._reaction, "report": self.report}
+                "upper": self.upper, "reaction": self._reaction, "report": self.report}
