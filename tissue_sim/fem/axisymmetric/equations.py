@@ -76,7 +76,7 @@ class Equations:
                 contact.tolerance, strength(contact.laws, contact.face), reach)
         laws, face = ((), 1.0) if contact is None else (contact.laws, contact.face)
         self._laws, self._law_settings = tuple(map(Formula.of, laws)), law_settings(laws, face)
-        self.counts = np.array([1, self.free, 0, self.surface.count, 0, 0, 0, 0, 0], dtype=np.int32)
+        self.counts = np.array([1, self.free, 0, self.surface.count, *[0] * 7], dtype=np.int32)
         self.set_material(material)
         if start is not None:
             for array, settled in zip(self.memory.kept, start.memory.kept, strict=True):
@@ -186,15 +186,20 @@ class Equations:
         with LOCK:
             self._kernel()
 
-    def respond(self, launch) -> None:
+    def respond(self, launch, assembles: bool = True) -> None:
         """Assemble the exact tangent at the equilibrium just found, with the contact as it was in the step, and call
-        `launch` there."""
+        `launch` there; without `assembles` the matrix stays as the step left it."""
         surface, after = self.surface, self.surface.held.copy()
         remembered = [(array, array.copy()) for array in (
             self.memory.stresses, self.memory.energies, self.effects.found)]
         surface.held[:] = surface.anchors
         released = (surface.anchors[:, 0] == contact_kernels.HELD) & (after != surface.anchors).any(axis=-1)
         surface.held[released] = 0.0
+        if not assembles:
+            with LOCK:
+                launch()
+            surface.held[:] = after
+            return
         self.settings[newton.PREDICTED] = self.settings[newton.DEPTH]
         self.settings[newton.TOLERANCE] = -1.0
         self.counts[newton.MAX_ITERATIONS], self.counts[newton.KEEPS] = 0, 1
@@ -256,8 +261,8 @@ class Equations:
         """Arrays of this solver that its kernel and that of `tissue_sim.fem.axisymmetric.sensitivity_kernel` both work
         on, by the name that they have in both."""
         surface, memory, state, batches = self.surface, self.memory, self.state, self.batches.arrays()
-        of_elements = ("elements", "dofs", "gradient_r", "gradient_z", "value_r", "point_weights", "moduli",
-                       "equations_r", "equations_z")
+        of_elements = ("elements", "dofs", "real", "gradient_r", "gradient_z", "value_r", "point_weights",
+                       "mode_values", "moduli", "equations_r", "equations_z")
         return {"counts": self.counts, "settings": self.settings, "equation": self.equation,
                 "direction": self.direction, "contact_nodes": surface.nodes, "contact_shapes": surface.shapes,
                 "spans": surface.spans, "springs": surface.springs, "held": surface.held, "ways": surface.ways,

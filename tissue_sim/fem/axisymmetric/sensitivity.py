@@ -4,16 +4,30 @@ from __future__ import annotations
 
 import numpy as np
 
+from tissue_sim.fem.axisymmetric import newton
 from tissue_sim.fem.axisymmetric.batches import LANES
 from tissue_sim.fem.axisymmetric.contact import NORMAL_R, NORMAL_Z
 from tissue_sim.fem.axisymmetric.contact_kernels import HELD
 from tissue_sim.fem.axisymmetric.equations import Equations
-from tissue_sim.fem.axisymmetric.sensitivity_kernel import respond_kernel
-from tissue_sim.fem.axisymmetric.sensitivity_points import FRESH, KEPT, LAYERED, ONE, RELAXES, SOFTENS, TERMS
+from tissue_sim.fem.axisymmetric.sensitivity_kernel import respond_kernels
+from tissue_sim.fem.axisymmetric.sensitivity_points import (
+    FRESH,
+    KEPT,
+    LAYERED,
+    ONE,
+    REFINES,
+    RELAXES,
+    SOFTENS,
+    TERMS,
+    WORKS,
+)
 from tissue_sim.fem.history import FACTOR, INSTANT, LOSS
 from tissue_sim.fem.solver import Neighbours
 from tissue_sim.fem.taichi.launch import BoundKernel
 
+#: With so many parameters the last factor of a step serves better than one of the exact tangent; more of them where
+#: points slip and a factor costs twice as much.
+FEW, FEW_OF_SLIP = 2, 4
 #: Lengths of step whose changes of relaxation are remembered.
 _KNOWN_STEPS = 64
 
@@ -37,6 +51,7 @@ class Sensitivity:
         self._relaxations = [(equations.relaxation(up), equations.relaxation(down), width)
                              for up, down, width in neighbours]
         self._past_rates = np.zeros((m, 5))
+        self._refusals = self._waits = 0
         self._known: dict[float, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
         self._decay, self._gain = np.zeros((2, terms))
         self._decay_rates, self._gain_rates = np.zeros((2, m, terms))
@@ -44,17 +59,19 @@ class Sensitivity:
         self._multiplier_rates, self._anchor_rates, self._point_rates = np.zeros((3, *shape))
         self.force, self._changed = np.zeros(m), False
         self._contact = np.zeros((3, *surface.springs.shape))
-        self._which = np.zeros(6, np.int32)
-        kernel = respond_kernel(equations.mesh.element.name, equations.material.energy_law.kernel_energy,
+        self._which = np.zeros(9, np.int32)
+        kernels = respond_kernels(equations.mesh.element.name, equations.material.energy_law.kernel_energy,
                                 memory.works, surface.slips)
-        self._kernel = BoundKernel(kernel, {
+        arrays = {
             **equations.shared_arrays(), **self._rates_of(neighbours), **self._rates_at_points(m, terms),
             "before": memory.before, "internal": memory.internal, "which": self._which,
             "past_rates": self._past_rates, "decay": self._decay, "gain": self._gain,
             "decay_rates": self._decay_rates, "gain_rates": self._gain_rates,
             "multiplier_rates": self._multiplier_rates, "anchor_rates": self._anchor_rates,
             "point_rates": self._point_rates, "force_rates": self.force,
-            "forces": np.zeros((m, equations.residual.size)), "dx": np.zeros((m, equations.equation.size))})
+            "motion": np.zeros(equations.equation.size + equations.residual.size),
+            "forces": np.zeros((m, equations.residual.size)), "dx": np.zeros((m, equations.equation.size))}
+        self._push, self._respond = (BoundKernel.of(kernel, arrays) for kernel in kernels)
 
     def _rates_of(self, neighbours: Neighbours) -> dict[str, np.ndarray]:
         """What the parameters do to the law, to the bulk modulus, to layers and to how the tissue remembers."""
@@ -71,7 +88,7 @@ class Sensitivity:
         coefficient_rates, kappa_rates, self._past_rates[:, FACTOR], moduli_rates = rates
         self._which[LAYERED] = moduli_rates.any()
         self._which[SOFTENS] = equations.memory.past[LOSS] != 0 or self._past_rates[:, LOSS:].any()
-        self._which[TERMS], self._which[ONE] = self._decay.size, 1
+        self._which[TERMS], self._which[[ONE, WORKS]] = self._decay.size, 1
         relaxes = [up is not None and down is not None and up != down for up, down, _ in self._relaxations]
         self._which[RELAXES] = any(relaxes)
         return {"directions": np.concatenate([np.tile(here[0], (m, 1)), coefficient_rates], axis=1),
@@ -82,10 +99,10 @@ class Sensitivity:
     def _rates_at_points(self, m: int, terms: int) -> dict[str, np.ndarray]:
         """Of the memory: a row of lanes for each batch, point, parameter, term and component, the last ones fastest."""
         batches, q = self._equations.batches.batches, self._equations.reference.weights.shape[1]
-        if not self._equations.memory.works:
-            batches = 0
-        rows = {"largest_rates": m * q, "energy_rates": m * q, "stress_rates": 4 * m * q, "before_rates": 4 * m * q,
-                "internal_rates": 4 * m * terms * q, "centre_r": m, "centre_z": m, "law": KEPT * q}
+        rows = {"centre_r": m, "centre_z": m, "way_r": 1, "way_z": 1, "law": KEPT * q}
+        of_memory = {"largest_rates": m * q, "energy_rates": m * q, "stress_rates": 4 * m * q,
+                     "before_rates": 4 * m * q, "internal_rates": 4 * m * terms * q}
+        rows |= of_memory if self._equations.memory.works else dict.fromkeys(of_memory, 0)
         return {"recent": np.zeros((4 * terms * q, LANES)),
                 **{name: np.zeros((count * batches, LANES)) for name, count in rows.items()}}
 
@@ -101,8 +118,32 @@ class Sensitivity:
         if self._decay.size:
             self._decay[:], self._gain[:] = memory.step
             self._past_rates[:, INSTANT], self._decay_rates[:], self._gain_rates[:] = self._relaxation_rates(memory.dt)
-        self._equations.respond(self._launch)
+        if self._waits or not self._may_refine():
+            self._waits = max(self._waits - 1, 0)
+            self._equations.respond(self._launch)
+        elif not self._refined():
+            # Where the contact changed, or the last factor is far, the next ones are likely to be.
+            self._refusals += 1
+            self._waits = 4**self._refusals
+            self._equations.respond(self._launch)
         self._follow_contact()
+
+    def _may_refine(self) -> bool:
+        """Whether the step has left a factor, and rates of the contact, that so few parameters are solved with sooner
+        than the exact tangent is assembled and factorised."""
+        counts, settings = self._equations.counts, self._equations.settings
+        few = FEW_OF_SLIP if counts[newton.UNSYMMETRIC] else FEW
+        return (not self._equations.memory.works and self.force.size <= few and settings[newton.INERTIA] == 0
+                and counts[newton.FACTORISED] == 1 and counts[newton.BENDING] == 1)
+
+    def _refined(self) -> bool:
+        before = self._multiplier_rates.copy()
+        self._which[[FRESH, REFINES]] = 1
+        self._equations.respond(self._run, assembles=False)
+        self._which[REFINES] = 0
+        if self._which[FRESH]:
+            self._multiplier_rates[:] = before
+        return not self._which[FRESH]
 
     def _relaxation_rates(self, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Of the instantaneous share, of decay and of gain of each term in a step of dt, s."""
@@ -117,9 +158,13 @@ class Sensitivity:
             self._known[dt] = rates
         return self._known[dt]
 
+    def _run(self) -> None:
+        self._push()
+        self._respond()
+
     def _launch(self) -> None:
         self._which[FRESH] = 1
-        self._kernel()
+        self._run()
         if self._which[FRESH]:
             self.force[:] = np.nan
 

@@ -12,7 +12,16 @@ from tissue_sim.fem.axisymmetric.contact import FRICTION, HOLD, MOVES, NORMAL_R,
 from tissue_sim.fem.axisymmetric.contact_kernels import HELD, TOUCHED
 from tissue_sim.fem.axisymmetric.newton import CONTACTS, KAPPA, UNSYMMETRIC
 from tissue_sim.fem.axisymmetric.newton import FREE as FREE_EQUATIONS
-from tissue_sim.fem.axisymmetric.sensitivity_points import FRESH, RELAXES, response_functions
+from tissue_sim.fem.axisymmetric.sensitivity_points import (
+    FRESH,
+    ONE,
+    REFINES,
+    RELAXES,
+    SETTLES,
+    WORKS,
+    response_functions,
+)
+from tissue_sim.fem.axisymmetric.sensitivity_product import product_functions
 from tissue_sim.fem.linear import band as band_matrix
 from tissue_sim.fem.linear.cholesky import cholesky_functions
 from tissue_sim.fem.linear.lu import lu_functions
@@ -21,16 +30,19 @@ from tissue_sim.laws import KernelEnergy
 
 #: Most rounds in which the rates of the contact forces settle, each of which takes about three digits off what is
 #: left, and the share of them that may still be missing.
-ROUNDS, SETTLED = 8, 1e-10
+ROUNDS, SETTLED = 9, 1e-10
+#: Share of the forces that the last factor of a step may leave unbalanced (`SETTLED` where rounding allows no less),
+#: and share of those before that two rounds may leave: one takes off less than the next.
+BALANCED, SLOW = 1e-11, 1e-3
 
 
 @cache
-def respond_kernel(element_name: str, energy: KernelEnergy, remembers: bool, slips: bool):
+def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, slips: bool):
     """The compiled response of one element and one family of laws to all parameters; see
     `tissue_sim.fem.axisymmetric.sensitivity`. Only where something `slips` against friction it contains the solution of
     unsymmetric equations, and only where the tissue `remembers` what becomes of its memory."""
     ti = initialise()
-    work = response_functions(element_name, energy, remembers)
+    work, tangent = response_functions(element_name, energy, remembers), product_functions(element_name)
     vec = ti.types.vector(LANES, ti.f64)
     block = ti.types.vector(band_matrix.BLOCK, ti.f64)
     B = band_matrix.BLOCK
@@ -77,25 +89,66 @@ def respond_kernel(element_name: str, energy: KernelEnergy, remembers: bool, sli
         return good
 
     @ti.func
-    def settle(k, counts: ti.template(), equation: ti.template(), contact_nodes: ti.template(), contact_shapes:
-               ti.template(), springs: ti.template(), held: ti.template(), ways: ti.template(), contact_rates:
-               ti.template(), blocks: ti.template(), upper_blocks: ti.template(), inverse: ti.template(), right:
-               ti.template(), residual: ti.template(), forces: ti.template(), multiplier_rates: ti.template(),
-               anchor_rates: ti.template(), point_rates: ti.template(), dx: ti.template()):
-        """Let the shared nodes, and the forces of contact, follow parameter k."""
+    def settle(k, kappa, batches, which: ti.template(), counts: ti.template(), equation: ti.template(), contact_nodes:
+               ti.template(), contact_shapes: ti.template(), springs: ti.template(), held: ti.template(), ways:
+               ti.template(), contact_rates: ti.template(), blocks: ti.template(), upper_blocks: ti.template(),
+               inverse: ti.template(), right: ti.template(), residual: ti.template(), forces: ti.template(),
+               multiplier_rates: ti.template(), anchor_rates: ti.template(), point_rates: ti.template(), law:
+               ti.template(), dx: ti.template(), motion: ti.template(), dofs: ti.template(), real: ti.template(),
+               gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template(), moduli: ti.template(),
+               equations_r: ti.template(), equations_z: ti.template(), volume_r: ti.template(), volume_z:
+               ti.template(), rows_rr: ti.template(), rows_rz: ti.template(), rows_zr: ti.template(), rows_zz:
+               ti.template(), inverse_rr: ti.template(), inverse_rz: ti.template(), inverse_zz: ti.template(),
+               centre_r: ti.template(), centre_z: ti.template(), way_r: ti.template(), way_z: ti.template()):
+        """Let the nodes, and the forces of contact, follow parameter k; `motion` holds the last part of that, and then
+        the forces before it. With the factor of a tangent nearby each round takes off what the exact one still misses,
+        and `which` says whether all of it."""
         free, width, rows = counts[FREE_EQUATIONS], blocks.shape[1], blocks.shape[0]
-        last = 0.0
-        for _round in range(ROUNDS):
-            changed, largest_rate = 0.0, 0.0
+        last, before_last = 0.0, 0.0
+        refines = which[REFINES]
+        goes_on = float(refines)
+        which[SETTLES] = 0
+        for i in range(dx.shape[1]):
+            dx[k, i] = 0.0
+        for c in range(counts[CONTACTS]):
+            point_rates[k, c, 0], point_rates[k, c, 1] = 0.0, 0.0
+        for b in range(way_r.shape[0]):
+            at = k * batches + b
+            way_r[b], way_z[b] = centre_r[at], centre_z[at]
+        for round in range(ROUNDS):
+            missing, pushing, changed, largest_rate = 0.0, 0.0, 0.0, 0.0
             for i in range(residual.shape[0]):
                 residual[i] = forces[k, i]
+                pushing += ti.abs(forces[k, i])
+            if ti.static(not remembers):
+                if refines == 1 and round > 0:
+                    for b in range(batches):
+                        tangent.add_product(b, k, kappa, batches, which[ONE], law, dx, dofs, gradient_r, gradient_z,
+                                            value_r, moduli, equations_r, equations_z, volume_r, volume_z, rows_rr,
+                                            rows_rz, rows_zr, rows_zz, inverse_rr, inverse_rz, inverse_zz, centre_r,
+                                            centre_z, way_r, way_z, residual)
+            for i in range(free, residual.shape[0]):
+                motion[equation.shape[0] + i] = residual[i]
             for c in range(counts[CONTACTS]):
-                fr, fz = contact_rate(c, k, 0.0, 0.0, held, ways, springs, contact_rates, multiplier_rates,
-                                      anchor_rates)
+                fr, fz = contact_rate(c, k, goes_on * point_rates[k, c, 0], goes_on * point_rates[k, c, 1], held,
+                                      ways, springs, contact_rates, multiplier_rates, anchor_rates)
                 for a in range(contact_shapes.shape[1]):
                     ir, iz = equation[2 * contact_nodes[c, a]], equation[2 * contact_nodes[c, a] + 1]
                     residual[ir] = residual[ir] + contact_shapes[c, a] * fr
                     residual[iz] = residual[iz] + contact_shapes[c, a] * fz
+            for i in range(free):
+                missing += ti.abs(residual[i])
+            slow = refines == 1 and round > 1 and not missing <= SLOW * before_last
+            if refines == 1 and (missing <= BALANCED * pushing or (slow and missing <= SETTLED * pushing)):
+                for dof in range(equation.shape[0]):
+                    motion[dof] = 0.0
+                which[SETTLES] = 1
+                break
+            if slow:
+                break
+            if refines == 1:
+                before_last = last
+                last = missing
             for I in range(rows):
                 for i in ti.static(range(B)):
                     right[I][i] = residual[I * B + i] if I * B + i < free else 0.0
@@ -106,10 +159,15 @@ def respond_kernel(element_name: str, energy: KernelEnergy, remembers: bool, sli
                 cholesky.solve(blocks, upper_blocks, inverse, right, rows, width)
             for dof in range(equation.shape[0]):
                 i = equation[dof]
-                if i >= free:
-                    dx[k, dof] = 0.0
-                elif i >= 0:
-                    dx[k, dof] = -right[i // B][i % B]
+                motion[dof] = 0.0
+                if i >= 0 and i < free:
+                    motion[dof] = -right[i // B][i % B]
+                    dx[k, dof] = goes_on * dx[k, dof] + motion[dof]
+            if ti.static(not remembers):
+                if refines == 1:
+                    for b in range(batches):
+                        tangent.move_interior(b, k, motion, dofs, real, rows_rr, rows_rz, rows_zr, rows_zz, way_r,
+                                              way_z, dx)
             for c in range(counts[CONTACTS]):
                 dr, dz = 0.0, 0.0
                 for a in range(contact_shapes.shape[1]):
@@ -121,37 +179,38 @@ def respond_kernel(element_name: str, energy: KernelEnergy, remembers: bool, sli
                 largest_rate += ti.abs(fr) + ti.abs(fz)
                 multiplier_rates[k, c, 0], multiplier_rates[k, c, 1] = fr, fz
                 point_rates[k, c, 0], point_rates[k, c, 1] = dr, dz
-            # What the next round would change, from what the last ones did.
-            if changed * ti.min(changed / ti.max(last, 1e-300), 1.0) <= SETTLED * largest_rate:
-                break
-            last = changed
+            if refines == 0:
+                # What the next round would change, from what the last ones did.
+                if changed * ti.min(changed / ti.max(last, 1e-300), 1.0) <= SETTLED * largest_rate:
+                    break
+                last = changed
 
     @ti.kernel
-    def respond(which: int1, counts: int1, settings: real1, equation: int1, direction: real1, elements: int2, dofs:
-                int2, gradient_r: vector1, gradient_z: vector1, value_r: vector1, point_weights: vector1, moduli:
-                vector1, equations_r: int2, equations_z: int2, contact_nodes: int2, contact_shapes: real2, spans: int2,
-                springs: real1, held: real2, ways: real1, contact_rates: real2, coefficients: real1, past: real1,
-                inherited: real3, largest: real2, stresses: real3, energies: real2, before: real3, internal: real4,
-                recent: vector1, x: real1, entries: real4, blocks: block3, upper_blocks: block3, inverse: real1, right:
-                block1, residual: real1, pull: real1, volume_r: vector1, volume_z: vector1, rows_rr: vector1, rows_rz:
-                vector1, rows_zr: vector1, rows_zz: vector1, inverse_rr: vector1, inverse_rz: vector1, inverse_zz:
-                vector1, acts: int1, relaxes: int1, directions: real2, kappa_rates: real1, moduli_rates: vector1,
-                past_rates: real2, decay: real1, gain: real1, decay_rates: real2, gain_rates: real2, largest_rates:
-                vector1, energy_rates: vector1, stress_rates: vector1, before_rates: vector1, internal_rates: vector1,
-                multiplier_rates: real3, anchor_rates: real3, point_rates: real3, centre_r: vector1, centre_z: vector1,
-                law: vector1, forces: real2, dx: real2, force_rates: real1):
+    def push(which: int1, counts: int1, settings: real1, equation: int1, elements: int2, dofs: int2, gradient_r:
+             vector1, gradient_z: vector1, value_r: vector1, point_weights: vector1, mode_values: vector1, moduli:
+             vector1, equations_r: int2, equations_z: int2, coefficients: real1, past: real1, inherited: real3, largest:
+             real2, stresses: real3, before: real3, internal: real4, recent: vector1, x: real1, entries: real4, blocks:
+             block3, upper_blocks: block3, inverse: real1, residual: real1, volume_r: vector1, volume_z: vector1,
+             rows_rr: vector1, rows_rz: vector1, rows_zr: vector1, rows_zz: vector1, inverse_rr: vector1, inverse_rz:
+             vector1, inverse_zz: vector1, acts: int1, relaxes: int1, directions: real2, kappa_rates: real1,
+             moduli_rates: vector1, past_rates: real2, decay: real1, gain: real1, decay_rates: real2, gain_rates: real2,
+             largest_rates: vector1, energy_rates: vector1, stress_rates: vector1, before_rates: vector1,
+             internal_rates: vector1, centre_r: vector1, centre_z: vector1, law: vector1, forces: real2):
         ti.loop_config(serialize=True)
-        for _ in range(which[FRESH]):
-            batches, pressures, parameters = elements.shape[0], equation.shape[0], force_rates.shape[0]
-            free, kappa = counts[FREE_EQUATIONS], settings[KAPPA]
-            which[FRESH] = 1 - factorise(counts, entries, blocks, upper_blocks, inverse, blocks.shape[0],
-                                         blocks.shape[1])
+        for _ in range(which[WORKS]):
+            batches, pressures, parameters = elements.shape[0], equation.shape[0], forces.shape[0]
+            kappa = settings[KAPPA]
+            if which[REFINES] == 1:
+                which[FRESH] = 0
+            else:
+                which[FRESH] = 1 - factorise(counts, entries, blocks, upper_blocks, inverse, blocks.shape[0],
+                                             blocks.shape[1])
             for k in range(parameters):
                 for i in range(residual.shape[0]):
                     forces[k, i] = 0.0
             for b in range(batches):
                 work.note(b, which, x, dofs, elements, gradient_r, gradient_z, value_r, coefficients, past,
-                          inherited, largest, law)
+                          inherited, largest, pressures, mode_values, point_weights, moduli, law)
                 if ti.static(remembers):
                     if which[RELAXES] == 1:
                         work.recall(b, which, elements, stresses, before, internal, recent)
@@ -162,9 +221,33 @@ def respond_kernel(element_name: str, energy: KernelEnergy, remembers: bool, sli
                               inverse_zz, kappa_rates, moduli_rates, past, past_rates, largest, largest_rates,
                               energy_rates, stress_rates, before_rates, recent, internal_rates, decay, gain,
                               decay_rates, gain_rates, relaxes, centre_r, centre_z, forces)
+
+    @ti.kernel
+    def respond(which: int1, counts: int1, settings: real1, equation: int1, direction: real1, elements: int2, dofs:
+                int2, real: vector1, gradient_r: vector1, gradient_z: vector1, value_r: vector1, moduli: vector1,
+                equations_r: int2, equations_z: int2, contact_nodes: int2, contact_shapes: real2, spans: int2, springs:
+                real1, held: real2, ways: real1, contact_rates: real2, largest: real2, stresses: real3, energies: real2,
+                before: real3, internal: real4, recent: vector1, blocks: block3, upper_blocks: block3, inverse: real1,
+                right: block1, residual: real1, pull: real1, volume_r: vector1, volume_z: vector1, rows_rr: vector1,
+                rows_rz: vector1, rows_zr: vector1, rows_zz: vector1, inverse_rr: vector1, inverse_rz: vector1,
+                inverse_zz: vector1, relaxes: int1, decay: real1, gain: real1, decay_rates: real2, gain_rates: real2,
+                largest_rates: vector1, energy_rates: vector1, stress_rates: vector1, before_rates: vector1,
+                internal_rates: vector1, multiplier_rates: real3, anchor_rates: real3, point_rates: real3, centre_r:
+                vector1, centre_z: vector1, way_r: vector1, way_z: vector1, motion: real1, law: vector1, forces: real2,
+                dx: real2, force_rates: real1):
+        ti.loop_config(serialize=True)
+        for _ in range(which[WORKS]):
+            batches, pressures, parameters = elements.shape[0], equation.shape[0], force_rates.shape[0]
+            free, kappa = counts[FREE_EQUATIONS], settings[KAPPA]
             for k in range(parameters):
-                settle(k, counts, equation, contact_nodes, contact_shapes, springs, held, ways, contact_rates, blocks,
-                       upper_blocks, inverse, right, residual, forces, multiplier_rates, anchor_rates, point_rates, dx)
+                if which[FRESH] == 0 or which[REFINES] == 0:
+                    settle(k, kappa, batches, which, counts, equation, contact_nodes, contact_shapes, springs, held,
+                           ways, contact_rates, blocks, upper_blocks, inverse, right, residual, forces,
+                           multiplier_rates, anchor_rates, point_rates, law, dx, motion, dofs, real, gradient_r,
+                           gradient_z, value_r, moduli, equations_r, equations_z, volume_r, volume_z, rows_rr, rows_rz,
+                           rows_zr, rows_zz, inverse_rr, inverse_rz, inverse_zz, centre_r, centre_z, way_r, way_z)
+                    if which[REFINES] == 1 and which[SETTLES] == 0:
+                        which[FRESH] = 1
                 # The force on the tool: of the points that meet it, and of the tissue that moves with it.
                 total = 0.0
                 for c in range(counts[CONTACTS]):
@@ -172,9 +255,9 @@ def respond_kernel(element_name: str, energy: KernelEnergy, remembers: bool, sli
                 for dof in range(pressures):
                     i = equation[dof]
                     if i >= free:
-                        total += direction[dof] * forces[k, i]
+                        total += direction[dof] * motion[pressures + i]
                     elif i >= 0:
-                        total += pull[i] * dx[k, dof]
+                        total += pull[i] * motion[dof]
                 force_rates[k] = total
             if ti.static(remembers):
                 for b in range(batches):
@@ -186,4 +269,4 @@ def respond_kernel(element_name: str, energy: KernelEnergy, remembers: bool, sli
                                       largest_rates, energy_rates, stress_rates, before_rates, recent, internal_rates,
                                       decay, gain, decay_rates, gain_rates, relaxes, centre_r, centre_z)
 
-    return respond
+    return push, respond

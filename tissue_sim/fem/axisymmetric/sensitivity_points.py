@@ -22,8 +22,10 @@ GRADIENT, ROOT, ENERGY, STRESS, SOFT_STRESS, RELAXED_STRESS, NOTED = 0, 5, 6, 7,
 #: hoop) and softened tangent.
 KEPT_GRADIENT, KEPT_STRESS, KEPT_SECOND, KEPT_SOFT_TANGENT, KEPT = 0, 5, 10, 14, 29
 #: Places in `which`: whether the matrix has still to be factorised (what stays 1 is singular); whether parameters
-#: change moduli of elements; whether something softens; how many terms relax; whether parameters change how; and 1.
-FRESH, LAYERED, SOFTENS, TERMS, RELAXES, ONE = range(6)
+#: change moduli of elements; whether something softens; how many terms relax; whether parameters change how; 1; whether
+#: the step's last factor is to do instead of one of the exact tangent, and whether it did; 1, as often as
+#: kernels go through their loop.
+FRESH, LAYERED, SOFTENS, TERMS, RELAXES, ONE, REFINES, SETTLES, WORKS = range(9)
 
 
 class ResponseFunctions(NamedTuple):
@@ -59,7 +61,8 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
     coefficients_of_both = 2 * len(energy.coefficients)
     vec = ti.types.vector(LANES, ti.f64)
     s = scratch()
-    law_of = point.function(energy, tangents=remembers)
+    law_of = point.function(energy)
+    add_volume = point.volume_function()
     stress_rate = point.function(directional(energy), tangents=False)
     inverse_root = point.inverse_root_function()
     soften, _relax = point.history_functions()
@@ -108,7 +111,8 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
     @ti.func
     def note(b, which: ti.template(), x: ti.template(), dofs: ti.template(), elements: ti.template(),
              gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template(), coefficients: ti.template(),
-             past: ti.template(), inherited: ti.template(), largest: ti.template(), law: ti.template()):
+             past: ti.template(), inherited: ti.template(), largest: ti.template(), pressures, modes_at: ti.template(),
+             weights: ti.template(), moduli: ti.template(), law: ti.template()):
         """Note of a batch what does not depend on the parameter."""
         one = which[ONE]
         for a in range(nodes):
@@ -154,10 +158,20 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
                 for i in ti.static(range(4)):
                     to2 = kept + (KEPT_SECOND + i) * one
                     law[to2] = S[i]
-            elif which[LAYERED] == 1:
+            elif which[LAYERED] + which[REFINES] > 0:
                 W, P, A = law_of(F, root, coefficients)
                 for i in ti.static(range(5)):
                     s[at + RELAXED_STRESS + i] = P[i]
+                p = vec(0.0)
+                for m in range(modes):
+                    amplitude = ti.Vector([x[pressures + modes * elements[b, l] + m] for l in ti.static(range(LANES))])
+                    p = p + modes_at[(b * points + q) * modes + m] * amplitude
+                w, modulus = weights[b * points + q], moduli[b]
+                P1, A1 = add_volume(F, p, [modulus * P[i] for i in ti.static(range(5))],
+                                    [modulus * A[n] for n in ti.static(range(15))])
+                for n in ti.static(range(15)):
+                    to = (b * points + q) * 15 + n * one
+                    law[to] = w * A1[n]
 
     @ti.func
     def recall(b, which: ti.template(), elements: ti.template(), stresses: ti.template(), before: ti.template(),
@@ -271,9 +285,8 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
             s[FR + a], s[FZ + a] = fr, fz
         if ti.static(has_centre):
             f0, f1 = s[FR + centre], s[FZ + centre]
-            if ti.static(remembers):
-                centre_r[own] = inverse_rr[b] * f0 + inverse_rz[b] * f1
-                centre_z[own] = inverse_rz[b] * f0 + inverse_zz[b] * f1
+            centre_r[own] = inverse_rr[b] * f0 + inverse_rz[b] * f1
+            centre_z[own] = inverse_rz[b] * f0 + inverse_zz[b] * f1
             for a in range(nb):
                 at = b * nb + a
                 s[FR + a] = s[FR + a] - (f0 * rows_rr[at] + f1 * rows_zr[at])
