@@ -18,7 +18,7 @@ from measure import about, cpu_seconds, option_parser, show, table, verdict
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
 
-TARGET = 0.3
+TARGET = 0.25
 STUDY = {"C10": 1404.9, "C20": 699.4}
 SPECIMEN = ts.Specimen(0.040, 0.070)
 ELASTIC = ts.Material("reduced_polynomial_2", STUDY, ts.Bulk("bulk_ratio", 1e4))

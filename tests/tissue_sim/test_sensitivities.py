@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.fem.axisymmetric import contact_pairs
+from tissue_sim.fem.axisymmetric import contact_pairs, sensitivity
 from tissue_sim.parameters import parameter_values, with_values
 
 STUDY = {"C10": 1404.9, "C20": 699.4}
@@ -80,6 +80,26 @@ def assert_exact(model, names=None, rel=1e-5):
 def test_elastic(options):
     _, compared = assert_exact(ts.Model(experiment(**options), elastic()))
     assert compared > 0.9
+
+
+@pytest.mark.parametrize("options", [{}, {"tool": ts.Tool("flat", 8e-3)}, {"friction": 0.4, "friction_base": 0.2}],
+                         ids=["bonded", "needle", "slip and stick"])
+def test_last_factor_or_exact_tangent(options, monkeypatch):
+    """Few parameters are solved for with the step's last factor, many with that of the exact tangent."""
+    model, answers, refined = ts.Model(experiment(**options), elastic()), [], []
+
+    def solves(self):
+        refined.append(done(self))
+        return refined[-1]
+
+    done = sensitivity.Sensitivity._refined
+    monkeypatch.setattr(sensitivity.Sensitivity, "_refined", solves)
+    for few in (4, 0):
+        monkeypatch.setattr(sensitivity, "FEW", few)
+        monkeypatch.setattr(sensitivity, "FEW_OF_SLIP", few)
+        answers.append(ts.sensitivities(model, ["C10", "C20"]).values)
+    assert any(refined)
+    np.testing.assert_allclose(*answers, rtol=0, atol=1e-8 * abs(answers[1]).max(axis=0).min())
 
 
 def test_everything_in_time():

@@ -76,7 +76,7 @@ class Equations:
                 contact.tolerance, strength(contact.laws, contact.face), reach)
         laws, face = ((), 1.0) if contact is None else (contact.laws, contact.face)
         self._laws, self._law_settings = tuple(map(Formula.of, laws)), law_settings(laws, face)
-        self.counts = np.array([1, self.free, 0, self.surface.count, 0, 0, 0, 0, 0], dtype=np.int32)
+        self.counts = np.array([1, self.free, 0, self.surface.count, *[0] * 7], dtype=np.int32)
         self.set_material(material)
         if start is not None:
             for array, settled in zip(self.memory.kept, start.memory.kept, strict=True):
@@ -186,15 +186,20 @@ class Equations:
         with LOCK:
             self._kernel()
 
-    def respond(self, launch) -> None:
+    def respond(self, launch, assembles: bool = True) -> None:
         """Assemble the exact tangent at the equilibrium just found, with the contact as it was in the step, and call
-        `launch` there."""
+        `launch` there; without `assembles` the matrix stays as the step left it."""
         surface, after = self.surface, self.surface.held.copy()
         remembered = [(array, array.copy()) for array in (
             self.memory.stresses, self.memory.energies, self.effects.found)]
         surface.held[:] = surface.anchors
         released = (surface.anchors[:, 0] == contact_kernels.HELD) & (after != surface.anchors).any(axis=-1)
         surface.held[released] = 0.0
+        if not assembles:
+            with LOCK:
+                launch()
+            surface.held[:] = after
+            return
         self.settings[newton.PREDICTED] = self.settings[newton.DEPTH]
         self.settings[newton.TOLERANCE] = -1.0
         self.counts[newton.MAX_ITERATIONS], self.counts[newton.KEEPS] = 0, 1
@@ -255,25 +260,29 @@ class Equations:
     def shared_arrays(self) -> dict[str, np.ndarray]:
         """Arrays of this solver that its kernel and that of `tissue_sim.fem.axisymmetric.sensitivity_kernel` both work
         on, by the name that they have in both."""
-        surface, memory, state = self.surface, self.memory, self.state
+        surface, memory, state, batches = self.surface, self.memory, self.state, self.batches.arrays()
+        of_elements = ("elements", "dofs", "real", "gradient_r", "gradient_z", "value_r", "point_weights",
+                       "mode_values", "moduli", "equations_r", "equations_z")
         return {"counts": self.counts, "settings": self.settings, "equation": self.equation,
-                "contact_nodes": surface.nodes, "contact_shapes": surface.shapes, "spans": surface.spans,
-                "springs": surface.springs, "held": surface.held, "ways": surface.ways, "contact_rates": surface.rates,
-                "coefficients": self._coefficients, "past": memory.past, "inherited": memory.inherited,
-                "largest": memory.largest, "x": state.x, "entries": self.entries, "blocks": self.entries,
+                "direction": self.direction, "contact_nodes": surface.nodes, "contact_shapes": surface.shapes,
+                "spans": surface.spans, "springs": surface.springs, "held": surface.held, "ways": surface.ways,
+                "contact_rates": surface.rates, "coefficients": self._coefficients, "past": memory.past,
+                "inherited": memory.inherited, "largest": memory.largest, "stresses": memory.stresses,
+                "energies": memory.energies, "x": state.x, "entries": self.entries, "blocks": self.entries,
                 "upper_blocks": self.upper, "inverse": self._inverse, "right": self._right,
-                "residual": self.residual, **self.batches.eliminated()}
+                "residual": self.residual, "pull": self._pull, **self.batches.eliminated(),
+                **{name: batches[name] for name in of_elements}}
 
     def _kernel_arrays(self) -> dict[str, np.ndarray]:
-        surface, memory, state = self.surface, self.memory, self.state
-        return {**self.shared_arrays(), **self.batches.arrays(), "direction": self.direction, "start": self.start,
+        surface, state = self.surface, self.state
+        return {**self.shared_arrays(), **self.batches.arrays(), "start": self.start,
                 "target": self._target, "contact_places": surface.places,
                 "areas": surface.areas, "vertices": surface.vertices, "contact_rounding": surface.rounding,
                 "friction": surface.friction, "pressed": surface.pressed, "met": surface.met,
                 "forces": surface.forces, "known_rates": surface.known_rates, "law_settings": self._law_settings,
-                "stresses": memory.stresses, "energies": memory.energies, "effect_settings": self.effects.settings,
+                "effect_settings": self.effects.settings,
                 "effect_states": self.effects.states, "effect_states_found": self.effects.found,
                 "masses": self.masses, "rest": self.rest, "motion": self._motion, "before": np.zeros_like(state.x),
                 "history": state.history, "slots": state.slots, "weights": self.weights,
                 "flat": self._scattered[:-1].reshape(-1, band.BLOCK), "scattered": self._scattered,
-                "upper": self.upper, "pull": self._pull, "reaction": self._reaction, "report": self.report}
+                "upper": self.upper, "reaction": self._reaction, "report": self.report}

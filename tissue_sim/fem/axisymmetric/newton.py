@@ -24,7 +24,10 @@ CIRCLING = 8
 HALVINGS = 6
 #: Places in the kernel's counts, settings and report. KEEPS: 0 a step begins with an extrapolation, 1 with the state as
 #: it is and no point may change its own, 2 with the state as it is.
-PASSES, FREE, MAX_ITERATIONS, CONTACTS, REMEMBERS, UNSYMMETRIC, CHANGEABLE, KEEPS, STIFFNESS_ASKED = range(9)
+#: FACTORISED, BENDING: answers, whether the matrix is a factor at the end, and whether the rates of contact are those
+#: with the curvature of the surfaces.
+(PASSES, FREE, MAX_ITERATIONS, CONTACTS, REMEMBERS, UNSYMMETRIC, CHANGEABLE, KEEPS, STIFFNESS_ASKED, FACTORISED,
+ BENDING) = range(11)
 (DEPTH, PREDICTED, KAPPA, WEIGHT, TOLERANCE, FLOOR, ROUNDING, TOUCH, CONTACT_TOLERANCE, STRENGTH,
  REACH, INERTIA, DENSITY) = range(13)
 STATUS, ITERATIONS, RESIDUAL, FORCE, VIOLATION, SLIPPING, STIFFNESS = range(7)
@@ -166,7 +169,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                     law_settings, multipliers, contact_nodes, contact_shapes, spans, contact_places, areas, vertices,
                     contact_rounding, friction, springs, held, pressed, ways, met, forces, contact_rates, x, target,
                     equation, residual)
-                counts[CHANGEABLE] = 0
+                counts[CHANGEABLE], counts[BENDING] = 0, int(bending)
                 report[VIOLATION], report[SLIPPING] = violation, slipping
                 if tangent == 1:
                     counts[UNSYMMETRIC] = ti.min(slipping, 1)
@@ -176,7 +179,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                     contact.add_rates(counts[CONTACTS], slipping, free, width, contact_nodes, contact_shapes,
                                       contact_rates, equation, entries, upper)
                     contact.note_rates(counts[CONTACTS], contact_rates, known_rates)
-                    factorised = 0
+                    factorised, counts[FACTORISED] = 0, 0
                 unbalanced, total = interior, axial
                 for i in range(free):
                     unbalanced += residual[i] * residual[i]
@@ -262,7 +265,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                                 definite = lu.init(blocks, upper_blocks, inverse, rows, width)
                         if counts[UNSYMMETRIC] == 0:
                             definite = cholesky.init(blocks, upper_blocks, inverse, rows, width)
-                        factorised = definite
+                        factorised, counts[FACTORISED] = definite, definite
                     if definite == 1:
                         if ti.static(slips):
                             if counts[UNSYMMETRIC] == 1:

@@ -4,13 +4,32 @@ from __future__ import annotations
 
 import numpy as np
 
+from tissue_sim.fem.axisymmetric import newton
+from tissue_sim.fem.axisymmetric.batches import LANES
 from tissue_sim.fem.axisymmetric.contact import NORMAL_R, NORMAL_Z
 from tissue_sim.fem.axisymmetric.contact_kernels import HELD
 from tissue_sim.fem.axisymmetric.equations import Equations
-from tissue_sim.fem.axisymmetric.sensitivity_kernel import ALL_POINTS, FRESH, NOTED, PARAMETER, respond_kernel
+from tissue_sim.fem.axisymmetric.sensitivity_kernel import respond_kernels
+from tissue_sim.fem.axisymmetric.sensitivity_points import (
+    FRESH,
+    KEPT,
+    LAYERED,
+    ONE,
+    REFINES,
+    RELAXES,
+    SOFTENS,
+    TERMS,
+    WORKS,
+)
 from tissue_sim.fem.history import FACTOR, INSTANT, LOSS
 from tissue_sim.fem.solver import Neighbours
 from tissue_sim.fem.taichi.launch import BoundKernel
+
+#: With so many parameters the last factor of a step serves better than one of the exact tangent; more of them where
+#: points slip and a factor costs twice as much.
+FEW, FEW_OF_SLIP = 2, 4
+#: Lengths of step whose changes of relaxation are remembered.
+_KNOWN_STEPS = 64
 
 
 class Sensitivity:
@@ -27,62 +46,65 @@ class Sensitivity:
 
     def __init__(self, equations: Equations, neighbours: Neighbours):
         self._equations = equations
-        m, (elements, q) = len(neighbours), equations.reference.weights.shape
-        surface, memory = equations.surface, equations.memory
+        m, memory, surface = len(neighbours), equations.memory, equations.surface
+        terms = len(memory.internal)
+        self._relaxations = [(equations.relaxation(up), equations.relaxation(down), width)
+                             for up, down, width in neighbours]
+        self._past_rates = np.zeros((m, 5))
+        self._refusals = self._waits = 0
+        self._known: dict[float, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+        self._decay, self._gain = np.zeros((2, terms))
+        self._decay_rates, self._gain_rates = np.zeros((2, m, terms))
+        shape = (m, *surface.springs.shape, 2)
+        self._multiplier_rates, self._anchor_rates, self._point_rates = np.zeros((3, *shape))
+        self.force, self._changed = np.zeros(m), False
+        self._contact = np.zeros((3, *surface.springs.shape))
+        self._which = np.zeros(9, np.int32)
+        kernels = respond_kernels(equations.mesh.element.name, equations.material.energy_law.kernel_energy,
+                                memory.works, surface.slips)
+        arrays = {
+            **equations.shared_arrays(), **self._rates_of(neighbours), **self._rates_at_points(m, terms),
+            "before": memory.before, "internal": memory.internal, "which": self._which,
+            "past_rates": self._past_rates, "decay": self._decay, "gain": self._gain,
+            "decay_rates": self._decay_rates, "gain_rates": self._gain_rates,
+            "multiplier_rates": self._multiplier_rates, "anchor_rates": self._anchor_rates,
+            "point_rates": self._point_rates, "force_rates": self.force,
+            "motion": np.zeros(equations.equation.size + equations.residual.size),
+            "forces": np.zeros((m, equations.residual.size)), "dx": np.zeros((m, equations.equation.size))}
+        self._push, self._respond = (BoundKernel.of(kernel, arrays) for kernel in kernels)
+
+    def _rates_of(self, neighbours: Neighbours) -> dict[str, np.ndarray]:
+        """What the parameters do to the law, to the bulk modulus, to layers and to how the tissue remembers."""
+        equations, m = self._equations, len(neighbours)
         here = equations.inputs(equations.material)
         rates = [np.zeros((m, *np.shape(array))) for array in here]
         for k, (up, down, width) in enumerate(neighbours):
-            above, below = (map(np.asarray, equations.inputs(material)) for material in (up, down))
+            above, below = equations.inputs(up), equations.inputs(down)
             for rate, more, less in zip(rates, above, below, strict=True):
-                rate[k] = (more - less) / width
-        coefficient_rates, kappa_rates, factor_rates, moduli_rates = rates
-        self._directions = np.concatenate([np.tile(here[0], (m, 1)), coefficient_rates], axis=1)
-        self._past_rates = np.zeros((m, 5))
-        self._past_rates[:, FACTOR] = factor_rates
-        for k, (up, down, width) in enumerate(neighbours):
-            more, less = (np.array([0.0, 1.0, 0.0] if s is None else [s.loss, s.modulus, s.share])
-                          for s in (up.softening, down.softening))
-            self._past_rates[k, LOSS:] = (more - less) / width
-        self._inherited_rates = np.zeros((m, elements, q, 4))
-        self._before_rates, self._stress_rates = np.zeros((m, elements, q, 4)), np.zeros((m, elements, q, 4))
-        self._internal_rates = np.zeros((m, len(memory.internal), elements, q, 4))
-        self._relaxations = [(equations.relaxation(up), equations.relaxation(down), width)
-                             for up, down, width in neighbours]
-        self._decay_rates, self._gain_rates = np.zeros((2, m, len(memory.internal)))
-        self._largest_rates, self._energy_rates = np.zeros((m, elements, q)), np.zeros((m, elements, q))
-        shape = (m, *surface.springs.shape, 2)
-        self._multiplier_rates, self._anchor_rates = np.zeros(shape), np.zeros(shape)
-        self._point_rates = np.zeros(shape)
-        self.force, self._changed = np.zeros(m), False
-        self._contact = np.zeros((3, *surface.springs.shape))
-        # One parameter a launch: Taichi keeps what it has read of an array that the same kernel writes.
-        self._which, self._direction = np.zeros(3, np.int32), np.zeros(self._directions.shape[1])
-        self._which[ALL_POINTS] = memory.works or moduli_rates.any()
-        energy = equations.material.energy_law.kernel_energy
-        self._kernel = BoundKernel(respond_kernel(equations.mesh.element.name, energy), {
-            **equations.shared_arrays(), **self._undeformed(), "which": self._which, "kappa_rates": kappa_rates,
-            "moduli_rates": moduli_rates, "past_rates": self._past_rates, "inherited_rates": self._inherited_rates,
-            "largest_rates": self._largest_rates, "multiplier_rates": self._multiplier_rates,
-            "anchor_rates": self._anchor_rates, "direction": self._direction, "stress_rates": self._stress_rates,
-            "energy_rates": self._energy_rates, "point_rates": self._point_rates, "force_rates": self.force,
-            **self._scratch()})
+                rate[k] = (np.asarray(more) - np.asarray(less)) / width
+            softer = [np.array([0.0, 1.0, 0.0] if s is None else [s.loss, s.modulus, s.share])
+                      for s in (up.softening, down.softening)]
+            self._past_rates[k, LOSS:] = (softer[0] - softer[1]) / width
+        coefficient_rates, kappa_rates, self._past_rates[:, FACTOR], moduli_rates = rates
+        self._which[LAYERED] = moduli_rates.any()
+        self._which[SOFTENS] = equations.memory.past[LOSS] != 0 or self._past_rates[:, LOSS:].any()
+        self._which[TERMS], self._which[[ONE, WORKS]] = self._decay.size, 1
+        relaxes = [up is not None and down is not None and up != down for up, down, _ in self._relaxations]
+        self._which[RELAXES] = any(relaxes)
+        return {"directions": np.concatenate([np.tile(here[0], (m, 1)), coefficient_rates], axis=1),
+                "acts": np.array(coefficient_rates.any(axis=1), np.int32), "relaxes": np.array(relaxes, np.int32),
+                "kappa_rates": kappa_rates,
+                "moduli_rates": np.ascontiguousarray(moduli_rates[:, equations.batches.elements].reshape(-1, LANES))}
 
-    def _undeformed(self) -> dict[str, np.ndarray]:
-        """Arrays of the kernel that depend on the mesh alone."""
-        mesh, reference = self._equations.mesh, self._equations.reference
-        moved = self._equations.direction[1::2][mesh.connectivity]
-        return {"connectivity": np.ascontiguousarray(mesh.connectivity, dtype=np.int32),
-                "node_gradients": reference.node_gradients, "element_moduli": self._equations.moduli,
-                "quadrature": np.ascontiguousarray(
-                    np.concatenate([reference.weights[..., None], reference.pressure_modes], axis=-1)),
-                "along": np.einsum("eqai,ea->eqi", reference.node_gradients[..., :2], moved)}
-
-    def _scratch(self) -> dict[str, np.ndarray]:
-        equations, element = self._equations, self._equations.mesh.element
-        points = equations.reference.weights.shape
-        return {"gap_rates": np.zeros((points[0], element.pressure_modes)), "node_forces": np.zeros((element.nodes, 2)),
-                "centre_force": np.zeros((points[0], 2)), "law": np.zeros((*points, NOTED)),
-                "base": np.zeros_like(equations.residual), "dx": np.zeros_like(equations.state.x)}
+    def _rates_at_points(self, m: int, terms: int) -> dict[str, np.ndarray]:
+        """Of the memory: a row of lanes for each batch, point, parameter, term and component, the last ones fastest."""
+        batches, q = self._equations.batches.batches, self._equations.reference.weights.shape[1]
+        rows = {"centre_r": m, "centre_z": m, "way_r": 1, "way_z": 1, "law": KEPT * q}
+        of_memory = {"largest_rates": m * q, "energy_rates": m * q, "stress_rates": 4 * m * q,
+                     "before_rates": 4 * m * q, "internal_rates": 4 * m * terms * q}
+        rows |= of_memory if self._equations.memory.works else dict.fromkeys(of_memory, 0)
+        return {"recent": np.zeros((4 * terms * q, LANES)),
+                **{name: np.zeros((count * batches, LANES)) for name, count in rows.items()}}
 
     def pop_changed(self) -> bool:
         """Whether since the last call points came into contact, left it, or changed between sticking and slipping: the
@@ -93,54 +115,71 @@ class Sensitivity:
     def advance(self) -> None:
         """After a step that converged, before it is committed."""
         memory = self._equations.memory
-        decay, gain = memory.step
-        for k, (up, down, width) in enumerate(self._relaxations):
-            if up == down or up is None or down is None:
-                changes = [np.zeros(()), np.zeros_like(decay), np.zeros_like(gain)]
-            else:
-                above, below = (map(np.asarray, series.increment(memory.dt)) for series in (up, down))
-                changes = [(more - less) / width for more, less in zip(above, below, strict=True)]
-            self._past_rates[k, INSTANT], self._decay_rates[k], self._gain_rates[k] = changes
-        if memory.works:
-            # The sums over terms of decay times internal stress and gain times stress, differentiated.
-            self._inherited_rates[:] = (
-                np.einsum("kt,teqi->keqi", self._decay_rates, memory.internal)
-                + np.einsum("t,kteqi->keqi", decay, self._internal_rates)
-                - self._gain_rates.sum(axis=1)[:, None, None, None] * memory.before - gain.sum() * self._before_rates)
-        change = memory.stresses - memory.before
-        self._equations.respond(self._launch)
-        if memory.works:
-            self._internal_rates *= _each(decay)
-            self._internal_rates += _each(self._decay_rates) * memory.internal + _each(self._gain_rates) * change
-            self._internal_rates += _each(gain) * (self._stress_rates - self._before_rates)[:, None]
-            self._before_rates[:] = self._stress_rates
-            higher = memory.energies > memory.largest
-            self._largest_rates[:, higher] = self._energy_rates[:, higher]
+        if self._decay.size:
+            self._decay[:], self._gain[:] = memory.step
+            self._past_rates[:, INSTANT], self._decay_rates[:], self._gain_rates[:] = self._relaxation_rates(memory.dt)
+        if self._waits or not self._may_refine():
+            self._waits = max(self._waits - 1, 0)
+            self._equations.respond(self._launch)
+        elif not self._refined():
+            # Where the contact changed, or the last factor is far, the next ones are likely to be.
+            self._refusals += 1
+            self._waits = 4**self._refusals
+            self._equations.respond(self._launch)
         self._follow_contact()
+
+    def _may_refine(self) -> bool:
+        """Whether the step has left a factor, and rates of the contact, that so few parameters are solved with sooner
+        than the exact tangent is assembled and factorised."""
+        counts, settings = self._equations.counts, self._equations.settings
+        few = FEW_OF_SLIP if counts[newton.UNSYMMETRIC] else FEW
+        return (not self._equations.memory.works and self.force.size <= few and settings[newton.INERTIA] == 0
+                and counts[newton.FACTORISED] == 1 and counts[newton.BENDING] == 1)
+
+    def _refined(self) -> bool:
+        before = self._multiplier_rates.copy()
+        self._which[[FRESH, REFINES]] = 1
+        self._equations.respond(self._run, assembles=False)
+        self._which[REFINES] = 0
+        if self._which[FRESH]:
+            self._multiplier_rates[:] = before
+        return not self._which[FRESH]
+
+    def _relaxation_rates(self, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of the instantaneous share, of decay and of gain of each term in a step of dt, s."""
+        if dt not in self._known:
+            if len(self._known) >= _KNOWN_STEPS:
+                self._known.clear()
+            rates = np.zeros(len(self._relaxations)), np.zeros_like(self._decay_rates), np.zeros_like(self._gain_rates)
+            for k, (up, down, width) in enumerate(self._relaxations):
+                if up != down and up is not None and down is not None:
+                    for rate, more, less in zip(rates, up.increment(dt), down.increment(dt), strict=True):
+                        rate[k] = (np.asarray(more) - np.asarray(less)) / width
+            self._known[dt] = rates
+        return self._known[dt]
+
+    def _run(self) -> None:
+        self._push()
+        self._respond()
 
     def _launch(self) -> None:
         self._which[FRESH] = 1
-        for k, direction in enumerate(self._directions):
-            self._which[PARAMETER], self._direction[:] = k, direction
-            self._kernel()
+        self._run()
         if self._which[FRESH]:
             self.force[:] = np.nan
 
     def _follow_contact(self) -> None:
         """Where a point was bound anew its anchor moves with it along the surface; where it parted nothing presses."""
         surface = self._equations.surface
-        normals = surface.rates[:, [NORMAL_R, NORMAL_Z]]
+        if not (surface.forces.any() or surface.held.any() or self._contact.any()):
+            return
         anew = (surface.held[:, 0] > 0) & (surface.held != surface.anchors).any(axis=-1)
-        along = np.stack([-normals[:, 1], normals[:, 0]], axis=-1)
-        slid = np.einsum("kni,ni->kn", self._point_rates, along)[..., None] * along
-        self._anchor_rates[:, anew] = slid[:, anew]
-        touching = (surface.forces != 0).any(axis=-1)
+        if anew.any():
+            normals = surface.rates[anew][:, [NORMAL_R, NORMAL_Z]]
+            along = np.stack([-normals[:, 1], normals[:, 0]], axis=-1)
+            self._anchor_rates[:, anew] = np.einsum("kni,ni->kn", self._point_rates[:, anew], along)[..., None] * along
+        touching = surface.forces.any(axis=-1)
         self._multiplier_rates[:, ~touching] = 0.0
         contact = np.stack([touching, surface.held[:, 0] == HELD, surface.ways])
         self._changed |= bool((contact != self._contact).any())
         self._contact = contact
-
-
-def _each(factors: np.ndarray) -> np.ndarray:
-    """Factors of the terms, shaped for their stresses."""
-    return factors[..., None, None, None]

@@ -53,6 +53,15 @@ class BoundKernel:
         self.kernel, self.arrays = kernel, {name: arrays[name] for name in expected}
         self._start: Callable[[], None] | None = None
 
+    @classmethod
+    def of(cls, kernel, arrays: Mapping[str, np.ndarray]) -> BoundKernel:
+        """With those of many arrays that the kernel has arguments for."""
+        try:
+            names = [argument.name for argument in kernel._primal.arguments]
+        except AttributeError as error:
+            raise _other_taichi(error) from None
+        return cls(kernel, {name: arrays[name] for name in names if name in arrays})
+
     def __call__(self) -> None:
         """Run the kernel to its end. The first call compiles it, or loads it from the cache."""
         if self._start is None:

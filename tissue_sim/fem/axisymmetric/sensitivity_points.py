@@ -1,0 +1,361 @@
+"""What parameters of the material do to elements, as Taichi functions that work on as many elements as vectors have
+lanes: to the forces of nodes while nothing moves, and to the memory of the tissue once it is known how everything does.
+"""
+
+from functools import cache
+from typing import NamedTuple
+
+import sympy as sp
+
+from tissue_sim.fem.axisymmetric import energy as point
+from tissue_sim.fem.axisymmetric.batches import LANES
+from tissue_sim.fem.axisymmetric.scratch import AT, scratch
+from tissue_sim.fem.history import FACTOR, INSTANT, LOSS, LOSS_MODULUS, LOSS_SHARE
+from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.laws import KernelEnergy
+from tissue_sim.mesh.elements import ELEMENTS
+
+#: Places of what is noted of the law at a quadrature point of the batch that is worked on: deformation gradient,
+#: J^(-1/3), energy, stress as it is, softened, and relaxed besides.
+GRADIENT, ROOT, ENERGY, STRESS, SOFT_STRESS, RELAXED_STRESS, NOTED = 0, 5, 6, 7, 12, 17, 22
+#: What is kept of it until the motion is known: deformation gradient, stress, softened second Piola stress (RR, RZ, ZZ,
+#: hoop) and softened tangent.
+KEPT_GRADIENT, KEPT_STRESS, KEPT_SECOND, KEPT_SOFT_TANGENT, KEPT = 0, 5, 10, 14, 29
+#: Places in `which`: whether the matrix has still to be factorised (what stays 1 is singular); whether parameters
+#: change moduli of elements; whether something softens; how many terms relax; whether parameters change how; 1; whether
+#: the step's last factor is to do instead of one of the exact tangent, and whether it did; 1, as often as
+#: kernels go through their loop.
+FRESH, LAYERED, SOFTENS, TERMS, RELAXES, ONE, REFINES, SETTLES, WORKS = range(9)
+
+
+class ResponseFunctions(NamedTuple):
+    """Taichi functions of one element and one family of laws."""
+
+    note: object
+    recall: object
+    push: object
+    remember: object
+
+
+def directional(energy: KernelEnergy) -> KernelEnergy:
+    """The energy's derivative with respect to its coefficients along a direction; coefficients, then the direction."""
+    along = tuple(sp.Symbol(f"{symbol.name}_rate", real=True) for symbol in energy.coefficients)
+    rate = sum((way * sp.diff(energy.energy, symbol) for way, symbol in zip(along, energy.coefficients, strict=True)),
+               sp.Integer(0))
+    return KernelEnergy(f"{energy.key} rate", energy.family, energy.variables, energy.coefficients + along, rate)
+
+
+@cache
+def response_functions(element_name: str, energy: KernelEnergy, remembers: bool) -> ResponseFunctions:
+    """See the functions themselves; of tissue that does not remember `note` and `push` are all that is compiled.
+
+    Rows of arrays of vectors count batches, points, parameters, terms and components, the last ones fastest. Where a
+    component is added to a row it is multiplied by `one`, 1 that the compiler does not know: with a constant in its
+    place a vector would be loaded number by number.
+    """
+    ti = initialise()
+    element = ELEMENTS[element_name]
+    nodes, nb, modes = element.nodes, element.boundary_nodes, element.pressure_modes
+    points = element.quadrature[1].size
+    has_centre, centre = nodes > nb, nodes - 1
+    coefficients_of_both = 2 * len(energy.coefficients)
+    vec = ti.types.vector(LANES, ti.f64)
+    s = scratch()
+    law_of = point.function(energy)
+    add_volume = point.volume_function()
+    stress_rate = point.function(directional(energy), tangents=False)
+    inverse_root = point.inverse_root_function()
+    soften, _relax = point.history_functions()
+    UR, UZ, FR, FZ, RATE = AT["UR"], AT["UZ"], AT["FR"], AT["FZ"], AT["STRESS"]
+    LAW, ENERGY_RATE, PAST, BEFORE, CHANGE = (AT[name] for name in ("LAW", "ENERGY_RATE", "PAST", "BEFORE", "CHANGE"))
+    row = point.PLACE
+
+    # Throughout, `a = a + b` on arrays: `a += b` is an atomic operation in Taichi. What a branch decides is kept in the
+    # scratch field.
+
+    @ti.func
+    def at_lanes(values: ti.template(), elements: ti.template(), b, q):
+        return ti.Vector([values[elements[b, l], q] for l in ti.static(range(LANES))])
+
+    @ti.func
+    def component(values: ti.template(), elements: ti.template(), b, q, i: ti.template()):
+        return ti.Vector([values[elements[b, l], q, i] for l in ti.static(range(LANES))])
+
+    @ti.func
+    def pulled_back(F, P):
+        """F^-1 P of a stress whose pull-back is symmetric: RR, RZ, ZZ, hoop."""
+        over_j = 1.0 / (F[0] * F[3] - F[1] * F[2])
+        return [(F[3] * P[0] - F[1] * P[2]) * over_j, (F[3] * P[1] - F[1] * P[3]) * over_j,
+                (F[0] * P[3] - F[2] * P[1]) * over_j, P[4] / F[4]]
+
+    @ti.func
+    def pushed(F, S):
+        """F S of a symmetric S (RR, RZ, ZZ, hoop)."""
+        return [F[0] * S[0] + F[1] * S[1], F[0] * S[1] + F[1] * S[2], F[2] * S[0] + F[3] * S[1],
+                F[2] * S[1] + F[3] * S[2], F[4] * S[3]]
+
+    @ti.func
+    def gradient(b, q, gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template()):
+        """Displacement gradient of the motion of the nodes that is noted."""
+        h0, h1, h2, h3, h4 = vec(0.0), vec(0.0), vec(0.0), vec(0.0), vec(0.0)
+        for a in range(nodes):
+            g = (b * points + q) * nodes + a
+            gr, gz, gh, ur, uz = gradient_r[g], gradient_z[g], value_r[g], s[UR + a], s[UZ + a]
+            h0 = h0 + ur * gr
+            h1 = h1 + ur * gz
+            h2 = h2 + uz * gr
+            h3 = h3 + uz * gz
+            h4 = h4 + ur * gh
+        return h0, h1, h2, h3, h4
+
+    @ti.func
+    def note(b, which: ti.template(), x: ti.template(), dofs: ti.template(), elements: ti.template(),
+             gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template(), coefficients: ti.template(),
+             past: ti.template(), inherited: ti.template(), largest: ti.template(), pressures, modes_at: ti.template(),
+             weights: ti.template(), moduli: ti.template(), law: ti.template()):
+        """Note of a batch what does not depend on the parameter."""
+        one = which[ONE]
+        for a in range(nodes):
+            i = b * nodes + a
+            s[UR + a] = ti.Vector([x[dofs[i, l]] for l in ti.static(range(LANES))])
+            s[UZ + a] = ti.Vector([x[dofs[i, l] + 1] for l in ti.static(range(LANES))])
+        for q in range(points):
+            h0, h1, h2, h3, h4 = gradient(b, q, gradient_r, gradient_z, value_r)
+            area = h0 + h3 + h0 * h3 - h1 * h2
+            F = [1.0 + h0, h1, h2, 1.0 + h3, 1.0 + h4]
+            root = inverse_root(ti.max(1.0 + area + h4 + area * h4, 1e-6))
+            at = LAW + NOTED * q
+            for i in ti.static(range(5)):
+                s[at + GRADIENT + i] = F[i]
+            s[at + ROOT] = root
+            if ti.static(remembers):
+                kept, f = (b * points + q) * KEPT, past[FACTOR]
+                W, P, A = law_of(F, root, coefficients)
+                s[at + ENERGY] = f * W
+                for i in ti.static(range(5)):
+                    s[at + STRESS + i] = f * P[i]
+                    s[at + SOFT_STRESS + i] = f * P[i]
+                for n in ti.static(range(15)):
+                    to = kept + (KEPT_SOFT_TANGENT + n) * one
+                    law[to] = f * A[n]
+                if past[LOSS] != 0.0:
+                    P1, A1 = soften(f * W, at_lanes(largest, elements, b, q), past[LOSS], past[LOSS_MODULUS],
+                                    past[LOSS_SHARE], [f * P[i] for i in ti.static(range(5))],
+                                    [f * A[n] for n in ti.static(range(15))])
+                    for i in ti.static(range(5)):
+                        s[at + SOFT_STRESS + i] = P1[i]
+                    for n in ti.static(range(15)):
+                        to = kept + (KEPT_SOFT_TANGENT + n) * one
+                        law[to] = A1[n]
+                left = pushed(F, [component(inherited, elements, b, q, i) for i in ti.static(range(4))])
+                for i in ti.static(range(5)):
+                    s[at + RELAXED_STRESS + i] = past[INSTANT] * s[at + SOFT_STRESS + i] + left[i]
+                    to = kept + (KEPT_GRADIENT + i) * one
+                    law[to] = F[i]
+                    to1 = kept + (KEPT_STRESS + i) * one
+                    law[to1] = s[at + STRESS + i]
+                S = pulled_back(F, [s[at + SOFT_STRESS + i] for i in ti.static(range(5))])
+                for i in ti.static(range(4)):
+                    to2 = kept + (KEPT_SECOND + i) * one
+                    law[to2] = S[i]
+            elif which[LAYERED] + which[REFINES] > 0:
+                W, P, A = law_of(F, root, coefficients)
+                for i in ti.static(range(5)):
+                    s[at + RELAXED_STRESS + i] = P[i]
+                p = vec(0.0)
+                for m in range(modes):
+                    amplitude = ti.Vector([x[pressures + modes * elements[b, l] + m] for l in ti.static(range(LANES))])
+                    p = p + modes_at[(b * points + q) * modes + m] * amplitude
+                w, modulus = weights[b * points + q], moduli[b]
+                P1, A1 = add_volume(F, p, [modulus * P[i] for i in ti.static(range(5))],
+                                    [modulus * A[n] for n in ti.static(range(15))])
+                for n in ti.static(range(15)):
+                    to = (b * points + q) * 15 + n * one
+                    law[to] = w * A1[n]
+
+    @ti.func
+    def recall(b, which: ti.template(), elements: ti.template(), stresses: ti.template(), before: ti.template(),
+               internal: ti.template(), recent: ti.template()):
+        """Note the internal stresses of a batch, and the stress of the step before and how it changed."""
+        one, terms = which[ONE], which[TERMS]
+        for q in range(points):
+            for i in ti.static(range(4)):
+                s[BEFORE + 4 * q + i] = component(before, elements, b, q, i)
+                s[CHANGE + 4 * q + i] = component(stresses, elements, b, q, i) - s[BEFORE + 4 * q + i]
+                for t in range(terms):
+                    at_term = (q * terms + t) * 4 + i * one
+                    recent[at_term] = ti.Vector([internal[t, elements[b, l], q, i] for l in ti.static(range(LANES))])
+
+    @ti.func
+    def remembered_rate(b, q, k, parameters, which: ti.template(), elements: ti.template(), past: ti.template(),
+                        past_rates: ti.template(), largest: ti.template(), largest_rates: ti.template(),
+                        energy_rates: ti.template(), stress_rates: ti.template(),
+                        before_rates: ti.template(), recent: ti.template(), internal_rates: ti.template(),
+                        decay: ti.template(), gain: ti.template(), decay_rates: ti.template(),
+                        gain_rates: ti.template(), relaxes: ti.template()):
+        """Go on from the rate of the law's stress that is noted to that of the stress in time, modulus 1; energy and
+        softened stress go to their rates."""
+        at, noted, terms, one = RATE + 5 * q, LAW + NOTED * q, which[TERMS], which[ONE]
+        f, df = past[FACTOR], past_rates[k, FACTOR] / past[FACTOR]
+        F = [s[noted + GRADIENT + i] for i in ti.static(range(5))]
+        W = s[noted + ENERGY]
+        dW = f * s[ENERGY_RATE + q] + df * W
+        for i in ti.static(range(5)):
+            s[at + i] = f * s[at + i] + df * s[noted + STRESS + i]
+        own = (b * points + q) * parameters + k
+        if which[SOFTENS] == 1:
+            L, dL = at_lanes(largest, elements, b, q), largest_rates[own]
+            width = ti.max(past[LOSS_MODULUS] + past[LOSS_SHARE] * L, 1e-300)
+            width_rate = past_rates[k, LOSS_MODULUS] + past_rates[k, LOSS_SHARE] * L + past[LOSS_SHARE] * dL
+            bend = ti.tanh(ti.max(L - W, 0.0) / width)
+            argument_rate = (dL - dW - (L - W) * width_rate / width) / width
+            eta_rate = ti.select(W < L, -past_rates[k, LOSS] * bend - past[LOSS] * (1.0 - bend * bend) * argument_rate,
+                                 0.0 * W)
+            for i in ti.static(range(5)):
+                s[at + i] = (1.0 - past[LOSS] * bend) * s[at + i] + eta_rate * s[noted + STRESS + i]
+        energy_rates[own] = dW
+        S = pulled_back(F, [s[at + i] for i in ti.static(range(5))])
+        for i in ti.static(range(4)):
+            to = 4 * own + i * one
+            stress_rates[to] = S[i]
+            s[PAST + i] = vec(0.0)
+            for t in range(terms):
+                of = (own * terms + t) * 4 + i * one
+                s[PAST + i] = s[PAST + i] + decay[t] * internal_rates[of] - gain[t] * before_rates[to]
+                if relaxes[k] == 1:
+                    at_term = (q * terms + t) * 4 + i * one
+                    s[PAST + i] = (s[PAST + i] + decay_rates[k, t] * recent[at_term]
+                                   - gain_rates[k, t] * s[BEFORE + 4 * q + i])
+        left = pushed(F, [s[PAST + i] for i in ti.static(range(4))])
+        for i in ti.static(range(5)):
+            s[at + i] = past[INSTANT] * s[at + i] + past_rates[k, INSTANT] * s[noted + SOFT_STRESS + i] + left[i]
+
+    @ti.func
+    def push(b, k, kappa, parameters, batches, pressures, which: ti.template(), acts: ti.template(), directions:
+             ti.template(), x: ti.template(), elements: ti.template(), gradient_r: ti.template(), gradient_z:
+             ti.template(), value_r: ti.template(), weights: ti.template(), moduli: ti.template(), equations_r:
+             ti.template(), equations_z: ti.template(), volume_r: ti.template(), volume_z: ti.template(), rows_rr:
+             ti.template(), rows_rz: ti.template(), rows_zr: ti.template(), rows_zz: ti.template(), inverse_rr:
+             ti.template(), inverse_rz: ti.template(), inverse_zz: ti.template(), kappa_rates: ti.template(),
+             moduli_rates: ti.template(), past: ti.template(), past_rates: ti.template(), largest: ti.template(),
+             largest_rates: ti.template(), energy_rates: ti.template(), stress_rates: ti.template(),
+             before_rates: ti.template(), recent: ti.template(), internal_rates: ti.template(),
+             decay: ti.template(), gain: ti.template(), decay_rates: ti.template(), gain_rates: ti.template(), relaxes:
+             ti.template(), centre_r: ti.template(), centre_z: ti.template(), forces: ti.template()):
+        """Add the rates of the nodal forces of a batch with parameter k, nothing moving, to row k of `forces`."""
+        direction = ti.Vector([directions[k, i] for i in ti.static(range(coefficients_of_both))])
+        own = k * batches + b
+        modulus, modulus_rate = moduli[b], moduli_rates[own]
+        for q in range(points):
+            at, noted = RATE + 5 * q, LAW + NOTED * q
+            if acts[k] == 1:
+                F = [s[noted + GRADIENT + i] for i in ti.static(range(5))]
+                W, P, _A = stress_rate(F, s[noted + ROOT], direction)
+                s[ENERGY_RATE + q] = W
+                for i in ti.static(range(5)):
+                    s[at + i] = P[i]
+            else:
+                s[ENERGY_RATE + q] = vec(0.0)
+                for i in ti.static(range(5)):
+                    s[at + i] = vec(0.0)
+            if ti.static(remembers):
+                remembered_rate(b, q, k, parameters, which, elements, past, past_rates, largest, largest_rates,
+                                energy_rates, stress_rates, before_rates, recent, internal_rates, decay, gain,
+                                decay_rates, gain_rates, relaxes)
+            w = weights[b * points + q]
+            for i in ti.static(range(5)):
+                s[at + i] = (w * modulus) * s[at + i]
+            if which[LAYERED] == 1:
+                for i in ti.static(range(5)):
+                    s[at + i] = s[at + i] + (w * modulus_rate) * s[noted + RELAXED_STRESS + i]
+        # The pressure at which the volume keeps to the bulk modulus, over that: what it asks for now is not enough.
+        share = (kappa_rates[k] * modulus + kappa * modulus_rate) / (kappa * modulus)
+        for a in range(nodes):
+            fr, fz = vec(0.0), vec(0.0)
+            for q in range(points):
+                g = (b * points + q) * nodes + a
+                gr, gz, gh, at = gradient_r[g], gradient_z[g], value_r[g], RATE + 5 * q
+                fr = fr + s[at] * gr + s[at + 1] * gz + s[at + 4] * gh
+                fz = fz + s[at + 2] * gr + s[at + 3] * gz
+            for m in range(modes):
+                v = (b * modes + m) * nodes + a
+                p = ti.Vector([x[pressures + modes * elements[b, l] + m] for l in ti.static(range(LANES))])
+                fr = fr + share * p * volume_r[v]
+                fz = fz + share * p * volume_z[v]
+            s[FR + a], s[FZ + a] = fr, fz
+        if ti.static(has_centre):
+            f0, f1 = s[FR + centre], s[FZ + centre]
+            centre_r[own] = inverse_rr[b] * f0 + inverse_rz[b] * f1
+            centre_z[own] = inverse_rz[b] * f0 + inverse_zz[b] * f1
+            for a in range(nb):
+                at = b * nb + a
+                s[FR + a] = s[FR + a] - (f0 * rows_rr[at] + f1 * rows_zr[at])
+                s[FZ + a] = s[FZ + a] - (f0 * rows_rz[at] + f1 * rows_zz[at])
+        for a in range(nb):
+            at = b * nb + a
+            fr, fz = s[FR + a], s[FZ + a]
+            for l in ti.static(range(LANES)):
+                forces[k, equations_r[at, l]] = forces[k, equations_r[at, l]] + fr[l]
+                forces[k, equations_z[at, l]] = forces[k, equations_z[at, l]] + fz[l]
+
+    @ti.func
+    def remember(b, k, parameters, batches, which: ti.template(), dx: ti.template(), dofs: ti.template(), elements:
+                 ti.template(), gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template(), rows_rr:
+                 ti.template(), rows_rz: ti.template(), rows_zr: ti.template(), rows_zz: ti.template(), law:
+                 ti.template(), largest: ti.template(), energies: ti.template(), largest_rates: ti.template(),
+                 energy_rates: ti.template(), stress_rates: ti.template(), before_rates:
+                 ti.template(), recent: ti.template(), internal_rates: ti.template(),
+                 decay: ti.template(), gain: ti.template(), decay_rates: ti.template(), gain_rates: ti.template(),
+                 relaxes: ti.template(), centre_r: ti.template(), centre_z: ti.template()):
+        """Take over what the motion `dx` with parameter k does to the memory of a batch."""
+        in_batch, terms, one = k * batches + b, which[TERMS], which[ONE]
+        for a in range(nb):
+            i = b * nodes + a
+            s[UR + a] = ti.Vector([dx[k, dofs[i, l]] for l in ti.static(range(LANES))])
+            s[UZ + a] = ti.Vector([dx[k, dofs[i, l] + 1] for l in ti.static(range(LANES))])
+        if ti.static(has_centre):
+            cr, cz = -centre_r[in_batch], -centre_z[in_batch]
+            for a in range(nb):
+                at = b * nb + a
+                cr = cr - (rows_rr[at] * s[UR + a] + rows_rz[at] * s[UZ + a])
+                cz = cz - (rows_zr[at] * s[UR + a] + rows_zz[at] * s[UZ + a])
+            s[UR + centre], s[UZ + centre] = cr, cz
+        for q in range(points):
+            own, kept = (b * points + q) * parameters + k, (b * points + q) * KEPT
+            h0, h1, h2, h3, h4 = gradient(b, q, gradient_r, gradient_z, value_r)
+            H = [h0, h1, h2, h3, h4]
+            F = [1.0 * h0 for _i in ti.static(range(5))]
+            second = [1.0 * h0 for _i in ti.static(range(4))]
+            dW = energy_rates[own]
+            for i in ti.static(range(5)):
+                of = kept + (KEPT_GRADIENT + i) * one
+                F[i] = law[of]
+                of1 = kept + (KEPT_STRESS + i) * one
+                dW = dW + law[of1] * H[i]
+            for i in ti.static(range(4)):
+                of2 = kept + (KEPT_SECOND + i) * one
+                second[i] = law[of2]
+            # The rate of F S is that of S, pushed, and what the motion makes of S as it is.
+            lost = pushed(H, second)
+            rate = [-1.0 * lost[i] for i in ti.static(range(5))]
+            for i in ti.static(range(5)):
+                for n in ti.static(range(5)):
+                    of = kept + ti.static(KEPT_SOFT_TANGENT + row[i][n]) * one
+                    rate[i] = rate[i] + law[of] * H[n]
+            S_rate = pulled_back(F, rate)
+            most = at_lanes(largest, elements, b, q)
+            largest_rates[own] = ti.select(at_lanes(energies, elements, b, q) > most, dW, largest_rates[own])
+            for i in ti.static(range(4)):
+                to = 4 * own + i * one
+                S = stress_rates[to] + S_rate[i]
+                change = S - before_rates[to]
+                before_rates[to] = S
+                for t in range(terms):
+                    of = (own * terms + t) * 4 + i * one
+                    internal_rates[of] = decay[t] * internal_rates[of] + gain[t] * change
+                    if relaxes[k] == 1:
+                        at_term = (q * terms + t) * 4 + i * one
+                        internal_rates[of] = (internal_rates[of] + decay_rates[k, t] * recent[at_term]
+                                              + gain_rates[k, t] * s[CHANGE + 4 * q + i])
+
+    return ResponseFunctions(note, recall, push, remember)

@@ -1,0 +1,123 @@
+"""The exact tangent of elastic tissue times a motion, element by element, as Taichi functions.
+
+With it the last factor of a step, which is that of a tangent nearby, solves the equations of the exact one.
+"""
+
+from functools import cache
+from typing import NamedTuple
+
+from tissue_sim.fem.axisymmetric import energy as point
+from tissue_sim.fem.axisymmetric.batches import LANES
+from tissue_sim.fem.axisymmetric.scratch import AT, scratch
+from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.mesh.elements import ELEMENTS
+
+
+class ProductFunctions(NamedTuple):
+    """Taichi functions of one element."""
+
+    add_product: object
+    move_interior: object
+
+
+@cache
+def product_functions(element_name: str) -> ProductFunctions:
+    """See the functions themselves."""
+    ti = initialise()
+    element = ELEMENTS[element_name]
+    nodes, nb, modes = element.nodes, element.boundary_nodes, element.pressure_modes
+    points = element.quadrature[1].size
+    has_centre, centre = nodes > nb, nodes - 1
+    vec = ti.types.vector(LANES, ti.f64)
+    s = scratch()
+    UR, UZ, FR, FZ, RATE = AT["UR"], AT["UZ"], AT["FR"], AT["FZ"], AT["STRESS"]
+    row = point.PLACE
+
+    @ti.func
+    def add_product(b, k, kappa, batches, one, tangents: ti.template(), dx: ti.template(), dofs: ti.template(),
+                    gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template(), moduli:
+                    ti.template(), equations_r: ti.template(), equations_z: ti.template(), volume_r: ti.template(),
+                    volume_z: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(), rows_zr: ti.template(),
+                    rows_zz: ti.template(), inverse_rr: ti.template(), inverse_rz: ti.template(), inverse_zz:
+                    ti.template(), centre_r: ti.template(), centre_z: ti.template(), way_r: ti.template(), way_z:
+                    ti.template(), residual: ti.template()):
+        """Add the forces that row k of `dx` makes to the residual, and note in `way_r`, `way_z` how the interior nodes
+        go for theirs, those without motion (`centre_r`, `centre_z`) included; `tangents` are those of the points times
+        their weight, the pressures eliminated."""
+        for a in range(nodes):
+            i = b * nodes + a
+            s[UR + a] = ti.Vector([dx[k, dofs[i, l]] for l in ti.static(range(LANES))])
+            s[UZ + a] = ti.Vector([dx[k, dofs[i, l] + 1] for l in ti.static(range(LANES))])
+        for q in range(points):
+            h0, h1, h2, h3, h4 = vec(0.0), vec(0.0), vec(0.0), vec(0.0), vec(0.0)
+            for a in range(nodes):
+                g = (b * points + q) * nodes + a
+                gr, gz, gh, ur, uz = gradient_r[g], gradient_z[g], value_r[g], s[UR + a], s[UZ + a]
+                h0 = h0 + ur * gr
+                h1 = h1 + ur * gz
+                h2 = h2 + uz * gr
+                h3 = h3 + uz * gz
+                h4 = h4 + ur * gh
+            H, at = [h0, h1, h2, h3, h4], RATE + 5 * q
+            A = [1.0 * h0 for _n in ti.static(range(15))]
+            for n in ti.static(range(15)):
+                of = (b * points + q) * 15 + n * one
+                A[n] = tangents[of]
+            for i in ti.static(range(5)):
+                s[at + i] = (A[ti.static(row[i][0])] * H[0] + A[ti.static(row[i][1])] * H[1]
+                             + A[ti.static(row[i][2])] * H[2] + A[ti.static(row[i][3])] * H[3]
+                             + A[ti.static(row[i][4])] * H[4])
+        for a in range(nodes):
+            fr, fz = vec(0.0), vec(0.0)
+            for q in range(points):
+                g = (b * points + q) * nodes + a
+                gr, gz, gh, at = gradient_r[g], gradient_z[g], value_r[g], RATE + 5 * q
+                fr = fr + s[at] * gr + s[at + 1] * gz + s[at + 4] * gh
+                fz = fz + s[at + 2] * gr + s[at + 3] * gz
+            s[FR + a], s[FZ + a] = fr, fz
+        for m in range(modes):
+            swells = vec(0.0)
+            for a in range(nodes):
+                v = (b * modes + m) * nodes + a
+                swells = swells + volume_r[v] * s[UR + a] + volume_z[v] * s[UZ + a]
+            p = kappa * moduli[b] * swells
+            for a in range(nodes):
+                v = (b * modes + m) * nodes + a
+                s[FR + a] = s[FR + a] + p * volume_r[v]
+                s[FZ + a] = s[FZ + a] + p * volume_z[v]
+        if ti.static(has_centre):
+            own = k * batches + b
+            f0, f1 = s[FR + centre], s[FZ + centre]
+            way_r[b] = centre_r[own] + inverse_rr[b] * f0 + inverse_rz[b] * f1
+            way_z[b] = centre_z[own] + inverse_rz[b] * f0 + inverse_zz[b] * f1
+            for a in range(nb):
+                at = b * nb + a
+                s[FR + a] = s[FR + a] - (f0 * rows_rr[at] + f1 * rows_zr[at])
+                s[FZ + a] = s[FZ + a] - (f0 * rows_rz[at] + f1 * rows_zz[at])
+        for a in range(nb):
+            at = b * nb + a
+            fr, fz = s[FR + a], s[FZ + a]
+            for l in ti.static(range(LANES)):
+                residual[equations_r[at, l]] = residual[equations_r[at, l]] + fr[l]
+                residual[equations_z[at, l]] = residual[equations_z[at, l]] + fz[l]
+
+    @ti.func
+    def move_interior(b, k, motion: ti.template(), dofs: ti.template(), real: ti.template(), rows_rr: ti.template(),
+                      rows_rz: ti.template(), rows_zr: ti.template(), rows_zz: ti.template(), way_r: ti.template(),
+                      way_z: ti.template(), dx: ti.template()):
+        """Let the interior nodes of row k of `dx` follow their forces and the `motion` of the shared nodes."""
+        if ti.static(has_centre):
+            cr, cz = -way_r[b], -way_z[b]
+            for a in range(nb):
+                i, at = b * nodes + a, b * nb + a
+                sr = ti.Vector([motion[dofs[i, l]] for l in ti.static(range(LANES))])
+                sz = ti.Vector([motion[dofs[i, l] + 1] for l in ti.static(range(LANES))])
+                cr = cr - (rows_rr[at] * sr + rows_rz[at] * sz)
+                cz = cz - (rows_zr[at] * sr + rows_zz[at] * sz)
+            i = b * nodes + centre
+            for l in ti.static(range(LANES)):
+                if real[b][l] > 0.0:
+                    dx[k, dofs[i, l]] = dx[k, dofs[i, l]] + cr[l]
+                    dx[k, dofs[i, l] + 1] = dx[k, dofs[i, l] + 1] + cz[l]
+
+    return ProductFunctions(add_product, move_interior)
