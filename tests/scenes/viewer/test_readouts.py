@@ -10,7 +10,7 @@ from scenes.viewer.frame import Curves, Frame, Phase, Readouts
 from scenes.viewer.page.readouts import agreement_html, readouts_html, status_html
 
 NOW = Readouts(time=3.0, depth=5.678e-3, force=1.2344, stiffness=211.0, step_time=0.31e-3, iterations=0.84, rate=999.7,
-               late=0.0042, status="in equilibrium")
+               late=0.0042, status="in equilibrium", mesh="realtime_63, force within 1.1 %")
 FRAME = Frame(Phase.RUNNING, "running", None, None, NOW, Curves(), "protocol", 0.0)
 
 
@@ -23,7 +23,8 @@ def texts(html):
 def test_readouts_have_the_units_that_people_use():
     assert texts(readouts_html(FRAME)) == {
         "force": "1.234", "depth": "5.68", "stiffness": "0.211 N/mm", "step-time": "0.31 ms",
-        "iterations": "0.8 per tick", "rate": "1000 Hz", "late": "0.42 %", "solution": "in equilibrium"}
+        "iterations": "0.8 per tick", "rate": "1000 Hz", "late": "0.42 %", "solution": "in equilibrium",
+        "mesh": "realtime_63, force within 1.1 %"}
 
 
 def test_before_the_first_tick_there_are_dashes():
