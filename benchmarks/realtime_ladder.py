@@ -22,7 +22,7 @@ from measure import about, option_parser, show, table
 
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.resolutions import realtime_rungs
-from tissue_sim.ladder import measure_tick
+from tissue_sim.realtime_ladder import measure_tick
 
 SPECIMEN = ts.Specimen(0.040, 0.070)
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))

@@ -11,12 +11,12 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.fem.solver import SOLVERS, Rung, Step, StepStatus, Surface
-from tissue_sim.ladder import choose, measure_tick
 from tissue_sim.material.effect import ReducedForce
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.parameters import with_values
 from tissue_sim.pose import Pose, Screw, between, motion, scaled
+from tissue_sim.realtime_ladder import choose, measure_tick
 from tissue_sim.simulator_state import AT_REST, Creep, Equilibrium, SimulatorState
 from tissue_sim.snapshot import Snapshot, snapshot
 from tissue_sim.tool_force import (

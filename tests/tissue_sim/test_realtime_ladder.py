@@ -6,7 +6,7 @@ import pytest
 import tissue_sim as ts
 from scenes.commands.shared import tissue_flags
 from scenes.doctor import realtime_mesh
-from tissue_sim import ladder, simulator
+from tissue_sim import realtime_ladder, simulator
 from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, realtime_rungs
 from tissue_sim.fem.solver import Rung
 
@@ -33,7 +33,7 @@ def test_finest_that_fits(ticks, chosen, measured):
         seen.append(rung.resolution)
         return ticks["abcd".index(rung.resolution)]
 
-    assert ladder.choose(RUNGS, 1, 1.0, tick_of).resolution == chosen
+    assert realtime_ladder.choose(RUNGS, 1, 1.0, tick_of).resolution == chosen
     assert "".join(seen) == measured
 
 
@@ -44,17 +44,17 @@ class Counting:
         self.depths = []
 
     def step(self, depth, dt):
-        assert dt == ladder.TICK
+        assert dt == realtime_ladder.TICK
         self.depths.append(depth)
 
 
 @pytest.mark.parametrize("lifts", [True, False])
 def test_the_motion_that_is_measured(lifts):
     one = Counting()
-    assert ladder.measure_tick(one, 10e-3, lifts=lifts) >= 0.0
+    assert realtime_ladder.measure_tick(one, 10e-3, lifts=lifts) >= 0.0
     depths = np.array(one.depths)
     assert 4e-3 < depths.max() <= 5e-3 and (depths.min() < 0.0) == lifts
-    assert 0.05 < np.abs(np.diff(depths)).max() / ladder.TICK < 0.2
+    assert 0.05 < np.abs(np.diff(depths)).max() / realtime_ladder.TICK < 0.2
 
 
 def led_to(monkeypatch, name: str, ticks, **how) -> ts.Simulator:
