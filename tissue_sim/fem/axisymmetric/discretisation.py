@@ -72,8 +72,11 @@ def _mesh_of_one_material(experiment: Experiment, resolution: Resolution, elemen
         return tip_mesh(specimen.radius, specimen.height, contact, element, growth=growth,
                         smallest=smallest * contact, largest=max(largest * contact, least))
     if tool.face_radius:
-        smallest, largest, growth = resolution.needle
         radius = tool.require_radius()
+        smallest, largest, growth = resolution.needle
+        edge, rubbed = tool.edge_radius / radius, resolution.rubbed_edge
+        if rubbed and 0.0 < edge < smallest and experiment.friction not in ("bonded", "frictionless"):
+            smallest, largest, growth = rubbed._replace(smallest=max(edge, rubbed.smallest))
         return needle_mesh(
             specimen.radius, specimen.height, tool.face_radius, element, growth=growth,
             smallest=max(smallest * radius, _ROUNDING_SHARE * tool.edge_radius), largest=max(largest * radius, least))

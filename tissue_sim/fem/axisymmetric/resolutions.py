@@ -23,6 +23,8 @@ class Resolution(NamedTuple):
     Attributes:
         plates: elements and grading along r and z of a cylinder of `STUDY_SLENDERNESS` between plates.
         needle: under a flat tool; tip: under one without a flat face.
+        rubbed_edge: under a flat tool with friction, or on which tissue sticks, where its edge radius is smaller than
+            the elements there otherwise: they are as large as it is, but not smaller than these. None: as others.
         layer_elements: fewest in a layer of the material.
         force_errors: largest error of the force under a plate, a flat tool and a tip, over the force, of the study's
             specimen from 2 to 10 mm (`benchmarks/realtime_ladder.py`); empty of those that are not for real time.
@@ -33,6 +35,7 @@ class Resolution(NamedTuple):
     tip: Grading
     force_errors: tuple[float, ...] = ()
     layer_elements: int = 2
+    rubbed_edge: Grading | None = None
 
 
 #: Height over radius of the study's specimen (radius 40, height 70 mm).
@@ -47,7 +50,8 @@ RESOLUTIONS = {
                               (0.008, 0.015, 0.016)),
     "realtime_20": Resolution(((4, 4), (8.0, 4.0)), Grading(0.2, 5.0, 6.0), Grading(0.35, 4.0, 4.0),
                               (0.01, 0.027, 0.022)),
-    "fast": Resolution(((6, 8), (10.0, 4.0)), Grading(0.1625, 1.875, 1.8), Grading(0.25, 2.5, 1.6)),
+    "fast": Resolution(((6, 8), (10.0, 4.0)), Grading(0.1625, 1.875, 1.8), Grading(0.25, 2.5, 1.6),
+                       rubbed_edge=Grading(0.03, 1.875, 2.2)),
     "accurate": Resolution(((16, 20), (50.0, 25.0)), Grading(0.00625, 1.5, 1.5), Grading(0.08, 1.5, 1.35),
                            layer_elements=4),
 }
