@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.errors import InputError
+from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.fem.solver import SOLVERS, Rung, Step, StepStatus, Surface
 from tissue_sim.material.effect import ReducedForce
 from tissue_sim.material.material import Material
@@ -153,15 +153,20 @@ class Simulator:
         made: dict[str, Simulator] = {}
 
         def tick_of(rung: Rung) -> float:
-            made[rung.resolution] = one = Simulator(
-                self.model, resolution=rung.resolution, inertia=self.inertia, tolerance=self.tolerance,
-                solver=self._solver_name, looks_ahead=self.looks_ahead)
+            try:
+                one = Simulator(self.model, resolution=rung.resolution, inertia=self.inertia, tolerance=self.tolerance,
+                                solver=self._solver_name, looks_ahead=self.looks_ahead)
+            except ConvergenceError:  # a specimen that stands under its own weight on finer meshes only
+                return math.inf
+            made[rung.resolution] = one
             one._compile()
             tick = measure_tick(one, depth, lifts=not self._bonded)
             one.reset()
             return tick
 
         rung = choose(rungs, _FIRST_RUNG, self.budget or math.inf, tick_of)
+        if rung.resolution not in made:
+            return
         one = made[rung.resolution]
         self._solver, self._solve_time, self._start = one._solver, one._solve_time, one._start
         self.resolution, self.force_error = rung.resolution, rung.force_error

@@ -90,6 +90,20 @@ def test_who_does_not_ask_gets_no_other_mesh(monkeypatch, how):
     assert len(sim.mesh.connectivity) == elements and sim.resolution == how.get("resolution", "realtime")
 
 
+def test_a_mesh_on_which_nothing_stands_is_left_out(monkeypatch):
+    """Of two that are too slow and one that cannot be made the one there is stays."""
+    sim = led_to(monkeypatch, "plates", ())
+    elements = len(sim.mesh.connectivity)
+
+    def refuse(*arguments, **options):
+        raise ts.ConvergenceError("the specimen does not stand under its own weight")
+
+    monkeypatch.setattr(simulator, "Simulator", refuse)
+    sim.warm_up()
+    assert len(sim.mesh.connectivity) == elements and sim.resolution == "realtime"
+    assert sim.step(1e-3, 1e-3).status is ts.ForceStatus.CONVERGED
+
+
 def test_everybody_calls_them_the_same():
     names = [name for name, one in RESOLUTIONS.items() if one.force_errors]
     assert [rung.resolution for rung in realtime_rungs(model("plates").experiment)] == names
