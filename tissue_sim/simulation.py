@@ -24,8 +24,8 @@ from tissue_sim.tilt import tilted
 _SMALLEST_CUT, _CREEPS = 2.0**-10, 2.0**-3
 #: Linear solves that a step may take, and one that creeps.
 _MOST_SOLVES, _MOST_OF_CREEP = 40, 24
-#: The tool of a compliant rig is where it should be to this part of the travel.
-_PLACED, _MOST_TRIALS = 1e-7, 20
+#: The tool of a compliant rig is where it should be to this part of the travel; to the next one it is almost there.
+_PLACED, _NEARLY, _MANY_TRIALS, _MOST_TRIALS = 1e-7, 1e-3, 8, 20
 _NOTHING = Step.axial(StepStatus.CONVERGED, 0, 0.0, 0.0)
 #: Channels of a wrench that has more than a force along z.
 _WRENCH = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
@@ -222,10 +222,14 @@ class _Drive:
         depth, growth = train.expect(place)
         before = None
         for trial in range(_MOST_TRIALS):
-            if trial:
+            # Where steps are cut friction remembers another way each time, and the secant finds no place: from almost
+            # there the tool goes on from where it is.
+            near = trial >= _MANY_TRIALS and before is not None and (
+                abs(before[1]) <= _NEARLY * max(abs(place), abs(depth), 1e-6))
+            if trial and not near:
                 solver.restore(saved)
             self.travel = depth
-            for step in _approach(solver, self._pose(depth), dt):
+            for step in _approach(solver, self._pose(depth), 0.0 if near else dt):
                 yield step
             if step.status is not StepStatus.CONVERGED:
                 return
