@@ -77,7 +77,7 @@ def test_it_is_served_by_name(spring, tmp_path, capsys, monkeypatch):
     described, make = {}, TissueServer.__init__
 
     def keep(server, *arguments, description, **options):
-        described.update(description)
+        described.update(description())
         make(server, *arguments, description=description, **options)
 
     monkeypatch.setattr(TissueServer, "__init__", keep)

@@ -177,6 +177,8 @@ def tick(number, depth=0.0, force=0.0, stiffness=0.0, status=0, iterations=0, co
 class Written:
     """A loop without a process, whose ticks the test writes; its clock goes as the test says."""
 
+    resolution, force_error = "realtime_35", 0.015
+
     def __init__(self, folder):
         self.ring_path, self.snapshot_path = folder / "ring", folder / "snapshots"
         self.writer = RingWriter(self.ring_path)
@@ -238,6 +240,7 @@ def test_rates_are_counted(written):
         simulation.poll()
     assert simulation.readouts.rate == pytest.approx(500)
     readouts = simulation.readouts
+    assert readouts.mesh == "realtime_35, force within 1.5 %"
     assert len(simulation.poll()) == 0 and simulation.readouts is readouts, "no tick, no news"
 
 
