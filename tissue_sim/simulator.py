@@ -277,7 +277,8 @@ class Simulator:
             elif creep is None and order:
                 extrapolates = False
             elif creep is None and min(self._share, way / self._largest_part) < _CREEPS:
-                self._share = min(self._share, way / self._largest_part)
+                # After a hold parts are as short as they may be, and no shorter.
+                self._share = max(_SMALLEST_CUT, min(self._share, way / self._largest_part))
                 self._creep = Creep(target, dt, solver.creep(target, dt, tolerance=self.tolerance,
                                                               max_iterations=_MOST_OF_CREEP), step)
             else:

@@ -85,7 +85,7 @@ def _loop(connection: Connection, parts: LoopParts, files: LoopFiles) -> LoopRep
         _say(connection, "doing", "making the tissue")
         tissue = parts.make_tissue()
         if hasattr(tissue, "warm_up"):
-            _say(connection, "doing", "loading the solver (a machine's first run compiles it, about 20 s)")
+            _say(connection, "doing", "loading the solver (a machine's first run compiles it, some 10 s)")
             tissue.warm_up()
         snapshots = shown = None
         if settings.snapshot_rate and isinstance(tissue, ShownTissue):

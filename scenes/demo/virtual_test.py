@@ -71,7 +71,7 @@ def run_demo(output: Path, *, overwrite: bool = False, console=None, seed: int =
     # Fresh sensor noise for every replicate of every test.
     seeds = iter(np.random.SeedSequence(seed).generate_state(3 * REPLICATES).tolist())
 
-    say("1 measuring the virtual specimen (a machine's first run compiles the solver, about 20 s) ...")
+    say("1 measuring the virtual specimen (a machine's first run compiles the solver, some 10 s) ...")
     measured = {kind: _measure(kind, output / "measured", seeds) for kind in (LUBRICATED, BONDED, NEEDLE)}
 
     say(f"2 calibrating {len(LAWS)} laws on the lubricated test ...")

@@ -25,10 +25,10 @@ class Barred:
             self.last = self.simulator.step(1e-4 * k, 1e-3)
             while self.last.status is not ts.ForceStatus.CONVERGED:
                 self.last = self.simulator.step(1e-4 * k, 1e-3)
-        step = type(self.solver).step
+        step, self.barred_from = type(self.solver).step, BARRED
 
         def fail(pose, dt=0.0, **options):
-            return Step.axial(StepStatus.DIVERGED, 1, 1.0, np.nan) if pose.depth >= BARRED \
+            return Step.axial(StepStatus.DIVERGED, 1, 1.0, np.nan) if pose.depth >= self.barred_from \
                 else step(self.solver, pose, dt, **options)
 
         monkeypatch.setattr(self.solver, "step", fail)
@@ -87,6 +87,17 @@ def test_who_leaves_on_the_way_is_back_at_the_last_equilibrium(monkeypatch, leav
     monkeypatch.undo()
     again = barred.simulator.step(barred.last.depth, 1e-3)
     assert again.status is ts.ForceStatus.CONVERGED
+
+
+def test_after_a_creep_in_a_hold_the_tool_moves_on(monkeypatch):
+    """No way at all to cut, and yet no part of a later way is without length."""
+    barred = Barred(monkeypatch)
+    barred.barred_from = 0.0
+    held = barred.simulator.step(barred.last.depth, 1e-3)
+    assert held.status is ts.ForceStatus.CONVERGED and held.force == pytest.approx(barred.last.force, rel=1e-4)
+    barred.barred_from = BARRED
+    on = barred.simulator.step(barred.last.depth + 0.5e-4, 1e-3)
+    assert on.status is ts.ForceStatus.CONVERGED and on.force > held.force and on.iterations < 50
 
 
 def test_where_no_creep_helps_it_stops_and_says_so(monkeypatch):

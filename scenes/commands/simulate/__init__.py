@@ -100,7 +100,7 @@ def run(arguments) -> int:
 
 def describe(done: int, samples: int) -> str:
     if done == 0:
-        return "loading the solver (a machine's first run compiles it, about 20 s)"
+        return "loading the solver (a machine's first run compiles it, some 10 s)"
     return f"simulating: {done} of {samples} samples"
 
 
