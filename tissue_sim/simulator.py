@@ -17,11 +17,10 @@ from tissue_sim.model import Model
 from tissue_sim.parameters import with_values
 from tissue_sim.pose import Pose, Screw, between, motion, scaled
 from tissue_sim.realtime_ladder import choose, measure_tick
-from tissue_sim.simulator_state import AT_REST, Creep, Equilibrium, SimulatorState
+from tissue_sim.simulator_state import AT_REST, NEVER, Creep, SimulatorState, scaled_matrix
 from tissue_sim.snapshot import Snapshot, snapshot
 from tissue_sim.tool_force import (
     ForceStatus,
-    Matrix,
     NextForce,
     ToolForce,
     carried_on,
@@ -43,6 +42,8 @@ _SMALLEST_CUT, _CREEPS, _MOST_OF_CREEP = 2.0**-8, 0.5, 12
 INERTIAL_SPEED, _LINGERS = 0.005, 0.1
 #: Of tissue whose density nobody stated, kg/m3: that of water.
 DENSITY = 1000.0
+#: After so many inertial ticks the tissue's own stiffness is found anew: it costs a linear solve.
+_STIFFNESS_LASTS = 5
 #: Number of the rung of the ladder of meshes that is tried first.
 _FIRST_RUNG = 1
 #: How many steps in a row one iteration may go on, where the budget ends it each time.
@@ -122,8 +123,7 @@ class Simulator:
         # Wall time of a linear solve with all that belongs to it, s.
         self._solve_time = 1e-9
         self._answer = ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
-        # The last equilibrium, and the last stiffness without mass.
-        self._equilibrium, self._elastic = AT_REST, AT_REST.stiffness
+        self._equilibrium = AT_REST
         # Where the tool is said to be; whether it has touched the tissue; time since the last equilibrium, and since
         # the tool was fast; and the share of the largest part that works.
         self._pose, self._touched = self._solver.pose, False
@@ -132,6 +132,7 @@ class Simulator:
         self._attempt: tuple[Pose, float] | None = None
         self._resumed = 0
         self._creep: Creep | None = None
+        self._stiffness_lasts = _STIFFNESS_LASTS
         self._start = self.save()
 
     @property
@@ -160,6 +161,7 @@ class Simulator:
                 return math.inf
             made[rung.resolution] = one
             one._compile()
+            one._stiffness_lasts = NEVER  # it has time where there is some
             tick = measure_tick(one, depth, lifts=not self._bonded)
             one.reset()
             return tick
@@ -182,10 +184,11 @@ class Simulator:
             step = self._solver.step(replace(pose, position=(x, y, z - way * self._radius)), 1e-3,
                                      tolerance=self.tolerance)
             spent.append((time.perf_counter() - started) / (1 + step.iterations))
-            self._elastic = _stiffness_of(step)
         self._solve_time = min(spent)
-        self.restore(replace(saved, elastic=self._elastic))
-        self._start = replace(self._start, elastic=self._elastic)
+        # What the first touch is carried on with, where it comes late.
+        touch = replace(AT_REST, stiffness=AT_REST.followed_by(step, AT_REST.pose, 1.0, False).stiffness)
+        self._start = replace(self._start, equilibrium=touch)
+        self.restore(saved if saved.touched else replace(saved, equilibrium=touch))
 
     def step(self, pose: float | Pose, dt: float) -> ToolForce:
         """Go where the tool is now.
@@ -252,14 +255,15 @@ class Simulator:
                 break
             if creep is None:
                 step = solver.step(target, dt, tolerance=self.tolerance, max_iterations=allowed, predictor_order=order,
-                                   inertial=weighs, resumes=resumes)
+                                   inertial=weighs, resumes=resumes,
+                                   own_stiffness=self._equilibrium.stiffness_age + 1 >= self._stiffness_lasts)
             elif (crept := next(creep.steps, None)) is not None:
                 step = creep.last = crept
             else:
                 # It has arrived, or will not.
                 step, target, dt, self._creep = replace(creep.last, iterations=0), creep.pose, creep.dt, None
             solves, residual = solves + step.iterations, step.residual
-            self._clock((time.perf_counter() - started) / (1 + step.iterations))
+            self._clock((time.perf_counter() - started) / (1 + step.iterations + step.found_own_stiffness))
             if self._creep is not None:
                 continue
             if step.status is StepStatus.CONVERGED:
@@ -289,40 +293,33 @@ class Simulator:
                     self._share, anew = 1.0, False
                 elif self._share < _SMALLEST_CUT:
                     self._share, status = _SMALLEST_CUT, ForceStatus.STOPPED
-        at, stiffness = self._equilibrium, self._equilibrium.stiffness
-        wrench, ahead = at.wrench, None
+        at = self._equilibrium
+        wrench, ahead, within = at.wrench, None, None
         if status is ForceStatus.CONVERGED:
             ahead = self._ahead(tick) if self.looks_ahead and at.inertial and tick > 0.0 else None
+            within = at.step_stiffness
         else:
             # Mass resists a motion within the step, not one that goes on.
-            stiffness = self._elastic
             wrench = self._carried_on(wrench, motion(at.pose, pose))
-        return ToolForce(wrench, stiffness, status, solves, residual, time.perf_counter() - began, at.inertial,
-                         self._waiting, at.pose, ahead)
+        return ToolForce(wrench, at.stiffness, status, solves, residual, time.perf_counter() - began, at.inertial,
+                         self._waiting, at.pose, ahead, within)
 
     def _ahead(self, tick: float) -> NextForce | None:
         """What a next step of a tick, s, would answer, after one that converged."""
         ahead, left = self._solver.ahead(tick), self._left
         if ahead is None or left == 1.0:
             return ahead
-        a, b, c, d, e, f = (scaled(left, row) for row in ahead.stiffness_matrix)
-        return NextForce(scaled(left, ahead.wrench), (a, b, c, d, e, f))
+        return NextForce(scaled(left, ahead.wrench), scaled_matrix(left, ahead.stiffness_matrix))
 
     def _carried_on(self, wrench: Screw, way: Screw) -> Screw:
         """The wrench of the last equilibrium a little further on; tissue that cannot pull at the tool does not."""
-        wrench = carried_on(wrench, self._elastic, way)
+        wrench = carried_on(wrench, self._equilibrium.stiffness, way)
         return wrench if self._pulls or wrench[2] > 0.0 else AT_REST.wrench
 
     def _take(self, step: Step, dt: float, inertial: bool) -> None:
         """Keep what an equilibrium answers."""
         left = self._left = self._reduced.go(self._solver.pose.depth, dt)
-        wrench, stiffness = step.wrench, _stiffness_of(step)
-        if left != 1.0:
-            a, b, c, d, e, f = (scaled(left, row) for row in stiffness)
-            wrench, stiffness = scaled(left, wrench), (a, b, c, d, e, f)
-        self._equilibrium = Equilibrium(self._solver.pose, wrench, stiffness, inertial)
-        if not inertial:
-            self._elastic = stiffness
+        self._equilibrium = self._equilibrium.followed_by(step, self._solver.pose, left, inertial)
 
     def _clock(self, spent: float) -> None:
         """Follow how long a linear solve takes, sooner up than down."""
@@ -336,14 +333,14 @@ class Simulator:
     def save(self) -> SimulatorState:
         """All that the next step depends on, but for the parameters; where the tissue creeps it will do so anew."""
         self._stop_creeping()
-        return SimulatorState(self._solver.save(), self._answer, self._equilibrium, self._elastic, self._pose,
+        return SimulatorState(self._solver.save(), self._answer, self._equilibrium, self._pose,
                               self._waiting, self._lingers, self._share, self._touched, self._reduced.history)
 
     def restore(self, state: SimulatorState) -> None:
         """Go back to where `save` was called, in this simulator or in one of the same model and mesh."""
         self._stop_creeping()
         self._solver.restore(state.solver)
-        self._answer, self._equilibrium, self._elastic = state.answer, state.equilibrium, state.elastic
+        self._answer, self._equilibrium = state.answer, state.equilibrium
         self._pose = state.pose
         self._waiting, self._lingers, self._share = state.waiting, state.lingers, state.share
         self._touched, self._reduced.history = state.touched, state.history
@@ -381,13 +378,6 @@ class Simulator:
     def snapshot(self) -> Snapshot:
         """The whole tissue at the last equilibrium, with its fields."""
         return snapshot(self._solver)
-
-
-def _stiffness_of(step: Step) -> Matrix:
-    """Raises TypeError: the solver breaks its contract."""
-    if step.stiffness_matrix is None:
-        raise TypeError("the solver was asked for stiffness, and its step has none; see Solver.ask_for_stiffness")
-    return step.stiffness_matrix
 
 
 def _require_same_layers(before: Material, after: Material) -> None:

@@ -8,22 +8,56 @@ from typing import Any
 
 from tissue_sim.fem.solver import Step
 from tissue_sim.material.effect import ToolHistory
-from tissue_sim.pose import Pose, Screw
+from tissue_sim.pose import Pose, Screw, scaled
 from tissue_sim.tool_force import Matrix, ToolForce, axial_stiffness, axial_wrench
+
+#: Age of a stiffness that was not found yet.
+NEVER = 1 << 30
+
+
+def scaled_matrix(share: float, matrix: Matrix) -> Matrix:
+    """A share of each entry."""
+    a, b, c, d, e, f = (scaled(share, row) for row in matrix)
+    return (a, b, c, d, e, f)
 
 
 @dataclass(frozen=True, slots=True)
 class Equilibrium:
-    """What the last equilibrium answers, and where; the stiffness holds mass where that was taken into account."""
+    """What the last equilibrium answers, and where.
+
+    Attributes:
+        stiffness: the tissue's own.
+        stiffness_age: how many inertial equilibria ago that was found.
+        step_stiffness: within the step, where the mass was taken into account.
+    """
 
     pose: Pose
     wrench: Screw
     stiffness: Matrix
     inertial: bool
+    stiffness_age: int = 0
+    step_stiffness: Matrix | None = None
+
+    def followed_by(self, step: Step, pose: Pose, share: float, inertial: bool) -> Equilibrium:
+        """The next one, at a pose, of whose forces effects on the whole force leave a share; after an inertial step
+        without the tissue's own stiffness with that of this one.
+
+        Raises:
+            TypeError: the solver breaks its contract.
+        """
+        own, within, wrench = step.stiffness_matrix, step.step_stiffness_matrix, step.wrench
+        if own is None and within is None:
+            raise TypeError("the solver was asked for stiffness, and its step has none; see Solver.ask_for_stiffness")
+        if share != 1.0:
+            wrench = scaled(share, wrench)
+            own = None if own is None else scaled_matrix(share, own)
+            within = None if within is None else scaled_matrix(share, within)
+        own, age = (self.stiffness, self.stiffness_age + 1) if own is None else (own, 0)
+        return Equilibrium(pose, wrench, own, inertial, age, within)
 
 
 #: Of a tool that touches nothing.
-AT_REST = Equilibrium(Pose.at_depth(0.0), axial_wrench(0.0), axial_stiffness(0.0), inertial=False)
+AT_REST = Equilibrium(Pose.at_depth(0.0), axial_wrench(0.0), axial_stiffness(0.0), False, NEVER)
 
 
 @dataclass(slots=True)
@@ -43,7 +77,6 @@ class SimulatorState:
     solver: Any
     answer: ToolForce
     equilibrium: Equilibrium
-    elastic: Matrix
     pose: Pose
     waiting: float
     lingers: float

@@ -74,9 +74,9 @@ class ToolForce:
 
     Attributes:
         wrench: force, then torque about the tool's deepest point, on the tool, in the frame of the scene, N and N m.
-        stiffness_matrix: minus the derivative of the wrench with (position, rotation vector), 6 x 6, N/m, N, N m: how
-            it grows as the tool moves against it at once, within this step. A tissue that resists has positive entries
-            on the diagonal.
+        stiffness_matrix: the tissue's own, what a hand feels: minus the derivative of the wrench with (position,
+            rotation vector), 6 x 6, N/m, N, N m, without the mass of the tissue. A tissue that resists has positive
+            entries on the diagonal. Of inertial steps it can be that of an earlier one, where the budget left no time.
         status: how far to believe them.
         iterations: linear solves of this step.
         residual: unbalanced over balanced forces of the last equilibrium that was looked for.
@@ -85,7 +85,9 @@ class ToolForce:
         age: time since the last equilibrium, s; 0 where this one is.
         pose: of the tool at that last equilibrium.
         ahead: what the next step would answer, for who chooses the next pose by the force, as a virtual coupling does;
-            None: this wrench with this stiffness.
+            None: this wrench with the stiffness within a step.
+        step_stiffness_matrix: the same as the tool moves at once, within this step: it holds m/dt2 of the tissue that
+            goes along. None: no other than the tissue's own.
     """
 
     wrench: Screw
@@ -98,6 +100,7 @@ class ToolForce:
     age: float = 0.0
     pose: Pose = _AT_THE_TOUCH
     ahead: NextForce | None = None
+    step_stiffness_matrix: Matrix | None = None
 
     @classmethod
     def axial(cls, force: float, stiffness: float, status: ForceStatus, iterations: int = 0, residual: float = 0.0,
@@ -114,8 +117,18 @@ class ToolForce:
 
     @property
     def stiffness(self) -> float:
-        """How the force along z grows with depth, N/m."""
+        """How the tissue's force along z grows with depth, N/m."""
         return self.stiffness_matrix[2][2]
+
+    @property
+    def within_step(self) -> Matrix:
+        """The stiffness as the tool moves at once, with the mass of the tissue where that was taken into account."""
+        return self.stiffness_matrix if self.step_stiffness_matrix is None else self.step_stiffness_matrix
+
+    @property
+    def step_stiffness(self) -> float:
+        """How the force along z grows with depth within this step, N/m."""
+        return self.within_step[2][2]
 
     @property
     def depth(self) -> float:
@@ -137,6 +150,8 @@ class ToolForce:
         """Whether wrench and stiffness are numbers."""
         total = sum(self.wrench)
         rows: tuple[Screw, ...] = self.stiffness_matrix
+        if self.step_stiffness_matrix is not None:
+            rows += self.step_stiffness_matrix
         if self.ahead is not None:
             total += sum(self.ahead.wrench)
             rows += self.ahead.stiffness_matrix

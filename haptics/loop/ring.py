@@ -22,7 +22,7 @@ TICK = np.dtype([
     ("tool_depth", "<f8"),      # of the simulated tool
     ("force", "<f8"),           # rendered: what the device shall give
     ("tissue_force", "<f8"),    # of the tissue on the tool
-    ("stiffness", "<f8"),       # dF/dd of the tissue, N/m
+    ("stiffness", "<f8"),       # dF/dd of the tissue without its mass, N/m
     ("residual", "<f8"),
     ("compute_time", "<f8"),    # from the beginning of the tick to its force
     ("lateness", "<f8"),        # behind the first deadline that no tick has kept
@@ -38,13 +38,14 @@ TICK = np.dtype([
     ("wrench", "<f8", 6),       # rendered: force, then torque about the tool's deepest point
     ("tissue_wrench", "<f8", 6),
     ("stiffness_matrix", "<f8", (6, 6)),
+    ("step_stiffness", "<f8"),  # dF/dd within the step, N/m: with the mass of the tissue where inertial
 ])
 #: The bit of `flags` that a loop which is paused adds to those of `haptics.safety.rendering.RenderFlag`.
 PAUSED = 1 << 16
 #: 16 s at 1 kHz.
 CAPACITY = 16384
 _KIND = b"tsTICKS\0"
-_RECORD = struct.Struct("<Q10d2Q2i2I62d")
+_RECORD = struct.Struct("<Q10d2Q2i2I63d")
 assert _RECORD.size == TICK.itemsize
 _UNKNOWN = (math.nan,) * 7
 
@@ -96,7 +97,7 @@ class RingWriter(SlotWriter):
         _RECORD.pack_into(self._record, 0, tick, time, -seen[2], -place[2], wrench[2], tissue[2], c[2],
                           answer.residual, compute_time, lateness, answer.age, late, missed, answer.status,
                           answer.iterations, flags, answer.inertial, *seen, *place, *tool.orientation, *wrench, *tissue,
-                          *a, *b, *c, *d, *e, *f)
+                          *a, *b, *c, *d, *e, *f, answer.step_stiffness)
         return self.write(self._record)
 
 

@@ -122,7 +122,7 @@ class VirtualCoupling:
         """Motion of the proxy in this tick, m, from how far the device is away from it, m, and its velocity, m/s."""
         # A negative stiffness would push the implicit step the wrong way; the next tick mends what is left out.
         ahead = answer if answer.ahead is None else answer.ahead
-        matrix = ahead.stiffness_matrix
+        matrix = answer.within_step if answer.ahead is None else answer.ahead.stiffness_matrix
         a, b, c = matrix[0][:3]
         d, e, f = matrix[1][:3]
         g, h, i = matrix[2][:3]

@@ -103,7 +103,9 @@ def record(n):
     device, tool = (Pose((n + 0.1 * k, n + 0.2 * k, -n - k), (0.6, 0.0, 0.8, 0.0)) for k in (1, 2))
     wrench, tissue = (tuple(n + 10.0 * k + axis for axis in range(6)) for k in (1, 2))
     matrix = tuple(tuple(n + 6.0 * row + column for column in range(6)) for row in range(6))
-    answer = ToolForce(tissue, matrix, ForceStatus(n % 4), n % 97, n + 6.0, inertial=bool(n % 2), age=n + 9.0)
+    within = tuple(tuple(100.0 * part for part in row) for row in matrix) if n % 2 else None
+    answer = ToolForce(tissue, matrix, ForceStatus(n % 4), n % 97, n + 6.0, inertial=bool(n % 2), age=n + 9.0,
+                       step_stiffness_matrix=within)
     return n, n * 0.5, device, tool, wrench, answer, n + 7.0, n + 8.0, n, n + 1, n % 61
 
 
@@ -113,7 +115,7 @@ def fields_of(n):
     return [n, time, device.depth, tool.depth, wrench[2], answer.force, answer.stiffness, answer.residual, compute_time,
             lateness, answer.age, late, missed, answer.status, answer.iterations, flags, answer.inertial,
             *device.position, *device.orientation, *tool.position, *tool.orientation, *wrench, *answer.wrench,
-            *(part for row in answer.stiffness_matrix for part in row)]
+            *(part for row in answer.stiffness_matrix for part in row), answer.step_stiffness]
 
 
 def flat(record):

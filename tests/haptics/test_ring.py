@@ -51,6 +51,7 @@ def test_what_stands_twice_in_a_tick_is_the_same(path, tissues):
             assert tick[depth] == -tick[pose][2]
         assert (tick["force"], tick["tissue_force"]) == (tick["wrench"][2], tick["tissue_wrench"][2])
         assert tick["stiffness"] == tick["stiffness_matrix"][2, 2] == 3 + 14
+        assert tick["step_stiffness"] == 1700.0
         ring.append(*(None if isinstance(part, Pose) and place == 2 else part
                       for place, part in enumerate(tissues.record(4))))
         assert np.isnan(reader.latest()["device_pose"]).all() and np.isnan(reader.latest()["device_depth"])
@@ -61,7 +62,7 @@ def test_the_layout_is_the_promised_one(path, tissues):
     with RingWriter(path, 2) as ring:
         ring.append(*tissues.record(7))
         content = path.read_bytes()
-    size = 120 + 62 * 8
+    size = 120 + 63 * 8
     assert len(content) == 64 + 2 * (16 + size)
     head = np.array([1, 16 + size, 2, 0, os.getpid(), 0], "<u4").tobytes()
     assert content[:8] == b"tsTICKS\0" and content[8:32] == head

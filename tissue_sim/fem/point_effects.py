@@ -28,6 +28,7 @@ class PointEffects:
     def __init__(self, points: tuple[int, int]):
         self._points = points
         self.formulas: tuple[Formula[PointEffect], ...] = ()
+        self.settings = np.zeros(1)
         self._allocate(())
 
     def _allocate(self, rest: tuple[float, ...]) -> None:
@@ -51,7 +52,11 @@ class PointEffects:
             self.formulas = formulas
             self._allocate(tuple(value for effect in points for value in effect.rest))
         numbers = (formula.numbers(effect) for formula, effect in zip(formulas, points, strict=True))
-        self.settings = np.array([0.0, *chain.from_iterable(numbers)])
+        settings = np.array([0.0, *chain.from_iterable(numbers)])
+        if settings.shape == self.settings.shape:
+            self.settings[:] = settings  # where the kernel knows it
+        else:
+            self.settings = settings
 
     def prepare(self, dt: float) -> None:
         """Before a step of `dt`, s."""

@@ -52,11 +52,12 @@ class Step:
         residual: norm of unbalanced over balanced forces at the end.
         wrench: force, then torque about the tool's deepest point, on the tool, N and N m; only meaningful when
             converged.
-        stiffness_matrix: minus the derivative of the wrench with (position, rotation vector) within the step, 6 x 6,
-            where it is asked for; else None.
+        stiffness_matrix: the tissue's own, without the mass: minus the derivative of the wrench with (position,
+            rotation vector), 6 x 6, where it is asked for; else None.
         violation: the largest of a contact condition (penetration, or slip of what must not slip), m.
         slipping: how many points of the surface slip against friction.
         dissipated: by the drag of a step that crept, J.
+        step_stiffness_matrix: the same within an inertial step, which its mass resists; None: no other.
     """
 
     status: StepStatus
@@ -67,6 +68,7 @@ class Step:
     violation: float = 0.0
     slipping: int = 0
     dissipated: float = 0.0
+    step_stiffness_matrix: Matrix | None = None
 
     @classmethod
     def axial(cls, status: StepStatus, iterations: int, residual: float, force: float, violation: float = 0.0,
@@ -79,6 +81,11 @@ class Step:
     def force(self) -> float:
         """On the tool along z, N, positive when the tissue pushes back."""
         return self.wrench[2]
+
+    @property
+    def found_own_stiffness(self) -> bool:
+        """Whether this is an inertial step that was looked at without its mass, too."""
+        return self.step_stiffness_matrix is not None and self.stiffness_matrix is not None
 
     @property
     def stiffness(self) -> float:
@@ -199,7 +206,8 @@ class Solver(ABC):
 
     @abstractmethod
     def step(self, pose: Pose, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
-             predictor_order: int = 2, inertial: bool = False, resumes: bool = False) -> Step:
+             predictor_order: int = 2, inertial: bool = False, resumes: bool = False,
+             own_stiffness: bool = True) -> Step:
         """Move the tool to a pose and find equilibrium; commits the state only when it converges.
 
         Args:
@@ -211,6 +219,8 @@ class Solver(ABC):
             inertial: whether the mass of the tissue counts; `follow_motion` must have been called, and dt be positive.
             resumes: go on from where the step before, which did not converge, ended; dt counts from the last one that
                 did.
+            own_stiffness: whether the stiffness of the tissue without its mass is asked for after an inertial step,
+                too, if it came through with less than `max_iterations`.
         """
 
     def creep(self, pose: Pose, dt: float = 0.0, *, tolerance: float = 1e-9,

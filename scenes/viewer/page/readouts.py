@@ -32,7 +32,7 @@ def readouts_html(frame: Frame) -> str:
     now = frame.readouts
     large = [("force", "force", "–" if now is None else _number(now.force, 3), "N"),
              ("depth", "depth", "–" if now is None else _number(now.depth * 1e3, 2), "mm")]
-    small = [("stiffness", "stiffness", "–" if now is None else f"{_number(now.stiffness * 1e-3, 3)} N/mm"),
+    small = [("stiffness", "tissue stiffness", "–" if now is None else f"{_number(now.stiffness * 1e-3, 3)} N/mm"),
              ("step-time", "step", "–" if now is None else f"{now.step_time * 1e3:.2f} ms"),
              ("iterations", "iterations", "–" if now is None else f"{now.iterations:.1f} per tick"),
              ("rate", "loop", "–" if now is None else f"{now.rate:.0f} Hz"),

@@ -62,7 +62,7 @@ class SpringSolver(Solver):
         return self._spring.pose
 
     def step(self, pose, dt=0.0, *, tolerance=1e-9, max_iterations=20, predictor_order=2, inertial=False,
-             resumes=False):
+             resumes=False, own_stiffness=True):
         x, y, *_ = motion(TOUCH, pose)
         across = np.array([x, y])
         pull = wrench(pose, self._spring.slid, self._stiffness)[:2]

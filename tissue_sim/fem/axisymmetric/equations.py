@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
@@ -65,6 +66,8 @@ class Equations:
             x[: settled.size] = settled
             self.surface.anchors[: bound.count], self.surface.slipped[: bound.count] = (
                 bound.anchors[: bound.count], bound.slipped[: bound.count])
+        self._before, self._coefficients = np.zeros_like(x), np.zeros(0)
+        self._kernel: Callable[[], None] = _nothing
         self.state: State = State(x, self.surface, self.memory, self.effects)
         self.start = x[:freedoms].copy()
         self._target, self._motion, self.masses, self.rest = np.zeros((4, freedoms))
@@ -112,14 +115,19 @@ class Equations:
         self.material, self.bulk_modulus = material, bulk_modulus
         self.moduli[:] = moduli
         self.batches.set_moduli(moduli)
-        self._coefficients = np.array(coefficients)
+        if len(coefficients) == self._coefficients.size:
+            self._coefficients[:] = coefficients
+        else:
+            self._coefficients = np.array(coefficients)
         self.memory.set_material(self.relaxation(material), material.softening, factor)
         self.effects.set_effects(material.effects.values())
         self.counts[newton.REMEMBERS] = self.remembers
         with LOCK:
             kernel = newton.step_kernel(self.mesh.element.name, energy, self.surface.slips, self.effects.formulas,
                                         self._laws)
-            self._kernel = BoundKernel(kernel, self._kernel_arrays())
+            arrays = self._kernel_arrays()
+            if not (isinstance(self._kernel, BoundKernel) and self._kernel.is_of(kernel, arrays)):
+                self._kernel = BoundKernel(kernel, arrays)
         self.surface.set_stiffness(contacts.STIFFNESS * material.mu0)
         # Displacements are rounded, and so are the forces of what is stiff: per m of depth, and of the places.
         height = np.ptp(self.mesh.nodes[:, 1])
@@ -186,9 +194,9 @@ class Equations:
         with LOCK:
             self._kernel()
 
-    def respond(self, launch, assembles: bool = True) -> None:
+    def respond(self, launch, assembles: bool = True, keeps: int = 1) -> None:
         """Assemble the exact tangent at the equilibrium just found, with the contact as it was in the step, and call
-        `launch` there; without `assembles` the matrix stays as the step left it."""
+        `launch` there; without `assembles` the matrix stays as the step left it. `keeps`: see `newton.KEEPS`."""
         surface, after = self.surface, self.surface.held.copy()
         remembered = [(array, array.copy()) for array in (
             self.memory.stresses, self.memory.energies, self.effects.found)]
@@ -202,7 +210,7 @@ class Equations:
             return
         self.settings[newton.PREDICTED] = self.settings[newton.DEPTH]
         self.settings[newton.TOLERANCE] = -1.0
-        self.counts[newton.MAX_ITERATIONS], self.counts[newton.KEEPS] = 0, 1
+        self.counts[newton.MAX_ITERATIONS], self.counts[newton.KEEPS] = 0, keeps
         with LOCK:
             self._kernel()
             launch()
@@ -211,6 +219,17 @@ class Equations:
         # With the tangent they come out rounded otherwise.
         for array, before in remembered:
             array[:] = before
+
+    def stiffness_without_mass(self) -> float | None:
+        """How the force grows with depth where nothing resists acceleration, N/m, at the inertial equilibrium just
+        found, with the contact as it is there; None where the tissue would not stay without its mass."""
+        report, right, inertia = self.report.copy(), self._right.copy(), float(self.settings[newton.INERTIA])
+        self.settings[newton.INERTIA] = 0.0
+        self.respond(_nothing, keeps=3)
+        self.settings[newton.INERTIA] = inertia
+        stiffness = float(self.report[newton.STIFFNESS])
+        self.report[:], self._right[:] = report, right
+        return stiffness if self.counts[newton.FACTORISED] else None
 
     def tangent(self) -> np.ndarray:
         """Condensed tangent at the last committed state: lower band in LAPACK's storage, (half_band + 1, free), N/m."""
@@ -282,7 +301,11 @@ class Equations:
                 "forces": surface.forces, "known_rates": surface.known_rates, "law_settings": self._law_settings,
                 "effect_settings": self.effects.settings,
                 "effect_states": self.effects.states, "effect_states_found": self.effects.found,
-                "masses": self.masses, "rest": self.rest, "motion": self._motion, "before": np.zeros_like(state.x),
+                "masses": self.masses, "rest": self.rest, "motion": self._motion, "before": self._before,
                 "history": state.history, "slots": state.slots, "weights": self.weights,
                 "flat": self._scattered[:-1].reshape(-1, band.BLOCK), "scattered": self._scattered,
                 "upper": self.upper, "reaction": self._reaction, "report": self.report}
+
+
+def _nothing() -> None:
+    """Nothing to launch: before a material is set, and after a tangent that is only answered from."""

@@ -23,7 +23,7 @@ CIRCLING = 8
 #: A linear solution that turns an element inside out is halved so many times at most.
 HALVINGS = 6
 #: Places in the kernel's counts, settings and report. KEEPS: 0 a step begins with an extrapolation, 1 with the state as
-#: it is and no point may change its own, 2 with the state as it is.
+#: it is and no point may change its own, 2 with the state as it is, 3 as 1, and only the stiffness is answered.
 #: FACTORISED, BENDING: answers, whether the matrix is a factor at the end, and whether the rates of contact are those
 #: with the curvature of the surfaces.
 (PASSES, FREE, MAX_ITERATIONS, CONTACTS, REMEMBERS, UNSYMMETRIC, CHANGEABLE, KEEPS, STIFFNESS_ASKED, FACTORISED,
@@ -93,7 +93,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
             multipliers = x.shape[0] - 2 * springs.shape[0]
             if counts[KEEPS] == 0:
                 predict(x, history, slots, weights)
-            if counts[KEEPS] != 1:
+            if counts[KEEPS] % 2 == 0:
                 counts[CHANGEABLE] = contact_kernels.ALL
             strength, reach = settings[STRENGTH], settings[REACH]
             pending = 0
@@ -236,7 +236,9 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                     tangent = 1
                 else:
                     solves = 1
-                asked = 1 if report[STATUS] == converged and counts[STIFFNESS_ASKED] == 1 else 0
+                asked = 0
+                if counts[STIFFNESS_ASKED] == 1 and (report[STATUS] == converged or counts[KEEPS] == 3):
+                    asked = 1
                 if solves + asked > 0:
                     stiff = 0.0
                     if asked == 1:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -82,23 +82,27 @@ class AxisymmetricSolver(Solver):
         Raises:
             InputError: bulk ratio outside `BULK_RATIOS`; nothing is changed.
         """
+        before = self.equations.material.mu0
         self.equations.set_material(material)
+        # Where all moduli change alike, the tissue stays where it is and its forces follow them.
+        self.committed.history[:, self.equations.equation.size :] *= material.mu0 / before
 
     def follow(self, pose: Pose) -> Pose:
         """On the axis and upright at the depth of the pose."""
         return Pose.at_depth(pose.depth)
 
     def step(self, pose: Pose | float, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
-             predictor_order: int = 2, inertial: bool = False, resumes: bool = False) -> Step:
+             predictor_order: int = 2, inertial: bool = False, resumes: bool = False,
+             own_stiffness: bool = True) -> Step:
         """Move the tool to a depth, m, or that of a pose, and find equilibrium; see `Solver.step`."""
         state, rate = self.committed, 0.0
         if state.motion is not None and inertial:
             rate = state.motion.prepare(state.latest, dt)
         return self.try_step(depth_of(pose), dt, tolerance, max_iterations, predictor_order, rate, inertial=inertial,
-                             resumes=resumes)
+                             resumes=resumes, own_stiffness=own_stiffness)
 
     def try_step(self, depth: float, dt: float, tolerance: float, max_iterations: int, predictor_order: int,
-                 rate: float, *, inertial: bool = False, resumes: bool = False) -> Step:
+                 rate: float, *, inertial: bool = False, resumes: bool = False, own_stiffness: bool = True) -> Step:
         """A step in which `rate` (1/s2, or N/m4 of a drag) times mass draws each freedom to where it rests."""
         equations, state = self.equations, self.committed
         if not resumes:
@@ -113,6 +117,10 @@ class AxisymmetricSolver(Solver):
         asked = bool(equations.counts[newton.STIFFNESS_ASKED])
         result = Step.axial(_STATUSES[int(status)], int(iterations), residual, force, violation, int(slipping),
                             stiffness if asked else None)
+        if result.status is StepStatus.CONVERGED and asked and inertial:
+            own = equations.stiffness_without_mass() if own_stiffness and iterations < max_iterations else None
+            result = replace(result, step_stiffness_matrix=result.stiffness_matrix,
+                             stiffness_matrix=None if own is None else axial_stiffness(own))
         if result.status is StepStatus.CONVERGED:
             if inertial or rate == 0.0:  # not that of a drag
                 state.largest_force = max(state.largest_force, abs(force))
