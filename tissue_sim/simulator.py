@@ -15,9 +15,9 @@ from tissue_sim.material.effect import ReducedForce
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.parameters import with_values
-from tissue_sim.pose import Pose, Screw, between, motion, scaled
+from tissue_sim.pose import Pose, Screw, between, motion
 from tissue_sim.realtime_ladder import choose, measure_tick
-from tissue_sim.simulator_state import AT_REST, NEVER, Creep, SimulatorState, scaled_matrix
+from tissue_sim.simulator_state import AT_REST, NEVER, Creep, SimulatorState
 from tissue_sim.snapshot import Snapshot, snapshot
 from tissue_sim.tool_force import (
     ForceStatus,
@@ -307,9 +307,7 @@ class Simulator:
     def _ahead(self, tick: float) -> NextForce | None:
         """What a next step of a tick, s, would answer, after one that converged."""
         ahead, left = self._solver.ahead(tick), self._left
-        if ahead is None or left == 1.0:
-            return ahead
-        return NextForce(scaled(left, ahead.wrench), scaled_matrix(left, ahead.stiffness_matrix))
+        return ahead if ahead is None or left == 1.0 else ahead.scaled(left)
 
     def _carried_on(self, wrench: Screw, way: Screw) -> Screw:
         """The wrench of the last equilibrium a little further on; tissue that cannot pull at the tool does not."""

@@ -9,16 +9,10 @@ from typing import Any
 from tissue_sim.fem.solver import Step
 from tissue_sim.material.effect import ToolHistory
 from tissue_sim.pose import Pose, Screw, scaled
-from tissue_sim.tool_force import Matrix, ToolForce, axial_stiffness, axial_wrench
+from tissue_sim.tool_force import Matrix, ToolForce, axial_stiffness, axial_wrench, scaled_matrix
 
 #: Age of a stiffness that was not found yet.
 NEVER = 1 << 30
-
-
-def scaled_matrix(share: float, matrix: Matrix) -> Matrix:
-    """A share of each entry."""
-    a, b, c, d, e, f = (scaled(share, row) for row in matrix)
-    return (a, b, c, d, e, f)
 
 
 @dataclass(frozen=True, slots=True)

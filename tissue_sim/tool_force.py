@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Protocol
 
-from tissue_sim.pose import Pose, Screw, Vector
+from tissue_sim.pose import Pose, Screw, Vector, scaled
 
 #: Six by six, row by row.
 Matrix = tuple[Screw, Screw, Screw, Screw, Screw, Screw]
@@ -33,13 +33,26 @@ def carried_on(wrench: Screw, stiffness: Matrix, way: Screw) -> Screw:
     return (a, b, c, d, e, f)
 
 
+def scaled_matrix(share: float, matrix: Matrix) -> Matrix:
+    """A share of each entry."""
+    a, b, c, d, e, f = (scaled(share, row) for row in matrix)
+    return (a, b, c, d, e, f)
+
+
 class ForceStatus(IntEnum):
-    """How the force of a step came about; every number but that of a refused pose is the best that is known."""
+    """How the force of a step came about.
+
+    A tissue answers with the first four; every number but that of a refused pose is then the best that is known. The
+    others are those of what stands between it and a hand (`haptics.safety.force_release`, `haptics.server`).
+    """
 
     CONVERGED = 0
     LATE = 1
     STOPPED = 2
     REFUSED = 3
+    FADING = 4
+    RETURNING = 5
+    FAILED = 6
 
     @property
     def message(self) -> str:
@@ -50,7 +63,13 @@ class ForceStatus(IntEnum):
                               "carried on to this pose; the next step goes on from there",
             ForceStatus.STOPPED: "no equilibrium was found on the way to this pose: the last one's force and "
                                  "stiffness, carried on to this pose; move the tool back, or reset",
-            ForceStatus.REFUSED: "the pose or the time step is not a number: the last force; nothing was changed",
+            ForceStatus.REFUSED: "the pose or the time step is no number, or beyond what the scene can hold: the last "
+                                 "force; nothing was changed",
+            ForceStatus.FADING: "no equilibrium for too long: force and stiffness go to zero; move the tool back, or "
+                                "reset",
+            ForceStatus.RETURNING: "in equilibrium at this pose: force and stiffness come back along a ramp",
+            ForceStatus.FAILED: "the step failed, and the tissue was built anew: no force; the log of the server says "
+                                "why",
         }[self]
 
 
@@ -66,6 +85,10 @@ class NextForce:
 
     wrench: Screw
     stiffness_matrix: Matrix
+
+    def scaled(self, share: float) -> NextForce:
+        """A share of it."""
+        return NextForce(scaled(share, self.wrench), scaled_matrix(share, self.stiffness_matrix))
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,6 +167,14 @@ class ToolForce:
     def torque_vector(self) -> Vector:
         """Torque on the tool about its deepest point, N m."""
         return self.wrench[3:]
+
+    def scaled(self, share: float, status: ForceStatus) -> ToolForce:
+        """A share of force, torque and every stiffness, and what that makes of the status."""
+        ahead, within = self.ahead, self.step_stiffness_matrix
+        return replace(
+            self, wrench=scaled(share, self.wrench), stiffness_matrix=scaled_matrix(share, self.stiffness_matrix),
+            status=status, ahead=None if ahead is None else ahead.scaled(share),
+            step_stiffness_matrix=None if within is None else scaled_matrix(share, within))
 
     @property
     def is_finite(self) -> bool:

@@ -16,6 +16,7 @@ from haptics.loop.real_time import RealTimeFeature, real_time
 from haptics.loop.ring import CAPACITY, PAUSED, RingWriter
 from haptics.loop.snapshot_board import SnapshotBoard
 from haptics.loop.ticker import Quantiles, Ticker, TimeHistogram
+from haptics.safety.force_release import PATIENCE, ForceRelease
 from haptics.safety.rendering import ForceRendering, RenderFlag
 from tissue_sim.errors import InputError
 from tissue_sim.snapshot import ShownTissue
@@ -38,6 +39,7 @@ class LoopSettings:
         real_time: ask the system for what `haptics.loop.real_time` knows.
         snapshot_rate: how often the whole tissue is published, for viewers that draw it, Hz; 0: never.
         capacity: ticks that the ring keeps.
+        patience: after so long without an equilibrium the tissue's force is let go, s; see `ForceRelease`.
 
     Raises:
         InputError: a time or a rate that does not fit.
@@ -49,9 +51,11 @@ class LoopSettings:
     real_time: bool = True
     snapshot_rate: float = 0.0
     capacity: int = CAPACITY
+    patience: float = PATIENCE
 
     def __post_init__(self):
         Ticker(self.period, spin=self.spin)  # refuses what it cannot keep
+        ForceRelease(self.patience)  # and so does this
         if self.seconds is not None and not self.period <= self.seconds < math.inf:
             raise InputError(f"{self.seconds:g} s is no time to run; give at least one period of {self.period:g} s",
                              field="seconds")
@@ -151,6 +155,7 @@ class Loop:
         self._settings, self._ring, self._listen = settings, ring, listen
         self._shown = (tissue, snapshots) if snapshots is not None and isinstance(tissue, ShownTissue) else None
         self._ticker = Ticker(settings.period, spin=settings.spin, clock=clock, sleep=sleep)
+        self._release = ForceRelease(settings.patience)
         self._compute_time = TimeHistogram()
         self._statuses = [0] * len(ForceStatus)
         self._flagged = dict.fromkeys(_FLAGS, 0)
@@ -210,7 +215,7 @@ class Loop:
             self._motion += going
             pose = self._device.pose(self._motion * 1e-9)
         tool = self._rendering.pose_for(pose, dt)
-        answer = self._tissue.step(tool, dt)
+        answer = self._release.step(self._tissue.step(tool, dt), now * 1e-9)
         rendered = self._rendering.render(answer, dt)
         wrench = rendered.wrench
         self._device.render(wrench)
@@ -243,6 +248,7 @@ class Loop:
         """
         self._able("reset")()
         self._rendering.reset()
+        self._release.reset()
         self._motion = 0
 
     def advance(self, seconds: float) -> None:
@@ -268,6 +274,7 @@ class Loop:
         if reset is not None:
             reset()
             self._rendering.reset()
+            self._release.reset()
 
     def _keep_to(self, device: HapticDevice) -> None:
         """No more force than a device allows."""

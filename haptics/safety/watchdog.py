@@ -49,6 +49,10 @@ class Watchdog:
         self.state, self.gain, self.missing = WatchdogState.TRACKING, 1.0, 0.0
         self._progress = 1.0
 
+    def withdraw(self):
+        """As if the pose had been away for long: no force, and the way back begins."""
+        self.state, self.gain, self._progress = WatchdogState.LOST, 0.0, 0.0
+
     def step(self, seen: bool, dt: float) -> float:
         """The gain of this tick: whether the pose was seen in it, and its length, s."""
         if seen and self._progress == 1.0:
