@@ -14,7 +14,7 @@ from tissue_sim.fem.solver import SOLVERS, Rung, Step, StepStatus, Surface
 from tissue_sim.material.effect import ReducedForce
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
-from tissue_sim.parameters import with_values
+from tissue_sim.parameters import parameters, with_values
 from tissue_sim.pose import Pose, Screw, between, motion
 from tissue_sim.realtime_ladder import choose, measure_tick
 from tissue_sim.simulator_state import AT_REST, NEVER, Creep, SimulatorState
@@ -40,6 +40,8 @@ _ROUNDING = 1e-9
 _SMALLEST_CUT, _CREEPS, _MOST_OF_CREEP = 2.0**-8, 0.5, 12
 #: Tool speed, m/s, from which on the mass of the tissue counts, and for how long (s) after the tool was last so fast.
 INERTIAL_SPEED, _LINGERS = 0.005, 0.1
+#: Moduli, Pa, that are stepped: softer than any gel, stiffer than any tissue.
+SOFTEST, STIFFEST = 1e-2, 1e9
 #: Of tissue whose density nobody stated, kg/m3: that of water.
 DENSITY = 1000.0
 #: After so many inertial ticks the tissue's own stiffness is found anew: it costs a linear solve.
@@ -358,10 +360,12 @@ class Simulator:
                 ``set_parameters(**{"viscoelastic.terms[0].g": 0.2})``.
 
         Raises:
-            InputError: no such parameter, or a value that the material refuses; nothing is changed.
+            InputError: no such parameter, a value that the material refuses, or a modulus beyond `SOFTEST` and
+                `STIFFEST`; nothing is changed.
         """
         material = with_values(self.model.material, values)
         _require_same_layers(self.model.material, material)
+        _require_tissue(material)
         self._stop_creeping()
         self._solver.set_material(material)
         self.model = replace(self.model, material=material)
@@ -383,3 +387,14 @@ def _require_same_layers(before: Material, after: Material) -> None:
     thick = [[layer.thickness for layer in material.layers] for material in (before, after)]
     if thick[0] != thick[1]:
         raise InputError("the thickness of a layer is part of the mesh; build another simulator", field="layers")
+
+
+def _require_tissue(material: Material) -> None:
+    """Raises InputError: no tissue is so stiff, or so soft."""
+    for each in parameters(material).values():
+        if each.declaration.unit == "Pa" and not abs(each.value) <= STIFFEST:
+            raise InputError(f"{each.value:g} Pa is stiffer than any tissue; give {STIFFEST:g} Pa or less",
+                             field=each.path)
+    if not SOFTEST <= material.mu0 <= STIFFEST:
+        raise InputError(f"a shear modulus of {material.mu0:g} Pa is none of tissue; give parameters that make it "
+                         f"{SOFTEST:g} to {STIFFEST:g} Pa", field="parameters")

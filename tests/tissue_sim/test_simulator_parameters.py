@@ -64,3 +64,15 @@ def test_a_change_while_the_mass_counts_is_answered_by_the_new_material():
     forces = [answer.force for answer in answers]
     assert sum(forces) / len(forces) == pytest.approx(0.1 * before.force, rel=0.1)
     assert max(map(abs, forces)) < 0.2 * before.force
+
+
+@pytest.mark.parametrize(("values", "said"), [
+    ({"C10": 1e41}, "C10: 1e\\+41 Pa is stiffer than any tissue"), ({"C20": -1e12}, "C20: -1e\\+12 Pa is stiffer"),
+    ({"C10": 1e-9}, "parameters: a shear modulus of 2e-09 Pa is none of tissue"),
+])
+def test_what_no_tissue_has_is_refused_and_changes_nothing(values, said):
+    sim, before = pressed(CASES["bonded"], depth=1e-3)
+    with pytest.raises(ts.InputError, match=said):
+        sim.set_parameters(**values)
+    assert sim.step(1e-3, 1e-3).force == pytest.approx(before.force, rel=1e-9)
+    assert sim.model.material == MATERIAL
