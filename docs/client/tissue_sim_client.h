@@ -1,4 +1,4 @@
-/* Client of `tissue-sim serve`, protocol version 1, in one header. C99 or C++; Linux, macOS, Windows (link ws2_32).
+/* Client of `tissue-sim serve`, protocol version 2, in one header. C99 or C++; Linux, macOS, Windows (link ws2_32).
  *
  * In exactly one source file write
  *     #define TISSUE_SIM_CLIENT_IMPLEMENTATION
@@ -18,16 +18,19 @@
 extern "C" {
 #endif
 
-#define TISSUE_SIM_VERSION 1
-#define TISSUE_SIM_REQUEST_SIZE 88
-#define TISSUE_SIM_REPLY_SIZE 432
+#define TISSUE_SIM_VERSION 2
+#define TISSUE_SIM_REQUEST_SIZE 96
+#define TISSUE_SIM_REPLY_SIZE 728
 
 /* Status of an answer. Below 100 there is a force, from 100 on there is none. */
 enum {
     TISSUE_SIM_CONVERGED = 0, /* in equilibrium */
     TISSUE_SIM_LATE = 1,      /* time budget ended: the last equilibrium's force and stiffness, carried on */
     TISSUE_SIM_STOPPED = 2,   /* no equilibrium found: the same; move back, or reset */
-    TISSUE_SIM_REFUSED = 3,   /* no pose or no time: the last force; nothing was changed */
+    TISSUE_SIM_REFUSED = 3,   /* no pose or no time, or beyond what the scene holds: the last force; nothing was changed */
+    TISSUE_SIM_FADING = 4,    /* no equilibrium for too long: force and stiffness go to zero */
+    TISSUE_SIM_RETURNING = 5, /* in equilibrium: force and stiffness come back along a ramp */
+    TISSUE_SIM_FAILED = 6,    /* the step failed and the tissue was built anew: no force */
     TISSUE_SIM_BUSY = 100     /* another client has the tissue */
 };
 
@@ -53,19 +56,22 @@ typedef struct {
     double time;            /* of the request, s */
     double force[3];        /* on the tool, N */
     double torque[3];       /* on the tool about its tip, N m */
-    double stiffness[6][6]; /* minus d(force, torque) / d(position, rotation vector), N/m, N, N m */
+    double stiffness[6][6]; /* of the tissue: minus d(force, torque) / d(position, rotation vector), N/m, N, N m */
+    double step_stiffness[6][6]; /* the same within this step, with the tissue's mass where it counts */
     double age;             /* time since the last equilibrium, s */
     double compute_time;    /* of the step, s */
     double residual;        /* unbalanced over balanced forces */
     double dt;              /* time step that was used, s */
     uint32_t iterations;    /* linear solves of the step */
     int inertial;           /* whether the mass of the tissue was taken into account */
+    int limited;            /* whether the force was cut to the server's largest one */
     uint64_t malformed, stale, skipped, turned_away; /* packets since the server started */
 } tissue_sim_answer;
 
 typedef struct {
     intptr_t socket;
     uint64_t sequence;
+    uint64_t session; /* by which the server knows this client: a random number, set by tissue_sim_open */
     long polls; /* how often to look for a reply, about 1 us each, before sleeping until it comes; 0 at first */
 } tissue_sim_client;
 
@@ -91,7 +97,9 @@ const char *tissue_sim_text(int code);
 #undef TISSUE_SIM_CLIENT_IMPLEMENTATION
 
 #include <float.h>
+#include <stdio.h>
 #include <string.h>
+#include <time.h>
 
 #if DBL_MANT_DIG != 53 || DBL_MAX_EXP != 1024
 #error "the protocol needs IEEE 754 doubles"
@@ -190,6 +198,7 @@ static int tissue_sim_ask_(tissue_sim_client *client, unsigned kind, double time
     end = tissue_sim_put_(end, kind, 2);
     end = tissue_sim_put_(end, sequence, 8);
     end = tissue_sim_put_doubles_(end, &time, 1);
+    end = tissue_sim_put_(end, client->session, 8);
     end = tissue_sim_put_doubles_(end, pose->position, 3);
     end = tissue_sim_put_doubles_(end, pose->orientation, 4);
     end = tissue_sim_put_(end, flags, 4);
@@ -199,6 +208,7 @@ static int tissue_sim_ask_(tissue_sim_client *client, unsigned kind, double time
     for (tries = 0; tries < 64; tries++) {
         const unsigned char *at = packet + 4;
         unsigned version;
+        uint32_t flags_back;
         int size = tissue_sim_receive_(own, packet, (int)sizeof packet, client->polls);
         if (size < 0) /* this machine knows when nothing listens, another one keeps silent */
             return TISSUE_SIM_NOBODY_ ? TISSUE_SIM_NO_SERVER : TISSUE_SIM_NO_REPLY;
@@ -212,15 +222,20 @@ static int tissue_sim_ask_(tissue_sim_client *client, unsigned kind, double time
         if (size != TISSUE_SIM_REPLY_SIZE || answer->sequence != sequence)
             continue;
         tissue_sim_get_doubles_(&at, &answer->time, 1);
+        if (tissue_sim_get_(&at, 8) != client->session)
+            continue;
         tissue_sim_get_doubles_(&at, answer->force, 3);
         tissue_sim_get_doubles_(&at, answer->torque, 3);
         tissue_sim_get_doubles_(&at, &answer->stiffness[0][0], 36);
+        tissue_sim_get_doubles_(&at, &answer->step_stiffness[0][0], 36);
         tissue_sim_get_doubles_(&at, &answer->age, 1);
         tissue_sim_get_doubles_(&at, &answer->compute_time, 1);
         tissue_sim_get_doubles_(&at, &answer->residual, 1);
         tissue_sim_get_doubles_(&at, &answer->dt, 1);
         answer->iterations = (uint32_t)tissue_sim_get_(&at, 4);
-        answer->inertial = (int)(tissue_sim_get_(&at, 4) & 1);
+        flags_back = (uint32_t)tissue_sim_get_(&at, 4);
+        answer->inertial = (int)(flags_back & 1);
+        answer->limited = (int)(flags_back >> 1 & 1);
         answer->malformed = tissue_sim_get_(&at, 8);
         answer->stale = tissue_sim_get_(&at, 8);
         answer->skipped = tissue_sim_get_(&at, 8);
@@ -228,6 +243,21 @@ static int tissue_sim_ask_(tissue_sim_client *client, unsigned kind, double time
         return TISSUE_SIM_OK;
     }
     return TISSUE_SIM_NO_REPLY;
+}
+
+/* A number that nobody guesses, where the system gives one; else one that no other client is likely to have. */
+static uint64_t tissue_sim_session_(const void *own)
+{
+    uint64_t session = (uint64_t)time(NULL) * 0x9e3779b97f4a7c15u ^ (uint64_t)clock() ^ (uint64_t)(uintptr_t)own;
+    FILE *random = fopen("/dev/urandom", "rb");
+    if (random != NULL) {
+        unsigned char bytes[8];
+        const unsigned char *at = bytes;
+        if (fread(bytes, 1, sizeof bytes, random) == sizeof bytes)
+            session ^= tissue_sim_get_(&at, 8);
+        fclose(random);
+    }
+    return session | 1;
 }
 
 int tissue_sim_open(tissue_sim_client *client, const char *host, uint16_t port, double timeout_s)
@@ -256,6 +286,7 @@ int tissue_sim_open(tissue_sim_client *client, const char *host, uint16_t port, 
     }
     client->socket = (intptr_t)own;
     client->sequence = 0;
+    client->session = tissue_sim_session_(client);
     client->polls = 0;
     return TISSUE_SIM_OK;
 }
@@ -283,7 +314,10 @@ const char *tissue_sim_text(int code)
     case TISSUE_SIM_CONVERGED: return "in equilibrium at this pose";
     case TISSUE_SIM_LATE: return "time budget ended: the last equilibrium's force and stiffness, carried on";
     case TISSUE_SIM_STOPPED: return "no equilibrium found: the last one's force and stiffness, carried on";
-    case TISSUE_SIM_REFUSED: return "the pose or the time is not a number, or the time went back: the last force";
+    case TISSUE_SIM_REFUSED: return "the pose or the time is beyond what the scene holds: the last force";
+    case TISSUE_SIM_FADING: return "no equilibrium for too long: force and stiffness go to zero";
+    case TISSUE_SIM_RETURNING: return "in equilibrium: force and stiffness come back along a ramp";
+    case TISSUE_SIM_FAILED: return "the step failed and the tissue was built anew: no force";
     case TISSUE_SIM_BUSY: return "another client has the tissue";
     case TISSUE_SIM_NO_REPLY: return "no reply within the timeout";
     case TISSUE_SIM_BAD_ADDRESS: return "the address is no numeric IPv4 address, or no socket is left";

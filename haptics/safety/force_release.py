@@ -66,6 +66,6 @@ class ForceRelease:
         status = answer.status
         if found:
             status = ForceStatus.RETURNING
-        elif status is not ForceStatus.REFUSED and watchdog.state is not WatchdogState.MISSING:
+        elif status in (ForceStatus.LATE, ForceStatus.STOPPED) and watchdog.state is not WatchdogState.MISSING:
             status = ForceStatus.FADING
         return answer.scaled(gain, status)

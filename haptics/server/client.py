@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 import socket
 import time
 from contextlib import suppress
@@ -31,10 +32,13 @@ class TissueClient:
         host: its address.
         timeout: longest wait for a reply, s.
         polls: how often to look for a reply, a few us each, before sleeping until it comes.
+        session: number by which the server knows this client; a random one by default.
     """
 
-    def __init__(self, port: int, host: str = LOOPBACK, timeout: float = 1.0, polls: int = 0):
+    def __init__(self, port: int, host: str = LOOPBACK, timeout: float = 1.0, polls: int = 0,
+                 session: int | None = None):
         self._timeout, self._polls, self._sequence = timeout, polls, 0
+        self.session = secrets.randbits(64) | 1 if session is None else session
         self._socket = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.settimeout(timeout)
         self._socket.connect((host, port))
@@ -58,13 +62,13 @@ class TissueClient:
         if not isinstance(pose, Pose):
             pose = Pose((0.0, 0.0, -pose))
         at = time.monotonic() if at is None else at
-        return self._ask(Request(self._sequence, at, pose.position, pose.orientation,
+        return self._ask(Request(self._sequence, at, pose.position, pose.orientation, self.session,
                                  flags=RequestFlags.RESET if reset else RequestFlags.NONE))
 
     def close(self) -> None:
         """Say goodbye, so that another client can have the tissue at once."""
         with self._socket, suppress(OSError):  # the server may have gone before
-            self._ask(Request(self._sequence, 0.0, kind=Kind.GOODBYE))
+            self._ask(Request(self._sequence, 0.0, session=self.session, kind=Kind.GOODBYE))
 
     def __enter__(self) -> TissueClient:
         return self
@@ -84,7 +88,7 @@ class TissueClient:
                                  f"{VERSION}; install the same tissue_sim on both sides") from None
             except WireError:
                 continue
-            if reply.sequence == request.sequence:
+            if (reply.sequence, reply.session) == (request.sequence, request.session):
                 return reply
             if time.monotonic() > end:  # replies to requests that were given up
                 raise TimeoutError(f"no reply in {self._timeout:g} s")

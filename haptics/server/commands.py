@@ -51,9 +51,11 @@ class Commands:
 
     def __init__(self, service: StepService, description: Description | None = None,
                  parameters: Mapping[str, float] | None = None):
-        self._service, self._tissue = service, service.tissue
+        self._service, self._began = service, service.tissue
         self._description = description if callable(description) else as_json_types(description or {})
-        self._parameters = dict(parameters or {})
+        #: Of the tissue that it began with, and of the one that there is now.
+        self._first = dict(parameters or {})
+        self._parameters = dict(self._first)
         self._states: dict[str, tuple[Any, dict[str, float]]] = {}
         self._commands: dict[str, tuple[type[_Command], Callable[[Any], Iterator[bytes] | dict[str, Any]]]] = {
             "describe": (_Command, self._describe),
@@ -99,6 +101,9 @@ class Commands:
         if name not in self._commands:
             raise InputError(f"unknown command {name[:64]!r}{nearest(name[:64], self._commands)}", field="command")
         kind, run = self._commands[name]
+        if self._service.tissue is not self._began:
+            # Built anew after a failure, as at first.
+            self._began, self._parameters = self._service.tissue, dict(self._first)
         answer = run(decode(asked, kind))
         return {"command": name, **answer} if isinstance(answer, dict) else answer
 
@@ -114,7 +119,7 @@ class Commands:
                 "owner": None if owner is None else "{}:{}".format(*owner[:2])}
 
     def _reset(self, _: _Command) -> dict[str, Any]:
-        self._tissue.reset()
+        self._service.tissue.reset()
         self._service.begin_anew()
         return {}
 
@@ -154,7 +159,7 @@ class Commands:
         return {"parameters": self._parameters}
 
     def _able(self, ability: str) -> Callable[..., Any]:
-        method = getattr(self._tissue, ability, None)
+        method = getattr(self._service.tissue, ability, None)
         if method is None:
             raise InputError(f"this tissue cannot {ability}; serve a tissue_sim.Simulator", field="command")
         return method

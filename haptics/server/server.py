@@ -8,20 +8,23 @@ import os
 import selectors
 import socket
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
 from typing import Any
 
+from haptics.safety.force_release import ForceRelease
 from haptics.server.commands import Commands, Description
 from haptics.server.connections import ConfigurationPort
+from haptics.server.owner_port import Allowance, open_for
+from haptics.server.scene_limits import SceneLimits
 from haptics.server.steps import SILENCE, Counters, ServedTissue, StepService
 from haptics.server.wire import REQUEST_SIZE
 from tissue_sim.errors import InputError
 
 LOOPBACK = "127.0.0.1"
-#: Datagrams that are looked at before a step is made: a flood must not keep the owner waiting.
-_MOST_DATAGRAMS = 64
+#: Datagrams of the owner, and of others, that are looked at before a step is made: no flood keeps the owner waiting.
+_MOST_DATAGRAMS, _MOST_OF_OTHERS = 64, 8
 #: Longest sleep, s; a stop that cannot wake the server takes so long.
 _WAIT = 0.25
 
@@ -37,6 +40,10 @@ class TissueServer:
         description: what ``describe`` says of scene, material and mesh; of JSON's types, or what gives it then.
         parameters: name -> value of what ``set_parameters`` may set, SI.
         silence: a client that is silent for so long loses the tissue to another, s.
+        limits: of poses, times and forces; see `SceneLimits`.
+        releases: whether a force without an equilibrium is let go; see `ForceRelease`.
+        rebuild: another tissue like the first one, for after a step that failed; None: that one is reset.
+        session: number by which the one client that may have the tissue is known; None: whoever comes first.
         spin: keep polling for so long after a packet before going to sleep, s. It saves the time of waking up, and
             takes a whole processor while a client is there.
         expose: allow an address that other machines can reach. The protocol has no password.
@@ -49,13 +56,20 @@ class TissueServer:
     def __init__(self, tissue: ServedTissue, *, host: str = LOOPBACK, port: int = 0,
                  configuration_port: int | None = None,
                  description: Description | None = None, parameters: Mapping[str, float] | None = None,
-                 silence: float = SILENCE, spin: float = 0.0, expose: bool = False):
+                 silence: float = SILENCE, limits: SceneLimits | None = None, releases: bool = True,
+                 rebuild: Callable[[], ServedTissue] | None = None, session: int | None = None, spin: float = 0.0,
+                 expose: bool = False):
         _require_loopback(host, expose)
-        self._service = StepService(tissue, silence)
+        self._service = StepService(tissue, silence, limits=limits, release=ForceRelease() if releases else None,
+                                    rebuild=rebuild, session=session)
         self._spin, self._heard = spin, -math.inf
         self._stopping = False
         self._selector = selectors.DefaultSelector()
         self._poses = _bound(socket.SOCK_DGRAM, host, port, "port")
+        #: Of the owner alone, and who that is; None where there is none.
+        self._owned: socket.socket | None = None
+        self._owner: Any = None
+        self._strangers = Allowance()
         self._configuration: ConfigurationPort | None = None
         self.address: tuple[str, int] = self._poses.getsockname()[:2]
         self.configuration_address: tuple[str, int] | None = None
@@ -116,8 +130,9 @@ class TissueServer:
         if self._configuration is not None:
             self._configuration.close()
             self._configuration = None
-        for own in (self._poses, self._alarm, self._bell):
-            own.close()
+        for own in (self._owned, self._poses, self._alarm, self._bell):
+            if own is not None:
+                own.close()
         self._selector.close()
 
     def __enter__(self) -> TissueServer:
@@ -127,27 +142,49 @@ class TissueServer:
         self.close()
 
     def _answer_poses(self) -> None:
-        """Empty the receive buffer, then step to the newest pose in it."""
+        """Look at what has come, the owner's first, then step to its newest pose."""
+        service, now = self._service, time.monotonic()
+        if self._owned is not None:
+            self._take(self._owned, _MOST_DATAGRAMS, now)
+        self._take(self._poses, _MOST_DATAGRAMS if self._owned is None else _MOST_OF_OTHERS, now)
+        if service.owner != self._owner:
+            self._follow_owner()
+        answer = service.step(now)
+        if answer is not None:
+            self._send(*answer)
+            self._heard = time.monotonic()
+            service.answered(self._heard)
+
+    def _take(self, own: socket.socket, most: int, now: float) -> None:
+        """Look at the datagrams of a socket."""
         service, packet = self._service, self._packet
-        for _ in range(_MOST_DATAGRAMS):
+        for _ in range(most):
             try:
-                size, address = self._poses.recvfrom_into(packet)
-            except BlockingIOError:
+                size, address = own.recvfrom_into(packet)
+            except (BlockingIOError, ConnectionRefusedError):  # nothing more, or the owner has closed its port
                 break
             except ConnectionResetError:  # Windows: a client that was answered has closed its port
                 continue
             except OSError:  # Windows: longer than the buffer
                 self.counters.malformed += 1
                 continue
-            self._heard = time.monotonic()
-            at_once = service.take(packet[:size], address, self._heard)
+            if service.owner not in (None, address) and not self._strangers.takes(address, now):
+                self.counters.flooded += 1
+                continue
+            self._heard = now
+            at_once = service.take(packet[:size], address, now)
             if at_once is not None:
                 self._send(at_once, address)
-        answer = service.step()
-        if answer is not None:
-            self._send(*answer)
-            self._heard = time.monotonic()
-            service.answered(self._heard)
+
+    def _follow_owner(self) -> None:
+        """Take the packets of a new owner apart from all others."""
+        if self._owned is not None:
+            self._selector.unregister(self._owned)
+            self._owned.close()
+        owner = self._owner = self._service.owner
+        self._owned = None if owner is None else open_for(owner, self._poses)
+        if self._owned is not None:
+            self._selector.register(self._owned, selectors.EVENT_READ)
 
     def _send(self, reply: bytes, address: Any) -> None:
         try:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 from tissue_sim.tool_force import ForceStatus
 
 #: Raised by every change of a layout, or of what a field means.
-VERSION = 1
+VERSION = 2
 REQUEST_MAGIC, REPLY_MAGIC = b"TSRQ", b"TSRP"
 FRAME = ("origin at the centre of the undeformed top face, z out of the tissue, right-handed; forces and torques are "
          "those on the tool, so pushing in gives a positive z force; depth = -z; orientation is a unit quaternion "
@@ -22,8 +22,8 @@ FRAME = ("origin at the centre of the undeformed top face, z out of the tissue, 
 
 #: magic, version, kind or status, sequence, time: the same in every version, so that any two can tell each other apart.
 _HEAD = struct.Struct("<4sHHQd")
-_REQUEST = struct.Struct("<4sHHQd3d4dII")
-_REPLY = struct.Struct("<4sHHQd3d3d36d4dII4Q")
+_REQUEST = struct.Struct("<4sHHQdQ3d4dII")
+_REPLY = struct.Struct("<4sHHQdQ3d3d36d36d4dII4Q")
 REQUEST_SIZE, REPLY_SIZE = _REQUEST.size, _REPLY.size
 
 Vector = tuple[float, float, float]
@@ -47,10 +47,12 @@ class RequestFlags(IntFlag):
 
 
 class ReplyFlags(IntFlag):
-    """INERTIAL (bit 0): the mass of the tissue was taken into account."""
+    """INERTIAL (bit 0): the mass of the tissue was taken into account. LIMITED (bit 1): the force was cut to the
+    largest one that the server gives; the stiffness is zero then."""
 
     NONE = 0
     INERTIAL = 1
+    LIMITED = 2
 
 
 class Status(IntEnum):
@@ -60,6 +62,9 @@ class Status(IntEnum):
     LATE = ForceStatus.LATE
     STOPPED = ForceStatus.STOPPED
     REFUSED = ForceStatus.REFUSED
+    FADING = ForceStatus.FADING
+    RETURNING = ForceStatus.RETURNING
+    FAILED = ForceStatus.FAILED
     BUSY = 100
     OTHER_VERSION = 101
     RELEASED = 102
@@ -102,6 +107,7 @@ class Request(NamedTuple):
         time: on the client's clock, s; the time step is the difference to that of the last step.
         position: x, y, z, m.
         orientation: unit quaternion (w, x, y, z).
+        session: a random number that the client has chosen, by which the server knows it; 0: by its address only.
         kind: a step, or goodbye.
         flags: see `RequestFlags`.
     """
@@ -110,6 +116,7 @@ class Request(NamedTuple):
     time: float
     position: Vector = _NO_VECTOR
     orientation: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    session: int = 0
     kind: int = Kind.STEP
     flags: int = RequestFlags.NONE
 
@@ -119,9 +126,11 @@ class Reply(NamedTuple):
 
     Attributes:
         status: a value of `Status`; later servers may know more.
-        sequence, time: of the request that is answered.
+        sequence, time, session: of the request that is answered.
         force: N. torque: N m, about the tool's tip.
-        stiffness: minus the derivative of (force, torque) with (position, rotation vector), 6 x 6, N/m, N, N m.
+        stiffness: the tissue's own: minus the derivative of (force, torque) with (position, rotation vector), 6 x 6,
+            N/m, N, N m, without its mass.
+        step_stiffness: the same within this step, with the mass where that was taken into account.
         age: time since the last equilibrium, s; 0 where this is one.
         compute_time: wall time of the step, s.
         residual: unbalanced over balanced forces.
@@ -135,9 +144,11 @@ class Reply(NamedTuple):
     status: int
     sequence: int
     time: float
+    session: int = 0
     force: Vector = _NO_VECTOR
     torque: Vector = _NO_VECTOR
     stiffness: Matrix = _NO_MATRIX
+    step_stiffness: Matrix = _NO_MATRIX
     age: float = 0.0
     compute_time: float = 0.0
     residual: float = 0.0
@@ -152,8 +163,8 @@ class Reply(NamedTuple):
 
 def encode_request(request: Request) -> bytes:
     """The packet of a request, `REQUEST_SIZE` bytes."""
-    return _REQUEST.pack(REQUEST_MAGIC, VERSION, request.kind, request.sequence, request.time, *request.position,
-                         *request.orientation, request.flags, 0)
+    return _REQUEST.pack(REQUEST_MAGIC, VERSION, request.kind, request.sequence, request.time, request.session,
+                         *request.position, *request.orientation, request.flags, 0)
 
 
 def decode_request(packet: bytes | bytearray | memoryview) -> Request:
@@ -164,18 +175,19 @@ def decode_request(packet: bytes | bytearray | memoryview) -> Request:
         WireError: not a request; or of this version with another size, kind, flag, or something in the reserved field.
     """
     _check(packet, REQUEST_MAGIC, REQUEST_SIZE)
-    (_, _, kind, sequence, time, x, y, z, qw, qx, qy, qz, flags, reserved) = _REQUEST.unpack(packet)
+    (_, _, kind, sequence, time, session, x, y, z, qw, qx, qy, qz, flags, reserved) = _REQUEST.unpack(packet)
     if kind not in _KINDS or flags > _ALL_FLAGS or reserved:
         raise WireError(f"unknown kind {kind}, flags {flags:#x} or reserved {reserved:#x}")
-    return Request(sequence, time, (x, y, z), (qw, qx, qy, qz), kind, flags)
+    return Request(sequence, time, (x, y, z), (qw, qx, qy, qz), session, kind, flags)
 
 
 def encode_reply(reply: Reply) -> bytes:
     """The packet of a reply, `REPLY_SIZE` bytes."""
-    (status, sequence, time, force, torque, stiffness, age, compute_time, residual, dt, iterations, flags,
-     malformed, stale, skipped, turned_away) = reply
-    return _REPLY.pack(REPLY_MAGIC, VERSION, status, sequence, time, *force, *torque, *chain.from_iterable(stiffness),
-                       age, compute_time, residual, dt, iterations, flags, malformed, stale, skipped, turned_away)
+    (status, sequence, time, session, force, torque, stiffness, step_stiffness, age, compute_time, residual, dt,
+     iterations, flags, malformed, stale, skipped, turned_away) = reply
+    return _REPLY.pack(REPLY_MAGIC, VERSION, status, sequence, time, session, *force, *torque,
+                       *chain.from_iterable(stiffness), *chain.from_iterable(step_stiffness), age, compute_time,
+                       residual, dt, iterations, flags, malformed, stale, skipped, turned_away)
 
 
 def decode_reply(packet: bytes | bytearray | memoryview) -> Reply:
@@ -187,8 +199,9 @@ def decode_reply(packet: bytes | bytearray | memoryview) -> Reply:
     """
     _check(packet, REPLY_MAGIC, REPLY_SIZE)
     values = _REPLY.unpack(packet)
-    stiffness = tuple(values[start:start + 6] for start in range(11, 47, 6))
-    return Reply._make((*values[2:5], values[5:8], values[8:11], stiffness, *values[47:]))
+    stiffness, step_stiffness = (tuple(values[start:start + 6] for start in range(first, first + 36, 6))
+                                 for first in (12, 48))
+    return Reply._make((*values[2:6], values[6:9], values[9:12], stiffness, step_stiffness, *values[84:]))
 
 
 _KINDS = frozenset(map(int, Kind))

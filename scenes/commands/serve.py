@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from scenes.catalogue import SCENES
 from scenes.commands.shared.console import progress_console
 from scenes.commands.shared.experiment_flags import add_experiment_flags, check_scene, make_experiment, make_protocol
-from scenes.commands.shared.parsing import Parser, add_json, at_least, not_negative
+from scenes.commands.shared.parsing import Parser, add_json, at_least, not_negative, positive
 from scenes.commands.shared.tissue_flags import add_solver_flags, check_solver
 from scenes.stop_signals import stopped_by_signals
 
@@ -23,9 +23,13 @@ if TYPE_CHECKING:
 SUMMARY = "serve forces to a program of your own: poses in, forces out over UDP, configuration as JSON over TCP"
 EXAMPLE = "tissue-sim serve --scene needle_indentation --material m.material.json --port 47700"
 PORT = 47700
-_LAST_PORT = 65535
+_LAST_PORT, _LARGEST_SESSION = 65535, 2**64 - 1
 #: Of a step at 1 kHz, us; and from one packet of a 1 kHz client to the next, with a margin.
 BUDGET_US, SPIN_US = 800.0, 2000.0
+#: As `haptics.server` has them.
+SILENCE_S, LARGEST_FORCE_N = 5.0, 100.0
+#: A tool that is deeper than this share of the specimen's height is none of the scene.
+DEEPEST = 0.9
 
 
 def add_arguments(parser: Parser) -> None:
@@ -42,6 +46,14 @@ def add_arguments(parser: Parser) -> None:
                          help="address of the network interface (default: 127.0.0.1, this machine only)")
     network.add_argument("--expose", action="store_true",
                          help="allow a --host that other machines can reach: they need no password")
+    network.add_argument("--session", type=at_least(1, _LARGEST_SESSION), metavar="N",
+                         help="the one client that may have the tissue shows this number in its packets (default: "
+                              "whoever comes first)")
+    network.add_argument("--silence-s", type=positive, metavar="T", default=SILENCE_S,
+                         help="a client that is silent for so long loses the tissue to another (default: %(default)g)")
+    safety = parser.add_argument_group("safety")
+    safety.add_argument("--largest-force-N", type=positive, metavar="F", default=LARGEST_FORCE_N,
+                        help=f"no reply has more; at most {LARGEST_FORCE_N:g} (default: %(default)g)")
     timing = parser.add_argument_group("timing")
     timing.add_argument("--budget-us", type=not_negative, metavar="N",
                         help="wall time of a step after which the last equilibrium's force is carried on; 0: however "
@@ -64,21 +76,39 @@ def run(arguments) -> int:
 
     import tissue_sim as ts
     from haptics.loop.real_time import real_time
+    from haptics.server.scene_limits import SceneLimits
     from haptics.server.server import TissueServer
+    from tissue_sim.errors import InputError
     from tissue_sim.parameters import parameter_values
+
+    if arguments.largest_force_N > LARGEST_FORCE_N:
+        raise InputError(f"{arguments.largest_force_N:g} N is more than a scene gives; {LARGEST_FORCE_N:g} N is the "
+                         "most", field="--largest-force-N")
 
     material_file = ts.read_material_file(arguments.material)
     material = material_file.material
     experiment = make_experiment(arguments, make_protocol(arguments), material)
     port = arguments.port if arguments.configuration_port is None else arguments.configuration_port
     progress = progress_console(quiet=arguments.json)
+
+    def build() -> ts.Simulator:
+        return ts.Simulator(ts.Model(experiment, material), resolution=arguments.resolution,
+                            budget=budget(arguments), inertia=arguments.inertia, solver=arguments.solver)
+
+    def rebuild() -> ts.Simulator:
+        another = build()
+        another.warm_up()
+        return another
+
     with progress.status("making the mesh"):
-        simulator = ts.Simulator(ts.Model(experiment, material), resolution=arguments.resolution,
-                                 budget=budget(arguments), inertia=arguments.inertia, solver=arguments.solver)
+        simulator = build()
+    limits = SceneLimits(deepest=DEEPEST * experiment.specimen.height, force=arguments.largest_force_N)
     # The ports come before the compilation: one that is taken should be known at once.
     with TissueServer(simulator, host=arguments.host, port=arguments.port, configuration_port=port,
                       description=lambda: describe(arguments, experiment, material_file, simulator),
-                      parameters=parameter_values(material), spin=spin(arguments), expose=arguments.expose) as server:
+                      parameters=parameter_values(material), silence=arguments.silence_s, limits=limits,
+                      rebuild=rebuild, session=arguments.session, spin=spin(arguments),
+                      expose=arguments.expose) as server:
         with progress.status("loading the solver (a machine's first run compiles it)"):
             simulator.warm_up()
         gc.collect()
@@ -124,6 +154,7 @@ def describe(arguments, experiment: Experiment, material_file, simulator) -> dic
         "force_error": simulator.force_error,
         "inertia": arguments.inertia,
         "budget": simulator.budget,
+        "limits": {"deepest": DEEPEST * specimen.height, "force": arguments.largest_force_N},
         "solver": arguments.solver,
         "mesh": None if mesh is None else {"elements": len(mesh.connectivity), "element": mesh.element.name},
     }
@@ -151,7 +182,8 @@ def report(server: TissueServer, stream) -> None:
     """The counters in two sentences."""
     counters = server.counters
     print(f"answered {counters.steps} poses of {counters.clients} clients: {counters.converged} converged, "
-          f"{counters.late} late, {counters.stopped} stopped, {counters.refused} refused", file=stream)
+          f"{counters.late} late, {counters.stopped} stopped, {counters.refused} refused, {counters.fading} fading, "
+          f"{counters.returning} returning, {counters.failed} failed", file=stream)
     print(f"not answered: {counters.skipped} skipped for newer ones, {counters.stale} stale, {counters.malformed} "
           f"malformed; turned away: {counters.turned_away} of other clients, {counters.other_version} of another "
-          "version", file=stream)
+          f"version, {counters.flooded} of who sends too many", file=stream)

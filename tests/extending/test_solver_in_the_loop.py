@@ -55,7 +55,7 @@ def test_through_multi_rate(spring, path):
 
 def test_through_a_server(spring, path):
     twin, pulls = simulator(), []
-    with TissueServer(simulator()) as server:
+    with TissueServer(simulator(), releases=False) as server:
         thread = threading.Thread(target=server.run)
         thread.start()
         try:

@@ -125,7 +125,7 @@ def test_through_the_step_service(toy, path):
     for number, pose in enumerate(path):
         assert service.take(encode_request(Request(number, DT * number, pose.position, pose.orientation)), "client",
                             0.0) is None
-        packet, _ = service.step()
+        packet, _ = service.step(0.0)
         reply, expected = decode_reply(packet), tissue.step(pose, DT)
         assert reply.status == Status.CONVERGED
         same(reply.force + reply.torque, expected.wrench)
@@ -134,7 +134,7 @@ def test_through_the_step_service(toy, path):
 
 def test_through_a_server(toy, path):
     tissue = toy.ToyTissue()
-    with TissueServer(toy.ToyTissue()) as server:
+    with TissueServer(toy.ToyTissue(), releases=False) as server:
         thread = threading.Thread(target=server.run)
         thread.start()
         try:

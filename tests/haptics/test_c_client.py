@@ -139,20 +139,23 @@ def test_what_goes_wrong_is_one_sentence(drive_needle, path_file, tmp_path):
     assert done.stderr == "drive_needle: nothing listens on that port; start tissue-sim serve\n"
 
 
-@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize("version", [2, 3])
 def test_only_the_reply_of_this_version_to_this_request_counts(drive_needle, version):
-    """A server that first sends noise and the reply to an older request."""
+    """A server that first sends noise, the reply to an older request, and one for another session."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as server:
         server.bind(("127.0.0.1", 0))
         server.settimeout(60.0)
 
         def answer():
-            for sequence in range(3 if version == 1 else 2):  # the last is the goodbye
+            for sequence in range(3 if version == 2 else 2):  # the last is the goodbye
                 packet, address = server.recvfrom(200)
-                assert decode_request(packet).sequence == sequence
+                request = decode_request(packet)
+                assert request.sequence == sequence and request.session != 0
                 server.sendto(b"noise", address)
-                server.sendto(encode_reply(Reply(0, sequence - 1 & 2**64 - 1, 0.0, (0.0, 0.0, -1.0))), address)
-                reply = bytearray(encode_reply(Reply(0, sequence, 0.0, (0.0, 0.0, 7.0))))
+                for other in (Reply(0, sequence - 1 & 2**64 - 1, 0.0, request.session, (0.0, 0.0, -1.0)),
+                              Reply(0, sequence, 0.0, request.session + 1 & 2**64 - 1, (0.0, 0.0, -2.0))):
+                    server.sendto(encode_reply(other), address)
+                reply = bytearray(encode_reply(Reply(0, sequence, 0.0, request.session, (0.0, 0.0, 7.0))))
                 reply[4] = version
                 server.sendto(reply, address)
 
@@ -161,7 +164,7 @@ def test_only_the_reply_of_this_version_to_this_request_counts(drive_needle, ver
         done = drive(drive_needle, server.getsockname()[1], 0.001, 1)
         thread.join(60.0)
         assert not thread.is_alive()
-    if version == 1:
+    if version == 2:
         assert [force for _, force, _ in forces(done)] == [7.0, 7.0]
     else:
         assert done.returncode == 1
@@ -170,11 +173,11 @@ def test_only_the_reply_of_this_version_to_this_request_counts(drive_needle, ver
 
 def test_refused_pose_reaches_the_program(drive_needle, tmp_path):
     path = tmp_path / "path.txt"
-    path.write_text("0.0 0.001\n0.1 nan\n-5.0 0.001\n0.2 0.002\n", encoding="utf-8")
+    path.write_text("0.0 0.00005\n0.1 nan\n-5.0 0.00005\n0.15 1e300\n0.2 0.002\n", encoding="utf-8")
     with serving(Gel()) as port:
         answered = forces(drive(drive_needle, port, path))
-    assert [status for _, _, status in answered] == [0, 3, 3, 0]
-    assert answered[1][1] == answered[2][1] == answered[0][1]
+    assert [status for _, _, status in answered] == [0, 3, 3, 3, 0]
+    assert answered[1][1] == answered[2][1] == answered[3][1] == answered[0][1]
 
 
 @pytest.mark.skipif(CPLUSPLUS is None, reason="compiles the C client's header as C++ and finds no C++ compiler on this "

@@ -1,6 +1,7 @@
 """A tissue server on real sockets: poses in, forces out, one client at a time, one thread."""
 
 import socket
+import sys
 import threading
 from contextlib import contextmanager
 from types import SimpleNamespace
@@ -38,8 +39,8 @@ class MaxwellTissue:
 
 @contextmanager
 def serving(tissue, **options):
-    """A server that runs in a thread of its own."""
-    with TissueServer(tissue, **options) as server:
+    """A server that runs in a thread of its own; its forces are those of the tissue from the first one on."""
+    with TissueServer(tissue, **{"releases": False, **options}) as server:
         thread = threading.Thread(target=server.run)
         thread.start()
         try:
@@ -113,6 +114,46 @@ def test_silent_client_loses_the_tissue(monkeypatch):
         first.close()
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="two sockets on a port, one of them of the owner, are Linux'")
+def test_a_flood_of_others_does_not_take_the_tissue_or_the_time(server):
+    """Ten thousand packets that wait before each of the owner's: its own are answered, first and all of them."""
+    with TissueClient(server.address[1], timeout=60.0) as client, \
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as flooder:
+        assert client.step(0.001).status == Status.CONVERGED
+        sequence = 0
+        for _ in range(20):
+            for _ in range(500):
+                flooder.sendto(encode_request(Request(sequence, 0.0, session=5)), server.address)
+                sequence += 1
+            assert client.step(0.001).status == Status.CONVERGED
+    assert server.counters.clients == 1 and server.counters.flooded > 0
+
+
+def test_who_begins_inside_the_tissue_begins_without_a_force():
+    with serving(MaxwellTissue(), releases=True) as server, TissueClient(server.address[1], timeout=60.0) as client:
+        reply = client.step(0.001)
+        assert (reply.status, reply.force[2]) == (Status.RETURNING, 0.0)
+        while reply.status == Status.RETURNING:
+            reply = client.step(0.001)
+        assert reply.status == Status.CONVERGED and reply.force[2] > 1.0
+
+
+def test_a_step_that_raises_costs_no_server(server, capfd):
+    tissue = server._service.tissue
+    step = tissue.step
+
+    def fail(pose, dt):
+        raise OverflowError("cannot convert float infinity to integer")
+
+    with TissueClient(server.address[1], timeout=60.0) as client:
+        client.step(0.0)
+        tissue.step = fail
+        assert client.step(0.0).status == Status.FAILED
+        tissue.step = step
+        assert client.step(0.0).status == Status.CONVERGED
+    assert "a step failed (OverflowError: cannot convert" in capfd.readouterr().err
+
+
 def test_noise_is_dropped_and_the_server_goes_on(server):
     with TissueClient(server.address[1], timeout=60.0) as client, \
             socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
@@ -141,11 +182,11 @@ def test_client_says_when_the_server_speaks_another_version():
 
         def answer():
             packet, address = future.recvfrom(200)
-            future.sendto(b"TSRP\x02\x00" + packet[6:24], address)
+            future.sendto(b"TSRP\x03\x00" + packet[6:24], address)
 
         thread = threading.Thread(target=answer)
         thread.start()
-        with pytest.raises(InputError, match="speaks version 2 of the protocol, and this client 1"):
+        with pytest.raises(InputError, match="speaks version 3 of the protocol, and this client 2"):
             client.step(0.001)
         thread.join()
         client._socket.close()

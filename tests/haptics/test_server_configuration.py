@@ -84,7 +84,7 @@ class Line:
 
 @pytest.fixture
 def server():
-    with TissueServer(SettableTissue(), configuration_port=0, description=DESCRIPTION,
+    with TissueServer(SettableTissue(), releases=False, configuration_port=0, description=DESCRIPTION,
                       parameters={"C10": 1e3}) as server:
         thread = threading.Thread(target=server.run)
         thread.start()
@@ -109,7 +109,7 @@ def client(server):
 
 def test_describe_says_what_is_served(line):
     answer = line.ask("describe")
-    assert answer["protocol"] == {"version": 1, "request_bytes": 88, "reply_bytes": 432}
+    assert answer["protocol"] == {"version": 2, "request_bytes": 96, "reply_bytes": 728}
     assert "z out of the tissue" in answer["frame"]
     assert answer["scene"] == "needle_indentation" and answer["mesh"] == {"elements": 80}
     assert answer["parameters"] == {"C10": 1e3} and "surface" in answer["commands"]

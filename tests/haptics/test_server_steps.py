@@ -7,6 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from haptics.safety.force_release import ForceRelease
+from haptics.server.scene_limits import SceneLimits
 from haptics.server.steps import StepService
 from haptics.server.wire import Kind, Request, RequestFlags, Status, decode_reply, encode_request
 from tissue_sim.errors import InputError
@@ -32,7 +34,7 @@ class NotedTissue:
 
 @pytest.fixture
 def service():
-    return StepService(NotedTissue(), silence=1.0)
+    return StepService(NotedTissue(), silence=1.0, log=[].append)
 
 
 def packet(sequence, time=None, depth=0.001, **changes):
@@ -45,7 +47,7 @@ def ask(service, *packets, address=A, now=0.0):
     at_once = None
     for one in packets:
         at_once = service.take(one, address, now)
-    answer = service.step()
+    answer = service.step(now)
     if answer is None:
         return None if at_once is None else decode_reply(at_once)
     assert answer[1] == address
@@ -93,7 +95,8 @@ def test_what_is_no_request_is_dropped_and_counted(service):
 @pytest.mark.parametrize("changes", [
     {"position": (0.0, 0.0, math.nan)}, {"position": (math.inf, 0.0, 0.0)}, {"orientation": (math.nan, 0, 0, 0)},
     {"orientation": (1.0, 0.1, 0.0, 0.0)}, {"orientation": (0.0, 0.0, 0.0, 0.0)}, {"time": math.nan},
-    {"time": math.inf}, {"time": -0.001},
+    {"time": math.inf}, {"time": -0.001}, {"time": 1e300}, {"time": 1e6},
+    {"position": (0.0, 0.0, 1e300)}, {"position": (0.0, 0.0, -1e300)}, {"position": (0.0, 11.0, -0.003)},
 ], ids=str)
 def test_refused_pose_keeps_the_state_and_the_last_force(service, changes):
     ask(service, packet(0, 0.0, depth=0.003))
@@ -162,7 +165,7 @@ def test_silent_owner_loses_the_tissue_to_another(service):
 
 def test_silence_begins_with_the_reply_not_with_the_packet(service):
     service.take(packet(0), A, 0.0)
-    service.step()
+    service.step(0.0)
     service.answered(5.0)  # a long step
     assert ask(service, packet(0), address=B, now=5.9).status == Status.BUSY
 
@@ -190,8 +193,8 @@ def test_goodbye_frees_the_tissue_at_once(service):
 
 def test_other_version_is_answered_with_ours(service):
     strange = bytearray(packet(77, 1.5))
-    strange[4:6] = b"\x02\x00"
-    reply = ask(service, bytes(strange) + b"more of version 2")
+    strange[4:6] = b"\x03\x00"
+    reply = ask(service, bytes(strange) + b"more of version 3")
     assert (reply.status, reply.sequence, reply.time) == (Status.OTHER_VERSION, 77, 1.5)
     assert service.owner is None and service.counters.other_version == 1
 
@@ -205,13 +208,150 @@ def test_statuses_are_counted(service):
     assert (counters.steps, counters.converged, counters.late, counters.stopped, counters.refused) == (5, 1, 2, 1, 1)
 
 
+class TestSceneLimits:
+    def test_deeper_than_the_specimen_is_refused(self):
+        service = StepService(NotedTissue(), limits=SceneLimits(deepest=0.07))
+        assert ask(service, packet(0, 0.0, depth=0.05)).status == Status.CONVERGED
+        for number, depth in enumerate((0.071, 0.1, 1e3, 1e300, 1.7e308), start=1):
+            assert ask(service, packet(number, 0.1, depth=depth)).status == Status.REFUSED
+        assert service.tissue.steps == [(0.05, 0.0)]
+
+    def test_who_jumps_in_the_tissue_is_heard_again_when_the_time_has_passed(self, service):
+        ask(service, packet(0, 0.0, depth=0.0))
+        replies = [ask(service, packet(k, 1e-3 * k, depth=0.45)) for k in range(1, 8)]
+        assert [reply.status for reply in replies[:4]] == [Status.REFUSED] * 4
+        assert replies[-1].status == Status.CONVERGED and max(reply.dt for reply in replies) == 5e-3
+
+    def test_above_the_tissue_a_tool_may_be_anywhere_at_once(self, service):
+        heights = [-0.2, -5.0, -0.001, 0.001]
+        assert [ask(service, packet(k, depth=depth)).status for k, depth in enumerate(heights)] == [0, 0, 0, 0]
+
+    def test_a_step_of_no_time_is_a_sudden_one(self, service):
+        ask(service, packet(0, 1.0, depth=0.0))
+        assert ask(service, packet(1, 1.0, depth=0.02)).status == Status.CONVERGED
+
+    def test_no_reply_has_more_than_the_largest_force(self):
+        service = StepService(NotedTissue(), limits=SceneLimits(force=2.5))
+        reply = ask(service, packet(0, depth=0.002))
+        assert (reply.force[2], reply.flags, service.counters.limited) == (2.0, 1, 0)
+        reply = ask(service, packet(1, depth=0.009))
+        assert reply.force == (0.0, 0.0, 2.5) and reply.flags == 3 and service.counters.limited == 1
+        assert not any(map(any, reply.stiffness)) and not any(map(any, reply.step_stiffness))
+
+    @pytest.mark.parametrize("bad", [{"deepest": 0.0}, {"force": -1.0}, {"speed": math.nan}])
+    def test_a_limit_that_is_none_is_refused(self, bad):
+        with pytest.raises(InputError, match=f"^{next(iter(bad))}: .* is no limit"):
+            SceneLimits(**bad)
+
+
+class TestFailure:
+    @pytest.fixture
+    def failing(self):
+        """A service whose tissue fails below 3 mm, and what it logs; a tissue that is built anew is another one."""
+        class Brittle(NotedTissue):
+            def step(self, pose, dt):
+                if pose.depth > 0.003:
+                    raise OverflowError("cannot convert float infinity\nto integer")
+                return super().step(pose, dt)
+
+        log = []
+        return StepService(Brittle(), rebuild=Brittle, log=log.append), log
+
+    def test_a_step_that_raises_is_failed_and_the_next_one_is_stepped(self, failing):
+        service, log = failing
+        first = service.tissue
+        assert ask(service, packet(0, 0.0, depth=0.002)).force[2] == 2.0
+        reply = ask(service, packet(1, 0.1, depth=0.004))
+        assert (reply.status, reply.force, reply.dt) == (Status.FAILED, (0.0, 0.0, 0.0), 0.0)
+        assert not any(map(any, reply.stiffness))
+        assert len(log) == 1 and "OverflowError: cannot convert" in log[0]
+        assert service.tissue is not first
+        assert ask(service, packet(2, 0.2, depth=0.001)).status == Status.CONVERGED
+        assert service.tissue.steps == [(0.001, 0.0)] and service.counters.failed == 1
+
+    def test_a_force_that_is_no_number_is_a_failure(self, service):
+        service.tissue.step = lambda pose, dt: ToolForce.axial(math.nan, 1.0, ForceStatus.CONVERGED)
+        assert ask(service, packet(0)).status == Status.FAILED and service.tissue.resets == 1
+
+    def test_what_cannot_be_built_anew_is_tried_again(self):
+        made, log = [], []
+
+        def rebuild():
+            made.append(NotedTissue())
+            if len(made) == 1:
+                raise MemoryError("not now")
+            return made[-1]
+
+        service = StepService(NotedTissue(), rebuild=rebuild, log=log.append)
+
+        def fail(pose, dt):
+            raise ZeroDivisionError
+
+        service.tissue.step = fail
+        assert ask(service, packet(0, 0.0)).status == Status.FAILED and "cannot be built anew yet" in log[1]
+        assert ask(service, packet(1, 0.1)).status == Status.CONVERGED and service.tissue is made[1]
+
+
+class TestRelease:
+    @pytest.fixture
+    def service(self):
+        return StepService(NotedTissue(), release=ForceRelease())
+
+    def drive(self, service, depths, start=0, status=ForceStatus.CONVERGED):
+        """Replies at 1 kHz."""
+        service.tissue.step = lambda pose, dt: ToolForce.axial(1e3 * pose.depth, 1e3, status)
+        return [ask(service, packet(start + k, depth=depth), now=1e-3 * (start + k)) for k, depth in enumerate(depths)]
+
+    def test_from_the_air_forces_are_those_of_the_tissue(self, service):
+        replies = self.drive(service, [1e-5 * k for k in range(100)])
+        assert [reply.status for reply in replies] == [Status.CONVERGED] * 100
+        assert [reply.force[2] for reply in replies] == [1e3 * (1e-5 * k) for k in range(100)]
+
+    def test_who_begins_inside_begins_without_a_force(self, service):
+        for first in (0, 1000):  # the second time after a reset from elsewhere
+            service.begin_anew()
+            replies = self.drive(service, [0.003] * 100, start=first)
+            assert (replies[0].status, replies[0].force[2]) == (Status.RETURNING, 0.0)
+            assert replies[-1].status == Status.CONVERGED and replies[-1].force[2] == 3.0
+
+    def test_a_frozen_force_fades_whatever_the_client_says_of_time(self, service):
+        self.drive(service, [0.0, 0.001, 0.002, 0.003])
+        service.tissue.step = lambda pose, dt: ToolForce.axial(3.0, 1e3, ForceStatus.STOPPED)
+        replies = [ask(service, packet(4 + k, 0.003, depth=0.003), now=1e-3 * (4 + k)) for k in range(200)]
+        assert replies[0].force[2] == 3.0 and replies[0].status == Status.STOPPED
+        assert replies[-1].force[2] == replies[-1].stiffness[2][2] == 0.0 and replies[-1].status == Status.FADING
+        back = self.drive(service, [0.002] * 100, start=204)
+        assert back[0].status == Status.RETURNING and back[0].force[2] < 0.01
+        assert back[-1].status == Status.CONVERGED and back[-1].force[2] == 2.0
+
+    def test_a_client_that_only_sends_refused_poses_is_let_go_too(self, service):
+        self.drive(service, [0.0, 0.003])
+        replies = [ask(service, packet(2 + k, math.nan), now=1e-3 * (2 + k)) for k in range(200)]
+        assert {reply.status for reply in replies} == {Status.REFUSED}
+        assert replies[0].force[2] == 3.0 and replies[-1].force[2] == 0.0
+
+
+class TestSession:
+    def test_the_number_is_echoed_and_followed_to_another_port(self, service):
+        assert ask(service, packet(0, session=77), address=A).session == 77
+        assert ask(service, packet(1, session=78), address=A).status == Status.BUSY
+        assert ask(service, packet(2, session=77), address=B).status == Status.CONVERGED
+        assert service.owner == B and service.counters.clients == 1
+
+    def test_a_stated_number_is_the_only_one_that_is_heard(self):
+        service = StepService(NotedTissue(), session=7)
+        assert ask(service, packet(0)).status == ask(service, packet(0, session=8)).status == Status.BUSY
+        assert service.owner is None and ask(service, packet(0, session=7)).status == Status.CONVERGED
+        assert ask(service, packet(1, kind=Kind.GOODBYE, session=8)).status == Status.BUSY and service.owner == A
+
+
 @given(st.lists(st.tuples(st.sampled_from(["step", "take A", "take B", "noise", "wait", "bye"]), st.integers(0, 30))))
 def test_every_packet_is_counted_once(events):
     """Taken packets are stepped, skipped, stale, turned away, malformed or goodbyes."""
     service, now, taken, goodbyes = StepService(NotedTissue(), silence=1.0), 0.0, 0, 0
     for what, sequence in events:
         if what == "step":
-            service.step()
+            service.step(now)
             service.answered(now)
         elif what == "wait":
             now += sequence / 10
@@ -220,7 +360,7 @@ def test_every_packet_is_counted_once(events):
             at_once = service.take(one, B if what == "take B" else A, now)
             taken += 1
             goodbyes += at_once is not None and decode_reply(at_once).status == Status.RELEASED
-    service.step()
+    service.step(now)
     counters = service.counters
     assert counters.steps == len(service.tissue.steps)
     assert taken == (counters.steps + counters.skipped + counters.stale + counters.turned_away + counters.malformed

@@ -28,24 +28,27 @@ from tissue_sim.tool_force import ForceStatus
 U16, U32, U64 = (st.integers(0, 2**bits - 1) for bits in (16, 32, 64))
 REAL = st.floats(allow_nan=False)
 VECTOR = st.tuples(REAL, REAL, REAL)
-REQUESTS = st.builds(Request, U64, REAL, VECTOR, st.tuples(REAL, REAL, REAL, REAL), st.sampled_from([1, 2]),
+REQUESTS = st.builds(Request, U64, REAL, VECTOR, st.tuples(REAL, REAL, REAL, REAL), U64, st.sampled_from([1, 2]),
                      st.sampled_from([0, 1]))
-REPLIES = st.builds(Reply, U16, U64, REAL, VECTOR, VECTOR, st.tuples(*[st.tuples(*[REAL] * 6)] * 6), REAL, REAL, REAL,
-                    REAL, U32, U32, U64, U64, U64, U64)
+MATRIX = st.tuples(*[st.tuples(*[REAL] * 6)] * 6)
+REPLIES = st.builds(Reply, U16, U64, REAL, U64, VECTOR, VECTOR, MATRIX, MATRIX, REAL, REAL, REAL, REAL, U32, U32, U64,
+                    U64, U64, U64)
 
 #: Written by hand from the table of the page: IEEE 754 of 1, 2, 0.5, -0.25 ... with the low byte first.
 ZERO, ONE, TWO, HALF = bytes(8), bytes.fromhex("000000000000f03f"), bytes.fromhex("0000000000000040"), \
     bytes.fromhex("000000000000e03f")
 MINUS_QUARTER = bytes.fromhex("000000000000d0bf")
-GOLDEN_REQUEST = (b"TSRQ" + bytes.fromhex("0100" "0100" "0807060504030201") + HALF + ONE + TWO + MINUS_QUARTER
+GOLDEN_REQUEST = (b"TSRQ" + bytes.fromhex("0200" "0100" "0807060504030201") + HALF
+                  + bytes.fromhex("1122334455667788") + ONE + TWO + MINUS_QUARTER
                   + ONE + ZERO + ZERO + ZERO + bytes.fromhex("01000000" "00000000"))
 
 
 def test_request_has_its_golden_bytes():
-    request = Request(0x0102030405060708, 0.5, (1.0, 2.0, -0.25), flags=RequestFlags.RESET)
+    request = Request(0x0102030405060708, 0.5, (1.0, 2.0, -0.25), session=0x8877665544332211,
+                      flags=RequestFlags.RESET)
     assert encode_request(request) == GOLDEN_REQUEST
     assert decode_request(GOLDEN_REQUEST) == request
-    assert len(GOLDEN_REQUEST) == REQUEST_SIZE == 88
+    assert len(GOLDEN_REQUEST) == REQUEST_SIZE == 96
 
 
 def test_goodbye_is_a_kind():
@@ -55,19 +58,23 @@ def test_goodbye_is_a_kind():
 def test_reply_has_its_golden_bytes():
     stiffness = [[0.0] * 6 for _ in range(6)]
     stiffness[2][2], stiffness[5][0] = 2.0, 1.0
-    reply = Reply(Status.LATE, 7, 1.0, (0.0, 0.0, 2.0), (0.5, 0.0, 0.0), tuple(map(tuple, stiffness)), age=0.5,
-                  compute_time=1.0, residual=2.0, dt=-0.25, iterations=3, flags=1, malformed=4, stale=5, skipped=6,
-                  turned_away=258)
-    golden = (b"TSRP" + bytes.fromhex("0100" "0100" "0700000000000000") + ONE
-              + ZERO + ZERO + TWO                                    # force, from byte 24
-              + HALF + ZERO + ZERO                                   # torque, from byte 48
-              + ZERO * 14 + TWO + ZERO * 15 + ONE + ZERO * 5         # stiffness by rows, from byte 72
-              + HALF + ONE + TWO + MINUS_QUARTER                     # from byte 360
-              + bytes.fromhex("03000000" "01000000")                 # from byte 392
+    within = [[0.0] * 6 for _ in range(6)]
+    within[0][1] = 0.5
+    reply = Reply(Status.LATE, 7, 1.0, 9, (0.0, 0.0, 2.0), (0.5, 0.0, 0.0), tuple(map(tuple, stiffness)),
+                  tuple(map(tuple, within)), age=0.5, compute_time=1.0, residual=2.0, dt=-0.25, iterations=3, flags=1,
+                  malformed=4, stale=5, skipped=6, turned_away=258)
+    golden = (b"TSRP" + bytes.fromhex("0200" "0100" "0700000000000000") + ONE
+              + bytes.fromhex("0900000000000000")                    # session, from byte 24
+              + ZERO + ZERO + TWO                                    # force, from byte 32
+              + HALF + ZERO + ZERO                                   # torque, from byte 56
+              + ZERO * 14 + TWO + ZERO * 15 + ONE + ZERO * 5         # stiffness by rows, from byte 80
+              + ZERO + HALF + ZERO * 34                              # within the step, from byte 368
+              + HALF + ONE + TWO + MINUS_QUARTER                     # from byte 656
+              + bytes.fromhex("03000000" "01000000")                 # from byte 688
               + bytes.fromhex("0400000000000000" "0500000000000000" "0600000000000000" "0201000000000000"))
     assert encode_reply(reply) == golden
     assert decode_reply(golden) == reply
-    assert len(golden) == REPLY_SIZE == 432
+    assert len(golden) == REPLY_SIZE == 728
 
 
 @given(REQUESTS)
@@ -103,8 +110,8 @@ def test_noise_behind_a_good_head_is_a_request_of_that_size_or_none(noise):
             decode_request(packet)
 
 
-@pytest.mark.parametrize(("at", "value"), [(0, b"TSRP"), (6, b"\x03\x00"), (6, b"\x00\x00"), (80, b"\x02\x00\x00\x00"),
-                                           (84, b"\x01\x00\x00\x00")])
+@pytest.mark.parametrize(("at", "value"), [(0, b"TSRP"), (6, b"\x03\x00"), (6, b"\x00\x00"), (88, b"\x02\x00\x00\x00"),
+                                           (92, b"\x01\x00\x00\x00")])
 def test_a_wrong_field_is_refused(at, value):
     packet = bytearray(GOLDEN_REQUEST)
     packet[at:at + len(value)] = value

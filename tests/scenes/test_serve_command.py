@@ -97,7 +97,7 @@ def test_fast_tool_feels_the_mass(client):
 
 def test_describe_says_what_is_served(ask):
     answer = ask("describe")
-    assert answer["scene"] == "needle_indentation" and answer["protocol"]["version"] == 1
+    assert answer["scene"] == "needle_indentation" and answer["protocol"]["version"] == 2
     assert answer["tool"]["shape"] == "flat" and answer["tool"]["radius"] == 0.008
     assert answer["specimen"]["radius"] == 0.04 and answer["specimen"]["height"] == 0.07
     assert answer["interfaces"]["friction"] == "bonded"
@@ -113,6 +113,20 @@ def test_parameters_are_set_without_a_new_start(ask, client):
     assert ask("set_parameters", parameters={"C10": 1404.9, "C20": 699.4})["parameters"]["C10"] == 1404.9
     assert hard == pytest.approx(2 * soft, rel=1e-4), "K follows mu0"
     assert "did you mean 'C10'?" in ask("set_parameters", parameters={"C1": 3.0})["error"]
+
+
+def test_what_the_scene_cannot_hold_is_refused(ask, client):
+    """Poses that once ended the process, or were answered with 180 kN."""
+    assert ask("describe")["limits"] == {"deepest": pytest.approx(0.063), "force": 100.0}
+    force = advance(client, 0.002).force[2]
+    for k, depth in enumerate((-1e300, 1e300, -1e300, 0.071, 1e3, 0.064)):
+        assert client.step(depth, at=5.0 + k).status == Status.REFUSED
+    assert client.step(0.002, at=1e300).status == Status.REFUSED
+    assert "stiffer than any tissue" in ask("set_parameters", parameters={"C10": 1e41})["error"]
+    reply = client.step(0.002, at=5.0)
+    while reply.status == Status.RETURNING:
+        reply = client.step(0.002, at=5.0)
+    assert reply.status == Status.CONVERGED and reply.force[2] == pytest.approx(force, rel=0.01)
 
 
 def test_surface_follows_the_tool(ask, client):
@@ -132,6 +146,9 @@ def test_states_come_back_with_their_force(ask, client):
     advance(client, 0.0)
     assert "error" not in ask("restore", name="at 2 mm")
     reply = client.step(0.002, at=9.0)
+    assert reply.status == Status.RETURNING and reply.force[2] == 0.0, "a hand that is put into the tissue"
+    while reply.status == Status.RETURNING:
+        reply = client.step(0.002, at=9.0)
     assert reply.force[2] == pytest.approx(force, rel=1e-5)
 
 
@@ -151,6 +168,8 @@ def test_ctrl_c_ends_with_counters(root, material):
     (["--port", "70000"], "'70000' is too many"),
     (["--host", "0.0.0.0"], "host: 0.0.0.0 can be reached by other machines"),
     (["--scene", "needle"], "unknown scene 'needle'"),
+    (["--largest-force-N", "1e6"], "--largest-force-N: 1e+06 N is more than a scene gives; 100 N is the most"),
+    (["--session", "0"], "'0' is not a whole number of at least 1"),
     (["--spin-us", "-1"], "'-1' is not a number of zero or more"),
 ])
 def test_bad_input_is_one_sentence(material, capsys, words, expected):
