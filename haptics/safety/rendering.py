@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from haptics.safety.coupling import VirtualCoupling
 from haptics.safety.limits import ForceLimits
-from haptics.safety.passivity import PassivityController, PassivityObserver
+from haptics.safety.passivity import EnergyLimit, PassivityController, PassivityObserver
 from haptics.safety.watchdog import Watchdog, WatchdogState
 from tissue_sim.pose import Pose, Screw, scaled
 from tissue_sim.tool_force import ForceStatus, ToolForce
@@ -22,10 +22,11 @@ class RenderFlag(IntFlag):
     INVALID = 4
     LOST_POSE = 8
     ACTIVE = 16
+    ENERGY = 32
 
 
 # Plain numbers: arithmetic on enumerations costs a microsecond each.
-_LIMITED, _RATE_LIMITED, _INVALID, _LOST_POSE, _ACTIVE = (flag.value for flag in RenderFlag)
+_LIMITED, _RATE_LIMITED, _INVALID, _LOST_POSE, _ACTIVE, _ENERGY = (flag.value for flag in RenderFlag)
 _NO_WRENCH: Screw = (0.0,) * 6
 _NOT_KNOWN: Screw = (math.nan,) * 6
 
@@ -84,6 +85,11 @@ class RenderedForce(NamedTuple):
         """The held force has given out more than was put in."""
         return bool(self.flags & _ACTIVE)
 
+    @property
+    def out_of_energy(self) -> bool:
+        """So much more came out than was put in that there is no force until a reset."""
+        return bool(self.flags & _ENERGY)
+
 
 class ForceRendering:
     """One tick: coupling, tissue (stepped by the caller), passivity controller, watchdog, limits, observers.
@@ -96,14 +102,16 @@ class ForceRendering:
         coupling: between device and simulated tool; None: the device's pose goes to the tissue as it is.
         watchdog: for a pose that stays away.
         controller_damping: most that a passivity controller may add, N s/m; None: observe only.
+        energy_limit: takes the force away where far too much energy has come out; None: never.
 
     Attributes:
         observer, held_observer: energy at the device, by the trapezoidal rule and with the wrench held.
     """
 
     def __init__(self, limits: ForceLimits, coupling: VirtualCoupling | None = None, watchdog: Watchdog | None = None,
-                 controller_damping: float | None = None):
+                 controller_damping: float | None = None, energy_limit: EnergyLimit | None = None):
         self.limits, self.coupling, self.watchdog = limits, coupling, watchdog or Watchdog()
+        self.energy_limit = energy_limit or EnergyLimit(math.inf)
         self.observer, self.held_observer = PassivityObserver(), PassivityObserver(held=True)
         self.controller = (None if controller_damping is None
                            else PassivityController(self.held_observer, controller_damping))
@@ -111,7 +119,8 @@ class ForceRendering:
 
     def reset(self):
         """As if nothing had been touched, seen or missed."""
-        for part in (self.limits, self.coupling, self.watchdog, self.observer, self.held_observer):
+        for part in (self.limits, self.coupling, self.watchdog, self.observer, self.held_observer,
+                     self.energy_limit):
             if part is not None:
                 part.reset()
         self._device: Pose | None = None
@@ -157,6 +166,8 @@ class ForceRendering:
             if gain != 1.0:
                 given = scaled(gain, given)
         limits, observer, held = self.limits, self.observer, self.held_observer
+        if not self.energy_limit.step(held.energy, dt if 0 < dt < math.inf else 0.0):
+            given = _NO_WRENCH
         given = limits.step(given)
         if seen is not None:
             way = held.way(seen)
@@ -169,6 +180,8 @@ class ForceRendering:
             flags |= _RATE_LIMITED
         if limits.invalid:
             flags |= _INVALID
+        if self.energy_limit.exceeded:
+            flags |= _ENERGY
         if self.watchdog.gain < 1.0:
             flags |= _LOST_POSE
         return RenderedForce(given, self._proxy, flags, self.watchdog.state, observer.energy, held.energy)

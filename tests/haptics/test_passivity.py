@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from haptics.safety.coupling import VirtualCoupling
-from haptics.safety.passivity import PassivityController, PassivityObserver
+from haptics.safety.passivity import EnergyLimit, PassivityController, PassivityObserver
 from tissue_sim import InputError
 from tissue_sim.pose import Pose
 from tissue_sim.tool_force import ForceStatus, ToolForce
@@ -220,3 +220,31 @@ def test_settings_that_mean_nothing_are_refused():
         PassivityController(PassivityObserver(), 1.0)
     with pytest.raises(InputError, match="damping"):
         PassivityController(PassivityObserver(held=True), 0.0)
+
+
+class TestEnergyLimit:
+    def test_what_was_stored_may_come_back(self):
+        limit = EnergyLimit(1.0)
+        press = np.linspace(0.0, 0.9, 100)
+        assert all(limit.step(energy, TICK) for energy in [*press, *press[::-1]] * 5)
+
+    def test_what_never_went_in_does_not_come_out(self):
+        limit = EnergyLimit(1.0)
+        energies = np.linspace(0.0, -1.5, 151)
+        given = [limit.step(energy, TICK) for energy in energies]
+        assert given == [bool(energy > -1.0 - TICK) for energy in energies]
+        assert not limit.step(5.0, TICK), "until somebody says that it may"
+        limit.reset()
+        assert limit.step(0.0, TICK) and not limit.exceeded
+
+    def test_a_little_in_a_long_time_is_forgiven(self):
+        limit = EnergyLimit(1.0)
+        assert all(limit.step(-0.9 * second / limit.FORGIVEN, 1.0) for second in range(3600))
+        limit.reset()
+        assert not all(limit.step(-1.1 * second / limit.FORGIVEN, 1.0) for second in range(3600))
+
+    @pytest.mark.parametrize("energy", [0.0, -1.0, math.nan])
+    def test_what_limits_nothing_is_refused(self, energy):
+        with pytest.raises(InputError, match=r"energy: .* is no limit"):
+            EnergyLimit(energy)
+        assert EnergyLimit(math.inf).step(-1e9, TICK)

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from haptics.loop.local_model import LocalModel, LocalModelBlend
 from haptics.safety.coupling import VirtualCoupling
 from haptics.safety.limits import ForceLimits
+from haptics.safety.passivity import EnergyLimit
 from haptics.safety.rendering import ForceRendering, RenderFlag
 from haptics.safety.watchdog import Watchdog, WatchdogState
 from tissue_sim.pose import Pose
@@ -216,3 +217,17 @@ def test_torque_goes_to_the_hand_and_a_turned_device_turns_the_tool(coupled):
     rendered = rendering.render(answer, DT)
     assert rendered.wrench[3:] == answer.wrench[3:]
     assert coupled or rendered.wrench == answer.wrench
+
+
+def test_tissue_that_drives_a_hand_is_let_go_for_good():
+    """A wrong sign: pulled in with 500 N/m over 0.1 m 2.5 J come out; with a limit of 0.2 J little more than that."""
+    for energy, most in ((math.inf, 2.0), (0.2, 0.3)):
+        rendering = ForceRendering(ForceLimits(100.0, 5.0), energy_limit=EnergyLimit(energy))
+        rendered = run(rendering, Spring(-500.0), [1e-4 * k for k in range(1001)])
+        assert rendered[-1].out_of_energy == (energy < math.inf)
+        assert (rendered[-1].force == 0.0) == (energy < math.inf)
+        assert most / 2 < -rendered[-1].held_energy < most * 1.5
+    flagged = [tick.flags & RenderFlag.ENERGY for tick in rendered]
+    assert flagged == sorted(flagged), "until a reset"
+    rendering.reset()
+    assert not run(rendering, Spring(), [0.0, 1e-3])[-1].out_of_energy

@@ -26,7 +26,7 @@ EXAMPLE = "tissue-sim loop needle_indentation --material m.material.json --secon
 #: What stops a mistyped motion, not what a device bears, N and N per tick.
 FORCE_LIMIT, FORCE_RATE = 100.0, 1.0
 #: Of real devices, unless the flags say otherwise: the hands of docs/haptic_rendering.md that do not shake with it.
-COUPLING, CONTROLLER = (1000.0, 1.0), 2.0
+COUPLING, CONTROLLER, ENERGY_LIMIT = (1000.0, 1.0), 2.0, 1.0
 #: Wall time of a step in a tick of 1000, us: the rest is for rendering, ring and surface.
 BUDGET = 800.0
 INTERRUPTED = 130
@@ -77,6 +77,9 @@ def add_arguments(parser: Parser) -> None:
     timing.add_argument("--passivity-damping-N-s-m", type=not_negative, metavar="N",
                         help="most that the passivity controller adds while more energy has come out than was put in; "
                              f"0: no controller (default: none, and {CONTROLLER:g} for such a device)")
+    timing.add_argument("--energy-limit-J", type=positive, metavar="N",
+                        help="no force any more where so much more energy has come out than was put in (default: none, "
+                             f"and {ENERGY_LIMIT:g} for a device)")
     timing.add_argument("--ring", type=Path, metavar="FILE",
                         help="where viewers and recorders read the ticks (default: a file in memory)")
     add_experiment_flags(parser)
@@ -155,6 +158,7 @@ def make_rendering(arguments, largest_force: float):
     """
     from haptics.safety.coupling import VirtualCoupling
     from haptics.safety.limits import ForceLimits
+    from haptics.safety.passivity import EnergyLimit
     from haptics.safety.rendering import ForceRendering
 
     limit = arguments.force_limit_N or FORCE_LIMIT
@@ -173,7 +177,8 @@ def make_rendering(arguments, largest_force: float):
                          field="--coupling-damping-N-s-m")
     coupling = VirtualCoupling(stiffness, COUPLING[1] if damping is None else damping) if stiffness else None
     return ForceRendering(ForceLimits(limit, arguments.force_rate_N), coupling,
-                          controller_damping=asked(arguments.passivity_damping_N_s_m, CONTROLLER) or None)
+                          controller_damping=asked(arguments.passivity_damping_N_s_m, CONTROLLER) or None,
+                          energy_limit=EnergyLimit(arguments.energy_limit_J or (ENERGY_LIMIT if real else math.inf)))
 
 
 def follow(process, seconds: float, *, quiet: bool):
