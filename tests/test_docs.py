@@ -112,6 +112,16 @@ def test_links_lead_somewhere(page):
     assert not dead
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_tests_that_are_named_are_there(page):
+    """A safety claim stands on the test that its line names."""
+    for named in re.findall(r"`(tests/[\w/]+\.py(?:::\w+)+)`", page.read_text(encoding="utf-8")):
+        path, *names = named.split("::")
+        text = (ROOT / path).read_text(encoding="utf-8")
+        missing = [name for name in names if not re.search(rf"^ *(?:def|class) {name}\b", text, re.MULTILINE)]
+        assert not missing, named
+
+
 def test_blocks_are_found_with_their_lines():
     page = "a\n```python\nx = 1\n```\n```text\nno\n```\n```bash\ntissue-sim doctor \\\n  --json\n```\n"
     found = blocks(page)
