@@ -19,6 +19,7 @@ from tissue_sim.pose import Pose, Screw, between, motion
 from tissue_sim.realtime_ladder import choose, measure_tick
 from tissue_sim.simulator_state import AT_REST, NEVER, Creep, SimulatorState
 from tissue_sim.snapshot import Snapshot, snapshot
+from tissue_sim.step_clock import StepClock
 from tissue_sim.tool_force import (
     ForceStatus,
     NextForce,
@@ -50,9 +51,6 @@ _STIFFNESS_LASTS = 5
 _FIRST_RUNG = 1
 #: How many steps in a row one iteration may go on, where the budget ends it each time.
 _PATIENCE = 10
-#: How fast the guess of the time of a linear solve follows one that took longer, or shorter; and what is left of it
-#: after a step that did not try because of it: it may have met the computer in a bad moment.
-_LEARNS, _FORGETS, _DOUBTS = 0.5, 0.1, 0.5
 
 
 class Simulator:
@@ -122,8 +120,7 @@ class Simulator:
         self._reduced = ReducedForce(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
         # What the effects on the whole force left of it at the last equilibrium.
         self._left = 1.0
-        # Wall time of a linear solve with all that belongs to it, s.
-        self._solve_time = 1e-9
+        self._clock = StepClock()
         self._answer = ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
         self._equilibrium = AT_REST
         # Where the tool is said to be; whether it has touched the tissue; time since the last equilibrium, and since
@@ -172,7 +169,7 @@ class Simulator:
         if rung.resolution not in made:
             return
         one = made[rung.resolution]
-        self._solver, self._solve_time, self._start = one._solver, one._solve_time, one._start
+        self._solver, self._clock, self._start = one._solver, one._clock, one._start
         self.resolution, self.force_error = rung.resolution, rung.force_error
         self.restore(self._start)
 
@@ -186,7 +183,7 @@ class Simulator:
             step = self._solver.step(replace(pose, position=(x, y, z - way * self._radius)), 1e-3,
                                      tolerance=self.tolerance)
             spent.append((time.perf_counter() - started) / (1 + step.iterations))
-        self._solve_time = min(spent)
+        self._clock.begin(min(spent))
         # What the first touch is carried on with, where it comes late.
         touch = replace(AT_REST, stiffness=AT_REST.followed_by(step, AT_REST.pose, 1.0, False).stiffness)
         self._start = replace(self._start, equilibrium=touch)
@@ -249,23 +246,28 @@ class Simulator:
             # Across a change of contact extrapolation leads astray, but less so where mass is in the way.
             order = min(2, max(solver.unchanged, weighs)) if extrapolates else 0
             most = allowed = _MOST_SOLVES[order > 0]
+            asks = self._equilibrium.stiffness_age + 1 >= self._stiffness_lasts
             if self.budget is not None:
-                allowed = min(most, int((began + self.budget - started) / self._solve_time) - 1)
+                # The own stiffness takes as long as a step without solves.
+                asks &= self._clock.fitting(began + self.budget - started - self._clock.fixed) > 0
+                allowed = min(most, self._clock.fitting(began + self.budget - started))
             if allowed < 1:
                 status = ForceStatus.LATE
-                self._solve_time *= _DOUBTS if solves == 0 else 1.0
+                if solves == 0:
+                    self._clock.doubt()
                 break
             if creep is None:
                 step = solver.step(target, dt, tolerance=self.tolerance, max_iterations=allowed, predictor_order=order,
                                    inertial=weighs, resumes=resumes,
-                                   own_stiffness=self._equilibrium.stiffness_age + 1 >= self._stiffness_lasts)
+                                   own_stiffness=asks)
             elif (crept := next(creep.steps, None)) is not None:
                 step = creep.last = crept
             else:
                 # It has arrived, or will not.
                 step, target, dt, self._creep = replace(creep.last, iterations=0), creep.pose, creep.dt, None
             solves, residual = solves + step.iterations, step.residual
-            self._clock((time.perf_counter() - started) / (1 + step.iterations + step.found_own_stiffness))
+            if not step.found_own_stiffness:
+                self._clock.follow(time.perf_counter() - started, step.iterations)
             if self._creep is not None:
                 continue
             if step.status is StepStatus.CONVERGED:
@@ -320,11 +322,6 @@ class Simulator:
         """Keep what an equilibrium answers."""
         left = self._left = self._reduced.go(self._solver.pose.depth, dt)
         self._equilibrium = self._equilibrium.followed_by(step, self._solver.pose, left, inertial)
-
-    def _clock(self, spent: float) -> None:
-        """Follow how long a linear solve takes, sooner up than down."""
-        more = spent - self._solve_time
-        self._solve_time += (_LEARNS if more > 0.0 else _FORGETS) * more
 
     def reset(self) -> None:
         """Back to the specimen that nobody has touched."""

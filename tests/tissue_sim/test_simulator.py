@@ -145,7 +145,7 @@ def test_a_budget_that_ends_between_parts_keeps_the_parts():
     sim = simulator()
     sim.warm_up()
     # A clock of its own: every part takes as long as the budget of four solves.
-    sim.budget = 12 * sim._solve_time
+    sim.budget = 12 * sim._clock.solve
     seen = [sim.step(4e-3, 1e-3)]
     while seen[-1].status is ts.ForceStatus.LATE and len(seen) < 500:
         seen.append(sim.step(4e-3, 1e-3))

@@ -1,0 +1,84 @@
+"""What a session of `soak.py` should have answered: the same motion again, step by step, however long it takes."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+
+import numpy as np
+from soak_scenes import model_of
+from soak_session import Session
+
+import tissue_sim as ts
+from haptics.server.wire import Status
+
+#: A force that was called CONVERGED may differ by so much of the replay's, and by so much, N.
+SHARE, NEWTONS = 0.01, 0.02
+#: For so long after a fault a step does not count as one without faults, s.
+AFTER = 0.2
+
+
+def score(session: Session, largest: float) -> dict:
+    """Counts and extremes of one session, as plain values.
+
+    Args:
+        session: that was played.
+        largest: force that no reply may exceed, N.
+    """
+    simulator = ts.Simulator(model_of(session.flags), resolution=session.resolution)
+    simulator.warm_up()
+    began = simulator.model.material.parameters
+    states: dict[str, tuple] = {}
+    parameters: dict[str, float] = {}
+    statuses, wrong, differences, quiet = Counter(), [], [], Counter()
+    fault, waiting, recoveries, beyond = -math.inf, None, [], 0
+    for event in session.events:
+        match event:
+            case ("reset",):
+                simulator.reset()
+            case ("parameters", values):
+                parameters = {**parameters, **values}
+                simulator.set_parameters(**values)
+            case ("save", name):
+                states[name] = simulator.save(), dict(parameters)
+            case ("restore", name):
+                state, kept = states[name]
+                if kept != parameters:
+                    first = {key: began[key] for key in parameters}
+                    simulator.set_parameters(**{**first, **kept})
+                    parameters = dict(kept)
+                simulator.restore(state)
+            case ("fault", what, when):
+                fault = when
+                waiting = (what, when)
+            case ("step", time, depth, status, force, dt, limited, asked, _):
+                name = Status(status).name.lower()
+                statuses[name] += 1
+                beyond += not abs(force) <= largest * (1.0 + 1e-12)
+                if status in (Status.REFUSED, Status.FAILED) or status >= Status.BUSY:
+                    continue
+                expected = simulator.step(depth, dt)
+                if asked - fault > AFTER:
+                    quiet[name] += 1
+                if status != Status.CONVERGED:
+                    continue
+                if waiting is not None:
+                    recoveries.append((asked - waiting[1], waiting[0]))
+                    waiting = None
+                if expected.status is ts.ForceStatus.CONVERGED and not limited:
+                    difference = abs(force - expected.force)
+                    differences.append(difference)
+                    if difference > SHARE * abs(expected.force) + NEWTONS:
+                        wrong.append({"time": time, "depth": depth, "force": force, "expected": expected.force})
+    spent = [answered - asked for *_, asked, answered in (e for e in session.events if e[0] == "step")]
+    return {"flags": session.flags, "resolution": session.resolution, "statuses": dict(statuses),
+            "quiet": dict(quiet), "compared": len(differences), "wrong": len(wrong), "first_wrong": wrong[:3],
+            "largest_difference_N": max(differences, default=0.0), "beyond": beyond, "lost": session.lost,
+            "recoveries_ms": [round(1e3 * one, 1) for one, _ in recoveries],
+            "slowest_recovery": max(recoveries, default=(0.0, "")), "round_trip_ms": _quantiles(spent),
+            "ended_by": session.ended_by, "exit_code": session.exit_code,
+            "words": [line for line in session.words.splitlines() if "Traceback" in line or "failed" in line][:3]}
+
+
+def _quantiles(seconds: list[float]) -> list[float]:
+    return [round(1e3 * float(one), 3) for one in np.quantile(seconds or [0.0], [0.5, 0.99, 0.999, 1.0])]

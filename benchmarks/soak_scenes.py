@@ -1,0 +1,36 @@
+"""The scenes of `soak.py`: how `serve` is started, and the same model for the replay."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+import tissue_sim as ts
+from scenes.commands import serve
+from scenes.commands.shared.experiment_flags import make_experiment, make_protocol
+from scenes.commands.shared.parsing import Parser
+
+LAW = {"C10": 1404.9, "C20": 699.4}
+MATERIAL = ts.Material("reduced_polynomial_2", LAW, ts.Bulk("bulk_ratio", 1e4), density=1040.0,
+                       viscoelastic=ts.Prony((ts.PronyTerm(0.3, 0.5),)))
+#: m: how high above the tissue, and how deep in it a tool is sent.
+HIGHEST, DEEPEST = 2e-3, 8e-3
+_TOOLS = (("flat", "bonded", "0"), ("flat", "0.7", "0.5"), ("flat", "0", "1"), ("flat", "stick", "0.5"),
+          ("sphere", "0.3", "0"))
+
+
+def draw(rng: np.random.Generator, material: Path) -> list[str]:
+    """Flags of `tissue-sim serve`, with any tool and contact."""
+    shape, friction, edge = _TOOLS[rng.integers(len(_TOOLS))]
+    flags = ["--material", str(material), "--tool", shape, "--tool-radius-mm", str(rng.choice([4, 8])), "--friction",
+             friction, "--depth-mm", f"{DEEPEST * 1e3:g}"]
+    return flags if edge == "0" else [*flags, "--edge-radius-mm", edge]
+
+
+def model_of(flags: list[str]) -> ts.Model:
+    """What `serve` makes of them."""
+    parser = Parser(prog="soak")
+    serve.add_arguments(parser)
+    arguments = parser.parse_args(flags)
+    return ts.Model(make_experiment(arguments, make_protocol(arguments), MATERIAL), MATERIAL)

@@ -1,0 +1,58 @@
+"""What a budget in wall time means in linear solves."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tissue_sim.step_clock import StepClock
+
+
+def followed(fixed, solve, noise=0.0, steps=600, seed=1):
+    """A clock that has seen steps of 0 to 4 solves."""
+    rng, clock = np.random.default_rng(seed), StepClock()
+    clock.begin(0.2e-3)
+    for solves in rng.choice(5, steps, p=[0.2, 0.4, 0.2, 0.1, 0.1]):
+        clock.follow((fixed + solves * solve) * (1.0 + noise * rng.random()), int(solves))
+    return clock
+
+
+@pytest.mark.parametrize(("fixed", "solve"), [(0.4e-3, 0.06e-3), (0.1e-3, 0.1e-3), (1e-3, 0.2e-3)])
+def test_what_is_fixed_and_what_a_solve_takes_are_told_apart(fixed, solve):
+    clock = followed(fixed, solve, noise=0.1)
+    assert clock.solve == pytest.approx(solve, rel=0.5)
+    for solves in (0, 2, 4):
+        assert clock.fixed + solves * clock.solve == pytest.approx(1.05 * (fixed + solves * solve), rel=0.2)
+    assert clock.fitting(fixed + 3.5 * solve + 0.15 * fixed) in (2, 3, 4)
+
+
+def test_less_than_a_step_without_solves_is_no_time():
+    clock = followed(0.4e-3, 0.05e-3)
+    assert clock.fitting(0.3e-3) == -1 and clock.fitting(0.0) == -1
+    clock.doubt()
+    assert clock.fitting(0.3e-3) > 0
+
+
+def test_a_bad_moment_is_forgotten_soon():
+    """A step that was interrupted for 20 ms must not stop the next ones from being tried."""
+    clock = followed(0.3e-3, 0.05e-3)
+    clock.follow(20e-3, 1)
+    assert clock.fitting(0.8e-3) > 0
+
+
+def test_even_steps_leave_the_cost_of_a_solve_as_it_was():
+    clock = StepClock()
+    clock.begin(0.1e-3)
+    for _ in range(1000):
+        clock.follow(0.5e-3, 1)
+    assert clock.solve == 0.1e-3 and clock.fixed == pytest.approx(0.4e-3)
+
+
+@given(st.lists(st.tuples(st.floats(0.0, 10.0), st.integers(0, 50)), max_size=100))
+def test_whatever_it_sees_it_stays_a_clock(steps):
+    clock = StepClock()
+    clock.begin(1e-4)
+    for time, solves in steps:
+        clock.follow(time, solves)
+        assert 0.0 < clock.fixed < 1e3 and 0.0 < clock.solve < 1e3
+        assert clock.fitting(1e9) >= 0

@@ -1,0 +1,55 @@
+"""How long a step takes: what a budget in wall time means in linear solves."""
+
+from __future__ import annotations
+
+#: How fast the guess of what a step costs beside its solves follows one that took longer, or shorter.
+_LEARNS, _FORGETS = 0.5, 0.1
+#: A step that took this many times as long as it was thought to counts no more than that: it met the computer in a bad
+#: moment.
+_SPIKE = 2.0
+#: Weight of a step in the means, and variance of the number of solves from which on their own cost is seen.
+_WEIGHT, _SEEN = 0.02, 0.1
+#: Least cost of a solve, as a share of that of a step with none.
+_LEAST = 0.25
+
+
+class StepClock:
+    """Follows the wall time of steps: `fixed` s whatever they are, and `solve` s for each linear solve.
+
+    A step without a solve assembles, factorises and answers; each solve goes over the tissue once more. The two are
+    told apart by the regression of time on solves, old steps forgotten.
+
+    Attributes:
+        fixed, solve: s.
+    """
+
+    def __init__(self):
+        self.begin(1e-9)
+
+    def begin(self, solve: float) -> None:
+        """From a solve's time, s, with all that belongs to it."""
+        self.fixed = self.solve = solve
+        self._solves, self._time, self._variance, self._covariance = 1.0, 2.0 * solve, 0.0, 0.0
+
+    def fitting(self, time: float) -> int:
+        """How many solves fit into a time, s, with the rest of the step; below zero where not even that does."""
+        return int((time - self.fixed) / self.solve) if time >= self.fixed else -1
+
+    def follow(self, time: float, solves: int) -> None:
+        """Take note of a step: its time, s, and its solves."""
+        expected = self.fixed + solves * self.solve
+        time = min(time, _SPIKE * expected)
+        more = time - expected
+        self.fixed = max(self.fixed + (_LEARNS if more > 0.0 else _FORGETS) * more, 1e-9)
+        a, b = solves - self._solves, time - self._time
+        self._solves += _WEIGHT * a
+        self._time += _WEIGHT * b
+        self._variance += _WEIGHT * ((1.0 - _WEIGHT) * a * a - self._variance)
+        self._covariance += _WEIGHT * ((1.0 - _WEIGHT) * a * b - self._covariance)
+        if self._variance > _SEEN:
+            even = self._time / (1.0 + self._solves)
+            self.solve = min(max(self._covariance / self._variance, _LEAST * even), even)
+
+    def doubt(self) -> None:
+        """Where nothing was tried because of the guess: it may be from a bad moment."""
+        self.fixed *= 0.5
