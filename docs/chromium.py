@@ -52,7 +52,7 @@ def open_viewer(page: Page, url: str, *, pixel_ratio: float = 0.5, triangles: in
         pixel_ratio: of the 3D picture, to a pixel of the page; small is fast.
         triangles: how many the picture has at least.
     """
-    page.goto(f"{url}/?fixedDpr={pixel_ratio:g}")
+    page.goto(f"{url}{'&' if '?' in url else '/?'}fixedDpr={pixel_ratio:g}")
     come_up(page, triangles=triangles)
 
 

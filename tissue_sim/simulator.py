@@ -250,7 +250,7 @@ class Simulator:
             if self.budget is not None:
                 # The own stiffness takes as long as a step without solves.
                 asks &= self._clock.fitting(began + self.budget - started - self._clock.fixed) > 0
-                allowed = min(most, self._clock.fitting(began + self.budget - started))
+                allowed = min(most, self._clock.fitting(began + self.budget - started, first=solves == 0))
             if allowed < 1:
                 status = ForceStatus.LATE
                 if solves == 0:

@@ -31,9 +31,10 @@ class StepClock:
         self.fixed = self.solve = solve
         self._solves, self._time, self._variance, self._covariance = 1.0, 2.0 * solve, 0.0, 0.0
 
-    def fitting(self, time: float) -> int:
-        """How many solves fit into a time, s, with the rest of the step; below zero where not even that does."""
-        return int((time - self.fixed) / self.solve) if time >= self.fixed else -1
+    def fitting(self, time: float, first: bool = False) -> int:
+        """How many solves fit into a time, s, with the rest of the step; below zero where not even that does. Of the
+        first part of a step one does where the rest fits: an answer a little late is better than none."""
+        return max(int((time - self.fixed) / self.solve), int(first)) if time >= self.fixed else -1
 
     def follow(self, time: float, solves: int) -> None:
         """Take note of a step: its time, s, and its solves."""

@@ -65,6 +65,8 @@ def add_page_flags(parser: Parser) -> None:
                       help="address to serve on (default: 127.0.0.1, this computer only)")
     page.add_argument("--expose", action="store_true",
                       help="allow a --host that others reach: they can watch and steer without a password")
+    page.add_argument("--no-token", action="store_true",
+                      help="open the page to every program of this computer, not only to who has the printed address")
     page.add_argument("--open", action="store_true", help="open the page in the browser of this computer")
     page.add_argument("--low-graphics", action="store_true",
                       help="coarser pictures at half the resolution, for browsers without a graphics card")
@@ -135,5 +137,8 @@ def _watch(arguments) -> int:
 
 def page_options(arguments) -> dict:
     """The dictionary `page` of `scenes.viewer.run.run_page`."""
-    return {"host": arguments.host, "port": arguments.port, "exposed": arguments.expose, "open": arguments.open,
+    from scenes.viewer.page_token import new_token
+
+    return {"host": arguments.host, "port": arguments.port, "exposed": arguments.expose,
+            "token": "" if arguments.no_token else new_token(), "open": arguments.open,
             "low_graphics": arguments.low_graphics, "dark": arguments.dark}

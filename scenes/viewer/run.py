@@ -20,7 +20,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import STUDY_SPEED
 
 #: What a browser without a graphics card is asked for.
-HALF_RESOLUTION = "?fixedDpr=0.5"
+HALF_RESOLUTION = {"fixedDpr": "0.5"}
 
 
 def run_page(scene: Scene, materials: Path, page: dict[str, Any], *, seconds: float | None = None, json: bool = False,
@@ -30,7 +30,7 @@ def run_page(scene: Scene, materials: Path, page: dict[str, Any], *, seconds: fl
     Args:
         scene: what to look at.
         materials: folder of material files.
-        page: ``host``, ``port``, ``exposed``, ``open``, ``low_graphics``, ``dark``.
+        page: ``host``, ``port``, ``exposed``, ``token``, ``open``, ``low_graphics``, ``dark``.
         seconds: None: until it is stopped.
         json: say the address as an object.
         options: of `Session`.
@@ -49,9 +49,9 @@ def run_page(scene: Scene, materials: Path, page: dict[str, Any], *, seconds: fl
     try:
         viewer = Page(session, session.frame(), materials, **page)
         try:
-            address = f"{viewer.url}/{HALF_RESOLUTION if page['low_graphics'] else ''}"
+            address = viewer.server.address(**(HALF_RESOLUTION if page["low_graphics"] else {}))
             if json:
-                print(json_format.dumps({"url": viewer.url}), flush=True)
+                print(json_format.dumps({"url": viewer.server.address()}), flush=True)
             else:
                 print(f"{address}   (Ctrl-C stops)", flush=True)
             if page["exposed"]:

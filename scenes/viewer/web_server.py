@@ -2,7 +2,8 @@
 
 viser answers everybody: a page of any other site that is open in the same browser could move the tool, and every client
 could have a public tunnel opened to this computer. Here each request and each websocket handshake must name this server
-(`Host`, against DNS rebinding) and come from its own page (`Origin`); nothing is shared, and nothing is printed.
+(`Host`, against DNS rebinding), come from its own page (`Origin`) and show its token, where it has one; nothing is
+shared, and nothing is printed.
 
 This touches private parts of viser. They are those of one version, `VISER_VERSION`; with another nothing is served.
 """
@@ -23,6 +24,7 @@ from contextlib import asynccontextmanager, contextmanager
 from http import HTTPStatus
 from types import SimpleNamespace
 from typing import Any
+from urllib.parse import urlencode
 
 import rich
 import viser
@@ -30,6 +32,7 @@ import websockets
 import websockets.asyncio.server
 from websockets.exceptions import WebSocketException
 
+from scenes.viewer.page_token import REFUSAL, admits, cookie
 from tissue_sim.errors import InputError, MissingBackendError
 
 VISER_VERSION = "1.1.1"
@@ -43,13 +46,14 @@ _alone = threading.RLock()
 
 
 def open_server(host: str = LOOPBACK, port: int = PORT, *, exposed: bool = False,
-                title: str = "tissue_sim") -> ViewerServer:
+                title: str = "tissue_sim", token: str = "") -> ViewerServer:
     """A viser server that answers its own page only; it listens when this returns.
 
     Args:
         host: address of the network interface; one that other computers reach needs `exposed`.
         port: 1 to 65535, or 0 for any free one (`get_port()` says which).
         title: of the browser's tab and of the panel.
+        token: that a visitor must show; empty: none.
 
     Raises:
         InputError: `host` is no address of this computer or is reached by others without `exposed`; the port is taken.
@@ -62,7 +66,7 @@ def open_server(host: str = LOOPBACK, port: int = PORT, *, exposed: bool = False
     if not 0 <= port <= 65535:
         raise InputError(f"{port} is not a port; give 1 to 65535, or 0 for any free one", field="port")
     _require_known_viser()
-    return ViewerServer(host, port, title)
+    return ViewerServer(host, port, title, token)
 
 
 def exposure(host: str, port: int) -> str:
@@ -82,8 +86,8 @@ def exposure(host: str, port: int) -> str:
 class ViewerServer(viser.ViserServer):
     """A running server; use `open_server`. It is a context manager, and `stop` may be called twice."""
 
-    def __init__(self, host: str, port: int, title: str):
-        door = _Door(host, port, title)
+    def __init__(self, host: str, port: int, title: str, token: str):
+        self._token, door = token, _Door(host, port, title, token)
         with _silence(), door.instead_of_serve():
             super().__init__(host=host, port=port, label=title, verbose=False)
         try:
@@ -103,11 +107,16 @@ class ViewerServer(viser.ViserServer):
 
     @property
     def url(self) -> str:
-        """Address of the page, for a browser on this computer."""
+        """Address of the server, for a browser on this computer."""
         host = self.get_host()
         if ipaddress.ip_address(host).is_unspecified:
             host = LOOPBACK if ":" not in host else "::1"
         return f"http://{f'[{host}]' if ':' in host else host}:{self.get_port()}"
+
+    def address(self, **query: str) -> str:
+        """Address of the page with its token, and with what else the page is asked."""
+        asked = urlencode(({"token": self._token} if self._token else {}) | query)
+        return f"{self.url}/?{asked}" if asked else self.url
 
     def set_theme(self, **theme: Any) -> None:
         """`configure_theme` of viser, always without a logo and a share button."""
@@ -153,8 +162,8 @@ class _WakeUp(asyncio.Event):
 class _Door:
     """Takes the place of `websockets.asyncio.server.serve` while viser starts: binds, and listens only when told."""
 
-    def __init__(self, host: str, port: int, title: str):
-        self.host, self.port, self.title = host, port, title
+    def __init__(self, host: str, port: int, title: str, token: str):
+        self.host, self.port, self.title, self._token = host, port, title, token
         self.failure: Exception | None = _unknown_viser("it does not start the websocket server that it is known for")
         self._server: Any = None
 
@@ -208,6 +217,8 @@ class _Door:
             refusal = refuse(request.headers.get_all("Host"), request.headers.get_all("Origin"), allowed, self.port)
             if refusal:
                 return connection.respond(HTTPStatus.FORBIDDEN, refusal + "\n")
+            if self._token and not admits(self._token, self.port, request.path, request.headers.get_all("Cookie")):
+                return connection.respond(HTTPStatus.FORBIDDEN, REFUSAL + "\n")
             _drop(request.headers, "Accept-Encoding")  # the title is written into the page below
             response = answer(connection, request)
             if response is not None:
@@ -227,6 +238,8 @@ class _Door:
         """No other page may frame this one and catch its clicks, and this one fetches nothing from elsewhere."""
         response.body = response.body.replace(b"<title>Viser</title>",
                                               f"<title>{html.escape(self.title)}</title>".encode())
+        if self._token:
+            response.headers["Set-Cookie"] = cookie(self._token, self.port)
         _drop(response.headers, "Content-Length")
         response.headers.update({
             "Content-Length": str(len(response.body)),

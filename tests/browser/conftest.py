@@ -83,7 +83,7 @@ def pages_of(browser, chromium):
         page = traffic.watch(context.new_page())
         page.set_default_timeout(PATIENCE * 1e3)
         opened.append((server, context, page, traffic))
-        chromium.open_viewer(page, server.url, triangles=triangles, **options)
+        chromium.open_viewer(page, server.address(), triangles=triangles, **options)
         return page
 
     open_one.traffic = lambda page: next(traffic for _, _, one, traffic in opened if one is page)
@@ -146,7 +146,7 @@ class Shown:
 
     @property
     def url(self) -> str:
-        return self.page.url
+        return self.page.server.address()
 
     def ask(self, command: str, **values) -> None:
         """Let the session do something, as another browser could."""

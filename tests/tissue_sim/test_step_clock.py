@@ -29,6 +29,7 @@ def test_what_is_fixed_and_what_a_solve_takes_are_told_apart(fixed, solve):
 def test_less_than_a_step_without_solves_is_no_time():
     clock = followed(0.4e-3, 0.05e-3)
     assert clock.fitting(0.3e-3) == -1 and clock.fitting(0.0) == -1
+    assert clock.fitting(0.43e-3) == 0 and clock.fitting(0.43e-3, first=True) == 1
     clock.doubt()
     assert clock.fitting(0.3e-3) > 0
 

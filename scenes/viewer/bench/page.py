@@ -25,13 +25,15 @@ class BenchPage:
 
     Args:
         source: of the numbers.
-        host, port, exposed: as in `scenes.viewer.web_server.open_server`.
+        host, port, exposed, token: as in `scenes.viewer.web_server.open_server`.
         dark: whether the page begins dark.
     """
 
-    def __init__(self, source: BenchSource, host: str, port: int, *, exposed: bool = False, dark: bool = False):
+    def __init__(self, source: BenchSource, host: str, port: int, *, exposed: bool = False, token: str = "",
+                 dark: bool = False):
         self.source, self._dark = source, dark
-        self.server: ViewerServer = open_server(host, port, exposed=exposed, title="tissue_sim: bench")
+        self.server: ViewerServer = open_server(host, port, exposed=exposed, title="tissue_sim: bench",
+                                                token=token)
         self.server.set_theme(dark_mode=dark, control_layout="fixed", control_width="large")
         gui, empty = self.server.gui, np.zeros(2)
         self._words = gui.add_html("")
@@ -99,15 +101,16 @@ def run_bench_page(source: BenchSource, page: dict[str, Any], *, seconds: float 
 
     Args:
         source: of the numbers; closed at the end.
-        page: ``host``, ``port``, ``exposed``, ``open``, ``dark``.
+        page: ``host``, ``port``, ``exposed``, ``token``, ``open``, ``dark``.
         seconds: None: until it is stopped. json: say the address as an object.
 
     Returns:
         Exit code.
     """
-    shown = BenchPage(source, page["host"], page["port"], exposed=page["exposed"], dark=page["dark"])
+    shown = BenchPage(source, page["host"], page["port"], exposed=page["exposed"], token=page["token"],
+                      dark=page["dark"])
     try:
-        address = shown.server.url
+        address = shown.server.address()
         print(json_format.dumps({"url": address}) if json else f"{address}   (Ctrl-C stops)", flush=True)
         if page["exposed"]:
             print(f"tissue-sim: warning: {exposure(page['host'], shown.server.get_port())}", file=sys.stderr)

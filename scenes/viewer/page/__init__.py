@@ -35,12 +35,11 @@ class Page:
         session: gets what people ask for.
         frame: the first one.
         materials: folder of the material files to choose from and to save to.
-        host, port, exposed: as in `scenes.viewer.web_server.open_server`.
+        host, port, exposed, token: as in `scenes.viewer.web_server.open_server`.
         low_graphics: for browsers that draw without a graphics card.
         dark: begin with a dark page.
 
     Attributes:
-        url: where browsers find it.
         server: of viser, for tests.
 
     Raises:
@@ -48,16 +47,15 @@ class Page:
     """
 
     def __init__(self, session: Commands, frame: Frame, materials: Path, *, host: str = LOOPBACK, port: int = PORT,
-                 exposed: bool = False, low_graphics: bool = False, dark: bool = False):
+                 exposed: bool = False, token: str = "", low_graphics: bool = False, dark: bool = False):
         self._frames = 0
         self._tasks: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
-        self.server = server = open_server(host, port, exposed=exposed)
+        self.server = server = open_server(host, port, exposed=exposed, token=token)
         try:
             self._lay_out(session, frame, materials, low_graphics, dark)
         except BaseException:
             server.stop()
             raise
-        self.url = server.url
 
     def _lay_out(self, session: Commands, frame: Frame, materials: Path, low_graphics: bool, dark: bool) -> None:
         server, gui = self.server, self.server.gui

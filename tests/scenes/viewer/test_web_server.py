@@ -69,6 +69,50 @@ def is_open(port):
         return probe.connect_ex(("127.0.0.1", port)) == 0
 
 
+class TestToken:
+    """A program of this computer that does not know the printed address."""
+
+    TOKEN = "t0k-en_of_a_test"
+
+    @pytest.fixture
+    def guarded(self):
+        with open_server(port=0, token=self.TOKEN) as running:
+            yield running
+
+    def host(self, server):
+        return "Host", f"127.0.0.1:{server.get_port()}"
+
+    def test_the_printed_address_opens_the_page_and_the_cookie_goes_on(self, guarded):
+        port = guarded.get_port()
+        assert guarded.address() == f"http://127.0.0.1:{port}/?token={self.TOKEN}"
+        assert guarded.address(fixedDpr="0.5").endswith(f"?token={self.TOKEN}&fixedDpr=0.5")
+        status, page, headers = ask(port, self.host(guarded), path=f"/?token={self.TOKEN}")
+        assert status == 200 and "</html>" in page
+        name, _, attributes = headers["Set-Cookie"].partition(";")
+        assert "HttpOnly" in attributes and "SameSite=Strict" in attributes
+        assert ask(port, self.host(guarded), ("Cookie", f"other=1; {name}"))[0] == 200
+        assert is_answered(port, additional_headers={"Cookie": name}) is True
+
+    @pytest.mark.parametrize("path", ["/", "/?token=", "/?token=wrong", "/?token=%ff%00", "/?fixedDpr=1",
+                                      "/assets/x"])
+    def test_without_it_nothing_is_answered(self, guarded, path):
+        status, page, _ = ask(guarded.get_port(), self.host(guarded), path=path)
+        assert status == 403 and page.startswith("This page opens with the address that was printed")
+
+    @pytest.mark.parametrize("headers", [{}, {"Cookie": "tissue_sim_1=t0k-en_of_a_test"}])
+    def test_nor_can_a_program_steer(self, guarded, headers):
+        """A websocket without an origin, as any program can open one."""
+        assert is_answered(guarded.get_port(), additional_headers=headers) == 403
+
+    @pytest.mark.parametrize("noise", ["", ";;==", "=", '"', "tissue_sim_", "a=b; tissue_sim_1"])
+    def test_noise_for_a_cookie_is_none(self, guarded, noise):
+        assert ask(guarded.get_port(), self.host(guarded), ("Cookie", noise))[0] == 403
+
+    def test_a_server_without_a_token_sets_no_cookie(self, server):
+        assert "Set-Cookie" not in ask(server.get_port(), self.host(server))[2]
+        assert server.address() == server.url
+
+
 def test_own_page_is_answered_and_named(server):
     for name in ("localhost", "127.0.0.1", "LocalHost.", "[::1]"):
         status, page, _ = ask(server.get_port(), ("Host", f"{name}:{server.get_port()}"))
