@@ -37,7 +37,9 @@ class Readouts:
         iterations: linear solves a tick, the mean of the same time.
         rate: ticks a second of wall time.
         late: share of the ticks so far that began late or were missed.
-        status: of the tissue's answers, in words: the worst of the last half second.
+        status: of the tissue's newest answer, in words.
+        warning: why its force is not that of an equilibrium, with what to do; empty where it is.
+        doubtful: answers of the last second that were none of an equilibrium.
         mesh: of the tissue, in words.
     """
 
@@ -51,6 +53,8 @@ class Readouts:
     late: float
     status: str
     mesh: str = ""
+    warning: str = ""
+    doubtful: int = 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,7 @@ from tissue_sim.tool_force import ForceStatus
 #: Wall time of a step in a tick of 1000, s: the rest is for ring and snapshots.
 BUDGET = 0.8e-3
 #: Over which time read-outs are taken, and rates are counted, s.
-_LOOK_BACK, _COUNT_OVER = 0.5, 2.0
+_LOOK_BACK, _DOUBTS_OVER, _COUNT_OVER = 0.5, 1.0, 2.0
 #: A tick each millisecond, and the tissue 30 times a second.
 SETTINGS = LoopSettings(snapshot_rate=30.0)
 #: N, and N per tick: limits of the rendered force, which no device takes; what is shown is the force of the tissue.
@@ -61,7 +61,7 @@ class LiveSimulation:
         self._snapshots: SnapshotReader | None = None
         self._number, self._published = 0, 0
         self._recent: deque[tuple[float, int]] = deque()
-        #: Ticks of the last `_LOOK_BACK` s.
+        #: Ticks of the last `_DOUBTS_OVER` s.
         self._felt = np.empty(0, TICK)
         self._paused = False
         self.phase, self.message = Phase.STARTING, "starting"
@@ -163,13 +163,17 @@ class LiveSimulation:
         (then, before) = self._recent[0]
         rate = (self._number - before) / (now - then) if now > then else 0.0
         felt = np.concatenate([self._felt, records])
-        self._felt = recent = felt[felt["time"] > last["time"] - _LOOK_BACK]
+        self._felt = felt = felt[felt["time"] > last["time"] - _DOUBTS_OVER]
+        recent = felt[felt["time"] > last["time"] - _LOOK_BACK]
+        status = ForceStatus(int(last["status"]))
         deadlines = last["tick"]
         self.readouts = Readouts(
             float(last["time"]), float(last["tool_depth"]), float(last["tissue_force"]), float(last["stiffness"]),
             float(np.median(recent["compute_time"])), float(recent["iterations"].mean()), rate,
-            float((last["late"] + last["missed"]) / max(deadlines, 1)), _in_words(int(recent["status"].max()), last),
-            _mesh_in_words(self._loop.resolution, self._loop.force_error))
+            float((last["late"] + last["missed"]) / max(deadlines, 1)), _in_words(status, last),
+            _mesh_in_words(self._loop.resolution, self._loop.force_error),
+            "" if status is ForceStatus.CONVERGED else status.message,
+            int(np.count_nonzero(felt["status"] != ForceStatus.CONVERGED)))
 
 
 def _mesh_in_words(resolution: str, force_error: float | None) -> str:
@@ -177,10 +181,8 @@ def _mesh_in_words(resolution: str, force_error: float | None) -> str:
     return resolution if force_error is None else f"{resolution}, force within {100 * force_error:.2g} %"
 
 
-def _in_words(status: int, last: np.void) -> str:
-    """The worst status of a while."""
-    if status == ForceStatus.CONVERGED:
+def _in_words(status: ForceStatus, last: np.void) -> str:
+    """How the newest force came about."""
+    if status is ForceStatus.CONVERGED:
         return "paused" if last["flags"] & PAUSED else "in equilibrium"
-    return {ForceStatus.LATE: "late: carried on from the last equilibrium",
-            ForceStatus.STOPPED: "no equilibrium on this way: go back or reset",
-            ForceStatus.REFUSED: "pose refused"}[ForceStatus(status)]
+    return status.name.lower()

@@ -10,7 +10,7 @@ from scenes.viewer.frame import Curves, Frame, Phase, Readouts
 from scenes.viewer.page.readouts import agreement_html, readouts_html, status_html
 
 NOW = Readouts(time=3.0, depth=5.678e-3, force=1.2344, stiffness=211.0, step_time=0.31e-3, iterations=0.84, rate=999.7,
-               late=0.0042, status="in equilibrium", mesh="realtime_63, force within 1.1 %")
+               late=0.0042, status="in equilibrium", mesh="realtime_63, force within 1.1 %", doubtful=3)
 FRAME = Frame(Phase.RUNNING, "running", None, None, NOW, Curves(), "protocol", 0.0)
 
 
@@ -24,7 +24,22 @@ def test_readouts_have_the_units_that_people_use():
     assert texts(readouts_html(FRAME)) == {
         "force": "1.234", "depth": "5.68", "stiffness": "0.211 N/mm", "step-time": "0.31 ms",
         "iterations": "0.8 per tick", "rate": "1000 Hz", "late": "0.42 %", "solution": "in equilibrium",
-        "mesh": "realtime_63, force within 1.1 %"}
+        "doubtful": "3 ticks of the last second", "mesh": "realtime_63, force within 1.1 %"}
+
+
+def test_a_force_that_is_none_of_an_equilibrium_is_marked_in_red():
+    doubtful = replace(NOW, status="stopped", warning="no equilibrium: move <back>")
+    shown = readouts_html(replace(FRAME, readouts=doubtful))
+    assert texts(shown)["badge"] == "STOPPED" and texts(shown)["solution"] == "stopped"
+    assert "#C0392B" in shown and 'title="no equilibrium: move &lt;back&gt;"' in shown
+    assert "badge" not in texts(readouts_html(FRAME))
+
+
+def test_numbers_of_a_simulation_that_has_died_are_grey_and_said_to_be_old():
+    shown = readouts_html(replace(FRAME, phase=Phase.DIED))
+    assert texts(shown)["badge"] == "old" and "opacity:0.45" in shown and "#C0392B" not in shown
+    assert "opacity:0.45" not in readouts_html(FRAME)
+    assert "badge" not in texts(readouts_html(replace(FRAME, phase=Phase.DIED, readouts=None)))
 
 
 def test_before_the_first_tick_there_are_dashes():
