@@ -146,6 +146,9 @@ class Shown:
 
     @property
     def url(self) -> str:
+        return self.page.server.url
+
+    def address(self) -> str:
         return self.page.server.address()
 
     def ask(self, command: str, **values) -> None:

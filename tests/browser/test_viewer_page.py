@@ -191,12 +191,16 @@ def test_other_scene_is_taken_when_it_fits_and_a_killed_simulation_says_so_until
     reader.tab("Scene")
     reader.choose("tool", "flat")
     reader.choose("tool's face", "frictionless")
+    reader.until(lambda: reader.field("edge radius [mm]").input_value(), lambda seen: seen == "0.5")
     reader.enter("edge radius [mm]", "0")
     simulation, scene = shown.session.simulation, shown.session.scene
     reader.press("Apply")
     reader.answer("edge_radius")
     assert shown.session.simulation is simulation and shown.session.scene is scene
+    reader.choose("tool's face", "bonded")
     reader.choose("tool", "sphere")
+    reader.until(lambda: reader.field("tool's face").input_value(), lambda seen: seen == "stick")
+    reader.choose("tool's face", "frictionless")
     reader.enter("tool radius [mm]", "6")
     reader.press("Apply")
     reader.phase("starting")

@@ -16,6 +16,8 @@ from tissue_sim.experiment.tools.tool import TOOLS, shapes_without_file, tool_si
 from tissue_sim.parameters import Declaration
 
 _INTERFACES = (*INTERFACES, "friction")
+#: Along which tissue slides, and the edge that a sharp tool gets then, m: round a sharp one no tissue can slide.
+_SLIDING, _EDGE = ("frictionless", "friction"), 0.5e-3
 #: Sizes of a needle that is chosen after a plate, by their unit; and friction that is chosen after none.
 _SIZES, _FRICTION = {"m": 8e-3, "rad": radians(45.0)}, 0.3
 
@@ -38,12 +40,17 @@ class SceneControls:
         self.show(frame)
 
         for handle in (self._shape, self._interface):
-            handle.on_update(lambda event: self._offer())
+            @handle.on_update
+            def _(event: viser.GuiEvent) -> None:
+                if event.client is not None:
+                    self._fit()
+                self._offer()
 
         @self._scene.on_update
         def _(event: viser.GuiEvent) -> None:
             if event.client is not None:
                 self._hold(SCENES[self._titles[self._scene.value]].face.usual)
+                self._fit()
             self._offer()
 
         @self._apply.on_click
@@ -66,13 +73,35 @@ class SceneControls:
         return ts.Tool(shape, **{name: self._sizes[key].value * what.factor
                                  for key, (what, name, shapes) in self._known.items() if shape in shapes})
 
+    def _fit(self) -> None:
+        """Change what does not fit what was chosen: only flat faces are bonded, and no tissue slides round an edge."""
+        tool = self._asked_tool()
+        if tool is None:
+            return
+        if tool.face_radius == 0 and self._interface.value == "bonded":
+            set_value(self._interface, "stick")
+        if tool.sharp_edge and self._interface.value in _SLIDING:
+            for key, (what, name, _) in self._known.items():
+                if name == "edge_radius":
+                    set_value(self._sizes[key], _EDGE / what.factor)
+
     def _offer(self) -> None:
         """Show what matters to what is chosen."""
+        tool = self._asked_tool()
+        flat = tool is None or tool.face_radius != 0
+        self._interface.options = _INTERFACES if flat else tuple(each for each in _INTERFACES if each != "bonded")
         needle = not SCENES[self._titles[self._scene.value]].require_tool().is_plate
         self._shape.visible = needle
         for key, (_, _, shapes) in self._known.items():
             self._sizes[key].visible = needle and self._shape.value in shapes
         self._friction.visible = self._interface.value == "friction"
+
+    def _asked_tool(self) -> ts.Tool | None:
+        """The tool that is asked for; None for plates, and where its sizes make none: applying it says so."""
+        try:
+            return self._tool(self._titles[self._scene.value])
+        except ts.InputError:
+            return None
 
     def show(self, frame: Frame) -> None:
         """Follow a scene that somebody else has chosen."""
