@@ -124,8 +124,8 @@ def test_protocol_is_played_paused_stepped_and_reset(shown, reader):
     reader.press("Play")
     reader.wait_for("depth", "4.00")
     assert reader.read("phase") == "running · protocol"
-    live = reader.until(lambda: reader.curves()[0]["live load"], lambda live: len(live) > 155)
-    assert max(live) == pytest.approx(shown.frame.readouts.force, rel=0.02)
+    reader.until(lambda: reader.curves()[0]["live load"], lambda live: len(live) > 155
+                 and max(live) == pytest.approx(shown.frame.readouts.force, rel=0.02))
     reader.press("Reset")
     reader.wait_for("depth", "0.00")
     assert reader.read("phase") == "running · by hand"
