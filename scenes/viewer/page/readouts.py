@@ -61,7 +61,7 @@ def readouts_html(frame: Frame) -> str:
              ("rate", "loop", "–" if now is None else f"{now.rate:.0f} Hz"),
              ("late", "ticks not on time", "–" if now is None else f"{now.late * 100:.2f} %"),
              ("solution", "tissue", "–" if now is None else now.status),
-             ("doubtful", "no equilibrium", "–" if now is None else f"{now.doubtful} ticks of the last second"),
+             ("doubtful", "no equilibrium", "–" if now is None else f"{now.doubtful} in the last second"),
              ("mesh", "mesh", "–" if now is None else now.mesh or "–")]
     badge = ""
     if stale and now is not None:

@@ -24,7 +24,7 @@ def test_readouts_have_the_units_that_people_use():
     assert texts(readouts_html(FRAME)) == {
         "force": "1.234", "depth": "5.68", "stiffness": "0.211 N/mm", "step-time": "0.31 ms",
         "iterations": "0.8 per tick", "rate": "1000 Hz", "late": "0.42 %", "solution": "in equilibrium",
-        "doubtful": "3 ticks of the last second", "mesh": "realtime_63, force within 1.1 %"}
+        "doubtful": "3 in the last second", "mesh": "realtime_63, force within 1.1 %"}
 
 
 def test_a_force_that_is_none_of_an_equilibrium_is_marked_in_red():
