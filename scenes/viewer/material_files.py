@@ -88,6 +88,15 @@ def parameter_ranges(material: Material) -> dict[str, SliderRange]:
     return {name: _range(material, each) for name, each in parameters(material).items()}
 
 
+def exact_values(material: Material) -> dict[str, str]:
+    """Path -> value of every parameter, with its unit on pages and all its digits."""
+    texts = {}
+    for each in parameters(material).values():
+        unit, factor = shown(each.declaration.unit)
+        texts[each.path] = f"{factor * each.value:.9g} {unit}".rstrip()
+    return texts
+
+
 def _range(material: Material, parameter: Parameter) -> SliderRange:
     name, value = parameter.path, parameter.value
     unit, factor = shown(parameter.declaration.unit)

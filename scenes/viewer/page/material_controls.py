@@ -10,7 +10,7 @@ import viser
 
 import tissue_sim as ts
 from scenes.viewer.frame import Commands, Frame
-from scenes.viewer.material_files import SUFFIX, list_materials, parameter_ranges, read_upload
+from scenes.viewer.material_files import SUFFIX, exact_values, list_materials, parameter_ranges, read_upload
 from scenes.viewer.page.notices import answer_to, notify, send_file, set_value
 from tissue_sim.parameters import parameter_values
 
@@ -99,8 +99,10 @@ class MaterialControls:
             return
         self._shown = material, source
         set_value(self._file, source if source in self._file.options else _NONE)
-        self._law.content = f"**{material.energy_law.title}**, from {source}"
         values = parameter_values(material)
+        # Sliders have few places; what is felt has all digits.
+        exact = ", ".join(f"{name} {text}" for name, text in exact_values(material).items())
+        self._law.content = f"**{material.energy_law.title}**, from {source}: {exact}"
         structure = (material.law, tuple(values), source)
         if structure != self._structure:
             self._structure = structure

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 import tissue_sim as ts
 from scenes.viewer.material_files import (
     LARGEST_UPLOAD,
+    exact_values,
     list_materials,
     parameter_ranges,
     read_upload,
@@ -93,6 +94,18 @@ def test_every_parameter_has_a_slider_whose_ends_the_material_accepts(name):
             assert parameter_values(changed)[parameter] == pytest.approx(end / slider.factor)
             if parameter.startswith("bulk."):
                 assert 2 <= changed.bulk_modulus / changed.mu0 <= 1e6
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+def test_all_digits_of_all_parameters_can_be_read(name):
+    material = MATERIALS[name]
+    texts = exact_values(material)
+    ranges, values = parameter_ranges(material), parameter_values(material)
+    assert set(texts) == set(values)
+    for path, text in texts.items():
+        number, _, unit = text.partition(" ")
+        assert float(number) / ranges[path].factor == pytest.approx(values[path], rel=1e-8) and unit == ranges[path].unit
+    assert exact_values(PHANTOM)["C10"] == "1.4049 kPa"
 
 
 def test_sliders_reach_as_far_as_they_say():
