@@ -104,7 +104,8 @@ def test_all_digits_of_all_parameters_can_be_read(name):
     assert set(texts) == set(values)
     for path, text in texts.items():
         number, _, unit = text.partition(" ")
-        assert float(number) / ranges[path].factor == pytest.approx(values[path], rel=1e-8) and unit == ranges[path].unit
+        assert float(number) / ranges[path].factor == pytest.approx(values[path], rel=1e-8)
+        assert unit == ranges[path].unit
     assert exact_values(PHANTOM)["C10"] == "1.4049 kPa"
 
 
