@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from scenes.catalogue import SCENES
 from scenes.commands.shared.console import print_json, progress_console, results_console
@@ -14,6 +15,9 @@ from scenes.commands.simulate.replicates import add_rig_flags, make_rig, output_
 from scenes.commands.simulate.report import as_json, print_curve, print_solver
 from scenes.field_labels import LABELS
 from tissue_sim.errors import ConvergenceError, InputError
+
+if TYPE_CHECKING:
+    import tissue_sim as ts
 
 SUMMARY = "simulate a test and print force against displacement"
 EXAMPLE = ("tissue-sim simulate needle_indentation --material m.material.json --friction 0.7 --edge-radius-mm 0.25 "
@@ -76,7 +80,8 @@ def run(arguments) -> int:
     if arguments.figure is not None and recording.fields is None:
         raise InputError(f"the solver {arguments.solver!r} has no fields to draw; leave the figure out",
                          field="--figure")
-    recordings = read_replicates(rig, recording, arguments.replicates)
+    recordings = read_replicates(rig, recording.with_metadata(**what_was_done(arguments.scene, experiment)),
+                                 arguments.replicates)
     for path, written in zip(outputs, recordings, strict=bool(outputs)):
         ts.write_recording(written, path)
     if arguments.figure is not None:
@@ -96,6 +101,13 @@ def run(arguments) -> int:
         kept = f"; the curve up to there is in {' and '.join(map(str, outputs))}" if outputs else ""
         raise ConvergenceError(f"{failure}{kept}")
     return 0
+
+
+def what_was_done(scene: str, experiment: ts.Experiment) -> dict[str, Any]:
+    """Of the sidecar: the kind of test, and the tool, so that nobody compares a cone with a flat punch unawares."""
+    tool = experiment.tool
+    sizes = {} if tool.is_plate or tool.radius is None else {"radius_mm": tool.radius * 1e3}
+    return {"kind": scene, "tool": {"shape": tool.shape, **sizes}}
 
 
 def describe(done: int, samples: int) -> str:

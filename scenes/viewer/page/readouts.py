@@ -94,7 +94,11 @@ def agreement_html(frame: Frame) -> str:
         spread = "" if noise is None else f", replicates differ by {noise:.3f} N"
         words = (f'<span style="font-size:1.3em;font-weight:600">RMSE <span data-testid="rmse">{gap.rmse:.3f}</span> '
                  f"N</span> over {gap.samples} samples{spread}")
-        return f'<div style="padding:0.2em 0.75em" data-testid="agreement">{words}</div>'
+        other = curves.measurement.other_tool(frame.scene.experiment.tool)
+        warning = "" if not other else (
+            f'<div data-testid="other-tool" style="color:{_RED};font-size:0.85em">measured with another tool: '
+            f'{escape(other)}</div>')
+        return f'<div style="padding:0.2em 0.75em" data-testid="agreement">{words}{warning}</div>'
     return (f'<div style="padding:0.2em 0.75em;font-size:0.85em;opacity:0.8" data-testid="agreement">{escape(words)}'
             "</div>")
 

@@ -223,3 +223,15 @@ def test_monotone_depth_in_gives_the_same_force_out(steps, seed):
     load, unload = branches_on_grid(back, depth)
     np.testing.assert_allclose(load, force, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(unload[:-1], 2 * force[:-1], rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize(("said", "expected"), [
+    ({}, ""), ({"tool": {"shape": "flat", "radius_mm": 8.0}}, ""), ({"tool": {"shape": "flat"}}, ""),
+    ({"tool": {"shape": "cone", "radius_mm": 8.0}}, "cone of 8 mm radius"), ({"tool": {"shape": "cone"}}, "cone"),
+    ({"tool": {"shape": "flat", "radius_mm": 4.0}}, "flat of 4 mm radius"), ({"tool": "a nail"}, ""),
+])
+def test_a_measurement_says_when_it_was_made_with_another_tool(said, expected):
+    depth = np.linspace(0.0, 5e-3, 40)
+    recording = ts.Recording({"time": depth / 1e-3, "displacement": depth, "force": 200.0 * depth}, {},
+                             {"name": "a", **said})
+    assert measurement([recording]).other_tool(ts.Tool("flat", 8e-3)) == expected

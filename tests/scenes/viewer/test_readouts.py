@@ -6,6 +6,7 @@ from xml.etree import ElementTree
 
 import pytest
 
+import tissue_sim as ts
 from scenes.viewer.frame import Curves, Frame, Phase, Readouts
 from scenes.viewer.page.readouts import agreement_html, readouts_html, status_html
 
@@ -70,12 +71,16 @@ def test_a_start_says_what_it_does_and_no_more():
 
 
 def test_agreement_is_a_number_or_says_what_is_missing():
-    measured = SimpleNamespace(noise=0.0172)
+    flat = SimpleNamespace(experiment=SimpleNamespace(tool=ts.Tool("flat", 8e-3)))
+    frame = replace(FRAME, scene=flat)
+    measured = SimpleNamespace(noise=0.0172, other_tool=lambda tool: "")
     gap = SimpleNamespace(rmse=0.02034, samples=303)
     assert "--measured FILE" in texts(agreement_html(FRAME))["agreement"]
     waiting = replace(FRAME, curves=Curves(measurement=measured))
     assert "being computed" in texts(agreement_html(waiting))["agreement"]
-    shown = texts(agreement_html(replace(FRAME, curves=Curves(measurement=measured, residual=gap))))
+    shown = texts(agreement_html(replace(frame, curves=Curves(measurement=measured, residual=gap))))
     assert shown["rmse"] == "0.020" and "303 samples, replicates differ by 0.017 N" in shown["agreement"]
-    single = replace(FRAME, curves=Curves(measurement=SimpleNamespace(noise=None), residual=gap))
-    assert "replicates" not in texts(agreement_html(single))["agreement"]
+    alone = SimpleNamespace(noise=None, other_tool=lambda tool: "cone of 3 mm radius")
+    single = texts(agreement_html(replace(frame, curves=Curves(measurement=alone, residual=gap))))
+    assert "replicates" not in single["agreement"] and "other-tool" not in shown
+    assert single["other-tool"] == "measured with another tool: cone of 3 mm radius"
