@@ -77,7 +77,7 @@ def score(session: Session, largest: float) -> dict:
             "recoveries_ms": [round(1e3 * one, 1) for one, _ in recoveries],
             "slowest_recovery": max(recoveries, default=(0.0, "")), "round_trip_ms": _quantiles(spent),
             "ended_by": session.ended_by, "exit_code": session.exit_code,
-            "words": [line for line in session.words.splitlines() if "Traceback" in line or "failed" in line][:3]}
+            "words": [line for line in session.words.splitlines() if "Traceback" in line or "step failed" in line][:3]}
 
 
 def _quantiles(seconds: list[float]) -> list[float]:

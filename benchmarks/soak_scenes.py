@@ -14,18 +14,20 @@ from scenes.commands.shared.parsing import Parser
 LAW = {"C10": 1404.9, "C20": 699.4}
 MATERIAL = ts.Material("reduced_polynomial_2", LAW, ts.Bulk("bulk_ratio", 1e4), density=1040.0,
                        viscoelastic=ts.Prony((ts.PronyTerm(0.3, 0.5),)))
-#: m: how high above the tissue, and how deep in it a tool is sent.
+#: m: how high above the tissue, and how deep in it a tool is sent: a ball as deep as its radius, where it is in time.
 HIGHEST, DEEPEST = 2e-3, 8e-3
 _TOOLS = (("flat", "bonded", "0"), ("flat", "0.7", "0.5"), ("flat", "0", "1"), ("flat", "stick", "0.5"),
           ("sphere", "0.3", "0"))
 
 
-def draw(rng: np.random.Generator, material: Path) -> list[str]:
-    """Flags of `tissue-sim serve`, with any tool and contact."""
+def draw(rng: np.random.Generator, material: Path) -> tuple[list[str], float]:
+    """Flags of `tissue-sim serve`, with any tool and contact, and how deep that goes, m."""
     shape, friction, edge = _TOOLS[rng.integers(len(_TOOLS))]
-    flags = ["--material", str(material), "--tool", shape, "--tool-radius-mm", str(rng.choice([4, 8])), "--friction",
-             friction, "--depth-mm", f"{DEEPEST * 1e3:g}"]
-    return flags if edge == "0" else [*flags, "--edge-radius-mm", edge]
+    radius = float(rng.choice([4e-3, 8e-3]))
+    deepest = radius if shape == "sphere" else DEEPEST
+    flags = ["--material", str(material), "--tool", shape, "--tool-radius-mm", f"{radius * 1e3:g}", "--friction",
+             friction, "--depth-mm", f"{deepest * 1e3:g}"]
+    return (flags if edge == "0" else [*flags, "--edge-radius-mm", edge]), deepest
 
 
 def model_of(flags: list[str]) -> ts.Model:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from soak_scenes import DEEPEST, HIGHEST, LAW, draw
+from soak_scenes import HIGHEST, LAW, draw
 
 from haptics.devices.motions import HandMotion
 from haptics.server.client import TissueClient
@@ -55,12 +55,13 @@ class Session:
 
 def run(rng: np.random.Generator, material: Path, seconds: float) -> Session:
     """Start a server, play with it, and end it."""
-    session = Session(draw(rng, material))
+    flags, deepest = draw(rng, material)
+    session = Session(flags)
     process = subprocess.Popen([sys.executable, "-m", "scenes.cli", "serve", "--port", "0", "--json", *session.flags],
                                stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, encoding="utf-8")
     try:
         ports = json.loads(process.stdout.readline())
-        _Play(session, rng, ports).run(seconds)
+        _Play(session, rng, ports, deepest).run(seconds)
         session.ended_by = "kill" if rng.random() < 0.3 else "signal"
     finally:
         alive = process.poll() is None
@@ -73,8 +74,8 @@ def run(rng: np.random.Generator, material: Path, seconds: float) -> Session:
 class _Play:
     """The client's side."""
 
-    def __init__(self, session: Session, rng: np.random.Generator, ports: dict[str, Any]):
-        self._session, self._rng, self._events = session, rng, session.events
+    def __init__(self, session: Session, rng: np.random.Generator, ports: dict[str, Any], deepest: float):
+        self._session, self._rng, self._events, self._deepest = session, rng, session.events, deepest
         self._port, self._hand = ports["port"], HandMotion(-HIGHEST, speed=0.12, response=25.0)
         self._line = socket.create_connection(("127.0.0.1", ports["configuration_port"]), timeout=30.0)
         self._lines = self._line.makefile("rb")
@@ -122,7 +123,7 @@ class _Play:
         self._events.append(("fault", what, time.monotonic() - self._began))
 
     def _aim(self, _: TissueClient) -> None:
-        self._hand.aim(float(self._rng.uniform(-HIGHEST, DEEPEST)))
+        self._hand.aim(float(self._rng.uniform(-HIGHEST, self._deepest)))
 
     def _parameters(self, _: TissueClient) -> None:
         factors = self._rng.choice([0.05, 0.3, 1.0, 3.0, 20.0], 2, p=[0.1, 0.2, 0.4, 0.2, 0.1])
