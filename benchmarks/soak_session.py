@@ -169,8 +169,8 @@ class _Play:
             self._throw(encode_request(Request(sequence, 0.0, session=5)))
 
     def _pause(self, _: TissueClient) -> None:
-        self._fault("pause")
         time.sleep(0.3)
+        self._fault("pause")
 
     def _garbage(self, _: TissueClient) -> None:
         """Lines that are no commands; each has an answer."""

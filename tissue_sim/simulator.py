@@ -49,8 +49,6 @@ DENSITY = 1000.0
 _STIFFNESS_LASTS = 5
 #: Number of the rung of the ladder of meshes that is tried first.
 _FIRST_RUNG = 1
-#: How many steps in a row one iteration may go on, where the budget ends it each time.
-_PATIENCE = 10
 
 
 class Simulator:
@@ -127,9 +125,10 @@ class Simulator:
         # the tool was fast; and the share of the largest part that works.
         self._pose, self._touched = self._solver.pose, False
         self._waiting, self._lingers, self._share = 0.0, math.inf, 1.0
-        # Pose and time step of an iteration that the budget ended, and how often it did.
+        # Pose and time step of an iteration that the budget ended, and its linear solves; whether one may begin with an
+        # extrapolation, after which it is right soon or led astray.
         self._attempt: tuple[Pose, float] | None = None
-        self._resumed = 0
+        self._spent, self._extrapolates = 0, True
         self._creep: Creep | None = None
         self._stiffness_lasts = _STIFFNESS_LASTS
         self._start = self.save()
@@ -230,7 +229,7 @@ class Simulator:
         """Step to a pose in as many parts as it takes; the next step is thought as long as this tick, s."""
         solver, status, solves, residual = self._solver, None, 0, self._answer.residual
         inertial = self.inertia == "on" or (self.inertia == "auto" and self._lingers < _LINGERS)
-        extrapolates, resumes = True, self._attempt is not None
+        resumes = self._attempt is not None
         anew = not self._bonded
         while status is None:
             started, creep = time.perf_counter(), self._creep
@@ -244,8 +243,8 @@ class Simulator:
                 target, dt = self._attempt
             weighs = inertial and dt > 0.0 and creep is None
             # Across a change of contact extrapolation leads astray, but less so where mass is in the way.
-            order = min(2, max(solver.unchanged, weighs)) if extrapolates else 0
-            most = allowed = _MOST_SOLVES[order > 0]
+            order = min(2, max(solver.unchanged, weighs)) if self._extrapolates else 0
+            most = allowed = _MOST_SOLVES[order > 0] - (self._spent if resumes else 0)
             asks = self._equilibrium.stiffness_age + 1 >= self._stiffness_lasts
             if self.budget is not None:
                 # The own stiffness takes as long as a step without solves.
@@ -273,24 +272,25 @@ class Simulator:
             if step.status is StepStatus.CONVERGED:
                 self._take(step, dt, weighs)
                 self._waiting = max(0.0, self._waiting - dt)
-                self._share, self._attempt, self._resumed = min(1.0, 2.0 * self._share), None, 0
-                extrapolates, resumes = True, False
+                self._share, self._attempt, self._spent = min(1.0, 2.0 * self._share), None, 0
+                self._extrapolates, resumes = True, False
                 if target == pose and (creep is not None or share == 1.0 or self._waiting == 0.0):
                     self._waiting, status = 0.0, ForceStatus.CONVERGED
-            elif creep is None and step.status is StepStatus.SLOW and allowed < most and self._resumed < _PATIENCE:
+            elif creep is None and step.status is StepStatus.SLOW and allowed < most:
                 # The next step goes on with this iteration, and with what is left of the way then.
-                self._attempt, self._resumed, status = (target, dt), self._resumed + 1, ForceStatus.LATE
-            elif resumes:
-                self._attempt, self._resumed, resumes = None, 0, False
+                self._attempt, self._spent = (target, dt), self._spent * resumes + step.iterations
+                status = ForceStatus.LATE
             elif creep is None and order:
-                extrapolates = False
+                self._attempt, self._spent, resumes, self._extrapolates = None, 0, False, False
             elif creep is None and min(self._share, way / self._largest_part) < _CREEPS:
                 # After a hold parts are as short as they may be, and no shorter.
+                self._attempt, self._spent, resumes = None, 0, False
                 self._share = max(_SMALLEST_CUT, min(self._share, way / self._largest_part))
                 self._creep = Creep(target, dt, solver.creep(target, dt, tolerance=self.tolerance,
                                                               max_iterations=_MOST_OF_CREEP), step)
             else:
-                self._share, extrapolates = 0.5 * self._share, True
+                self._attempt, self._spent, resumes = None, 0, False
+                self._share, self._extrapolates = 0.5 * self._share, True
                 if self._share < _SMALLEST_CUT and anew:
                     # Press anew from the touch on; what friction remembers begins there.
                     solver.lift_off()
@@ -341,7 +341,7 @@ class Simulator:
         self._pose = state.pose
         self._waiting, self._lingers, self._share = state.waiting, state.lingers, state.share
         self._touched, self._reduced.history = state.touched, state.history
-        self._attempt, self._resumed = None, 0
+        self._attempt, self._spent, self._extrapolates = None, 0, True
 
     def _stop_creeping(self) -> None:
         """Back to the equilibrium from which the tissue crept away."""

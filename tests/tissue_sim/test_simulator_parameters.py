@@ -52,6 +52,24 @@ def test_one_modulus_alone_is_followed_there_and_back(case):
     assert sim.step(6e-3, 1e-3).force == pytest.approx(stiff.force, rel=0.01)
 
 
+@pytest.mark.parametrize("case", CASES)
+def test_with_time_for_one_solve_a_step_it_takes_as_many_steps_as_solves(case, monkeypatch):
+    """An iteration goes on from step to step until it is there; once it began anew every ten steps, and never was."""
+    sim, _ = pressed(CASES[case])
+    free, _ = pressed(CASES[case])
+    for one in (sim, free):
+        one.set_parameters(C10=3.0 * LAW["C10"], C20=0.05 * LAW["C20"])
+    expected = free.step(6e-3, 1e-3)
+    sim.budget = 10.0
+    monkeypatch.setattr(sim._clock, "fitting", lambda time, first=False: 1 if first else 0)
+    answers = [sim.step(6e-3, 1e-3)]
+    while answers[-1].status is ts.ForceStatus.LATE and len(answers) < 200:
+        answers.append(sim.step(6e-3, 1e-3))
+    assert answers[-1].status is ts.ForceStatus.CONVERGED
+    assert answers[-1].force == pytest.approx(expected.force, rel=1e-3)
+    assert len(answers) <= 2 * expected.iterations + 10
+
+
 def test_a_change_while_the_mass_counts_is_answered_by_the_new_material():
     sim, before = pressed(CASES["bonded"])
     moving = ts.Simulator(sim.model, inertia="on")
