@@ -61,6 +61,8 @@ def unencoded(tree: ast.AST) -> list[int]:
                 lines.append(node.lineno)
             case ast.Attribute(value=ast.Name(id="os"), attr="open"):
                 pass  # a file descriptor
+            case ast.Attribute(value=ast.Name(id="archive"), attr="open"):
+                pass  # bytes
             case ast.Name(id="open") | ast.Attribute(attr="open" | "fdopen"):
                 if not any("b" in mode for mode in modes(node)):
                     lines.append(node.lineno)

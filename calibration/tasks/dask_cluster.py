@@ -9,8 +9,8 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
-from calibration.tasks.packing import pack, run_packed
 from tissue_sim.errors import InputError
+from tissue_sim.packing import pack, run_packed
 
 #: s that a scheduler has to answer.
 ANSWER_WITHIN = 10.0
