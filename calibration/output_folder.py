@@ -12,6 +12,7 @@ from typing import Any
 from calibration.campaign.campaign import Campaign
 from calibration.campaign.measured import MeasuredCurve
 from tissue_sim.atomic_write import write_text
+from tissue_sim.decode import read_json
 from tissue_sim.errors import InputError
 
 CLAIM_FILE, FIT_FILE, SUMMARY_FILE = "work.json", "fit.json", "summary.csv"
@@ -128,7 +129,7 @@ def _protect_inputs(planned: Sequence[Path], campaigns: Sequence[Campaign],
 def _read_claim(output: Path) -> dict[str, Any]:
     """The ``work.json`` of an earlier calibration; empty where there is none that can be trusted."""
     try:
-        found = json.loads((output / CLAIM_FILE).read_text(encoding="utf-8"))
+        found = read_json(output / CLAIM_FILE, "what an earlier calibration left")
         if found["schema"] != CLAIM_SCHEMA:
             return {}
         places = [PurePosixPath(name) for name in found["files"]]

@@ -29,7 +29,7 @@ from scenes.commands import (
 )
 from scenes.commands.shared.parsing import Parser, later_answer
 from tissue_sim import __version__
-from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError, nearest
+from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError, nearest, sentence
 
 COMMANDS = {
     "demo": demo,
@@ -130,13 +130,14 @@ def _refuse_unknown_names(words: list[str]) -> None:
 
 def _speak_utf8() -> None:
     # A redirected stream on Windows has the code page's encoding, which has no lambda or plus-minus sign.
+    # And names of files may hold bytes that no encoding has.
     for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure") and (stream.encoding or "").lower().replace("-", "") != "utf8":
-            stream.reconfigure(encoding="utf-8", errors="replace")
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(encoding="utf-8", errors="backslashreplace")
 
 
-def _fail(sentence: str, code: int) -> int:
-    print(f"tissue-sim: {' '.join(sentence.split())}", file=sys.stderr)
+def _fail(text: str, code: int) -> int:
+    print(f"tissue-sim: {sentence(text)}", file=sys.stderr)
     return code
 
 

@@ -24,6 +24,17 @@ IMPORTERS = {  # outside package -> where it may be imported
     "matplotlib": ("scenes/", "calibration/"),
     "socket": ("haptics/", "scenes/doctor/"),
 }
+#: What opens a file to read it, or parses what is in one; and who may: the doors, and readers of what is our own.
+OPENING = {"read_bytes", "read_text", "loadtxt", "genfromtxt", "load", "loads", "fromstring"}
+DOORS = {
+    "tissue_sim/files.py", "tissue_sim/decode.py", "tissue_sim/bounded.py", "tissue_sim/packing.py",
+    # Our sources and caches, the system's files, results of this program that it has just written.
+    "tissue_sim/laws/derivation.py", "calibration/forward/solves.py", "calibration/campaign_diagnosis.py",
+    "haptics/loop/loop.py", "scenes/viewer/page/material_controls.py", "scenes/viewer/trace.py",
+    "scenes/demo/hidden_figure.py",
+    # Bytes that come from a device or are measured already.
+    "haptics/protocols/haply.py", "haptics/protocols/rdt.py", "haptics/protocols/ati_calibration.py",
+    "tissue_sim/recording/formats/native.py"}
 VAGUE_NAMES = {"utils", "util", "helpers", "helper", "manager", "core", "misc", "common", "work", "batch", "build"}
 #: Lines of a file, and of a function outside kernels.
 LONGEST_FILE, LONGEST_FUNCTION = 400, 120
@@ -61,6 +72,8 @@ def unencoded(tree: ast.AST) -> list[int]:
                 lines.append(node.lineno)
             case ast.Attribute(value=ast.Name(id="os"), attr="open"):
                 pass  # a file descriptor
+            case ast.Attribute(value=ast.Name(id="archive"), attr="open"):
+                pass  # bytes
             case ast.Name(id="open") | ast.Attribute(attr="open" | "fdopen"):
                 if not any("b" in mode for mode in modes(node)):
                     lines.append(node.lineno)
@@ -125,6 +138,21 @@ def holds_kernels(path: Path) -> bool:
     """Whether Taichi compiles some of a source: a kernel cannot be cut into functions at will."""
     return any(ast.unparse(decorator).startswith(("ti.func", "ti.kernel")) for function in functions(path)
                for decorator in function.decorator_list)
+
+
+def openings(tree: ast.AST) -> list[int]:
+    """Lines that call something of `OPENING` of a path, numpy, or a parser."""
+    return [node.lineno for node in ast.walk(tree) if isinstance(node, ast.Call)
+            and isinstance(node.func, ast.Attribute) and node.func.attr in OPENING]
+
+
+def test_files_of_others_come_in_by_the_doors():
+    """A reader gets its bytes from `tissue_sim.files`, its JSON and TOML from `tissue_sim.decode`."""
+    assert openings(ast.parse("path.read_bytes(); json.loads(text)")) == [1, 1]
+    found = {place(path): openings(parsed(path)) for path in SOURCES}
+    strays = {name: lines for name, lines in found.items() if lines and name not in DOORS}
+    assert not strays, f"read_bytes, read_text, read_json or read_toml instead: {strays}"
+    assert not [name for name in DOORS if not found[name]], "a door that nobody needs"
 
 
 def test_files_and_functions_are_short():

@@ -27,11 +27,16 @@ def write_bytes(path: str | Path, data: bytes) -> None:
             temporary.replace(path)
         finally:
             temporary.unlink(missing_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot be written ({error.strerror or error}); choose another place or free this one",
-                         file=path) from error
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"cannot be written ({reason}); choose another place or free this one", file=path) from error
 
 
 def write_text(path: str | Path, text: str) -> None:
     """Write `text` as UTF-8 with the line ends it has; otherwise as `write_bytes`."""
-    write_bytes(path, text.encode("utf-8"))
+    try:
+        data = text.encode("utf-8")
+    except UnicodeEncodeError as error:
+        raise InputError(f"half of a surrogate pair ({text[error.start]!r}) cannot be written, expected whole "
+                         "characters; look for it in names of files", file=path) from None
+    write_bytes(path, data)

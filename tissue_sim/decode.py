@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,9 @@ import msgspec
 import numpy as np
 from msgspec.inspect import DictType, LiteralType, NoneType, StructType, UnionType, type_info
 
+from tissue_sim.bounded import bounded
 from tissue_sim.errors import InputError, nearest
-from tissue_sim.files import read_text
+from tissue_sim.files import LARGEST_JSON, LARGEST_TOML, read_text
 
 _WORDS = {"float": "a number", "int": "a whole number", "str": "text", "bool": "true or false", "null": "null",
           "object": "an object {...}", "array": "a list [...]"}
@@ -31,16 +33,56 @@ def read_json(path: str | Path, expected: str) -> Any:
         InputError: no such file, not text, damaged JSON (line and column), or a key that appears twice.
     """
     path = Path(path)
-    text = read_text(path, expected)
+    text = read_text(path, expected, LARGEST_JSON)
     try:
-        return json.loads(text, object_pairs_hook=_without_duplicates)
+        return parse_json(text)
     except InputError as error:
         raise error.located(file=path) from None
     except json.JSONDecodeError as error:
         raise InputError(f"damaged JSON at column {error.colno} ({error.msg}), expected {expected}; mend or restore it",
                          file=path, line=error.lineno) from None
-    except (RecursionError, ValueError) as error:
+    except ValueError as error:
         raise InputError(f"damaged JSON ({error}), expected {expected}; mend or restore it", file=path) from None
+
+
+def parse_json(text: str) -> Any:
+    """The value of a JSON text.
+
+    Raises:
+        InputError: a key that appears twice, half of a surrogate pair, or nested too deep.
+        ValueError: no JSON, or a whole number that is too long.
+    """
+    try:
+        value = json.loads(text, object_pairs_hook=_without_duplicates)
+        if "\\u" in text:
+            _require_whole_characters(value, "")
+        return value
+    except RecursionError:
+        raise InputError("damaged JSON (nested too deep); mend or restore it") from None
+
+
+def read_toml(path: str | Path, expected: str) -> dict[str, Any]:
+    """The TOML in a file; arguments as `read_json`.
+
+    Raises:
+        InputError: as `tissue_sim.files.read_text`, or not TOML (line).
+    """
+    path = Path(path)
+    text = read_text(path, expected, LARGEST_TOML)
+    # Where keys have thousands of parts Python's reader takes hours.
+    return bounded(_parse_toml, text, file=path, size=len(text))
+
+
+def _parse_toml(text: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        place = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
+        reason = re.sub(r"\s*\(at .*\)$", "", str(error))
+        where = f" at column {place[2]}" if place else ""
+        raise InputError(f"this is not valid TOML: {reason}{where}", line=int(place[1]) if place else None) from None
+    except ValueError as error:
+        raise InputError(f"this is not valid TOML: {error}") from None
 
 
 def decode(value: Any, kind: Any, field: str = "", words: Mapping[str, str] | None = None) -> Any:
@@ -127,17 +169,31 @@ def require_writable(value: Any, field: str = "") -> None:
     Raises:
         InputError: with the dotted path of the value.
     """
+    _require_whole_characters(value, field)
+    _require_finite(value, field)
+
+
+def _require_finite(value: Any, field: str) -> None:
     if isinstance(value, float) and not math.isfinite(value):
         raise InputError(f"{value} is not a finite number; give one, or leave the key out", field=field)
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            _require_finite(item, f"{field}.{key}".lstrip("."))
+    elif isinstance(value, list | tuple):
+        for index, item in enumerate(value):
+            _require_finite(item, f"{field}[{index}]")
+
+
+def _require_whole_characters(value: Any, field: str) -> None:
     if isinstance(value, str) and any("\ud800" <= character <= "\udfff" for character in value):
         raise InputError(f"{value!r} holds half of a surrogate pair, expected whole characters", field=field)
     if isinstance(value, Mapping):
         for key, item in value.items():
-            require_writable(key, field)
-            require_writable(item, f"{field}.{key}".lstrip("."))
+            _require_whole_characters(key, field)
+            _require_whole_characters(item, f"{field}.{key}".lstrip("."))
     elif isinstance(value, list | tuple):
         for index, item in enumerate(value):
-            require_writable(item, f"{field}[{index}]")
+            _require_whole_characters(item, f"{field}[{index}]")
 
 
 def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -3,9 +3,17 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+#: Characters of a sentence; of a piece of somebody's input that it quotes; at least of the file before it.
+LONGEST_SENTENCE, _QUOTED, _PLACE = 300, 60, 50
+_QUOTATION = re.compile(rf"""(?<!\w)(?:'[^']{{{_QUOTED},}}'|"[^"]{{{_QUOTED},}}")(?!\w)""")
+
+
+_STRANGE = (ArithmeticError, LookupError, MemoryError, OSError, RecursionError, TypeError, ValueError)
 
 
 class InputError(ValueError):
@@ -28,7 +36,10 @@ class InputError(ValueError):
             place.append(f"line {line}")
         if field is not None:
             place.append(field)
-        super().__init__(": ".join([*place, problem]))
+        super().__init__(sentence(problem, place))
+
+    def __reduce__(self):
+        return _made_again, (type(self), self.problem, self.file, self.line, self.field)
 
     def located(self, *, file: str | Path | None = None, field: str | None = None, part: str = "") -> InputError:
         """The same error with the file, an outer field, or a part of the file in words, that only the caller knows."""
@@ -37,13 +48,52 @@ class InputError(ValueError):
         return InputError(problem, file=self.file if self.file is not None else file, line=self.line, field=joined)
 
 
+def _made_again(kind, problem, file, line, field):
+    return kind(problem, file=file, line=line, field=field)
+
+
+def sentence(problem: str, place: Iterable[str] = ()) -> str:
+    """A problem with its place before it: printable, on one line of at most `LONGEST_SENTENCE` characters. Where it is
+    longer, what it quotes is shortened in the middle, then the place, then the whole."""
+    parts = [_printable(part) for part in (*place, problem)]
+    if len(": ".join(parts)) > LONGEST_SENTENCE:
+        quoted = _QUOTATION.sub(lambda match: shortened(match[0], _QUOTED), parts.pop())
+        # The sentence says what to do; the place is what somebody has just named.
+        room = max(_PLACE, (LONGEST_SENTENCE - len(quoted)) // max(len(parts), 1) - 2)
+        parts = [*(shortened(part, room) for part in parts), quoted]
+    return shortened(": ".join(parts), LONGEST_SENTENCE)
+
+
+def _printable(text: str) -> str:
+    """Line ends as blanks; what moves a terminal's cursor, and halves of surrogate pairs, as escapes."""
+    if text.isprintable():
+        return text
+    return "".join(each if each.isprintable() else " " if each.isspace() else each.encode("unicode_escape").decode()
+                   for each in text)
+
+
+def shortened(text: str, longest: int) -> str:
+    """The text, its middle left out where it is longer."""
+    if len(text) <= longest:
+        return text
+    front = (longest - 5) // 2
+    return f"{text[:front]} ... {text[len(text) - (longest - 5 - front):]}"
+
+
 @contextmanager
 def located(*, file: str | Path | None = None, field: str | None = None, part: str = "") -> Iterator[None]:
-    """Input errors of the work inside are `InputError.located`."""
+    """Input errors of the work inside are `InputError.located`; where it is that of a file, whatever else a strange one
+    makes of the work is an input error too."""
     try:
         yield
     except InputError as error:
         raise error.located(file=file, field=field, part=part) from None
+    except _STRANGE as error:
+        if file is None:
+            raise
+        reason = str(error) or "no reason is given"
+        raise InputError(f"cannot be used ({type(error).__name__}: {reason}); look for odd names, numbers and nesting "
+                         "in it", file=file, field=field) from error
 
 
 class ConvergenceError(RuntimeError):

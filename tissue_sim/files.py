@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 import codecs
+import contextlib
+import io
+import itertools
 import os
+import stat
+import zipfile
+import zlib
 from pathlib import Path
 
 from tissue_sim.errors import InputError
@@ -17,42 +23,140 @@ _MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF32_LE, "utf-32"), (code
 _CONTROL = [chr(code) for code in range(32) if code not in (9, 10, 11, 12, 13, 26)]
 
 
-def read_bytes(path: str | Path, expected: str) -> bytes:
-    """The bytes of a file.
+#: Largest file of a recording; of JSON; of TOML: bytes.
+LARGEST, LARGEST_JSON, LARGEST_TOML = 300_000_000, 8_000_000, 1_000_000
+#: Files of a pattern.
+_MOST_FILES = 10_000
+#: What an archive may hold, unpacked, bytes.
+_LARGEST_UNPACKED = 200_000_000
+
+
+def open_file(path: str | Path, expected: str, largest: int = LARGEST) -> io.BufferedReader:
+    """A file of somebody's, opened for reading: the one door by which their bytes come in.
 
     Args:
         path: the file.
         expected: what the file should have been, for the message: ``"a recording (CSV)"``.
+        largest: bytes that it may have.
 
     Raises:
-        InputError: no such file, a folder, not readable.
+        InputError: no such file, a folder, pipe or device, not readable, or too large.
     """
     path = Path(path)
     try:
-        if path.is_dir():
-            raise InputError(f"is a folder, expected {expected}; name a file in it", file=path)
-        return path.read_bytes()
+        # A pipe without a writer would be waited for, a device read for ever.
+        file = os.fdopen(os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)), "rb")
     except FileNotFoundError:
         raise InputError(f"no such file, expected {expected}; check the name and the folder", file=path) from None
     except (OSError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
+        if isinstance(error, IsADirectoryError) or _is_folder(path):
+            raise _folder(path, expected) from None
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"cannot be read ({reason}), expected {expected}; check the name and the permissions",
                          file=path) from error
+    found = os.fstat(file.fileno())
+    if stat.S_ISREG(found.st_mode) and found.st_size <= largest:
+        return file
+    file.close()
+    if stat.S_ISDIR(found.st_mode):
+        raise _folder(path, expected)
+    if not stat.S_ISREG(found.st_mode):
+        raise InputError(f"is a pipe, socket or device, expected {expected} in a file; save it as one", file=path)
+    raise InputError(f"has {found.st_size / 1e6:.3g} MB, expected {expected} of at most {largest / 1e6:g} MB; give a "
+                     "part of it", file=path)
 
 
-def read_text(path: str | Path, expected: str) -> str:
-    """The UTF-8 text of a file, without its byte order mark.
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except OSError:
+        return False
 
-    Args:
-        path: the file.
-        expected: what the file should have been, for the message: ``"a recording (CSV)"``.
+
+def _folder(path: Path, expected: str) -> InputError:
+    return InputError(f"is a folder, expected {expected}; name a file in it", file=path)
+
+
+def read_bytes(path: str | Path, expected: str, largest: int = LARGEST) -> bytes:
+    """The bytes of a file; arguments and errors as `open_file`."""
+    with open_file(path, expected, largest) as file:
+        try:
+            # Not more at once than it says: room is made for all that is asked for.
+            data = file.read(os.fstat(file.fileno()).st_size + 1)
+            if len(data) > largest or file.read(1):  # files of the system say that they have no bytes
+                raise InputError(f"grows while it is read, expected {expected}", file=path)
+        except OSError as error:  # some files of the system, or a disk that fails
+            raise InputError(f"cannot be read ({error.strerror or error}), expected {expected}", file=path) from error
+    return data or b""
+
+
+def first_bytes(path: str | Path, count: int) -> bytes:
+    """How a file begins; nothing where it cannot be read."""
+    try:
+        with open_file(path, "") as file:
+            return file.read(count)
+    except (InputError, OSError):
+        return b""
+
+
+def exists(path: Path) -> bool:
+    """Whether there is such a file or folder; a name that no file can have is none."""
+    try:
+        return path.exists()
+    except OSError:
+        return False
+
+
+def find_files(folder: Path, pattern: str) -> list[Path]:
+    """Files of a folder that a pattern such as ``run_*.csv`` matches, sorted.
 
     Raises:
-        InputError: no such file, a folder, not readable, empty, binary, or not UTF-8.
+        InputError: no pattern, or one that matches more than `_MOST_FILES`.
     """
-    path, data = Path(path), read_bytes(path, expected)
+    try:
+        found = list(itertools.islice((each for each in folder.glob(pattern) if not each.is_dir()), _MOST_FILES + 1))
+    except (OSError, ValueError, NotImplementedError, IndexError) as error:
+        raise InputError(f"{pattern!r} is no pattern of files ({error}); give one such as 'run_*.csv'") from None
+    if len(found) > _MOST_FILES:
+        raise InputError(f"{pattern!r} matches more than {_MOST_FILES} files; give a narrower one")
+    return sorted(found)
+
+
+def require_small_archive(path: str | Path) -> None:
+    """Refuse an archive that holds more than a computer should unpack for a stranger; it is unpacked to count, because
+    what it says of itself may be anything.
+
+    Raises:
+        InputError: such an archive; or as `open_file`.
+    """
+    size = 0
+    with open_file(path, "a file") as file:
+        if not zipfile.is_zipfile(file):
+            return
+        try:
+            with zipfile.ZipFile(file) as archive:
+                for member in archive.infolist():
+                    # Never fewer bytes than it says, which some readers believe.
+                    member.file_size = 2**62
+                    with contextlib.suppress(zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError,
+                                             RuntimeError), archive.open(member) as content:
+                        while piece := content.read(1 << 20):
+                            size += len(piece)
+                            if size > _LARGEST_UNPACKED:
+                                raise InputError(f"unpacks to more than {_LARGEST_UNPACKED / 1e6:g} MB, expected "
+                                                 "recordings; give a part of it", file=path)
+        except (zipfile.BadZipFile, OSError, NotImplementedError, ValueError) as error:
+            if isinstance(error, InputError):
+                raise
+
+
+def read_text(path: str | Path, expected: str, largest: int = LARGEST) -> str:
+    """The UTF-8 text of a file, without its byte order mark; arguments as `open_file`.
+
+    Raises:
+        InputError: as `open_file`; or empty, binary, or not UTF-8.
+    """
+    path, data = Path(path), read_bytes(path, expected, largest)
     if data.startswith(ZIP_MAGIC):
         raise InputError(f"is a binary file (a zip archive, as spreadsheets are), expected {expected}; recordings in "
                          "such files are read with format = 'xlsx' or 'afm'", file=path)

@@ -45,6 +45,8 @@ _LOOSE = (re.compile(r"^(?P<name>.*\S)\s*,\s*(?P<unit>\S+)$"), re.compile(r"^(?P
 #: SI unit -> unit in which people are shown a value, and that many of them in one SI unit; any other as it is.
 _SHOWN = {"Pa": ("kPa", 1e-3), "1/Pa": ("1/MPa", 1e6), "m": ("mm", 1e3), "m2/s": ("mm²/s", 1e6), "m/N": ("mm/N", 1e3),
           "rad": ("deg", 180.0 / math.pi), "1": ("", 1.0)}
+#: Characters of a header that is looked through for a unit: the time for it grows faster than they do.
+_LONGEST_HEADER = 300
 _HEADER = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]()]*)[\])]\s*$")
 
 
@@ -90,7 +92,7 @@ def shown(unit: str) -> tuple[str, float]:
 
 def split_header(header: str) -> tuple[str, str | None]:
     """``'Load (N)'`` -> ``('Load', 'N')``; ``'Stretch'`` -> ``('Stretch', None)``."""
-    match = _HEADER.match(header.strip())
+    match = _HEADER.match(header.strip()) if len(header) <= _LONGEST_HEADER else None
     if not match:
         return header.strip(), None
     return match["name"].strip(), match["unit"].strip()
@@ -104,7 +106,7 @@ def loose_header(header: str) -> tuple[str, str | None]:
     name, unit = split_header(header)
     if unit is not None:
         return (name, unit) if known_unit(unit) else (header.strip(), None)
-    for pattern in _LOOSE:
+    for pattern in _LOOSE if len(header) <= _LONGEST_HEADER else ():
         match = pattern.match(name)
         if match and known_unit(match["unit"]) not in (None, "1"):
             return match["name"].strip(), match["unit"]

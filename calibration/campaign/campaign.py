@@ -38,7 +38,7 @@ from calibration.campaign.schema import (
     TestTable,
     decode_campaign,
 )
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.errors import InputError, located, nearest
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.frozen_mapping import read_only
@@ -201,10 +201,10 @@ def load_campaign(path: str | Path, *, planned: bool = False) -> Campaign:
     path = Path(path)
     table, data, defaults = decode_campaign(path)
     try:
-        specimens = _specimens(table)
-        tests = _tests(table, specimens, path.parent, planned)
-        return Campaign(path, _read_only(specimens), tests, _fit_settings(table.fit, table.noise, tests),
-                        _noise(table.noise, table.fit.method), hashlib.sha256(data).hexdigest(), _density(tests))
+        with located(file=path):
+            tests = _tests(table, specimens := _specimens(table), path.parent, planned)
+            return Campaign(path, _read_only(specimens), tests, _fit_settings(table.fit, table.noise, tests),
+                            _noise(table.noise, table.fit.method), hashlib.sha256(data).hexdigest(), _density(tests))
     except InputError as error:
         raise defaults.located(error, path) from None
 

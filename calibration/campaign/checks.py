@@ -10,9 +10,11 @@ import numpy as np
 
 from calibration.campaign.parameters import Named
 from calibration.campaign.schema import BY_PARAMETER, FitTable, NoiseTable, TestTable
-from tissue_sim.errors import InputError
+from tissue_sim.bounded import bounded
+from tissue_sim.errors import InputError, located
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.experiment.tools.tool import TOOLS, read_shape
+from tissue_sim.files import exists, find_files
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.material.material import BULK_RATIOS
 from tissue_sim.recording.formats.columns import check_columns
@@ -73,7 +75,11 @@ def find_recordings(patterns: list[str], folder: Path, field: str) -> tuple[Path
             raise InputError(f"{pattern!r} names no file; give a path or a pattern such as 'run_*.csv'", field=place)
         # A plain path wins over its reading as a pattern: file names may hold brackets.
         plain = base / relative
-        matches = [plain] if plain.exists() else sorted(base.glob(str(relative))) if set("*?[") & set(pattern) else []
+        matches = [plain] if exists(plain) else []
+        if not matches and set("*?[") & set(pattern):
+            # A pattern can be one that looks at the whole disk.
+            with located(field=place):
+                matches = bounded(find_files, base, str(relative), file=base, size=0)
         if not matches:
             raise InputError(f"no file matches {pattern!r} in {base}; paths are relative to the campaign file",
                              field=place)

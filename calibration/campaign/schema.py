@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from types import GenericAlias
@@ -11,11 +10,11 @@ from typing import Any, Literal, cast
 
 import msgspec
 
-from tissue_sim.decode import decode
+from tissue_sim.decode import decode, read_toml
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.experiment.tools.tool import tool_sizes
-from tissue_sim.files import read_text
+from tissue_sim.files import read_bytes
 
 Pair = tuple[float, float]
 #: JSON's words in TOML.
@@ -59,7 +58,7 @@ class TestTable(_Table, frozen=True, kw_only=True):
     tool: str | None = None
     friction: str | float | None = None
     friction_base: str | float | None = None
-    friction_wall: float | None = None
+    friction_wall: str | float | None = None
     contact_laws: dict[str, dict[str, float]] | None = None
     tilt_mm: float | None = None
     slip: float | None = None
@@ -170,22 +169,14 @@ def decode_campaign(path: Path) -> tuple[CampaignTable, bytes, Defaults]:
         InputError: missing or unreadable file, not TOML (line), unknown key (names the nearest), missing key, wrong
             type.
     """
-    text = read_text(path, "a campaign (TOML)")
-    try:
-        content = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        place = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
-        reason = re.sub(r"\s*\(at .*\)$", "", str(error))
-        where = f" at column {place[2]}" if place else ""
-        raise InputError(f"this is not valid TOML: {reason}{where}", file=path,
-                         line=int(place[1]) if place else None) from None
+    content = read_toml(path, "a campaign (TOML)")
     for key in ("specimen", "test"):
         if not isinstance(content.get(key, []), list):
             raise InputError(f"expected a list of tables, written [[{key}]]", file=path, field=key)
     defaults = _take_defaults(content, path)
     try:
         _check_by_parameter(content.get("fit"))
-        return decode(content, campaign_table(), words=_WORDS), path.read_bytes(), defaults
+        return decode(content, campaign_table(), words=_WORDS), read_bytes(path, "a campaign (TOML)"), defaults
     except InputError as error:
         # TOML has no null: what may be left out is not written.
         problem = error.problem.replace(" or null", "")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ import msgspec
 from calibration.campaign.campaign import Campaign
 from calibration.diagnosis.diagnosis import Diagnosis
 from calibration.output_folder import DIAGNOSIS_FILE, TABLES_OF_DIAGNOSIS
+from tissue_sim.decode import read_json
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ def diagnosis_to_json(results: Sequence[DiagnosisResult]) -> dict[str, Any]:
 def read_diagnosis(campaign: Campaign, folder: Path, digest: str) -> DiagnosisResult | None:
     """The finished diagnosis of the same work, None where there is none that can be read or a file of it is missing."""
     try:
-        found = json.loads((folder / DIAGNOSIS_FILE).read_text(encoding="utf-8"))
+        found = read_json(folder / DIAGNOSIS_FILE, "a finished diagnosis")
         if found["work"] != digest:
             return None
         diagnosis = msgspec.convert(found, Diagnosis)

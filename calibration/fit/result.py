@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from calibration.fit.agreement import compare_methods
 from calibration.fit.fit import Fit, Prediction, SensorStatement
 from calibration.fit.self_weight import statement
 from calibration.output_folder import FIT_FILE, TABLES
+from tissue_sim.decode import read_json
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def to_json(results: Sequence[CalibrationResult]) -> dict[str, Any]:
 def read_back(campaign: Campaign, folder: Path, digest: str) -> CalibrationResult | None:
     """The finished result of the same work, None where there is none that can be read or a file of it is missing."""
     try:
-        found = json.loads((folder / FIT_FILE).read_text(encoding="utf-8"))
+        found = read_json(folder / FIT_FILE, "a finished calibration")
         if found["work"] != digest:
             return None
         files = [*TABLES, *(fit["material_file"] for fit in found["fits"] if fit["material_file"] is not None)]

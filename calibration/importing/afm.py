@@ -5,7 +5,7 @@ from __future__ import annotations
 import zipfile
 from pathlib import Path
 
-from tissue_sim.files import ZIP_MAGIC, read_bytes
+from tissue_sim.files import ZIP_MAGIC, first_bytes, read_bytes
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.recording.file import read_recordings
 from tissue_sim.recording.formats.guesses import KindGuess, Reading, Understanding
@@ -19,10 +19,7 @@ def is_afm(path: Path) -> bool:
     """Whether a file holds force curves: by its name, by how it begins, or as an archive that is no spreadsheet."""
     if path.suffix.lower() in _SUFFIXES:
         return True
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        head = file.read(64)
+    head = first_bytes(path, 64)
     if head.startswith(_HEADS):
         return True
     if not head.startswith(ZIP_MAGIC):

@@ -17,7 +17,8 @@ from calibration.importing.imported import Imported, ImportedTest, Line, Part, W
 from calibration.importing.motion import describe_motion
 from calibration.importing.picture import draw_imported
 from tissue_sim.atomic_write import write_bytes, write_text
-from tissue_sim.errors import InputError
+from tissue_sim.bounded import bounded
+from tissue_sim.errors import InputError, located, shortened
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.experiment.tools.tool import shapes_without_file
 from tissue_sim.frozen_mapping import read_only
@@ -29,6 +30,8 @@ _LAWS = {"analytical": ("neo_hooke", "mooney_rivlin", "reduced_polynomial_2", "o
          "inverse_fem": ("neo_hooke", "reduced_polynomial_2")}
 #: K / mu0 of a simulated tissue where nobody says it.
 _BULK_RATIO = 1000.0
+#: Characters of a sentence for the faults of all files.
+_ALL_FAULTS = 240
 
 
 def import_files(files: Iterable[str | Path], output: str | Path | None = None, wishes: Wishes | None = None, *,
@@ -78,8 +81,9 @@ def _check(paths: Sequence[Path], output: Path | None, overwrite: bool) -> None:
     if not paths:
         raise InputError("give at least one file", field="files")
     for i, path in enumerate(paths):
-        if path.resolve() in {other.resolve() for other in paths[:i]}:
-            raise InputError("is given twice; a replicate counts once", file=path)
+        with located(file=path):
+            if path.resolve() in {other.resolve() for other in paths[:i]}:
+                raise InputError("is given twice; a replicate counts once")
     if output is None:
         return
     if output.suffix.lower() != ".toml":
@@ -103,20 +107,22 @@ def _understand(paths: Sequence[Path], wishes: Wishes) -> list[Understanding]:
     if len(faults) == 1:
         raise faults[0]
     if faults:
-        raise InputError(f"{len(faults)} of {len(paths)} files cannot be imported: {'; '.join(map(str, faults))}")
+        room = _ALL_FAULTS // len(faults)
+        said = (shortened(f"{Path(each.file or '').name}: {each.problem}", max(room, 20)) for each in faults)
+        raise InputError(f"{len(faults)} of {len(paths)} files cannot be imported: {'; '.join(said)}")
     return understood
 
 
 def _one(path: Path, wishes: Wishes) -> Understanding:
     stated = wishes.stated
-    if stated.format in ("afm", "jpk", "bruker") or (not stated.format and is_afm(path)):
+    if stated.format in ("afm", "jpk", "bruker") or (not stated.format and bounded(is_afm, path, file=path)):
         return understand_afm(path)
-    found = understand(path, stated)
+    found = bounded(understand, path, stated, file=path)
     # Without the size of the specimen a force says nothing; where the file has stress and strain, these do.
     lacking = [reading for reading in found.readings if {"displacement", "force"} <= {
         column.channel for column in reading.columns} and not _sized(_sizes(reading, wishes))]
     if lacking and not stated.columns:
-        direct = understand(path, replace(stated, direct=True))
+        direct = bounded(understand, path, replace(stated, direct=True), file=path)
         if all({"nominal stress"} <= {column.channel for column in reading.columns} for reading in direct.readings):
             return direct
     return found

@@ -4,7 +4,6 @@ and geometry into a campaign."""
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from calibration.diagnosis.evidence import Evidence
 from calibration.fit.result import CalibrationResult
 from calibration.report.outputs import material_file
 from tissue_sim.atomic_write import write_text
+from tissue_sim.decode import read_toml
 from tissue_sim.experiment.interfaces import AS_TOOL
 from tissue_sim.material.file import MaterialFile, write_material_file
 from tissue_sim.parameters import to_keys, with_values
@@ -104,7 +104,7 @@ def _rig(after: Evidence, test: Test) -> Rig:
 def _campaign_text(diagnosis: Diagnosis, after: Evidence) -> str:
     """The campaign with what was found as starts of further unknowns, so that it can be fitted again."""
     campaign = after.campaign
-    content: dict[str, Any] = tomllib.loads(campaign.path.read_text(encoding="utf-8"))
+    content: dict[str, Any] = read_toml(campaign.path, "a campaign (TOML)")
     folder = campaign.path.parent.resolve()
     for place in (content.get("defaults", {}), *content["test"]):
         if "recordings" in place:

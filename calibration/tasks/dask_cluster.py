@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
-from calibration.tasks.packing import pack, run_packed
+from tissue_sim.decode import read_json
 from tissue_sim.errors import InputError
+from tissue_sim.packing import pack, run_packed
 
 #: s that a scheduler has to answer.
 ANSWER_WITHIN = 10.0
@@ -69,7 +69,7 @@ class DaskCluster:
 
 def _address_in(file: Path) -> str:
     try:
-        return str(json.loads(file.read_text(encoding="utf-8"))["address"])
+        return str(read_json(file, "a scheduler file")["address"])
     except (ValueError, LookupError, TypeError):
         raise InputError("is not a scheduler file, which is JSON with an address; let the scheduler write it with "
                          "\"dask scheduler --scheduler-file FILE\"", file=file, field="dask") from None

@@ -11,8 +11,8 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 from calibration.tasks.errors import WorkerError
-from calibration.tasks.packing import pack, run_packed
 from tissue_sim.child_process import follow_parent, start_without_ctrl_c
+from tissue_sim.packing import pack, run_packed
 
 #: One thread per worker: native libraries that each take every core slow each other down.
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS",

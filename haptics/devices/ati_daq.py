@@ -16,7 +16,7 @@ import numpy as np
 
 from haptics.devices.contracts import DeviceError, ForceSample, ForceSensor, SampleStatus
 from haptics.devices.settings import read_settings, split_place, take_words
-from haptics.protocols.ati_calibration import AtiCalibration, read_calibration
+from haptics.protocols.ati_calibration import LARGEST, AtiCalibration, read_calibration
 from haptics.protocols.ati_serial import CHANNELS
 from tissue_sim.errors import InputError
 from tissue_sim.files import read_bytes
@@ -197,7 +197,7 @@ def open_ati_daq(text: str) -> AtiDaqSensor:
     file, rest = split_place(text, "the calibration file", _EXAMPLE)
     words, rest = take_words(rest, volts=("",))
     given = read_settings(rest, rate_hz=1000.0, range_V=0.0)
-    calibration = read_calibration(read_bytes(file, "the .cal file of an ATI sensor"), file)
+    calibration = read_calibration(read_bytes(file, "the .cal file of an ATI sensor", LARGEST), file)
     reach = given["range_V"]
     return AtiDaqSensor(calibration, words["volts"] or None, given["rate_hz"], (-reach, reach) if reach else None)
 

@@ -16,6 +16,8 @@ from haptics.protocols.ati_serial import CHANNELS
 from haptics.protocols.ati_units import FORCE_UNITS, LENGTH_UNITS, TORQUE_UNITS
 from tissue_sim.errors import InputError, nearest
 
+#: Bytes of a calibration file.
+LARGEST = 1_000_000
 #: V, of converters in these systems.
 _FULL_SPAN = 20.0
 Row = tuple[float, ...]
@@ -55,7 +57,7 @@ def read_calibration(text: str | bytes, name: str = "the calibration file") -> A
     Raises:
         InputError: it is cut off or damaged, no such file, or something is missing in it; names what.
     """
-    if len(text) > 1_000_000:
+    if len(text) > LARGEST:
         raise InputError("is too large for a calibration file (over 1 MB); give the .cal file of the sensor", file=name)
     data = text if isinstance(text, bytes) else text.encode("utf-8", "replace")
     if b"<!ENTITY" in data:

@@ -13,6 +13,7 @@ from typing import Any
 
 from tissue_sim import Recording, write_recording
 from tissue_sim.atomic_write import write_text
+from tissue_sim.decode import read_json
 from tissue_sim.errors import InputError
 
 RUN_FILE, LOCK_FILE, PARTIAL = "run.json", "run.lock", ".partial.csv"
@@ -50,7 +51,7 @@ class RunFolder:
         if not file.exists():
             raise InputError("holds other files and no run; choose an empty folder", file=self.folder)
         try:
-            state = json.loads(file.read_text(encoding="utf-8"))
+            state = read_json(file, "the file of a run")
         except (OSError, ValueError):
             state = None
         if not isinstance(state, dict) or "protocol_sha256" not in state:

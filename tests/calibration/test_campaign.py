@@ -308,3 +308,33 @@ def test_a_test_carries_its_experiment_and_its_rig(folder):
     assert (test.experiment.friction, test.experiment.friction_base, test.experiment.tool) == (
         "frictionless", "frictionless", ts.Tool())
     assert test.rig == ts.Rig(compliance=2e-5, sensor_gain=0.01)
+
+
+NEEDLE = """[[specimen]]
+radius_mm = 40.0
+height_mm = 70.0
+[[test]]
+kind = "needle_indentation"
+tool = "flat"
+tool_radius_mm = 8.0
+edge_radius_mm = 1.0
+friction = "stick"
+friction_wall = {wall}
+recordings = ["run_1.csv"]
+[fit]
+method = "inverse_fem"
+laws = ["neo_hooke"]
+"""
+
+
+@pytest.mark.parametrize(("wall", "means"), [('"stick"', "stick"), ('"frictionless"', "frictionless"), ("0.3", 0.3)])
+def test_the_shaft_of_a_needle_is_held_as_the_face_is(folder, wall, means):
+    test, = load(folder, NEEDLE.format(wall=wall)).tests
+    assert test.experiment.friction_wall == means
+
+
+@pytest.mark.parametrize(("wall", "words"), [('"bonded"', "cannot be bonded"), ('"stik"', "did you mean 'stick'")])
+def test_what_a_shaft_cannot_do(folder, wall, words):
+    with pytest.raises(ts.InputError, match=words) as caught:
+        load(folder, NEEDLE.format(wall=wall))
+    assert caught.value.field == "test[0].friction_wall"

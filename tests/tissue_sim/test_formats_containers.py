@@ -8,7 +8,6 @@ from scipy.io import savemat
 
 from tissue_sim import InputError, read_recording, read_recordings
 from tissue_sim.files import decode_text
-from tissue_sim.recording.formats import containers
 
 TIME, WAY = np.linspace(0.0, 6.0, 31), np.linspace(0.0, 3.0, 31)
 FORCE = WAY**1.5
@@ -30,16 +29,6 @@ def test_matlab_struct_and_matrix(tmp_path):
                                         "displacement": {"column": 2, "unit": "mm"}}))
     savemat(path, {"runs": [{"time_s": TIME, "displacement_mm": WAY, "force_N": FORCE}] * 2})
     assert len(read_recordings(path, format="table")) == 2
-
-
-def test_a_matlab_file_that_ends_its_reader(tmp_path, monkeypatch):
-    """scipy's reader trusts the lengths in a file, and dies of some: that is a process of its own."""
-    path = tmp_path / "run.mat"
-    savemat(path, {"force": FORCE + 1.0})
-    monkeypatch.setattr(containers, "_LOAD", "import os; os.abort()")
-    with pytest.raises(InputError, match="it is damaged") as caught:
-        read_recording(path, format="table")
-    assert caught.value.file == path
 
 
 def test_hdf5_with_units_in_its_attributes(tmp_path):

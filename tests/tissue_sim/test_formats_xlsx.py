@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tissue_sim import InputError, read_recording
-from tissue_sim.recording.formats.columns import column_number
+from tissue_sim.recording.formats.columns import column_number, read_blocks
 from tissue_sim.recording.formats.xlsx import read_xlsx
 
 NATIVE = ("time [s]", "displacement [mm]", "force [N]")
@@ -186,7 +186,7 @@ def test_without_the_extra_the_answer_names_it(tmp_path, monkeypatch):
     path = tmp_path / "run.h5"
     path.write_bytes(b"\x89HDF\r\n\x1a\n")
     monkeypatch.setitem(sys.modules, "h5py", None)
-    assert "pip install 'tissue-sim[formats]'" in refusal(read_recording, path, columns=BY_PLACE).problem
+    assert "pip install 'tissue-sim[formats]'" in refusal(read_blocks, path, columns=BY_PLACE).problem
 
 
 numbers = st.floats(-1e6, 1e6, allow_subnormal=False)

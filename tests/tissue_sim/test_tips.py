@@ -133,7 +133,7 @@ class TestProfileFile:
         ("0,0\n4,nan\n", 2, "is not a point"),
         ("r,z\nmm,mm\n0,0\n", 2, "is not a point"),
         ("r,z\n0,0\n", None, "needs at least two points"),
-        ("", None, "needs at least two points"),
+        ("", None, "is empty, expected the profile of a tool"),
         ("1,0\n8,2\n", 1, "starts on the axis, r = 0"),
         ("0,2\n8,0\n", 2, "outwards and upwards"),
         ("0,0\n8,2\n6,4\n", 3, "outwards and upwards"),
@@ -148,10 +148,10 @@ class TestProfileFile:
         assert "tool.csv" in str(caught.value) and caught.value.line == line
 
     def test_no_such_file(self, tmp_path):
-        with pytest.raises(ts.InputError, match="cannot be read as the profile of a tool"):
+        with pytest.raises(ts.InputError, match="no such file, expected the profile of a tool"):
             ts.Tool("profile", profile_file=tmp_path / "none.csv")
 
     def test_not_text(self, tmp_path):
         (tmp_path / "tool.bin").write_bytes(b"\xff\xfe\x00\x01\xff")
-        with pytest.raises(ts.InputError, match="cannot be read"):
+        with pytest.raises(ts.InputError, match="is a binary or UTF-16 file"):
             ts.Tool("profile", profile_file=tmp_path / "tool.bin")

@@ -8,6 +8,7 @@ import inspect
 import io
 import json
 from collections.abc import Iterable, Mapping
+from functools import partial
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,11 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.atomic_write import write_bytes, write_text
+from tissue_sim.bounded import bounded
 from tissue_sim.decode import as_json_types, read_json, require_writable
 from tissue_sim.errors import InputError, located
 from tissue_sim.experiment.kinds.kind import KINDS
+from tissue_sim.files import open_file
 from tissue_sim.recording.formats import FORMATS
 from tissue_sim.recording.recording import CHANNELS, LABELS, Recording
 from tissue_sim.units import to_si
@@ -80,7 +83,9 @@ def read_recordings(path: str | Path, *, format: str = "native", columns: Mappin
     for key in options:
         if key not in takes:
             raise InputError(f"files of format {format!r} have no {key}; leave it out", field=key)
-    answer = reader(path, **options)
+    with open_file(path, "a recording"):  # a folder, pipe or device is no matter for a reader
+        pass
+    answer = bounded(partial(reader, path, **options), file=path)
     several = answer if isinstance(answer, tuple) else (answer,)
     recordings = tuple(_finish(each, path, speed, kind) for each in several)
     if len(recordings) == 1:
@@ -93,7 +98,8 @@ def _finish(recording: Recording, path: Path, speed: float | None, kind: str | N
     _require_channels(recording, kind, path)
     if "time" not in recording and speed is not None:
         recording = _with_time(recording, speed, path)
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    with open_file(path, "a recording") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
     metadata = {"name": path.stem, **_read_sidecar(path, digest), "source": str(path), "sha256": digest}
     return recording.with_metadata(**metadata)
 

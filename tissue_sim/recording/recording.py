@@ -49,7 +49,8 @@ class Recording:
         for name, values in self.channels.items():
             if name not in CHANNELS:
                 raise InputError(f"unknown channel{nearest(name, CHANNELS)}", field=name)
-            array = np.array(values, dtype=float)
+            # What nobody can change is kept, not copied: recordings are large, and made of each other.
+            array = values if _is_frozen(values) else np.array(values, dtype=float)
             array.flags.writeable = False
             if array.ndim != 1 or length not in (None, array.size):
                 raise InputError(f"shape {array.shape}, expected {length if length is not None else 'one list of'} "
@@ -76,6 +77,10 @@ class Recording:
             values.flags.writeable = False
         object.__setattr__(self, "labels", read_only(labels))
         object.__setattr__(self, "metadata", read_only(self.metadata))
+
+    def __reduce__(self):
+        # By its constructor: arrays from another process would not be read-only.
+        return type(self), (dict(self.channels), dict(self.labels), dict(self.metadata), self.fields)
 
     def __len__(self) -> int:
         return next(iter(self.channels.values())).size
@@ -125,3 +130,8 @@ class Recording:
         """The samples of a boolean mask, slice or index array."""
         return replace(self, channels={name: values[samples] for name, values in self.channels.items()},
                        labels={name: values[samples] for name, values in self.labels.items()}, fields=None)
+
+
+def _is_frozen(values: Any) -> bool:
+    return (isinstance(values, np.ndarray) and values.dtype == float and values.base is None
+            and not values.flags.writeable)

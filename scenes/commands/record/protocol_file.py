@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import tempfile
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,8 +16,8 @@ from calibration.report.additions import to_toml
 from haptics.recorder.lag import measure_lag
 from haptics.recorder.plan import Plan
 from haptics.safety.motion_guard import SILENCE, MotionLimits
-from tissue_sim.decode import decode
-from tissue_sim.errors import InputError
+from tissue_sim.decode import decode, read_toml
+from tissue_sim.errors import InputError, located
 from tissue_sim.experiment.protocol_text import parse_protocol
 from tissue_sim.experiment.segments import legs
 from tissue_sim.files import read_text
@@ -27,6 +26,7 @@ from tissue_sim.recording.file import read_recording
 #: Tables that a campaign does not have.
 OWN_TABLES = ("devices", "virtual", "limits", "record")
 #: m/s, until a protocol names one: the study's.
+_EXPECTED = "a protocol (TOML)"
 _SPEED = 0.248e-3
 
 
@@ -138,13 +138,9 @@ def read_protocol_file(path: Path) -> ProtocolFile:
     Raises:
         InputError: anything wrong with it, with the file and the dotted field.
     """
-    text = read_text(path, "a protocol (TOML)")
-    try:
-        content = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"this is not valid TOML: {error}", file=path) from None
+    content, text = read_toml(path, _EXPECTED), read_text(path, _EXPECTED)
     own = {key: content[key] for key in OWN_TABLES if key in content}
-    try:
+    with located(file=path):
         if "limits" not in own:
             raise InputError("a motor needs limits; give force_N, lowest_mm, highest_mm, speed_mm_s, duration_s, "
                              "stiffness_N_per_mm and force_margin_N", field="limits")
@@ -155,8 +151,6 @@ def read_protocol_file(path: Path) -> ProtocolFile:
                  for number, test in enumerate(campaign.tests)}
         return ProtocolFile(path, hashlib.sha256(text.encode()).hexdigest(), campaign, plans, _limits(tables.limits),
                             tables.devices, tables.virtual, tables.record, content)
-    except InputError as error:
-        raise error.located(file=path) from None
 
 
 def _campaign(path: Path, content: Mapping[str, Any]) -> Campaign:

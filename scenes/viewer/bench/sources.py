@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 from abc import ABC, abstractmethod
 from collections import deque
 from dataclasses import dataclass, field
@@ -14,6 +13,7 @@ import numpy as np
 from haptics.devices.contracts import DeviceError, ForceSensor, SampleStatus, Stage
 from haptics.recorder.live import LIVE_FILE
 from haptics.recorder.run_folder import PARTIAL, RUN_FILE
+from tissue_sim.decode import read_json
 from tissue_sim.errors import InputError
 
 #: Points that are drawn of a recording, and seconds that are kept of a sensor.
@@ -87,7 +87,7 @@ class RunSource(BenchSource):
 
     def _json(self, name: str) -> dict | None:
         with contextlib.suppress(OSError, ValueError):
-            content = json.loads((self._folder / name).read_text(encoding="utf-8"))
+            content = read_json(self._folder / name, "a file of the run")
             return content if isinstance(content, dict) else None
         return None
 

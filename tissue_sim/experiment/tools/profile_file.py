@@ -7,6 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from tissue_sim.errors import InputError
+from tissue_sim.files import read_text
+
+#: Bytes of a profile.
+_LARGEST = 1_000_000
 
 
 def read_profile(path: str | Path) -> np.ndarray:
@@ -24,11 +28,7 @@ def read_profile(path: str | Path) -> np.ndarray:
             line.
     """
     path = Path(path)
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot be read as the profile of a tool ({getattr(error, 'strerror', None) or error})",
-                         file=path) from None
+    lines = read_text(path, "the profile of a tool, r and z in mm", _LARGEST).splitlines()
     points: list[list[float]] = []
     places: list[int] = []
     headers = 0

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import InputError
+from tissue_sim.files import first_bytes
 from tissue_sim.recording.recording import MIN_POINTS, Recording
 
 #: Number of afmformats' segment -> ours, by the kind of measurement. A relaxation begins with a rest above the tissue.
@@ -64,14 +65,13 @@ def tip_radius(path: Path) -> float | None:
     """Radius of the sphere, m, that a text file of a Chiaro states and afmformats leaves out; None elsewhere."""
     if path.suffix != ".txt":
         return None
-    with path.open(encoding="latin-1") as lines:
-        for _, line in zip(range(60), lines, strict=False):
-            name, _, value = line.partition("\t")
-            if name.strip() == "Tip radius (um)":
-                try:
-                    return float(value) * 1e-6
-                except ValueError:
-                    return None
+    for line in first_bytes(path, 16_384).decode("latin-1").splitlines()[:60]:
+        name, _, value = line.partition("\t")
+        if name.strip() == "Tip radius (um)":
+            try:
+                return float(value) * 1e-6
+            except ValueError:
+                return None
     return None
 
 

@@ -8,19 +8,15 @@ from __future__ import annotations
 
 import io
 import logging
-import pickle
-import subprocess
-import sys
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tissue_sim.errors import InputError, nearest
-from tissue_sim.files import read_bytes
+from tissue_sim.files import first_bytes, read_bytes
 from tissue_sim.recording.formats.extra import require
 from tissue_sim.recording.formats.table import Row
 from tissue_sim.recording.formats.workbook import Sheet
@@ -31,20 +27,13 @@ _HDF5, _MATLAB, _TDMS = b"\x89HDF", b"MATL", b"TDSm"
 _SUFFIXES = (".mat", ".tdms", ".h5", ".hdf5", ".hdf")
 #: A matrix with more columns than this is a picture.
 _WIDEST = 64
-_LOAD = """import io, pickle, sys
-from scipy.io import loadmat
-pickle.dump(loadmat(io.BytesIO(sys.stdin.buffer.read()), simplify_cells=True), sys.stdout.buffer)"""
 #: Numbers of a dataset.
 _MOST_NUMBERS = 50_000_000
 
 
 def is_container(path: Path) -> bool:
     """Whether the file is meant as one: by its first bytes or, failing these, by its name."""
-    try:
-        with path.open("rb") as file:
-            return file.read(4) in (_HDF5, _MATLAB, _TDMS) or path.suffix.lower() in _SUFFIXES
-    except (OSError, ValueError):
-        return path.suffix.lower() in _SUFFIXES
+    return first_bytes(path, 4) in (_HDF5, _MATLAB, _TDMS) or path.suffix.lower() in _SUFFIXES
 
 
 def read_container(path: Path, table: str | int | Sequence[str | int] | None = None) -> tuple[Sheet, ...]:
@@ -93,21 +82,8 @@ def _read(data: bytes, path: Path) -> Mapping[str, Any]:
     # The oldest MATLAB files begin with nothing of their own.
     if data[:4] != _MATLAB and path.suffix.lower() != ".mat":
         raise ValueError("it begins as none of them does")
-    return _matlab(data)
-
-
-@lru_cache(maxsize=2)
-def _matlab(data: bytes) -> Mapping[str, Any]:
-    """Read in a process of its own, which a damaged file may end: scipy's reader trusts the lengths in it.
-
-    Raises:
-        ValueError: what the reader says, or that it died.
-    """
-    child = subprocess.run([sys.executable, "-c", _LOAD], input=data, capture_output=True, check=False)
-    if child.returncode:
-        lines = child.stderr.decode("utf-8", "replace").strip().splitlines()
-        raise ValueError(lines[-1] if child.returncode == 1 and lines else "it is damaged")
-    return pickle.loads(child.stdout)
+    # It trusts the lengths in a file, and dies of some: `tissue_sim.bounded` is ready for that.
+    return require("scipy.io", path).loadmat(io.BytesIO(data), simplify_cells=True)
 
 
 def _hdf5(group: Any) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import importlib
 from pathlib import Path
 from types import ModuleType
 
+from tissue_sim.bounded import uncounted
 from tissue_sim.errors import InputError
 
 
@@ -16,7 +17,8 @@ def require(package: str, file: Path) -> ModuleType:
         InputError: it is not installed; names the extra to install.
     """
     try:
-        return importlib.import_module(package)
+        with uncounted():
+            return importlib.import_module(package)
     except ImportError as error:
         raise InputError(f"reading this file needs the package {package} ({error}); install it with "
                          "pip install 'tissue-sim[formats]'", file=file) from None

@@ -21,7 +21,7 @@ _SI = {"time": "s", "length": "m", "force": "N", "torque": "Nm", "stress": "Pa",
        "temperature": "K"}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Row:
     """Cells of one line, stripped of blanks; `line` is 1-based."""
 

@@ -15,7 +15,7 @@ import python_calamine as calamine
 import xlrd
 
 from tissue_sim.errors import InputError, located, nearest
-from tissue_sim.files import ZIP_MAGIC, read_bytes
+from tissue_sim.files import ZIP_MAGIC, first_bytes, read_bytes
 from tissue_sim.recording.formats.table import Row, Table
 
 EXPECTED = "a spreadsheet (xlsx, xls, ods)"
@@ -46,11 +46,7 @@ class Sheet:
 def is_workbook(path: Path) -> bool:
     """Whether the file is meant as a spreadsheet: by its first bytes or, failing these, by its name."""
     with_name = path.suffix.lower() in SUFFIXES
-    try:
-        with path.open("rb") as file:
-            return file.read(len(ZIP_MAGIC)) in (ZIP_MAGIC, OLE_MAGIC) or with_name
-    except (OSError, ValueError):
-        return with_name
+    return first_bytes(path, len(ZIP_MAGIC)) in (ZIP_MAGIC, OLE_MAGIC) or with_name
 
 
 def read_sheets(path: Path, sheet: str | int | Sequence[str | int] | None = None) -> tuple[Sheet, ...]:

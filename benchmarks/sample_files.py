@@ -1,18 +1,10 @@
-"""Every reader of recordings, and `import`, on damaged files: an answer or one sentence, never anything else.
-
-    python benchmarks/import_fuzz.py [--inputs 20000] [--readers zwick mach1 ...]
-
-Prints a table in Markdown; the last one stands in docs/import.md. A fault ends the run with the file kept and its name.
-"""
+"""A small sound file for every reader of recordings; `mutated_inputs.py` damages them."""
 
 from __future__ import annotations
 
-import argparse
 import io
-import random
 import sys
 import tempfile
-import time
 import zipfile
 from pathlib import Path
 
@@ -20,14 +12,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "calibration"))
 import machine_exports
-from test_import import mutated
-
-import calibration
-import tissue_sim as ts
 
 POINTS = 8
-#: Each takes a process of its own.
-SLOW, SHARE = ("mat", "import of mat"), 20
 TABLE = {name: np.linspace(0.0, end, 12) for name, end in (("time", 1.1), ("displacement", 3.0), ("force", 2.0))}
 COLUMNS = {"time": {"name": "time", "unit": "s"}, "displacement": {"name": "displacement", "unit": "mm"},
            "force": {"name": "force", "unit": "N"}}
@@ -116,7 +102,11 @@ SOFT = (b"PARAMETER;INFO;URL\nMaterial;Gel;\n"
         + columns(";", "Time (s);Engineering Strain;Engineering Stress (MPa)\n"))
 
 
-def readers() -> dict[str, tuple[str, bytes, dict]]:
+#: Those that `import` understands too.
+IMPORTED = ("bluehill", "mts", "zwick", "exponent", "mach1", "mecmesin", "trios", "xlsx", "xls", "mat")
+
+
+def recordings() -> dict[str, tuple[str, bytes, dict]]:
     """Name -> (name of the file, its content, options of `read_recordings`)."""
     exports = {name: machine_exports.EXPORTS[name]() for name in (
         "bluehill", "mts", "zwick", "exponent", "mach1", "mecmesin", "trios")}
@@ -138,52 +128,3 @@ def readers() -> dict[str, tuple[str, bytes, dict]]:
         "hdf5": ("run.h5", hdf5(), {"columns": COLUMNS}),
         "afm": ("curve.tab", afm(), {"format": "afm"}),
     }
-
-
-def run(name: str, file: str, content: bytes, inputs: int, folder: Path, read) -> str:
-    """One row of the table."""
-    chance, path, answers, slowest = random.Random(name), folder / file, 0, 0.0
-    inputs = inputs // SHARE if name in SLOW else inputs
-    began = time.process_time()
-    path.write_bytes(content)
-    read(path)  # the file itself is sound
-    for number in range(inputs):
-        path.write_bytes(mutated(content, chance))
-        start = time.process_time()
-        try:
-            read(path)
-            answers += 1
-        except ts.InputError as error:
-            if "\n" in str(error):
-                raise SystemExit(f"{name}, input {number}: more than a line: {error}; kept in {path}") from None
-        except Exception as error:
-            raise SystemExit(f"{name}, input {number}: {type(error).__name__}: {error}; kept in {path}") from error
-        slowest = max(slowest, time.process_time() - start)
-    return (f"| {name} | {inputs} | {answers} | {inputs - answers} | 0 | {time.process_time() - began:.0f} | "
-            f"{slowest:.2f} |")
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--inputs", type=int, default=20_000)
-    parser.add_argument("--readers", nargs="*")
-    arguments = parser.parse_args()
-    short_curves()
-    wishes = calibration.Wishes(specimen={"radius_mm": 10.0, "height_mm": 12.0})
-    folder = Path(tempfile.mkdtemp())
-    print("| reader | inputs | answers | refused in a sentence | anything else | CPU s | slowest, s |")
-    print("|---|---|---|---|---|---|---|")
-    for name, (file, content, options) in readers().items():
-        if not arguments.readers or name in arguments.readers:
-            print(run(name, file, content, arguments.inputs, folder,
-                      lambda path, options=options: ts.read_recordings(path, **options)), flush=True)
-    sources = {name: each for name, each in readers().items() if name in (
-        "bluehill", "mts", "zwick", "exponent", "mach1", "mecmesin", "trios", "xls", "mat")}
-    if not arguments.readers or "import" in arguments.readers:
-        for name, (file, content, _) in sources.items():
-            print(run(f"import of {name}", file, content, max(1, arguments.inputs // len(sources)), folder,
-                      lambda path: calibration.import_files([path], wishes=wishes)), flush=True)
-
-
-if __name__ == "__main__":
-    main()
