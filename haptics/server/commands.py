@@ -86,6 +86,10 @@ class Commands:
             answer = self._execute(line)
         except (InputError, ConvergenceError) as error:
             answer = {"error": str(error)}
+        except Exception as error:
+            # Whatever a tissue does, the poses are answered on.
+            self._service.log(f"a command failed ({type(error).__name__}: {str(error)[:200]})")
+            answer = {"error": f"the command failed ({type(error).__name__}); the server's log says why"}
         if isinstance(answer, dict):
             return iter((msgspec.json.encode(answer) + b"\n",))
         return answer
@@ -93,7 +97,7 @@ class Commands:
     def _execute(self, line: bytes) -> Iterator[bytes] | dict[str, Any]:
         try:
             asked = msgspec.json.decode(line)
-        except (msgspec.DecodeError, RecursionError) as error:
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
             raise InputError(f'not JSON ({error}); send one object a line, such as {{"command": "describe"}}') from None
         name = asked.get("command") if isinstance(asked, dict) else None
         if not isinstance(name, str):

@@ -131,6 +131,7 @@ class StepService:
 
     Attributes:
         tissue: the one that is stepped now.
+        log: as given, or to standard error.
     """
 
     def __init__(self, tissue: ServedTissue, silence: float = SILENCE, *, limits: SceneLimits | None = None,
@@ -138,7 +139,7 @@ class StepService:
                  session: int | None = None, log: Callable[[str], None] | None = None):
         self.tissue, self.silence = tissue, silence
         self.limits, self._release, self._session = limits or SceneLimits(), release, session
-        self._rebuild, self._log = rebuild, log or _to_standard_error
+        self._rebuild, self.log = rebuild, log or _to_standard_error
         self.counters = Counters()
         self._owner: _Owner | None = None
         self._newest: Request | None = None
@@ -270,12 +271,12 @@ class StepService:
 
     def _failed(self, error: Exception) -> ToolForce:
         """No force, and another tissue for the next step."""
-        self._log(f"a step failed ({type(error).__name__}: {str(error)[:200]}); the tissue begins anew")
+        self.log(f"a step failed ({type(error).__name__}: {str(error)[:200]}); the tissue begins anew")
         self._broken = True
         try:
             self._build_anew()
         except Exception as again:
-            self._log(f"the tissue cannot be built anew yet ({type(again).__name__}: {str(again)[:200]})")
+            self.log(f"the tissue cannot be built anew yet ({type(again).__name__}: {str(again)[:200]})")
         self.begin_anew()
         return replace(_NO_FORCE, status=ForceStatus.FAILED)
 

@@ -324,3 +324,21 @@ def test_longest_idle_connection_makes_room(port):
     assert port.closed(peers[1]) and not any(port.closed(peers[k]) for k in (0, 2, MOST_CONNECTIONS))
     for peer in peers:
         peer.close()
+
+
+def test_a_command_that_fails_costs_no_server(server, line, client, capfd):
+    def fail(**values):
+        raise ZeroDivisionError("in the tissue")
+
+    server._service.tissue.set_parameters = fail
+    answer = line.ask("set_parameters", parameters={"C10": 2e3})
+    assert answer == {"error": "the command failed (ZeroDivisionError); the server's log says why"}
+    assert "a command failed (ZeroDivisionError: in the tissue)" in capfd.readouterr().err
+    assert line.ask("describe")["parameters"] == {"C10": 1e3} and client.step(0.001).status == 0
+
+
+@pytest.mark.parametrize("noise", [b'{"command": "\xed\xa0\x80"}', b'"\xfe"', b'{"\xff": 1}', b"\xff\xfe", b"{" * 3000])
+def test_bytes_that_are_no_text_are_answered(line, client, noise):
+    line.send(noise + b"\n")
+    assert "not JSON" in line.answer()["error"]
+    assert line.ask("describe")["scene"] == "needle_indentation"

@@ -248,7 +248,8 @@ def test_a_damaged_instron_file_is_read_or_refused(tmp_path, position, text, cut
         recording = read_recording(path, format="instron")
         assert len(recording) >= 5 and {"time", "displacement", "force"} == set(recording.channels)
     except InputError as error:
-        assert str(path) in str(error)
+        # A long sentence is shortened in its middle.
+        assert path.name in str(error) and len(str(error)) <= 300
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -278,7 +279,7 @@ def test_a_damaged_soft_robotics_file_is_read_or_refused(tmp_path, position, tex
         recording = read_recording(path, format="soft_robotics")
         assert len(recording) >= 5 and {"stretch", "nominal stress"} <= set(recording.channels)
     except InputError as error:
-        assert str(path) in str(error)
+        assert path.name in str(error) and len(str(error)) <= 300
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
