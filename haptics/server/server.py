@@ -143,19 +143,19 @@ class TissueServer:
 
     def _answer_poses(self) -> None:
         """Look at what has come, the owner's first, then step to its newest pose."""
-        service, now = self._service, time.monotonic()
+        service = self._service
         if self._owned is not None:
-            self._take(self._owned, _MOST_DATAGRAMS, now)
-        self._take(self._poses, _MOST_DATAGRAMS if self._owned is None else _MOST_OF_OTHERS, now)
+            self._take(self._owned, _MOST_DATAGRAMS)
+        self._take(self._poses, _MOST_DATAGRAMS if self._owned is None else _MOST_OF_OTHERS)
         if service.owner != self._owner:
             self._follow_owner()
-        answer = service.step(now)
+        answer = service.step(time.monotonic())
         if answer is not None:
             self._send(*answer)
             self._heard = time.monotonic()
             service.answered(self._heard)
 
-    def _take(self, own: socket.socket, most: int, now: float) -> None:
+    def _take(self, own: socket.socket, most: int) -> None:
         """Look at the datagrams of a socket."""
         service, packet = self._service, self._packet
         for _ in range(most):
@@ -168,6 +168,7 @@ class TissueServer:
             except OSError:  # Windows: longer than the buffer
                 self.counters.malformed += 1
                 continue
+            now = time.monotonic()
             if service.owner not in (None, address) and not self._strangers.takes(address, now):
                 self.counters.flooded += 1
                 continue
