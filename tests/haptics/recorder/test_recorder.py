@@ -95,7 +95,9 @@ STOPS = [
     ("sensor saturated", {"reach": 0.9}, "end of its range", "ramp"),
     ("sensor saturated", {"faults": Faults(saturate_after=12.0)}, "end of its range", None),
     ("sensor lost", {"faults": Faults(disconnect_after=12.0)}, "was silent for 0.0", None),
-    ("stage stalled", {"faults": Faults(stall_after=12.0)}, "behind where it was driven", None),
+    # In the middle of a long way: the seconds before it depend on how long the contact is looked for.
+    ("stage stalled", {"faults": Faults(stall_after=30.0), "plan": {"legs": "ramp 3mm @0.08mm/s; unload"}},
+     "behind where it was driven", "ramp"),
     ("zero", {"rig": Sticky}, "where it was zeroed", "check"),
     ("no contact", {"limits": {"highest": 1e-3}, "plan": {"legs": "ramp 1mm @1mm/s; unload"}}, "put the specimen "
                                                                                                "nearer",
