@@ -62,20 +62,24 @@ def test_picture_is_saved(server, open_page, chromium, tmp_path):
     assert 0.002 < red.mean() < 0.2  # the triangle, and not the whole page
 
 
-def test_a_page_with_a_token_comes_up_from_its_address_and_again_without(open_page, chromium):
+@pytest.fixture
+def guarded():
+    with open_server(port=0, title="guarded", token="secret") as running:
+        running.gui.add_markdown("behind a token")
+        yield running
+
+
+def test_a_page_with_a_token_comes_up_from_its_address_and_again_without(guarded, open_page, chromium):
     """The cookie that the address brought opens the websocket, and the page when it is loaded anew."""
-    with open_server(port=0, title="guarded", token="secret") as guarded:
-        guarded.gui.add_markdown("only **you** see this")
-        page = open_page(guarded)
-        page.get_by_text("you").wait_for()
-        page.goto(guarded.url)
-        chromium.come_up(page, triangles=0)
-        page.get_by_text("you").wait_for()
+    page = open_page(guarded)
+    page.get_by_text("behind a token").wait_for()
+    page.goto(guarded.url)
+    chromium.come_up(page, triangles=0)
+    page.get_by_text("behind a token").wait_for()
 
 
-def test_a_page_without_the_token_is_told_what_to_do(browser):
-    with open_server(port=0, token="secret") as guarded:
-        page = browser.new_page()
-        reply = page.goto(guarded.url)
-        assert reply.status == 403 and "the address that was printed where it was started" in reply.text()
-        page.close()
+def test_a_page_without_the_token_is_told_what_to_do(guarded, browser):
+    page = browser.new_page()
+    reply = page.goto(guarded.url)
+    assert reply.status == 403 and "the address that was printed where it was started" in reply.text()
+    page.close()
