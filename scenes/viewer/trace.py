@@ -15,15 +15,18 @@ from tissue_sim.errors import InputError
 from tissue_sim.recording.file import write_recording
 from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.segmentation import HOLD_TIME, HYSTERESIS, Reversals, count_cycles, label_motion, one_way
+from tissue_sim.tool_force import ForceStatus
 
 #: At least so long between two kept points, s, and at most so long where nothing moves.
 SHORTEST, LONGEST = 5e-3, 0.1
 #: A point is kept where depth (m), or force as a share of the largest so far, has changed by this much.
 DEPTH_STEP, FORCE_SHARE = 0.02e-3, 0.01
 MOST_POINTS = 20_000
-#: Of a kept point: time, depth, force, pose (7), wrench (6), rendered force; and the channels of a recording of the
-#: wrench.
-_ROWS, _POSE, _WRENCH, _RENDERED = 17, slice(3, 10), slice(10, 16), 16
+#: Statuses of ticks whose force is drawn; a recording has no LATE ones, which are carried on from an equilibrium.
+OF_TISSUE = (ForceStatus.CONVERGED, ForceStatus.LATE)
+#: Of a kept point: time, depth, force, pose (7), wrench (6), rendered force, status; and the channels of a recording of
+#: the wrench.
+_ROWS, _POSE, _WRENCH, _RENDERED, _STATUS = 18, slice(3, 10), slice(10, 16), 16, 17
 _CHANNELS = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 #: A branch that ends on a point of a grid may miss it by so much, m.
 _ROUNDING = 1e-12
@@ -58,10 +61,10 @@ class Trace:
     """Poses of the tool and wrenches on it in a run, fed with the ticks of a loop; depth and force are what is drawn.
 
     A point is kept every `SHORTEST` s at most, where depth or force has changed by `DEPTH_STEP` or `FORCE_SHARE`, and
-    every `LONGEST` s at least. Dropped are the ticks between, paused ones, those whose depth or force is no number,
-    and the oldest points where there are more than `most`: a tool that stands still fills these in half an hour, one
-    that hurries in 100 s. Times are those of the loop; where they run backwards another loop has begun, and the trace
-    begins anew.
+    every `LONGEST` s at least. Dropped are the ticks between, paused ones, those whose force is no longer the tissue's
+    (`OF_TISSUE`) or whose depth or force is no number, and the oldest points where there are more than `most`: a tool
+    that stands still fills these in half an hour, one that hurries in 100 s. Times are those of the loop; where they
+    run backwards another loop has begun, and the trace begins anew.
 
     Args:
         most: kept points.
@@ -88,8 +91,8 @@ class Trace:
 
     def append(self, records: np.ndarray) -> int:
         """Take in ticks, dtype `haptics.loop.ring.TICK`, in their order; returns how many were kept."""
-        paused = (records["flags"] & PAUSED) != 0
-        records = records[~paused & np.isfinite(records["tool_depth"]) & np.isfinite(records["tissue_force"])]
+        felt = ((records["flags"] & PAUSED) == 0) & np.isin(records["status"], OF_TISSUE)
+        records = records[felt & np.isfinite(records["tool_depth"]) & np.isfinite(records["tissue_force"])]
         if not records.size:
             return 0
         time = records["time"]
@@ -103,7 +106,7 @@ class Trace:
         before = self._gone + self._end
         records = records[chosen]
         for point in np.column_stack([records[name] for name in ("time", "tool_depth", "tissue_force", "tool_pose",
-                                                                 "tissue_wrench", "force")]).tolist():
+                                                                 "tissue_wrench", "force", "status")]).tolist():
             if self._differs(*point[:3]):
                 self._keep(point)
         return self._gone + self._end - before
@@ -142,6 +145,11 @@ class Trace:
     def force(self) -> np.ndarray:
         """N, shape (n,)."""
         return self._points[2, self._first:self._end]
+
+    @property
+    def late(self) -> np.ndarray:
+        """Whether the budget of the tick ended before equilibrium, so that its force is carried on, shape (n,)."""
+        return self._points[_STATUS, self._first:self._end] == ForceStatus.LATE
 
     @property
     def rendered_force(self) -> np.ndarray:
@@ -191,7 +199,8 @@ class Trace:
 
     def recording(self, metadata: Mapping[str, Any]) -> Recording:
         """What was felt, as a recording that begins at time 0, with segments (ramp, hold, unload, reload) and cycles;
-        where the wrench is more than a force along z, with the channels Fx to Tz.
+        where the wrench is more than a force along z, with the channels Fx to Tz. Points whose force was carried on
+        from an earlier equilibrium are left out.
 
         Args:
             metadata: such as ``name`` and ``kind``.
@@ -199,13 +208,16 @@ class Trace:
         Raises:
             InputError: fewer than two points were felt.
         """
-        if len(self) < 2:
-            raise InputError("nothing has been felt yet; push the tool into the tissue first", field="trace")
-        labels = label_motion(self.time, self.depth, 0.5 * HYSTERESIS, shortest_hold=HOLD_TIME)
+        felt = ~self.late
+        if felt.sum() < 2:
+            raise InputError("nothing has been felt in equilibrium yet; push the tool into the tissue first, slowly "
+                             "where this computer is often late", field="trace")
+        time, depth, wrench = self.time[felt], self.depth[felt], self.wrench[felt]
+        labels = label_motion(time, depth, 0.5 * HYSTERESIS, shortest_hold=HOLD_TIME)
         segment, cycle = count_cycles(labels)
-        channels = {"time": self.time - self.time[0], "displacement": self.depth, "force": self.force}
-        if self.wrench[:, [0, 1, 3, 4, 5]].any():
-            channels |= zip(_CHANNELS, self.wrench.T, strict=True)
+        channels = {"time": time - time[0], "displacement": depth, "force": self.force[felt]}
+        if wrench[:, [0, 1, 3, 4, 5]].any():
+            channels |= zip(_CHANNELS, wrench.T, strict=True)
         return Recording(channels, {"segment": segment, "cycle": cycle}, dict(metadata))
 
     def _branches(self) -> list[tuple[int, int, int]]:

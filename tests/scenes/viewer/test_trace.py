@@ -11,6 +11,7 @@ import tissue_sim as ts
 from haptics.loop.ring import PAUSED, TICK
 from scenes.viewer.trace import DEPTH_STEP, LONGEST, SHORTEST, Trace, on_grid, recording_csv
 from tissue_sim.recording.segmentation import HYSTERESIS, one_way
+from tissue_sim.tool_force import ForceStatus
 
 
 def ticks(time, depth, force=None, flags=0):
@@ -84,6 +85,21 @@ def test_paused_ticks_and_those_without_a_number_are_left_out():
         assert not ((trace.time >= begin) & (trace.time < end - 1e-9)).any()
     assert np.isfinite(trace.depth).all() and np.isfinite(trace.force).all()
     assert Trace().append(records[2000:3000]) == 0
+
+
+def test_what_is_no_longer_the_tissues_is_not_drawn_and_what_is_carried_on_not_recorded():
+    records = played(CYCLE, 14)
+    for second, status in enumerate(ForceStatus):
+        records["status"][1000 * second : 1000 * second + 500] = status
+    trace = fed(records)
+    drawn = {int(time) for time in trace.time if time < len(ForceStatus) and time % 1 < 0.5 - 1e-9}
+    assert drawn == {ForceStatus.CONVERGED, ForceStatus.LATE}
+    assert trace.late.any() and (np.floor(trace.time[trace.late]) == ForceStatus.LATE).all()
+    recorded = trace.recording({}).time + trace.time[0]
+    assert np.isin(recorded, trace.time[~trace.late]).all() and len(recorded) == (~trace.late).sum()
+    records["status"] = ForceStatus.LATE
+    with pytest.raises(ts.InputError, match="in equilibrium"):
+        fed(records).recording({})
 
 
 def test_memory_is_bounded_and_the_oldest_points_go():
@@ -171,7 +187,7 @@ def test_recording_reads_back_equal(tmp_path):
 
 
 def test_nothing_felt_is_no_recording():
-    with pytest.raises(ts.InputError, match="nothing has been felt yet"):
+    with pytest.raises(ts.InputError, match="nothing has been felt in equilibrium yet"):
         Trace().recording({})
 
 

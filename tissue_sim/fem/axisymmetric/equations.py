@@ -199,7 +199,7 @@ class Equations:
         `launch` there; without `assembles` the matrix stays as the step left it. `keeps`: see `newton.KEEPS`."""
         surface, after = self.surface, self.surface.held.copy()
         remembered = [(array, array.copy()) for array in (
-            self.memory.stresses, self.memory.energies, self.effects.found)]
+            self.memory.stresses, self.memory.energies, self.effects.found, self.state.x, surface.forces)]
         surface.held[:] = surface.anchors
         released = (surface.anchors[:, 0] == contact_kernels.HELD) & (after != surface.anchors).any(axis=-1)
         surface.held[released] = 0.0
@@ -216,7 +216,7 @@ class Equations:
             launch()
         self.counts[newton.KEEPS] = 0
         surface.held[:] = after
-        # With the tangent they come out rounded otherwise.
+        # With the tangent they come out rounded otherwise: whether somebody asks must not show in later steps.
         for array, before in remembered:
             array[:] = before
 
