@@ -119,6 +119,9 @@ class _Service:
     def begin_anew(self) -> None:
         pass
 
+    def log(self, sentence: str) -> None:
+        pass
+
 
 def names() -> list[str]:
     """Of all readers."""
