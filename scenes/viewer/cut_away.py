@@ -13,8 +13,8 @@ from scenes.viewer.bands import Triangulation, split_polyline
 from scenes.viewer.revolution import Opening, Surface, joined, revolved_surfaces, section_surfaces
 from tissue_sim.mesh import Mesh
 
-#: Parts of an element's edge that are drawn straight.
-DIVISIONS = 2
+#: Parts of an element's edge that are drawn straight: so many that a section has about `CELLS` of them, within reason.
+CELLS, FEWEST, MOST = 500, 2, 5
 #: How far lines lie in front of a surface, in radii of the specimen.
 LIFT = 1e-3
 
@@ -55,13 +55,15 @@ class CutAway:
     edges: np.ndarray
 
     @classmethod
-    def of(cls, mesh: Mesh, divisions: int = DIVISIONS) -> CutAway:
+    def of(cls, mesh: Mesh, divisions: int | None = None) -> CutAway:
         """Divide the elements.
 
         Args:
             mesh: quadrilaterals in the (r, z) half plane.
-            divisions: parts of each element's edge.
+            divisions: parts of each element's edge; None: as many as `CELLS` says.
         """
+        if divisions is None:
+            divisions = min(max(round((CELLS / len(mesh.connectivity)) ** 0.5), FEWEST), MOST)
         line = np.linspace(-1.0, 1.0, divisions + 1)
         shapes, _ = mesh.element.shape_functions(np.array([(a, b) for b in line for a in line]))
         # Elements that share a point make it of the same nodes with the same weights.
@@ -112,23 +114,29 @@ class CutAway:
         """Element edges on both section faces, shape (lines, 2, 3); none on a closed solid."""
         return opening.on_faces(self._at_points(place)[self.edges], LIFT * self.radius).reshape(-1, 2, 3)
 
-    def undeformed_outline(self, opening: Opening, dashes: int = 40) -> np.ndarray:
+    def undeformed_outline(self, opening: Opening, dashes: int = 40,
+                           tool: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
         """Dashed outline of the undeformed specimen: both section faces and the rims, shape (lines, 2, 3).
 
         Args:
             opening: what is cut out; a closed solid shows four lines down its side.
             dashes: along its height; dashes are equally long everywhere.
+            tool: radius and largest depth of a tool that comes in, m: no line runs across it.
         """
         radius, height = self.radius, self.height
         length = 0.5 * height / dashes
-        rims = [_dashed(np.concatenate([circle[:, 0], circle[-1:, 1]]), length)
-                for circle in (opening.circle(radius, 0.0), opening.circle(radius, -height))]
-        corners = np.array([[0.0, 0.0], [radius, 0.0], [radius, -height], [0.0, -height]])
+        inside, deepest = tool
+        covered = inside >= radius
+        rims = [_dashed(np.concatenate([circle[:, 0], circle[-1:, 1]]), length) for circle in
+                (opening.circle(radius, z) for z in ((-height,) if covered else (0.0, -height)))]
+        side = np.array([[radius, -deepest if covered else 0.0], [radius, -height], [0.0, -height]])
+        corners = side if covered else np.concatenate([[[inside, 0.0]], side])
         if opening.closed:
             quarter = opening.directions[:: max(1, len(opening.directions) // 4)]
-            lines = [np.concatenate([radius * np.stack([way, way]), [[0.0], [-height]]], axis=1) for way in quarter]
+            lines = [np.concatenate([radius * np.stack([way, way]), [[side[0, 1]], [-height]]], axis=1)
+                     for way in quarter]
         else:
-            lines = [*opening.on_faces(corners, LIFT * radius), np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -height]])]
+            lines = [*opening.on_faces(corners, LIFT * radius), np.array([[0.0, 0.0, -deepest], [0.0, 0.0, -height]])]
         return np.concatenate([*rims, *(_dashed(line, length) for line in lines)])
 
     def surface_line(self, place: np.ndarray) -> SurfaceLine:

@@ -70,6 +70,7 @@ class Curves:
         replayed: time of the loop (s) and force (N) of the recording whose motion is repeated; None where none is.
         number: grows with the trace.
         felt: whether a hand is at a device, so that the force on it is drawn beside that of the tissue.
+        computing: whether `model` and `residual` are still those of an earlier material or test.
     """
 
     model: ts.Recording | None = None
@@ -80,6 +81,7 @@ class Curves:
     replayed: tuple[np.ndarray, np.ndarray] | None = None
     number: int = 0
     felt: bool = False
+    computing: bool = False
 
 
 @dataclass(frozen=True, eq=False)

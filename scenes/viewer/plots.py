@@ -19,11 +19,15 @@ Pair = tuple[np.ndarray, np.ndarray]
 #: Of the force over time, s, and how finely: each part shows its smallest and its largest force.
 SECONDS, PARTS = 20.0, 200
 #: Okabe and Ito's, by role, on a light and on a dark page.
-LIGHT = {"measured": "#6b6b6b", "model": "#0072B2", "before": "#CC79A7", "live": "#D55E00", "hand": "#009E73"}
-DARK = {"measured": "#b5b5b5", "model": "#56B4E9", "before": "#CC79A7", "live": "#E69F00", "hand": "#2FD3A2"}
+LIGHT = {"measured": "#6b6b6b", "model": "#0072B2", "before": "#CC79A7", "live": "#D55E00", "hand": "#009E73",
+         "late": "#8a8a8a"}
+DARK = {"measured": "#b5b5b5", "model": "#56B4E9", "before": "#CC79A7", "live": "#E69F00", "hand": "#2FD3A2",
+        "late": "#a0a0a0"}
 _BAND = "rgba(128, 128, 128, 0.28)"
 _GRID = "rgba(128, 128, 128, 0.18)"
 _DASH = (6, 4)
+#: Pixels; with what stands between them three plots fill a window of 720. In a larger one the page stretches them.
+FORCE_HEIGHT, OTHER_HEIGHT = 208, 128
 _NICE = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 #: A range shrinks when what it shows fills less of it than this.
 _TOO_EMPTY = 0.4
@@ -37,7 +41,7 @@ def depth_grid(deepest: float, points: int = 201) -> np.ndarray:
 
 
 def force_depth(grid: np.ndarray, *, measured: Measurement | None = None, model: Pair | None = None,
-                before: Pair | None = None, live: Pair | None = None,
+                before: Pair | None = None, live: Pair | None = None, late: np.ndarray | None = None,
                 now: tuple[float, float] | None = None) -> tuple[tuple[np.ndarray, ...], tuple[float, float]]:
     """Data of the plot of force over depth.
 
@@ -46,6 +50,7 @@ def force_depth(grid: np.ndarray, *, measured: Measurement | None = None, model:
         measured: drawn as the band of its replicates and their mean.
         model, before, live: load and unload, N, each of shape (n,), NaN where they do not reach; `before` is a second
             model, such as that before a diagnosis.
+        late: forces that late ticks carried on, N, shape (n,), NaN where none did.
         now: depth (m) and force (N) of this moment; outside the grid it is left out.
 
     Returns:
@@ -59,6 +64,7 @@ def force_depth(grid: np.ndarray, *, measured: Measurement | None = None, model:
         columns += [*_closed(low, high, mean), mean]
     for pair in (model, before, live):
         columns += [np.full(grid.size, np.nan)] * 2 if pair is None else [np.asarray(each, float) for each in pair]
+    columns.append(np.full(grid.size, np.nan) if late is None else late)
     x, point = grid, np.full(grid.size, np.nan)
     if now is not None and grid[0] <= now[0] <= grid[-1]:
         i = int(np.searchsorted(grid, now[0]))
@@ -80,9 +86,11 @@ def force_depth_options(x_range: tuple[float, float], y_range: tuple[float, floa
     for role, width in (("model", 3.0), ("before", 2.0), ("live", 1.5)):
         series += [_line(f"{role} {way}", colours[role], width, dash) for way, dash in (("load", ()),
                                                                                         ("unload", _DASH))]
+    series.append({"label": "late", "stroke": colours["late"], "width": 0,
+                   "points": {"show": True, "size": 4, "fill": colours["late"], "stroke": colours["late"]}})
     series.append({"label": "now", "stroke": colours["live"], "width": 0,
                    "points": {"show": True, "size": 9, "fill": colours["live"], "stroke": colours["live"]}})
-    return _options(series, x_range, y_range, "depth [mm]", "force [N]", height=250,
+    return _options(series, x_range, y_range, "depth [mm]", "force [N]", height=FORCE_HEIGHT,
                     bands=({"series": (2, 1), "fill": _BAND}, {"series": (5, 4), "fill": _BAND}))
 
 
@@ -116,7 +124,7 @@ def residual_depth_options(x_range: tuple[float, float], y_range: tuple[float, f
     series = [{"label": "depth [mm]"}, _hidden("lowest"), _hidden("highest"),
               _line("zero", (DARK if dark else LIGHT)["measured"], 1.0), _line("load", colour, 2.0),
               _line("unload", colour, 2.0, _DASH)]
-    return _options(series, x_range, y_range, "depth [mm]", "residual [N]", height=150,
+    return _options(series, x_range, y_range, "depth [mm]", "residual [N]", height=OTHER_HEIGHT,
                     bands=({"series": (2, 1), "fill": _BAND},))
 
 
@@ -152,7 +160,7 @@ def force_time_options(y_range: tuple[float, float], *, seconds: float = SECONDS
     colours = DARK if dark else LIGHT
     series = [{"label": "time [s]"}, _line("measured", colours["measured"], 1.5), _line("live", colours["live"], 2.0),
               _line("on the hand", colours["hand"], 1.5)]
-    return _options(series, (-seconds, 0.0), y_range, "time before now [s]", "force [N]", height=150)
+    return _options(series, (-seconds, 0.0), y_range, "time before now [s]", "force [N]", height=OTHER_HEIGHT)
 
 
 def plot_scales(x_range: tuple[float, float], y_range: tuple[float, float]) -> dict[str, Any]:
@@ -166,7 +174,7 @@ def curve_options(label: str, x_range: tuple[float, float], y_range: tuple[float
     colour = (DARK if dark else LIGHT)["live"]
     series: list[dict[str, Any]] = [{"label": label}, {"label": "force", "stroke": colour, "width": 0, "points": {
         "show": True, "size": 3, "fill": colour, "stroke": colour}}]
-    return _options(series, x_range, y_range, label, "force [N]", height=230)
+    return _options(series, x_range, y_range, label, "force [N]", height=FORCE_HEIGHT)
 
 
 def settled_range(extent: tuple[float, float], previous: tuple[float, float] | None = None, *,
@@ -207,18 +215,17 @@ def legend_html(*, measured: int = 0, model: bool = True, before: str | None = N
     colours = DARK if dark else LIGHT
     entries = []
     if measured:
-        entries.append(("measured" if measured == 1 else f"measured, {measured} replicates",
+        entries.append(("measured" if measured == 1 else f"measured ({measured})",
                         (_swatch(_BAND) if measured > 1 else "") + _stroke(colours["measured"])))
     entries += [(name, _stroke(colours[role])) for role, name, drawn in (
         ("model", "model", model), ("before", before or "", before is not None), ("live", "live", live),
-        ("hand", "on the hand, over time", hand)) if drawn]
-    entries.append(("load", _stroke("currentColor")))
-    entries.append(("unload", _stroke("currentColor", "5 3")))
+        ("hand", "on the hand", hand)) if drawn]
+    entries += [("in", _stroke("currentColor")), ("out", _stroke("currentColor", "5 3"))]
     spans = "".join('<span style="display:inline-flex;align-items:center;gap:0.35em;white-space:nowrap">'
                     f'<svg width="22" height="10" viewBox="0 0 22 10" aria-hidden="true">{drawing}</svg>'
                     f"{escape(name)}</span>" for name, drawing in entries)
-    return ('<div style="display:flex;flex-wrap:wrap;gap:0.15em 0.9em;font-size:0.8em;line-height:1.4;'
-            f'padding:0 0.9em">{spans}</div>')
+    return ('<div style="display:flex;flex-wrap:wrap;gap:0 0.7em;font-size:0.75em;line-height:1.3;'
+            f'padding:0 0.6em">{spans}</div>')
 
 
 def _at(grid: np.ndarray, source: Measurement | Residual | None, curve: np.ndarray | None) -> np.ndarray:

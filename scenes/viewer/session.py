@@ -128,7 +128,13 @@ class Session:
             stop.wait(due - time.monotonic())
 
     def aim(self, depth: float) -> None:
-        """Let the tool go to a depth, m, as a hand would."""
+        """Let the tool go to a depth, m, as a hand would.
+
+        Raises:
+            InputError: it stands still in a pause, or is not running.
+        """
+        if self._simulation.phase is Phase.PAUSED:
+            raise InputError("the tool stands still while the motion is paused; press Play to go on, or Reset")
         depth = min(max(depth, -CLEARANCE), self.scene.deepest)
         if self._motion != "hand":
             self._simulation.ask("follow", device=HandMotion(self._simulation.tool_depth, HAND_SPEED))
@@ -338,8 +344,8 @@ class Session:
                 time, force = self._replayed
                 replayed = (trace.time[0] + time, force)
             curves = replace(curves, trace=trace, replayed=replayed, number=self._felt)
-        if self._hand_feels is not curves.felt:
-            curves = replace(curves, felt=self._hand_feels)
+        if (self._hand_feels, self._curve.busy) != (curves.felt, curves.computing):
+            curves = replace(curves, felt=self._hand_feels, computing=self._curve.busy)
         self._curves = curves
 
 

@@ -106,6 +106,18 @@ def picture_height(tool: Tool, specimen: Specimen) -> float:
     return float(tool_outline(tool, specimen)[:, 1].max()) + ARROW * specimen.height
 
 
+def scale_bar(specimen: Specimen) -> tuple[np.ndarray, float]:
+    """A bar of a round length on the base in front of the specimen, with its ends: lines, m, shape (3, 2, 3), and its
+    length, m."""
+    radius, tick = specimen.radius, 0.03 * specimen.radius
+    power = 10.0 ** np.floor(np.log10(0.6 * radius))
+    length = float(max(step for step in (1.0, 2.0, 5.0) if step * power <= 0.6 * radius * (1 + 1e-9)) * power)
+    y, z = -1.12 * radius, -specimen.height + 0.01 * radius
+    ends = np.array([[-0.5 * length, y, z], [0.5 * length, y, z]])
+    across = np.array([0.0, tick, 0.0])
+    return np.stack([ends, *(np.stack([end - across, end + across]) for end in ends)]), length
+
+
 def force_arrow(force: float, full_scale: float, tool: Tool, specimen: Specimen) -> Arrow | None:
     """The force on the tool as an arrow over it: up where the tissue pushes back, down where it pulls.
 

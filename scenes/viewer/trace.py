@@ -34,11 +34,12 @@ _ROUNDING = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """Points of one way in or out; s, m and N, each of shape (n,)."""
+    """Points of one way in or out; s, m and N, each of shape (n,), and whether the force is that of a late tick."""
 
     time: np.ndarray
     depth: np.ndarray
     force: np.ndarray
+    late: np.ndarray
 
 
 def on_grid(depth: np.ndarray, force: np.ndarray, direction: int, grid: np.ndarray) -> np.ndarray:
@@ -227,7 +228,7 @@ class Trace:
 
     def _branch(self, first: int, last: int) -> Branch:
         part = slice(first, last + 1)
-        return Branch(self.time[part], self.depth[part], self.force[part])
+        return Branch(self.time[part], self.depth[part], self.force[part], self.late[part])
 
 
 def recording_csv(recording: Recording) -> bytes:

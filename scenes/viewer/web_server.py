@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import asyncio
 import errno
-import html
 import ipaddress
 import logging
 import os
@@ -33,12 +32,15 @@ import websockets.asyncio.server
 from websockets.exceptions import WebSocketException
 
 from scenes.viewer.page_token import REFUSAL, admits, cookie
+from scenes.viewer.shell import LARGEST_UPLOAD, dress
 from tissue_sim.errors import InputError, MissingBackendError
 
 VISER_VERSION = "1.1.1"
 LOOPBACK, PORT = "127.0.0.1", 8080
 _LOCAL_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
 _START_S = 10.0
+#: Bytes of a part of an upload of viser's page; only the last is smaller.
+_PART = 512 * 1024
 _HTTP_PORT = 80
 _PLACE = re.compile(r"(?P<name>\[[0-9a-f:.]+\]|[a-z0-9._-]+)(?::(?P<port>[1-9][0-9]{0,4}))?", re.ASCII | re.IGNORECASE)
 #: What is put in place of module state while a server starts or stops is one server's at a time.
@@ -94,6 +96,7 @@ class ViewerServer(viser.ViserServer):
             if door.failure is not None:
                 raise door.failure
             self._unregister_sharing()
+            self._bound_uploads()
             self.set_theme()
             # Nobody waits for it yet.
             self._websock_server.get_message_buffer().message_event = _WakeUp()
@@ -140,6 +143,22 @@ class ViewerServer(viser.ViserServer):
             self._websock_server.unregister_handler(message)
 
 
+    def _bound_uploads(self) -> None:
+        """Keep nothing of files above `LARGEST_UPLOAD`, which the page does not send: viser would keep all of it."""
+        messages = viser._messages
+
+        def only(kind: type, fits: Callable[[Any], bool]) -> None:
+            handlers = self._websock_server._incoming_handlers.get(kind, [])
+            if len(handlers) != 1:
+                raise _unknown_viser("it does not take uploads in the way that it is known for")
+            take = handlers[0]
+            handlers[0] = lambda client, message: take(client, message) if fits(message) else None
+
+        only(messages.FileTransferStartUpload, lambda start: start.size_bytes <= LARGEST_UPLOAD
+             and start.part_count <= LARGEST_UPLOAD // _PART + 1)
+        only(messages.FileTransferPart, lambda part: len(part.content) <= _PART)
+
+
 class _WakeUp(asyncio.Event):
     """What browsers' tasks wait for when there is nothing to send.
 
@@ -172,8 +191,8 @@ class _Door:
         """viser's view of websockets, and no other module's, has this door for the time."""
         infra: Any = viser.infra._infra
         view = SimpleNamespace(**vars(websockets))
-        view.asyncio = SimpleNamespace(server=SimpleNamespace(serve=self.serve,
-                                                              ServerConnection=websockets.asyncio.server.ServerConnection))
+        view.asyncio = SimpleNamespace(server=SimpleNamespace(
+            serve=self.serve, ServerConnection=websockets.asyncio.server.ServerConnection))
         with _alone:
             usual, infra.websockets = infra.websockets, view
             try:
@@ -236,8 +255,7 @@ class _Door:
 
     def _finish(self, response, place: str) -> None:
         """No other page may frame this one and catch its clicks, and this one fetches nothing from elsewhere."""
-        response.body = response.body.replace(b"<title>Viser</title>",
-                                              f"<title>{html.escape(self.title)}</title>".encode())
+        response.body = dress(response.body, self.title)
         if self._token:
             response.headers["Set-Cookie"] = cookie(self._token, self.port)
         _drop(response.headers, "Content-Length")

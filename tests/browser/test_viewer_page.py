@@ -23,7 +23,7 @@ def test_page_comes_up_offline_with_measurement_model_and_residual(shown, reader
     assert page.title() == "tissue_sim"
     assert reader.read("phase") == "running · by hand"
     assert (reader.read("depth"), reader.read("force")) == ("0.00", "0.000")
-    page.get_by_text("measured, 3 replicates").wait_for()
+    page.get_by_text("measured (3)").wait_for()
     # The measurement is the model with noise, and this is all that is between them.
     rmse = reader.until(lambda: reader.number("rmse"), lambda rmse: rmse > 0)
     assert rmse == pytest.approx(shown.frame.curves.residual.rmse, abs=6e-4)

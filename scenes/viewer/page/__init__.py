@@ -16,7 +16,7 @@ from scenes.viewer.page.look_controls import LookControls
 from scenes.viewer.page.material_controls import MaterialControls
 from scenes.viewer.page.motion_controls import MotionControls
 from scenes.viewer.page.notices import answer_to
-from scenes.viewer.page.readouts import readouts_html, status_html
+from scenes.viewer.page.readouts import readouts_html, status_html, title_html
 from scenes.viewer.page.saving import Saving
 from scenes.viewer.page.scene_controls import SceneControls
 from scenes.viewer.page.solid import Solid
@@ -60,7 +60,8 @@ class Page:
     def _lay_out(self, session: Commands, frame: Frame, materials: Path, low_graphics: bool, dark: bool) -> None:
         server, gui = self.server, self.server.gui
         self._solid = Solid(server, frame.scene, low_graphics=low_graphics)
-        self._solid.on_drag(lambda depth: session.post("aim", depth=depth))
+        self._solid.on_drag(lambda depth, reply: session.post("aim", reply=reply, depth=depth))
+        self._title = gui.add_html(title_html(frame.scene))
         self._status = gui.add_html(status_html(frame))
         self._restart = gui.add_button("Restart", icon=viser.Icon.REFRESH, color="red", visible=False)
         self._readouts = gui.add_html(readouts_html(frame))
@@ -119,7 +120,8 @@ class Page:
         self.server.stop()
 
     def _write_words(self, frame: Frame) -> None:
-        for handle, html in ((self._status, status_html(frame)), (self._readouts, readouts_html(frame))):
+        for handle, html in ((self._title, title_html(frame.scene)), (self._status, status_html(frame)),
+                             (self._readouts, readouts_html(frame))):
             if handle.content != html:
                 handle.content = html
         stopped = frame.phase is Phase.DIED

@@ -8,9 +8,10 @@ import numpy as np
 import viser
 
 from scenes.viewer.frame import Commands, Frame
+from scenes.viewer.live_gap import late_forces, live_gap
 from scenes.viewer.measurement import branches_on_grid
 from scenes.viewer.page.notices import answer_to
-from scenes.viewer.page.readouts import agreement_html
+from scenes.viewer.page.readouts import agreement_html, live_gap_html
 from scenes.viewer.plots import (
     Pair,
     depth_grid,
@@ -45,6 +46,7 @@ class CurvePlots:
             return gui.add_uplot(tuple(empty for _ in options["series"]), **options)
 
         self._force = add(force_depth_options(x, unit))
+        self._live_gap = gui.add_html("")
         self._agreement = gui.add_html("")
         self._residual = add(residual_depth_options(x, unit))
         self._time = add(force_time_options(unit))
@@ -74,7 +76,9 @@ class CurvePlots:
         model = self._branches("model", curves.model, grid)
         before = self._branches("before", None if curves.before is None else curves.before[1], grid)
         live = trace.newest_passes(grid) if trace is not None and len(trace) else None
-        columns, extent = force_depth(grid, measured=measured, model=model, before=before, live=live, now=moment)
+        late = None if trace is None else late_forces(trace, grid)
+        columns, extent = force_depth(grid, measured=measured, model=model, before=before, live=live, late=late,
+                                      now=moment)
         self._write(self._force, columns, ("force", x, settled_range(extent, self._ranges.get("force"))),
                     lambda y: force_depth_options(x, y, dark=self._dark))
         columns, extent = residual_depth(curves.residual, measured, grid)
@@ -93,6 +97,10 @@ class CurvePlots:
             before=None if curves.before is None else curves.before[0], live=live is not None, hand=curves.felt,
             dark=self._dark))
         _set(self._agreement, "content", agreement_html(frame))
+        gap = None
+        if trace is not None and live is not None and model is not None:
+            gap = live_gap(trace, grid, live, model)
+        _set(self._live_gap, "content", live_gap_html(gap))
 
     def _branches(self, name: str, recording: Recording | None, grid: np.ndarray) -> Pair | None:
         """`branches_on_grid` of a curve, worked out when it or the grid is another one."""

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
 import viser
 
 from scenes.viewer.frame import Commands, Frame, Phase
@@ -22,12 +26,16 @@ class MotionControls:
 
     def __init__(self, server: viser.ViserServer, session: Commands, frame: Frame):
         gui, deepest = server.gui, frame.scene.deepest
-        self._session, self._paused = session, False
+        self._session, self._paused, self._plays = session, False, False
         #: Depths that people have entered, and those of them that the session has obeyed.
         self._entered = self._obeyed = 0
+        #: Where the next key goes on from, mm.
+        self._aimed = 0.0
         self._depth = gui.add_slider("depth [mm]", min=-CLEARANCE * 1e3, max=deepest * 1e3, step=0.01,
-                                     initial_value=0.0, hint="or drag the tool in the picture")
-        self._buttons = gui.add_button_group("run", ("Play", "Pause", "Step", "Reset"))
+                                     initial_value=0.0,
+                                     hint="or drag the tool; keys: PageDown and PageUp, with Shift ten times as far")
+        self._buttons = gui.add_button_group("run", ("Play", "Pause", "Step", "Reset"),
+                                              hint="keys: P plays or pauses, N is a step, R resets; Ctrl+K lists all")
         self._source = gui.add_dropdown("motion", self._sources(frame), initial_value="protocol")
         depth = f"{deepest * 1e3:g}"
         self._named = gui.add_dropdown("example", tuple(PROTOCOLS), initial_value="press and release")
@@ -39,14 +47,20 @@ class MotionControls:
         self._faster = gui.add_number("times as fast", 10.0, min=0.1, max=1000.0, step=0.1, visible=False,
                                       hint="tissue that relaxes answers otherwise when it is pressed faster")
 
+        #: Why a depth was refused the last time: a slider that is dragged asks many times.
+        self._refusal: str | None = None
+
         @self._depth.on_update
         async def _(event: viser.GuiEvent) -> None:  # a coroutine: it runs before another value is written
             if event.client is not None:  # not what the program has written itself
-                self._entered += 1
-                session.post("aim", reply=obeyed, depth=self._depth.value * 1e-3)
+                self._go(self._depth.value, event)
 
-        def obeyed(_: str | None) -> None:
-            self._obeyed += 1
+        for key, way, words in (("pagedown", 0.1, "deeper"), ("pageup", -0.1, "up")):
+            self._key(gui, f"0.1 mm {words}", key, partial(self._go_on, way))
+            self._key(gui, f"1 mm {words}", key, partial(self._go_on, 10 * way), modifier="shift")
+        self._key(gui, "Play or pause", "P", lambda event: self._press("Pause" if self._plays else "Play", event))
+        self._key(gui, "Step", "N", lambda event: self._press("Step", event))
+        self._key(gui, "Reset", "R", lambda event: self._press("Reset", event))
 
         @self._buttons.on_click
         def _(event: viser.GuiEvent) -> None:
@@ -63,6 +77,28 @@ class MotionControls:
             for handle in (self._named, self._text, self._speed, self._repeat):
                 handle.visible = not measured
             self._faster.visible = measured
+
+    @staticmethod
+    def _key(gui: viser.GuiApi, label: str, key: Any, act: Callable[[Any], None], modifier: Any = None) -> None:
+        """A key of the keyboard, also found by its label in the list that Ctrl+K opens."""
+        gui.add_command(label, hotkey=key, modifier=modifier).on_trigger(act)
+
+    def _go_on(self, way: float, event: Any) -> None:
+        self._go(self._aimed + way, event)
+
+    def _go(self, depth: float, event: Any) -> None:
+        """Let the tool go to a depth, mm."""
+        tell = answer_to(event)
+
+        def obeyed(problem: str | None) -> None:
+            self._obeyed += 1
+            if problem is not None and problem != self._refusal:
+                tell(problem)
+            self._refusal = problem
+
+        self._entered += 1
+        self._aimed = min(max(depth, self._depth.min), self._depth.max)
+        self._session.post("aim", reply=obeyed, depth=self._aimed * 1e-3)
 
     @staticmethod
     def _sources(frame: Frame) -> tuple[str, ...]:
@@ -83,11 +119,14 @@ class MotionControls:
     def show(self, frame: Frame) -> None:
         """Follow a tool that somebody else moves."""
         self._paused = frame.phase is Phase.PAUSED
+        self._plays = not self._paused and frame.motion in ("protocol", "recording")
         sources = self._sources(frame)
         if self._source.options != sources:
             self._source.options = sources
         depth = frame.target if frame.motion == "hand" or frame.readouts is None else frame.readouts.depth
         depth = round(depth * 1e3, 2)
+        if self._entered == self._obeyed:
+            self._aimed = depth
         # What was entered a moment ago is newer than the frame.
         if self._entered == self._obeyed and abs(depth - self._depth.value) >= 0.01:
             set_value(self._depth, depth)

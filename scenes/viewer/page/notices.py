@@ -8,6 +8,8 @@ from typing import Literal, TypeVar
 import viser
 
 Value = TypeVar("Value")
+#: Gets None when something is done, or a sentence that says why not.
+Reply = Callable[[str | None], None]
 
 
 def set_value(control: viser.GuiInputHandle[Value], value: Value) -> None:
@@ -16,7 +18,7 @@ def set_value(control: viser.GuiInputHandle[Value], value: Value) -> None:
     control.value = value  # type: ignore[misc]
 
 
-def answer_to(event: viser.GuiEvent, done: str = "") -> Callable[[str | None], None]:
+def answer_to(event: viser.GuiEvent | viser.SceneNodeDragEvent, done: str = "") -> Reply:
     """A reply for a command: its problem, or `done` where there is something to say, in the browser that asked."""
     client = event.client
 

@@ -5,10 +5,31 @@ from __future__ import annotations
 from html import escape
 
 from scenes.viewer.frame import Frame, Phase
+from scenes.viewer.live_gap import LiveGap
+from scenes.viewer.scene import Scene
+from tissue_sim.experiment.tools.tool import tool_sizes
 
 #: Phase -> colour of its dot.
 _DOTS = {Phase.STARTING: "#E69F00", Phase.RUNNING: "#009E73", Phase.PAUSED: "#0072B2", Phase.DIED: "#D55E00"}
 _WORDS = {"hand": "by hand", "protocol": "protocol", "recording": "measured motion", "device": "device"}
+
+
+def title_html(scene: Scene) -> str:
+    """What is looked at, in two lines: test and specimen, tool and material."""
+    experiment = scene.experiment
+    specimen, tool, held = experiment.specimen, experiment.tool, experiment.friction
+    body = f"cylinder \u2300 {2e3 * specimen.radius:g} \u00d7 {1e3 * specimen.height:g} mm"
+    sizes = []
+    for key, (what, name, shapes) in tool_sizes().items():
+        words, _, unit = key.rpartition("_")
+        if tool.shape in shapes and getattr(tool, name):
+            sizes.append(f"{words.replace('_', ' ')} {getattr(tool, name) / what.factor:.4g} {unit}")
+    face = held if isinstance(held, str) else f"friction {held:g}"
+    of_tool = f"{face} plates" if tool.is_plate else ", ".join([tool.shape, *sizes, face])
+    lines = (f"<b>{escape(scene.kind.title)}</b>, {body}", escape(of_tool),
+             f"{escape(scene.material.energy_law.title)}, {escape(scene.source)}")
+    return ('<div data-testid="title" style="padding:0.4em 0.75em 0 0.75em;font-size:0.82em;line-height:1.35">'
+            + "<br/>".join(lines) + "</div>")
 
 
 def status_html(frame: Frame) -> str:
@@ -41,6 +62,8 @@ _MEANING = {
     "mesh": "of the tissue, and the largest known error of its force",
 }
 _RED, _GREY = "#C0392B", "#777777"
+#: Below it the mass of the tissue does not count, m/s.
+_SLOW = 5e-3
 
 
 def _badge(word: str, meaning: str, colour: str) -> str:
@@ -91,16 +114,35 @@ def agreement_html(frame: Frame) -> str:
         words = "The model's curve is being computed."
     else:
         gap, noise = curves.residual, curves.measurement.noise
-        spread = "" if noise is None else f", replicates differ by {noise:.3f} N"
-        words = (f'<span style="font-size:1.3em;font-weight:600">RMSE <span data-testid="rmse">{gap.rmse:.3f}</span> '
-                 f"N</span> over {gap.samples} samples{spread}")
+        spread = "" if noise is None else f", noise {noise:.3f} N"
+        words = (f'<span title="model minus measurement, root mean square; noise: by which replicates differ">'
+                 f'<span style="font-size:1.15em;font-weight:600">RMSE <span data-testid="rmse">{gap.rmse:.3f}</span> '
+                 f"N</span> over {gap.samples} samples{spread}</span>")
+        if curves.computing:
+            words = (f'<span data-testid="old-curve" style="opacity:0.5">{words}</span> '
+                     f'<span style="color:{_RED};font-size:0.85em">of the model before; the new one is being computed'
+                     "</span>")
         other = curves.measurement.other_tool(frame.scene.experiment.tool)
         warning = "" if not other else (
             f'<div data-testid="other-tool" style="color:{_RED};font-size:0.85em">measured with another tool: '
             f'{escape(other)}</div>')
-        return f'<div style="padding:0.2em 0.75em" data-testid="agreement">{words}{warning}</div>'
+        return f'<div style="padding:0 0.75em;font-size:0.9em" data-testid="agreement">{words}{warning}</div>'
     return (f'<div style="padding:0.2em 0.75em;font-size:0.85em;opacity:0.8" data-testid="agreement">{escape(words)}'
             "</div>")
+
+
+def live_gap_html(gap: LiveGap | None) -> str:
+    """By how much what was felt differs from the model, and what the model does not have."""
+    if gap is None:
+        return ""
+    reasons = []
+    if gap.speed > _SLOW:
+        reasons.append(f"at {gap.speed * 1e3:.2g} mm/s the tissue's mass counts")
+    if gap.late > 0.0005:
+        reasons.append(f"{gap.late:.1%} carried on by late ticks (grey)")
+    words = f"live \u2212 model: up to {_number(gap.force, 3)} N at {gap.depth * 1e3:.3g} mm"
+    return ('<div data-testid="live-gap" title="live is felt on a coarser mesh than the model is computed on" '
+            f'style="padding:0 0.75em;font-size:0.75em">{escape("; ".join([words, *reasons]))}</div>')
 
 
 def _number(value: float, decimals: int) -> str:

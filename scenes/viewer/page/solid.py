@@ -13,11 +13,12 @@ from scenes.field_labels import LABELS
 from scenes.viewer.colours import PALETTE, field_range, steady_levels
 from scenes.viewer.cut_away import CutAway
 from scenes.viewer.frame import Frame
+from scenes.viewer.page.notices import Reply, answer_to
 from scenes.viewer.page.scene_updates import send_arrays
 from scenes.viewer.revolution import Opening, Surface
 from scenes.viewer.scene import Scene
 from scenes.viewer.tone import seen_colour, surface_colour
-from scenes.viewer.tool_picture import base_plate, contact_picture, force_arrow, tool_mesh
+from scenes.viewer.tool_picture import base_plate, contact_picture, force_arrow, scale_bar, tool_mesh
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
 from tissue_sim.fem.axisymmetric.fields import Fields, extrapolate
 from tissue_sim.mesh import Mesh
@@ -30,7 +31,7 @@ SIZE = 2.0
 METAL, BASE, ARROW, CONTACT = (176, 184, 194), (120, 126, 134), (213, 94, 0), (230, 20, 110)
 #: Of tissue without fields.
 TISSUE = (204, 150, 135)
-MESH_LINES, OUTLINE = (255, 255, 255), (128, 128, 128)
+MESH_LINES, OUTLINE, SCALE_BAR = (255, 255, 255), (128, 128, 128), (20, 20, 20)
 #: Light from all sides in which a surface has its own colour, and a light that shows its shape, from where the cut
 #: opens: it falls on both section faces alike.
 _FULL, _KEY, _KEY_DIRECTION = np.pi, 1.1, np.array([0.0, -0.8, 0.6])
@@ -91,6 +92,8 @@ class Solid:
         self._mesh_lines = self._segments("/tissue/mesh", MESH_LINES, 1.0)
         self._outline = self._segments("/ground/undeformed", OUTLINE, 1.5)
         self._contact = self._segments("/contact", CONTACT, 4.0)
+        self._scale_bar = self._segments("/ground/scale", SCALE_BAR, 2.5)
+        self._scale_length = self._nodes.add_label("/ground/scale_length", "", anchor="top-center")
         #: Pose, material and look of the picture; its states, or vertices; what stands; length of the arrow in
         #: `_ARROW_STEPS`.
         self._drawn: tuple | None = None
@@ -100,17 +103,24 @@ class Solid:
         self._cut_away: CutAway | None = None
         self._full_force = 1.0
 
-    def on_drag(self, aim: Callable[[float], None]) -> None:
-        """Call `aim` with the depth, m, to which somebody drags the tool."""
-        grabbed = {}
+    def on_drag(self, aim: Callable[[float, Reply | None], None]) -> None:
+        """Call `aim` with the depth, m, to which somebody drags the tool; once a drag with whom to tell why not."""
+        grabbed: dict[int, float] = {}
+        untold: set[int] = set()
 
         async def drag(event) -> None:  # a coroutine: its phases come in order
+            client = event.client_id
             if event.phase == "start":
-                grabbed[event.client_id] = event.start_position[2] - self._tool_frame.position[2]
+                grabbed[client] = event.start_position[2] - self._tool_frame.position[2]
+                untold.add(client)
             if event.phase == "end":
-                grabbed.pop(event.client_id, None)
-            elif event.client_id in grabbed:
-                aim(-(event.end_position[2] - grabbed[event.client_id]) / self.scale)
+                grabbed.pop(client, None)
+            elif client in grabbed:
+                reply = None
+                if client in untold:
+                    untold.discard(client)
+                    reply = answer_to(event)
+                aim(-(event.end_position[2] - grabbed[client]) / self.scale, reply)
 
         self._tool.on_drag("left")(drag)
 
@@ -204,7 +214,13 @@ class Solid:
             self._ambient.intensity = _FULL - _KEY * faces_it
         self._fill(self._tool, tool_mesh(tool, specimen, _opening(look.cut, STILL)))
         self._fill(self._base, base_plate(specimen, _opening(0.0, STILL)))
-        self._lines(self._outline, cut_away.undeformed_outline(opening) if look.outline else None)
+        covered = specimen.radius if tool.is_plate else tool.radius or 0.0
+        self._lines(self._outline, cut_away.undeformed_outline(opening, tool=(covered, scene.deepest))
+                    if look.outline else None)
+        bar, length = scale_bar(specimen)
+        self._lines(self._scale_bar, bar)
+        self._scale_length.text = f"{1e3 * length:g} mm"
+        self._scale_length.position = tuple(self.scale * bar[0].mean(axis=0))
 
     def _push(self, force: float, scene: Scene) -> bool:
         """The arrow of the force; whether it has changed."""

@@ -190,6 +190,24 @@ def test_undeformed_outline_is_dashed_and_stays_on_the_cylinder():
         assert np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1).sum() == pytest.approx(0.5 * whole, rel=0.05)
 
 
+def test_no_outline_runs_across_the_tool():
+    section, opening = CutAway.of(cylinder_mesh(RADIUS, HEIGHT, (4, 5), Q9P1)), Opening(np.radians(120.0))
+    tool, deepest = 0.3 * RADIUS, 0.2 * HEIGHT
+    lines = section.undeformed_outline(opening, tool=(tool, deepest))
+    r, z = np.linalg.norm(lines[..., :2], axis=-1), lines[..., 2]
+    assert not ((r < 0.99 * tool) & (z > -0.99 * deepest)).any() and z.max() == pytest.approx(0.0)
+    under_a_plate = section.undeformed_outline(opening, tool=(RADIUS, deepest))
+    assert under_a_plate[..., 2].max() == pytest.approx(-deepest)
+    for outline in (lines, under_a_plate):
+        assert outline[..., 2].min() == pytest.approx(-HEIGHT)
+
+
+def test_coarse_meshes_are_drawn_more_finely():
+    for cells, parts in (((2, 2), 5), ((4, 5), 5), ((8, 8), 3), ((20, 20), 2)):
+        mesh = cylinder_mesh(RADIUS, HEIGHT, cells, Q9P1)
+        assert len(CutAway.of(mesh).triangulation.triangles) == 2 * parts**2 * len(mesh.connectivity)
+
+
 def test_watched_points_are_on_the_edges_of_a_curved_surface(mesh):
     """Where the surface is a parabola the Gauss points lie on it, as the edges of quadratic elements do."""
     place = mesh.nodes + np.stack([0.0 * mesh.nodes[:, 0], 5.0 * mesh.nodes[:, 0] ** 2], axis=-1)

@@ -210,6 +210,15 @@ def test_options_are_what_viser_takes(measured):
 
 def test_legend_names_what_is_drawn():
     everything = legend_html(measured=3, before="<friction>")
-    assert "measured, 3 replicates" in everything and "&lt;friction&gt;" in everything and "live" in everything
-    assert "replicates" not in legend_html(measured=1) and "measured" not in legend_html()
+    assert "measured (3)" in everything and "&lt;friction&gt;" in everything and "live" in everything
+    assert "(1)" not in legend_html(measured=1) and "measured" not in legend_html()
     assert legend_html() != legend_html(dark=True)
+
+
+def test_forces_that_were_carried_on_are_points_of_their_own():
+    grid = depth_grid(10e-3, 11)
+    late = np.where(np.arange(11) == 4, 0.7, np.nan)
+    data, extent = force_depth(grid, late=late)
+    labels = [each["label"] for each in force_depth_options((0, 10), (0, 1))["series"]]
+    assert data[labels.index("late")][4] == 0.7 and np.isfinite(data[labels.index("late")]).sum() == 1
+    assert extent == (0.7, 0.7) and np.isnan(force_depth(grid)[0][labels.index("late")]).all()

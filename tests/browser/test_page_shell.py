@@ -1,0 +1,93 @@
+"""What the page says where viser's own controls say nothing: fields, uploads, keys, and the height of the plots."""
+
+import pytest
+
+from scenes.viewer.shell import LARGEST_UPLOAD
+
+
+def note(reader, text):
+    """Until a sentence beside a field says this."""
+    return reader.until(lambda: [each.inner_text() for each in reader.page.get_by_test_id("field-note").all()],
+                        lambda said: any(text in each for each in said))
+
+
+def test_a_field_takes_numbers_only_and_says_what_it_did_not_take(shown, reader):
+    reader.enter("depth [mm]", "2")
+    reader.wait_for("depth", "2.00")
+    field = reader.field("depth [mm]")
+    for typed in ("1e300", "nan", "0x4"):
+        field.click()
+        reader.page.keyboard.press("Control+a")
+        reader.page.keyboard.type(typed)
+        note(reader, "is not taken")
+        reader.until(field.input_value, lambda value: value == "2")
+        field.press("Tab")
+        reader.until(lambda: shown.frame.target, lambda depth: depth == pytest.approx(2e-3))
+    reader.enter("depth [mm]", "99999")
+    note(reader, "99999 is outside of what this field takes: 5 is used")
+    reader.wait_for("depth", "5.00")
+    field.click()
+    reader.page.keyboard.press("Control+a")
+    reader.page.keyboard.press("Delete")
+    field.press("Tab")
+    note(reader, "Nothing was entered: 5 stays.")
+    assert field.input_value() == "5" and shown.frame.target == pytest.approx(5e-3)
+
+
+def test_a_file_that_is_too_large_does_not_leave_the_browser(shown, reader, tmp_path):
+    large = tmp_path / "large.material.json"
+    with large.open("wb") as file:
+        file.truncate(LARGEST_UPLOAD + 1)
+    material = shown.session.scene.material
+    reader.tab("Material")
+    with reader.page.expect_file_chooser() as chooser:
+        reader.press("Upload material")
+    chooser.value.set_files(large)
+    note(reader, "large.material.json has 21 MB; this page takes files of up to 20 MB.")
+    assert shown.session.scene.material is material
+    assert not shown.page.server.gui._current_file_upload_states
+
+
+def test_keys_move_the_tool_and_reset_it_but_not_while_somebody_types(shown, reader):
+    page = reader.page
+
+    def leave_fields():
+        page.evaluate("() => document.activeElement.blur()")
+
+    leave_fields()
+    for _ in range(3):
+        page.keyboard.press("PageDown")
+    page.keyboard.press("Shift+PageDown")
+    reader.wait_for("depth", "1.30")
+    page.keyboard.press("PageUp")
+    reader.wait_for("depth", "1.20")
+    field = reader.field("protocol")
+    field.click()
+    page.keyboard.type("r")
+    page.keyboard.press("Control+a")
+    assert shown.frame.target == pytest.approx(1.2e-3)
+    leave_fields()
+    page.keyboard.press("r")
+    reader.wait_for("depth", "0.00")
+
+
+def test_a_tool_that_is_held_by_a_pause_says_so(shown, reader):
+    reader.press("Pause")
+    reader.phase("paused")
+    reader.enter("depth [mm]", "3")
+    reader.answer("the tool stands still while the motion is paused")
+    assert shown.frame.target == 0.0
+    reader.press("Play")
+    reader.phase("running")
+
+
+def test_plots_fill_the_panel_of_a_tall_window_and_fit_into_a_small_one(shown, open_page):
+    for height, least in ((720, 0.0), (1080, 0.75)):
+        page = open_page(shown, width=1280, height=height)
+        button = page.get_by_role("button", name="Keep this model curve")
+        button.wait_for()
+        page.wait_for_function("""([low, high]) => {
+            const buttons = Array.from(document.querySelectorAll("button"));
+            const place = buttons.find((one) => one.textContent.includes("Keep this model"))?.getBoundingClientRect();
+            return place && place.bottom <= high && place.bottom >= low;
+        }""", arg=[least * height, height])

@@ -1,0 +1,43 @@
+"""What was felt beside the model: the gap, and which of it was carried on."""
+
+import numpy as np
+import pytest
+
+from haptics.loop.ring import TICK
+from scenes.viewer.live_gap import late_forces, live_gap
+from scenes.viewer.trace import Trace
+from tissue_sim.tool_force import ForceStatus
+
+GRID = np.linspace(0.0, 10e-3, 101)
+SPEED = 20e-3
+
+
+def felt(late_from=np.inf, late_to=np.inf):
+    """4 mm in at `SPEED`, then rest: a spring of 200 N/m with 0.1 N more from 2 mm to 3 mm."""
+    time = np.arange(0.0, 0.5, 1e-3)
+    records = np.zeros(len(time), TICK)
+    records["time"], records["tool_depth"] = time, np.minimum(SPEED * time, 4e-3)
+    depth = records["tool_depth"]
+    records["tissue_force"] = 200.0 * depth + np.where((depth > 2e-3) & (depth < 3e-3), 0.1, 0.0)
+    records["status"][(depth > late_from) & (depth < late_to)] = ForceStatus.LATE
+    trace = Trace()
+    trace.append(records)
+    return trace
+
+
+def test_the_largest_gap_its_depth_and_the_speed_of_the_tool():
+    trace, model = felt(), (200.0 * GRID, 200.0 * GRID)
+    gap = live_gap(trace, GRID, trace.newest_passes(GRID), model)
+    assert gap.force == pytest.approx(0.1, rel=0.01) and 2e-3 < gap.depth < 3e-3
+    assert gap.speed == pytest.approx(SPEED, rel=0.05) and gap.late == 0.0
+    assert live_gap(trace, GRID, trace.newest_passes(GRID), (np.full(101, np.nan),) * 2) is None
+
+
+def test_what_late_ticks_carried_on_is_counted_and_kept_apart():
+    trace = felt(1e-3, 2e-3)
+    forces = late_forces(trace, GRID)
+    there = GRID[np.isfinite(forces)]
+    assert len(there) > 3 and there.min() > 0.9e-3 and there.max() < 2.1e-3
+    assert forces[np.isfinite(forces)] == pytest.approx(200.0 * there, abs=0.02)
+    assert live_gap(trace, GRID, trace.newest_passes(GRID), (GRID, GRID)).late == pytest.approx(0.15, abs=0.1)
+    assert np.isnan(late_forces(felt(), GRID)).all()
