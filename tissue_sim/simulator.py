@@ -125,6 +125,8 @@ class Simulator:
         # the tool was fast; and the share of the largest part that works.
         self._pose, self._touched = self._solver.pose, False
         self._waiting, self._lingers, self._share = 0.0, math.inf, 1.0
+        # Whether a step without time has not arrived yet: on the way the tissue has no mass, however many ticks it takes.
+        self._leaps = False
         # Pose and time step of an iteration that the budget ended, and its linear solves; whether one may begin with an
         # extrapolation, after which it is right soon or led astray.
         self._attempt: tuple[Pose, float] | None = None
@@ -216,7 +218,7 @@ class Simulator:
             self._touched = True
             # The way from the touch on.
             dt *= height / (height - height_before) if height_before > 0.0 else 1.0
-        self._waiting += dt
+        self._waiting, self._leaps = self._waiting + dt, self._leaps or tick == 0.0
         self._answer = self._follow(pose, tick, began)
         return self._answer
 
@@ -238,7 +240,7 @@ class Simulator:
             # Parts of one length: the mass of the tissue resists a short one as a blow.
             share = 1.0 / max(1, math.ceil(way / part - _ROUNDING)) if way else 1.0
             # The last part ends where the tool is, without rounding.
-            target, dt = between(here, pose, share), share * self._waiting
+            target, dt = between(here, pose, share), 0.0 if self._leaps else share * self._waiting
             if resumes and self._attempt is not None:
                 target, dt = self._attempt
             weighs = inertial and dt > 0.0 and creep is None
@@ -257,8 +259,7 @@ class Simulator:
                 break
             if creep is None:
                 step = solver.step(target, dt, tolerance=self.tolerance, max_iterations=allowed, predictor_order=order,
-                                   inertial=weighs, resumes=resumes,
-                                   own_stiffness=asks)
+                                   inertial=weighs, resumes=resumes, own_stiffness=asks)
             elif (crept := next(creep.steps, None)) is not None:
                 step = creep.last = crept
             else:
@@ -275,7 +276,7 @@ class Simulator:
                 self._share, self._attempt, self._spent = min(1.0, 2.0 * self._share), None, 0
                 self._extrapolates, resumes = True, False
                 if target == pose and (creep is not None or share == 1.0 or self._waiting == 0.0):
-                    self._waiting, status = 0.0, ForceStatus.CONVERGED
+                    self._waiting, self._leaps, status = 0.0, False, ForceStatus.CONVERGED
             elif creep is None and step.status is StepStatus.SLOW and allowed < most:
                 # The next step goes on with this iteration, and with what is left of the way then.
                 self._attempt, self._spent = (target, dt), self._spent * resumes + step.iterations
@@ -294,7 +295,7 @@ class Simulator:
                 if self._share < _SMALLEST_CUT and anew:
                     # Press anew from the touch on; what friction remembers begins there.
                     solver.lift_off()
-                    self._share, anew = 1.0, False
+                    self._share, self._leaps, anew = 1.0, True, False
                 elif self._share < _SMALLEST_CUT:
                     self._share, status = _SMALLEST_CUT, ForceStatus.STOPPED
         at = self._equilibrium
@@ -331,14 +332,15 @@ class Simulator:
         """All that the next step depends on, but for the parameters; where the tissue creeps it will do so anew."""
         self._stop_creeping()
         return SimulatorState(self._solver.save(), self._answer, self._equilibrium, self._pose,
-                              self._waiting, self._lingers, self._share, self._touched, self._reduced.history)
+                              self._leaps, self._waiting, self._lingers, self._share, self._touched,
+                              self._reduced.history)
 
     def restore(self, state: SimulatorState) -> None:
         """Go back to where `save` was called, in this simulator or in one of the same model and mesh."""
         self._stop_creeping()
         self._solver.restore(state.solver)
         self._answer, self._equilibrium = state.answer, state.equilibrium
-        self._pose = state.pose
+        self._pose, self._leaps = state.pose, state.leaps
         self._waiting, self._lingers, self._share = state.waiting, state.lingers, state.share
         self._touched, self._reduced.history = state.touched, state.history
         self._attempt, self._spent, self._extrapolates = None, 0, True

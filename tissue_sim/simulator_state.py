@@ -72,6 +72,7 @@ class SimulatorState:
     answer: ToolForce
     equilibrium: Equilibrium
     pose: Pose
+    leaps: bool
     waiting: float
     lingers: float
     share: float
