@@ -125,7 +125,7 @@ class Simulator:
         # the tool was fast; and the share of the largest part that works.
         self._pose, self._touched = self._solver.pose, False
         self._waiting, self._lingers, self._share = 0.0, math.inf, 1.0
-        # Whether a step without time has not arrived yet: on the way the tissue has no mass, however many ticks it takes.
+        # Whether a step without time has yet to arrive: on the way tissue has no mass, however many ticks it takes.
         self._leaps = False
         # Pose and time step of an iteration that the budget ended, and its linear solves; whether one may begin with an
         # extrapolation, after which it is right soon or led astray.
