@@ -31,8 +31,6 @@ class CalibrationControls:
         self._shown: tuple[CalibrationState, Scene] | None = None
         self._upload = gui.add_upload_button("Upload recording", icon=viser.Icon.UPLOAD, mime_type=".csv,.json",
                                              hint="NAME.csv, and NAME.json that belongs to it, one by one")
-        self._recordings = gui.add_html("")
-        self._remove = gui.add_button("Remove all recordings", icon=viser.Icon.TRASH, color="gray")
         self._begin = gui.add_button("Calibrate", icon=viser.Icon.ADJUSTMENTS,
                                      hint="fit the material, from its present parameters on, to the recordings")
         self._cancel = gui.add_button("Cancel calibration", icon=viser.Icon.X, color="red", visible=False)
@@ -41,6 +39,9 @@ class CalibrationControls:
         with self._saving:
             self._name = gui.add_text("new name", "calibrated", hint=f"without {SUFFIX}")
             self._save = gui.add_button("Save calibrated material", icon=viser.Icon.DEVICE_FLOPPY)
+        # Below what came out, which is to be seen without scrolling.
+        self._recordings = gui.add_html("")
+        self._remove = gui.add_button("Remove all recordings", icon=viser.Icon.TRASH, color="gray")
         self.show(frame)
 
         @self._upload.on_upload
