@@ -65,26 +65,31 @@ def _line(line: Line) -> str:
     reason = " ".join(line.reason.split())
     if line.value is None:
         return f"# {line.key} =   # {FILL_IN}: {reason}"
-    text = f"{_key(line.key)} = {_value(line.value)}"
+    text = f"{_key(line.key)} = {toml_value(line.value)}"
     if not reason:
         return text
     return f"{text:<{_COLUMN}}  # {reason}" if len(text) + len(reason) < 116 else f"# {reason}\n{text}"
 
 
 def _key(key: str) -> str:
-    return key if _BARE.fullmatch(key) else _value(key)
+    return key if _BARE.fullmatch(key) else toml_value(key)
 
 
-def _value(value: Any) -> str:
+def toml_value(value: Any) -> str:
+    """A value as a campaign writes it, in one line or as a list of lines.
+
+    Raises:
+        ValueError: a number that is not finite.
+    """
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
         # TOML takes JSON's strings, but for the delete character.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_key(str(key))} = {_value(item)}" for key, item in value.items()) + " }"
+        return "{ " + ", ".join(f"{_key(str(key))} = {toml_value(item)}" for key, item in value.items()) + " }"
     if isinstance(value, list | tuple):
-        items = [_value(item) for item in value]
+        items = [toml_value(item) for item in value]
         one = f"[{', '.join(items)}]"
         return one if len(one) < 110 else "[\n" + "".join(f"    {item},\n" for item in items) + "]"
     if isinstance(value, float) and not math.isfinite(value):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any, Protocol
 
 import numpy as np
 
 import tissue_sim as ts
+from scenes.viewer.calibration_run import CalibrationState
 from scenes.viewer.measurement import Measurement, Residual
 from scenes.viewer.revolution import Surface
 from scenes.viewer.scene import Scene
@@ -98,6 +99,7 @@ class Frame:
         motion: ``"hand"``, ``"protocol"``, ``"recording"``, or ``"device"`` for a device or any other motion.
         target: where a hand points, m.
         surface: of the tissue where its snapshot has no fields, m, in the frame of the scene; else None.
+        calibration: recordings that were uploaded, and their fit.
     """
 
     phase: Phase
@@ -109,6 +111,7 @@ class Frame:
     motion: str
     target: float
     surface: Surface | None = None
+    calibration: CalibrationState = field(default_factory=CalibrationState)
 
 
 class Commands(Protocol):

@@ -162,6 +162,19 @@ def save_edited(material: Material, folder: str | Path, name: str, *, source: st
     Raises:
         InputError: a name that cannot be a file's, a file that is there already, a place that cannot be written.
     """
+    path = new_file(folder, name)
+    provenance = {"method": "edited by hand", "settings": {"edited_from": source}}
+    named = replace(material, name=path.name.removesuffix(SUFFIX))
+    write_material_file(MaterialFile.of(named, provenance=provenance), path)
+    return path
+
+
+def new_file(folder: str | Path, name: str) -> Path:
+    """Where a material of this name goes, with or without ``.material.json``; nothing is written.
+
+    Raises:
+        InputError: a name that cannot be a file's, a file that is there already.
+    """
     name = name.strip().removesuffix(SUFFIX)
     if not name or name.startswith(".") or not name.isprintable() or set(name) & set('/\\:*?"<>|') or len(name) > 100:
         raise InputError(f"{name!r} is no name of a file; give up to 100 letters, digits, blanks or - _ .",
@@ -169,6 +182,4 @@ def save_edited(material: Material, folder: str | Path, name: str, *, source: st
     path = Path(folder) / f"{name}{SUFFIX}"
     if path.exists():
         raise InputError("is there already and is not replaced; give another name", file=path)
-    provenance = {"method": "edited by hand", "settings": {"edited_from": source}}
-    write_material_file(MaterialFile.of(replace(material, name=name), provenance=provenance), path)
     return path

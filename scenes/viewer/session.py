@@ -14,6 +14,8 @@ import tissue_sim as ts
 from haptics.devices.contracts import HapticDevice, Motion
 from haptics.devices.motions import HandMotion, ProtocolMotion
 from haptics.loop.loop import LoopSettings
+from scenes.viewer.calibration_commands import CALIBRATION_COMMANDS, take_result
+from scenes.viewer.calibration_run import CalibrationRun
 from scenes.viewer.frame import Curves, Frame, Phase, Viewer
 from scenes.viewer.live_simulation import SETTINGS, LiveSimulation
 from scenes.viewer.material_files import save_edited
@@ -56,7 +58,7 @@ class Session:
         self._device_waits, self._refused = False, ""
         self._resolution, self._settings = resolution, settings
         self._requests: queue.SimpleQueue[tuple[str, Callable | None, dict[str, Any]]] = queue.SimpleQueue()
-        self._curve = ModelCurve(curve_resolution, scene.solver)
+        self._curve, self.calibration = ModelCurve(curve_resolution, scene.solver), CalibrationRun()
         self._curves, self._trace, self._frames = Curves(before=scene.compared), Trace(), 0
         #: Time from the beginning of a replay, and force, of the recording.
         self._replayed: tuple | None = None
@@ -89,6 +91,7 @@ class Session:
     def frame(self) -> Frame:
         """Obey what was asked for and look at the simulation."""
         self._obey()
+        take_result(self)
         simulation = self._simulation
         records = simulation.poll()
         if self._material_is_late and simulation.phase is Phase.RUNNING:
@@ -116,7 +119,7 @@ class Session:
         elif self._curve.problem:
             message = self._curve.problem
         return Frame(simulation.phase, message, self.scene, simulation.snapshot, simulation.readouts, self._curves,
-                     self._motion, self._target, simulation.surface)
+                     self._motion, self._target, simulation.surface, self.calibration.state)
 
     def run(self, viewer: Viewer, stop: threading.Event, seconds: float | None = None) -> None:
         """Show frames until `stop` is set, or for so many seconds."""
@@ -258,6 +261,7 @@ class Session:
         if self._simulation is not None:
             self._simulation.close()
         self._curve.close()
+        self.calibration.close()
 
     def _obey(self) -> None:
         requests = []
@@ -393,4 +397,5 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "use_scene": Session.use_scene,
     "keep_curve": Session.keep_curve,
     "restart": Session.restart,
+    **CALIBRATION_COMMANDS,
 }

@@ -11,6 +11,7 @@ import viser
 from scenes.field_labels import LABELS
 from scenes.viewer.colours import colour_bar_html
 from scenes.viewer.frame import Commands, Frame, Phase
+from scenes.viewer.page.calibration_controls import CalibrationControls
 from scenes.viewer.page.curve_plots import CurvePlots
 from scenes.viewer.page.look_controls import LookControls
 from scenes.viewer.page.material_controls import MaterialControls
@@ -71,6 +72,8 @@ class Page:
             self._motion = MotionControls(server, session, frame)
         with tabs.add_tab("Material"):
             self._material = MaterialControls(server, session, frame, materials)
+        with tabs.add_tab("Calibrate"):
+            self._calibration = CalibrationControls(server, session, frame, materials)
         with tabs.add_tab("Scene"):
             self._scene = SceneControls(server, session, frame)
         with tabs.add_tab("View"):
@@ -129,6 +132,7 @@ class Page:
             self._restart.visible = stopped
         self._motion.show(frame)
         self._material.show(frame)
+        self._calibration.show(frame)
         self._scene.show(frame)
         self._plots.show(frame)
 

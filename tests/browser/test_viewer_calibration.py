@@ -1,0 +1,89 @@
+"""Calibration from the page: recordings come in, a material comes out, is felt, drawn and saved."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+import tissue_sim as ts
+from tissue_sim.parameters import with_values
+
+SUFFIX = ".material.json"
+STIFFER = {"C10": 2200.0, "C20": 900.0}
+
+
+@pytest.fixture
+def recordings(shown, tmp_path):
+    """Two noisy recordings of a stiffer material with their sidecars, and one of another tool."""
+    scene = shown.scene
+    true = ts.simulate(replace(scene.model, material=with_values(scene.material, STIFFER)), resolution="fast")
+    said = {"kind": scene.kind.name, "tool": {"shape": "flat", "radius_mm": 8.0}}
+    for seed in range(2):
+        ts.write_recording(ts.Rig(force_noise=0.01, seed=seed).measure(true).with_metadata(**said),
+                           tmp_path / f"stiff_{seed}.csv")
+    (tmp_path / "bad.csv").write_text("time [s],force [N]\n" + "".join(f"{i},1\n" for i in range(9)), encoding="utf-8")
+    return tmp_path
+
+
+@pytest.fixture
+def calibrating(shown, reader):
+    """The tab; afterwards no recording is left, and the first measurement is back."""
+    reader.tab("Calibrate")
+    yield reader
+    if shown.session.calibration.state.told is not None:
+        shown.ask("cancel_calibration")
+    shown.ask("remove_recordings")
+    shown.session.scene = replace(shown.session.scene, measurements=shown.scene.measurements)
+
+
+def upload(reader, path):
+    with reader.page.expect_file_chooser() as chooser:
+        reader.press("Upload recording")
+    chooser.value.set_files(path)
+
+
+def test_recordings_are_uploaded_and_calibrated_and_the_material_is_felt_drawn_and_saved(
+        shown, calibrating, recordings):
+    reader = calibrating
+    for name in ("stiff_0.csv", "stiff_0.json", "stiff_1.csv"):
+        upload(reader, recordings / name)
+        reader.answer(f"{name} is read")
+    upload(reader, recordings / "bad.csv")
+    reader.answer("bad.csv: the column with a motion is missing")
+    reader.until(lambda: reader.read("recordings"), lambda text: "flat, radius 8 mm" in text and "stiff_1.csv" in text)
+    assert "bad" not in reader.read("recordings")
+
+    reader.press("Calibrate")
+    reader.page.get_by_test_id("calibrating").wait_for()
+    reader.page.get_by_test_id("calibrated").wait_for()
+    found = shown.session.calibration.state.result
+    low, high = found.values["C10"].interval
+    assert low < STIFFER["C10"] < high and "95 % interval" in reader.read("calibrated")
+    assert shown.session.scene.material == found.material
+    reader.until(lambda: reader.number("rmse"), lambda rmse: rmse < 0.03)
+    force = float(shown.session.scene.measurement.recordings[0].force.max())
+    reader.until(lambda: max(reader.curves()[0]["model load"], default=0.0),
+                 lambda top: top == pytest.approx(force, rel=0.05))
+
+    reader.fill("new name", "from the page")
+    file = reader.download("Save calibrated material")
+    reader.answer(f"saved as from the page{SUFFIX}")
+    saved = shown.folder / f"from the page{SUFFIX}"
+    assert file.path().read_bytes() == saved.read_bytes()
+    content = json.loads(saved.read_text(encoding="utf-8"))
+    assert content["parameters"]["C10"]["standard_error"] > 0
+    assert {each["file"] for each in content["provenance"]["recordings"]} == {"stiff_0.csv", "stiff_1.csv"}
+    reader.press("Save calibrated material")
+    reader.answer("is there already and is not replaced; give another name")
+
+
+def test_a_calibration_is_cancelled_and_leaves_the_material(shown, calibrating, recordings):
+    reader, material = calibrating, shown.session.scene.material
+    upload(reader, recordings / "stiff_0.csv")
+    reader.answer("stiff_0.csv is read")
+    reader.press("Calibrate")
+    reader.press("Cancel calibration")
+    reader.page.get_by_text("The calibration was cancelled").wait_for()
+    assert shown.session.scene.material is material
+    reader.press("Remove all recordings")
+    reader.until(lambda: reader.read("recordings"), lambda text: "stiff_0" not in text)

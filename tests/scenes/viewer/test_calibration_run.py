@@ -1,0 +1,232 @@
+"""Calibration from the page, without a browser: uploads are understood or refused, a fit ends in a material, in a
+sentence, or is cancelled; what was there stays."""
+
+import json
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tissue_sim as ts
+from scenes.viewer.calibration_commands import CALIBRATED, CALIBRATION_COMMANDS, take_result
+from scenes.viewer.calibration_run import CalibrationRun, read_recording_upload, replicates
+from scenes.viewer.calibration_task import PROGRESS_FILE, RECORDINGS, Calibrated, Value, calibrate_files
+from tissue_sim.errors import ConvergenceError, InputError
+from tissue_sim.parameters import with_values
+
+
+@pytest.fixture
+def pool(pool, monkeypatch):
+    """That of every `CalibrationRun`, too."""
+    monkeypatch.setattr("scenes.viewer.calibration_run.ProcessPool", lambda count: pool)
+    return pool
+
+
+@pytest.fixture
+def run(pool):
+    run = CalibrationRun()
+    yield run
+    run.close()
+
+
+def csv(depth=4e-3, seconds=2.0, scale=1.0):
+    place = depth * np.concatenate([np.linspace(0, 1, 21), np.linspace(1, 0, 21)[1:]])
+    time = np.linspace(0, seconds, place.size)
+    rows = [f"{t:.17g},{1e3 * x:.17g},{scale * 250 * x:.17g}" for t, x in zip(time, place, strict=True)]
+    return "\n".join(["time [s],displacement [mm],force [N]", *rows, ""]).encode()
+
+
+def sidecar(**said):
+    return json.dumps({"kind": "needle_indentation", "tool": {"shape": "flat", "radius_mm": 8.0}, **said}).encode()
+
+
+def upload(run, name="a.csv", content=None):
+    run.add(read_recording_upload(name, csv() if content is None else content))
+
+
+class Stands:
+    """A session without processes."""
+
+    def __init__(self, scene, run):
+        self.scene, self.calibration, self.refuses = scene, run, ""
+
+    def use_material(self, material, source):
+        if self.refuses:
+            raise InputError(self.refuses)
+        self.scene = replace(self.scene, material=material, source=source)
+
+    def do(self, command, **values):
+        CALIBRATION_COMMANDS[command](self, **values)
+
+
+def result_for(scene):
+    stiffer = with_values(scene.material, {"C10": 2000.0})
+    return Calibrated(stiffer, {"C10": Value(2000.0, (1900.0, 2100.0), "Pa")}, 0.02, (), 9, b'{"a": "file"}')
+
+
+def test_what_was_uploaded_is_understood(run, needle):
+    upload(run)
+    each, = run.state.recordings
+    assert each.depth == pytest.approx(4e-3) and each.duration == pytest.approx(2.0)
+    assert each.speed == pytest.approx(4e-3, rel=0.05) and len(each.recording) == 41
+    assert each.measured.kind is None and each.tool == "" and each.warnings(needle) == ()
+
+
+@pytest.mark.parametrize("first", ["a.csv", "a.json"])
+def test_a_sidecar_finds_its_recording_in_any_order(run, needle, first):
+    files = {"a.csv": csv(), "a.json": sidecar(kind="bonded_compression", tool={"shape": "cone", "radius_mm": 3.0})}
+    for name in sorted(files, reverse=first == "a.json"):
+        upload(run, name, files[name])
+    each, = run.state.recordings
+    assert each.tool == "cone, radius 3 mm"
+    kind, tool = each.warnings(needle)
+    assert kind == "is a bonded_compression, and the scene is a needle_indentation"
+    assert tool == "was measured with a cone of 3 mm radius, and the scene has another tool"
+
+
+@pytest.mark.parametrize(("name", "content", "said"), [
+    ("a.txt", b"", "a.txt: is neither a recording"),
+    ("a.csv", b"\x00\x01", "a.csv"),
+    ("b.csv", b"time [s],force [N]\n0,1\n1,1\n2,1\n3,1\n4,1\n5,1\n", "b.csv: the column with a motion is missing"),
+    ("b.json", b"[1]", "b.json: expected an object"),
+    ("b.json", b"{", "b.json:1"),
+    ("a.csv", csv(), "a.csv: is here already"),
+    ("a.json", sidecar(sha256="0" * 64), "a.json: sha256: a.csv was changed after it was recorded"),
+])
+def test_a_bad_file_is_one_sentence_and_changes_nothing(run, name, content, said):
+    upload(run)
+    before = run.state
+    with pytest.raises(InputError) as refused:
+        upload(run, name, content)
+    assert str(refused.value).startswith(said) and "\n" not in str(refused.value)
+    assert "tissue_sim_" not in str(refused.value) and run.state is before
+
+
+def test_names_of_strangers_stay_in_their_folder():
+    for name, safe in (("../../a*.csv", "a_.csv"), ("c:\\x\\b[1].csv", "b_1_.csv")):
+        assert read_recording_upload(name, csv()).name == safe
+
+
+def test_what_moves_otherwise_is_a_test_of_its_own(run):
+    for name, depth, seconds in (("a", 4e-3, 2.0), ("b", 4.2e-3, 2.0), ("c", 6e-3, 3.0), ("d", 4e-3, 20.0)):
+        upload(run, f"{name}.csv", csv(depth, seconds))
+    assert replicates(run.state.recordings) == (("a.csv", "b.csv"), ("c.csv",), ("d.csv",))
+
+
+def test_a_fit_is_followed_and_its_material_is_put_under_the_needle(run, pool, needle):
+    session = Stands(needle, run)
+    upload(run)
+    upload(run, "a.json", sidecar())
+    session.do("calibrate")
+    (folder, wanted), future = pool.tasks[-1]
+    assert (wanted.kind, wanted.tests, wanted.material) == (needle.kind.name, (("a.csv",),), needle.material)
+    assert sorted(path.name for path in (Path(folder) / RECORDINGS).iterdir()) == ["a.csv", "a.json"]
+    take_result(session)
+    assert run.state.told.sentence == "starting"
+    for command, values in (("calibrate", {}), ("remove_recordings", {})):
+        with pytest.raises(InputError, match="a calibration runs"):
+            session.do(command, **values)
+    content = {"sentence": "3 starts", "solves": 2, "rmse": 0.1, "parameters": {"C10": 1800.0}}
+    (Path(folder) / PROGRESS_FILE).write_text(json.dumps(content), encoding="utf-8")
+    take_result(session)
+    assert (run.state.told.solves, run.state.told.parameters) == (2, {"C10": 1800.0}) and session.scene is needle
+
+    future.set_result(found := result_for(needle))
+    take_result(session)
+    assert run.state.result is found and run.state.told is None and run.state.problem == ""
+    assert session.scene.material == found.material and session.scene.source == CALIBRATED
+    assert session.scene.measurement.recordings[0].metadata["kind"] == needle.kind.name
+    assert not Path(folder).exists()
+    session.do("remove_recordings")
+    assert run.state.recordings == () and run.state.result is found
+
+
+@pytest.mark.parametrize(("error", "said"), [
+    (ConvergenceError("no start of any law gets through"), "no start of any law gets through"),
+    (InputError("needs at least 5 samples", file="a.csv"), "a.csv: needs at least 5 samples"),
+    (BrokenProcessPool("terminated abruptly"), "The process that calibrates has died"),
+])
+def test_a_failure_is_a_sentence_and_leaves_everything(run, pool, needle, error, said):
+    session = Stands(needle, run)
+    upload(run)
+    session.do("calibrate")
+    (folder, _), future = pool.tasks[-1]
+    future.set_exception(error)
+    take_result(session)
+    assert run.state.problem.startswith(said) and run.state.told is None and run.state.result is None
+    assert session.scene is needle and not Path(folder).exists()
+    session.do("calibrate")
+    assert run.state.problem == "" and run.state.told is not None
+
+
+def test_a_fit_is_cancelled(run, pool, needle):
+    session = Stands(needle, run)
+    with pytest.raises(InputError, match="no calibration runs"):
+        session.do("cancel_calibration")
+    with pytest.raises(InputError, match="upload one first"):
+        session.do("calibrate")
+    upload(run)
+    session.do("calibrate")
+    session.do("cancel_calibration")
+    assert pool.stopped and "was cancelled" in run.state.problem and run.state.told is None
+    pool.tasks[-1][1].set_result(result_for(needle))
+    take_result(session)
+    assert session.scene is needle and run.state.result is None
+
+
+def test_a_result_for_another_scene_is_kept_but_not_shown(run, pool, needle):
+    session = Stands(needle, run)
+    upload(run)
+    session.do("calibrate")
+    session.scene = other = needle.with_scene("bonded_compression")
+    pool.tasks[-1][1].set_result(found := result_for(needle))
+    take_result(session)
+    assert session.scene is other and run.state.result is found and "another one" in run.state.problem
+
+
+def test_a_material_that_the_scene_refuses_leaves_it(run, pool, needle):
+    session = Stands(needle, run)
+    session.refuses = "is too stiff."
+    upload(run)
+    session.do("calibrate")
+    pool.tasks[-1][1].set_result(result_for(needle))
+    take_result(session)
+    assert session.scene is needle and run.state.problem == "is too stiff. The material stays as it was."
+
+
+def test_the_material_file_is_saved_and_never_over_another(run, pool, needle, tmp_path):
+    session = Stands(needle, run)
+    with pytest.raises(InputError, match="nothing was calibrated yet"):
+        session.do("save_calibration", folder=tmp_path, name="mine")
+    upload(run)
+    session.do("calibrate")
+    pool.tasks[-1][1].set_result(found := result_for(needle))
+    take_result(session)
+    session.do("save_calibration", folder=tmp_path, name="mine")
+    path = tmp_path / "mine.material.json"
+    assert path.read_bytes() == found.file and session.scene.source == path.name
+    with pytest.raises(InputError, match="is not replaced"):
+        session.do("save_calibration", folder=tmp_path, name="mine")
+
+
+def test_the_process_fits_as_the_command_does(run, pool, needle, tmp_path):
+    """Two noisy replicates of a stiffer material, by the pipeline itself, here."""
+    stiffer = with_values(needle.material, {"C10": 2200.0, "C20": 900.0})
+    true = ts.simulate(replace(needle.model, material=stiffer), resolution="fast")
+    for seed in range(2):
+        ts.write_recording(ts.Rig(force_noise=0.005, seed=seed).measure(true), tmp_path / f"r{seed}.csv")
+        upload(run, f"r{seed}.csv", (tmp_path / f"r{seed}.csv").read_bytes())
+    run.begin(needle)
+    (folder, wanted), _ = pool.tasks[-1]
+    found = calibrate_files(folder, wanted)
+    low, high = found.values["C10"].interval
+    assert low < 2200.0 < high and found.rmse == pytest.approx(0.005, rel=0.3)
+    assert json.loads((Path(folder) / PROGRESS_FILE).read_text(encoding="utf-8"))["solves"] > 1
+    said = json.loads(found.file)
+    assert {each["file"] for each in said["provenance"]["recordings"]} == {"r0.csv", "r1.csv"}
+    assert said["parameters"]["C10"]["standard_error"] > 0 and found.material.density == needle.material.density
+    with pytest.raises(InputError) as refused:
+        calibrate_files(folder, replace(wanted, tests=(("missing.csv",),)))
+    assert folder not in str(refused.value)
