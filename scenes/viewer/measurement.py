@@ -266,3 +266,13 @@ def _spread(time: np.ndarray, depth: np.ndarray, corners: np.ndarray, count: int
         way[begin:end + 1] = way[begin] + np.maximum(gone, 0.0)
     measure = way / max(way[-1], 1e-12) + _TIME_WEIGHT * (time - time[0]) / max(time[-1] - time[0], 1e-12)
     return np.unique(np.searchsorted(measure, np.linspace(0.0, measure[-1], count)).clip(0, depth.size - 1))
+
+
+def gap(model: Recording | None, measured: Measurement | None) -> Residual | None:
+    """Model minus measurement; None where there is nothing to compare, as of a model that stopped at once."""
+    if model is None or measured is None:
+        return None
+    try:
+        return residual(model, measured)
+    except InputError:
+        return None

@@ -19,7 +19,7 @@ from scenes.viewer.calibration_run import CalibrationRun
 from scenes.viewer.frame import Curves, Frame, Phase, Viewer
 from scenes.viewer.live_simulation import SETTINGS, LiveSimulation
 from scenes.viewer.material_files import save_edited
-from scenes.viewer.measurement import Measurement, Residual, motion, residual, typical
+from scenes.viewer.measurement import gap, motion, typical
 from scenes.viewer.model_curve import ModelCurve
 from scenes.viewer.scene import Scene
 from scenes.viewer.trace import Trace
@@ -341,7 +341,7 @@ class Session:
         curves, trace, measurement = self._curves, self._trace, self.scene.measurement
         recording = self._curve.recording
         if recording is not curves.model or measurement is not curves.measurement:
-            curves = replace(curves, model=recording, measurement=measurement, residual=_gap(recording, measurement))
+            curves = replace(curves, model=recording, measurement=measurement, residual=gap(recording, measurement))
         if self._felt != curves.number or curves.trace is None:
             replayed = None
             if self._replayed is not None and len(trace):
@@ -369,16 +369,6 @@ def _differ_in_parameters_only(a: ts.Material, b: ts.Material) -> bool:
         return replace(with_values(a, values), name=b.name) == b
     except InputError:  # on the way from one to the other
         return False
-
-
-def _gap(model: ts.Recording | None, measured: Measurement | None) -> Residual | None:
-    """Model minus measurement; None where there is nothing to compare, as of a model that stopped at once."""
-    if model is None or measured is None:
-        return None
-    try:
-        return residual(model, measured)
-    except InputError:
-        return None
 
 
 #: What a viewer may ask a session for, by name; the values of a command are its arguments.

@@ -109,7 +109,8 @@ def agreement_html(frame: Frame) -> str:
     """How far the model is from the measurement, over the whole test."""
     curves = frame.curves
     if curves.measurement is None:
-        words = "Nothing was measured in this scene: start the viewer with --measured FILE."
+        words = ("Nothing was measured in this scene: upload recordings under Calibrate, or start the viewer with "
+                 "--measured FILE.")
     elif curves.residual is None:
         words = "The model's curve is being computed."
     else:
