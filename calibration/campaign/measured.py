@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calibration.campaign.campaign import DEFAULT_OFFSET_BOUND, DEFAULT_OFFSET_PRIOR, Campaign, Test
-from calibration.campaign.segmented import SegmentedRecording, segment_recording, with_air_noted
+from calibration.campaign.segmented import SegmentedRecording, from_elsewhere, segment_recording, with_air_noted
 from calibration.statistics.sensor_noise import SensorNoise, estimate_shared_noise, spread_stamps
 from calibration.statistics.statistics import estimate_noise, resolution
 from tissue_sim.errors import InputError
@@ -242,7 +242,8 @@ def _curve(recording: Recording, name: str, path: Path, test: Test, campaign: Ca
     curve = MeasuredCurve(name, test, time, displacement[places], force[places], labels if remembering else None, path,
                           str(recording.metadata.get("sha256", "")), stressed, later,
                           whole=replace(whole, used=used),
-                          notes=with_air_noted(whole, int(places.min()), stressed=stressed))
+                          notes=with_air_noted(whole, int(places.min()), stressed=stressed)
+                          | from_elsewhere(recording, test))
     if campaign.fit.method == "analytical":
         curve = with_noise(replace(curve, displacement=displacement[loading], force=force[loading]), campaign,
                            curve)

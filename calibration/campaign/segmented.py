@@ -10,6 +10,8 @@ import numpy as np
 
 from calibration.campaign.campaign import Test
 from tissue_sim.errors import InputError
+from tissue_sim.recording.origin import other_kind, other_tool
+from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.segments import Segmentation, segments_of
 
 
@@ -102,6 +104,17 @@ def with_air_noted(recording: SegmentedRecording, first: int, *, stressed: bool)
             f"the fit begins {scale * (contact.displacement - place):.3g}{unit} before contact, which is found at "
             f"{scale * contact.displacement:.4g}{unit} (95 %: {low:.4g} to {high:.4g}): moduli come out too small; set "
             "contact = \"find\" in its test" + ("" if stressed else ", or state it in mm"))
+    return notes
+
+
+def from_elsewhere(recording: Recording, test: Test) -> dict[str, str]:
+    """Notes of a recording that says it was made in another kind of test, or with another tool."""
+    notes = {}
+    if kind := other_kind(recording, test.kind.name):
+        notes["kind"] = f"it says that it is a {kind}, and it is fitted as a {test.kind.name}"
+    tool = None if test.experiment is None else test.experiment.tool
+    if tool is not None and (other := other_tool(recording, tool.shape, tool.radius)):
+        notes["tool"] = f"it says that it was measured with a {other}, and it is fitted with another tool"
     return notes
 
 

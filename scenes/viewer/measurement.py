@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import isclose
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import STUDY_SPEED, Protocol
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.recording.file import read_recordings
+from tissue_sim.recording.origin import other_tool
 from tissue_sim.recording.recording import MIN_POINTS, Recording
 from tissue_sim.recording.segmentation import load_and_unload
 
@@ -67,16 +67,7 @@ class Measurement:
 
     def other_tool(self, tool: Tool) -> str:
         """With which tool it was measured, where its recordings say another shape or radius (1 %); else empty."""
-        for each in self.recordings:
-            said = each.metadata.get("tool")
-            if not isinstance(said, Mapping) or "shape" not in said:
-                continue
-            radius = said.get("radius_mm")
-            other = (isinstance(radius, (int, float)) and tool.radius is not None
-                     and not isclose(radius, tool.radius * 1e3, rel_tol=0.01))
-            if said["shape"] != tool.shape or other:
-                return f"{said['shape']}{f' of {radius:g} mm radius' if isinstance(radius, (int, float)) else ''}"
-        return ""
+        return next(filter(None, (other_tool(each, tool.shape, tool.radius) for each in self.recordings)), "")
 
     @property
     def noise(self) -> float | None:

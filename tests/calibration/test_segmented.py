@@ -109,3 +109,18 @@ def test_keys_that_make_no_sense_are_refused(tmp_path, keys, problem):
     with pytest.raises(ts.InputError, match=problem) as caught:
         fitted(tmp_path, keys)
     assert caught.value.field == f"test[0].{keys.split()[0]}" and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(("said", "warned"), [
+    ({"kind": "bonded_compression"}, "it says that it is a bonded_compression, and it is fitted as a "
+                                     "lubricated_compression"),
+    ({"tool": {"shape": "flat", "radius_mm": 6}}, "it says that it was measured with a flat of 6 mm radius"),
+    ({"kind": "lubricated_compression"}, None), ({"tool": "a nail"}, None)])
+def test_a_recording_of_another_test_is_named(tmp_path, said, warned):
+    compress(tmp_path)
+    for path in tmp_path.glob("air_*.csv"):
+        recording = ts.read_recording(path)
+        ts.write_recording(recording.with_metadata(**said), path)
+    result = fitted(tmp_path, 'contact = "find"', figures=False)
+    assert (warned in result.message) if warned else ("it says that" not in result.message)
+    assert pytest.approx(6 * C10, rel=0.02) == result.best.E0
