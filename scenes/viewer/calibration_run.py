@@ -15,14 +15,15 @@ from calibration.tasks.process_pool import ProcessPool
 from scenes.viewer.calibration_task import PROGRESS_FILE, RECORDINGS, Calibrated, Wanted, calibrate_files
 from scenes.viewer.measurement import Measurement, measurement
 from scenes.viewer.scene import Scene
+from scenes.viewer.shell import LARGEST_UPLOAD
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.decode import read_json
 from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError
 from tissue_sim.recording.file import read_recording
 from tissue_sim.recording.recording import Recording
 
-#: Largest upload, bytes; and how many recordings a calibration takes.
-LARGEST_UPLOAD, MOST_RECORDINGS = 50_000_000, 50
+#: How many recordings a calibration takes.
+MOST_RECORDINGS = 50
 #: Recordings whose depth and speed differ by no more than this share are replicates, as the calibration has it.
 _ALIKE = 0.2
 
