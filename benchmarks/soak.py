@@ -1,17 +1,20 @@
-"""Play with a server as a careless user and an attacker would, and replay all that was answered.
+"""Play with server, loop and page as a careless user and an attacker would, and replay all that was answered.
 
     python benchmarks/soak.py [--minutes 30] [--seed 1] [--json]
 
 A hand moves through random aims at 1 kHz under random tools, while parameters change by up to twentyfold, states are
 saved and restored, and the tissue is reset; poses and times that no scene holds, damaged packets, floods and garbage
-arrive, the client pauses, and servers are interrupted and killed. Then the logged motion is stepped again without a
-budget, from a reset on: what was called CONVERGED must be within 1 % + 0.02 N of that.
+arrive, the client pauses, and servers are interrupted and killed. Every second session is of the viewer: a loop at
+1 kHz in a process of its own under a page that is read, with aims, protocols, parameters, tools, pauses, resets,
+nonsense, bytes that are no request, reloads and loops that are killed. Then the logged motion is stepped again without
+a budget, from a reset on: what was called CONVERGED must be within 1 % + 0.02 N of that.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 import tempfile
 from collections import Counter
@@ -20,7 +23,8 @@ from pathlib import Path
 import numpy as np
 from measure import table
 from rich.console import Console
-from soak_replay import score
+from soak_page import play
+from soak_replay import score, score_page
 from soak_scenes import MATERIAL
 from soak_session import run
 
@@ -42,37 +46,56 @@ def main() -> int:
         ts.write_material_file(ts.MaterialFile.of(MATERIAL), material)
         for number in range(count):
             rng = np.random.default_rng([arguments.seed, number])
-            session = run(rng, material, min(SESSION, arguments.minutes * 60.0))
-            results.append(score(session, LARGEST))
-            print(f"session {number + 1} of {count}: {results[-1]['statuses']}, {results[-1]['wrong']} wrong",
+            seconds = min(SESSION, arguments.minutes * 60.0)
+            if number % 2:
+                (calls := Path(folder) / f"calls{number}").mkdir()
+                results.append(score_page(play(rng, material, calls, seconds), math.inf))
+            else:
+                results.append(score(run(rng, material, seconds), LARGEST))
+            print(f"session {number + 1} of {count}, {results[-1]['kind']}: {results[-1]['statuses']}, "
+                  f"{results[-1]['wrong']} wrong",
                   file=sys.stderr)
     summary = summarise(results)
     if arguments.json:
         print(json.dumps({"seed": arguments.seed, "summary": summary, "sessions": results}))
     else:
-        table(Console(), "soak", ("figure", "value"), [(key, f"{value}") for key, value in summary.items()])
+        for kind, figures in summary.items():
+            table(Console(), kind, ("figure", "value"), [(key, f"{value}") for key, value in figures.items()])
     return 0
 
 
 def summarise(results: list[dict]) -> dict:
-    """Over all sessions."""
+    """Over all sessions of each kind."""
+    servers, pages = ([one for one in results if one["kind"] == kind] for kind in ("server", "page"))
+    summary = {}
+    if servers:
+        summary["server"] = {**_answers(servers), "requests_without_reply": sum(one["lost"] for one in servers),
+                             "beyond_the_largest_force": sum(one["beyond"] for one in servers),
+                             "ended_otherwise_than_asked": sum(
+                                 one["exit_code"] != (0 if one["ended_by"] == "signal" else -9) for one in servers),
+                             "words": [line for one in servers for line in one["words"]][:5]}
+    if pages:
+        summary["page"] = {**_answers(pages), "noticed_ms_largest": max((each for one in pages for each in
+                                                                         one["noticed_ms"]), default=0.0),
+                           **{name: sum(one[name] for one in pages) for name in
+                              ("frames", "asked", "refused", "unanswered", "killed", "stale")},
+                           "nonsense_taken": sorted({each for one in pages for each in one["taken"]})}
+    return summary
+
+
+def _answers(results: list[dict]) -> dict:
+    """What the tissue answered."""
     statuses, quiet = Counter(), Counter()
     for one in results:
         statuses.update(one["statuses"])
         quiet.update(one["quiet"])
     recoveries = [each for one in results for each in one["recoveries_ms"]]
-    settled = quiet["converged"] / max(1, sum(quiet.values()))
-    return {"sessions": len(results), "replies": sum(statuses.values()), "statuses": dict(statuses),
+    return {"sessions": len(results), "answers": sum(statuses.values()), "statuses": dict(statuses),
+            "converged_without_faults_percent": round(100.0 * quiet["converged"] / max(1, sum(quiet.values())), 3),
             "compared": sum(one["compared"] for one in results), "wrong": sum(one["wrong"] for one in results),
-            "largest_difference_N": max(one["largest_difference_N"] for one in results),
-            "converged_without_faults_percent": round(100.0 * settled, 3),
-            "beyond_the_largest_force": sum(one["beyond"] for one in results),
-            "requests_without_reply": sum(one["lost"] for one in results),
+            "largest_difference_N": round(max(one["largest_difference_N"] for one in results), 4),
             "recovery_ms_median_p99_largest": [round(float(q), 1) for q in
-                                               np.quantile(recoveries or [0.0], [0.5, 0.99, 1.0])],
-            "ended_otherwise_than_asked": sum(one["exit_code"] != (0 if one["ended_by"] == "signal" else -9)
-                                              for one in results),
-            "words": [line for one in results for line in one["words"]][:5]}
+                                               np.quantile(recoveries or [0.0], [0.5, 0.99, 1.0])]}
 
 
 if __name__ == "__main__":

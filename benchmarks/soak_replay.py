@@ -6,6 +6,7 @@ import math
 from collections import Counter
 
 import numpy as np
+from soak_page import PageSession
 from soak_scenes import model_of
 from soak_session import Session
 
@@ -19,20 +20,55 @@ AFTER = 0.2
 
 
 def score(session: Session, largest: float) -> dict:
-    """Counts and extremes of one session, as plain values.
+    """Counts and extremes of one session with a server, as plain values.
 
     Args:
         session: that was played.
         largest: force that no reply may exceed, N.
     """
-    simulator = ts.Simulator(model_of(session.flags), resolution=session.resolution)
+    spent = [answered - asked for *_, asked, answered in (e for e in session.events if e[0] == "step")]
+    return {"kind": "server", "flags": session.flags,
+            **replay(model_of(session.flags), session.resolution, session.events, largest),
+            "lost": session.lost, "round_trip_ms": _quantiles(spent),
+            "ended_by": session.ended_by, "exit_code": session.exit_code,
+            "words": [line for line in session.words.splitlines() if "Traceback" in line or "step failed" in line][:3]}
+
+
+def score_page(session: PageSession, largest: float) -> dict:
+    """The same of one with the viewer: `loops` has the counts of each loop."""
+    loops = []
+    for (_, model, resolution), *events in (loop for loop in session.loops if loop):
+        loops.append(replay(model, resolution, events, largest))
+    return {"kind": "page", "flags": session.flags, "loops": loops, **_sums(loops),
+            **{name: getattr(session, name) for name in ("frames", "asked", "refused", "unanswered", "taken", "killed",
+                                                         "noticed_ms", "stale")}}
+
+
+def _sums(loops: list[dict]) -> dict:
+    """Over all loops of a page."""
+    return {"statuses": dict(sum((Counter(one["statuses"]) for one in loops), Counter())),
+            "quiet": dict(sum((Counter(one["quiet"]) for one in loops), Counter())),
+            **{name: sum(one[name] for one in loops) for name in ("compared", "wrong", "beyond")},
+            "largest_difference_N": max((one["largest_difference_N"] for one in loops), default=0.0),
+            "recoveries_ms": [each for one in loops for each in one["recoveries_ms"]]}
+
+
+def replay(model: ts.Model, resolution: str, events: list[tuple], largest: float) -> dict:
+    """Step the same motion again without a budget, and compare.
+
+    Args:
+        model, resolution: of the tissue that was played with.
+        events: as in `soak_session.Session`, from undeformed tissue on.
+        largest: force that no answer may exceed, N.
+    """
+    simulator = ts.Simulator(model, resolution=resolution)
     simulator.warm_up()
     began = simulator.model.material.parameters
     states: dict[str, tuple] = {}
     parameters: dict[str, float] = {}
     statuses, wrong, differences, quiet = Counter(), [], [], Counter()
     fault, waiting, recoveries, beyond = -math.inf, None, [], 0
-    for event in session.events:
+    for event in events:
         match event:
             case ("reset",):
                 simulator.reset()
@@ -70,14 +106,10 @@ def score(session: Session, largest: float) -> dict:
                     differences.append(difference)
                     if difference > SHARE * abs(expected.force) + NEWTONS:
                         wrong.append({"time": time, "depth": depth, "force": force, "expected": expected.force})
-    spent = [answered - asked for *_, asked, answered in (e for e in session.events if e[0] == "step")]
-    return {"flags": session.flags, "resolution": session.resolution, "statuses": dict(statuses),
-            "quiet": dict(quiet), "compared": len(differences), "wrong": len(wrong), "first_wrong": wrong[:3],
-            "largest_difference_N": max(differences, default=0.0), "beyond": beyond, "lost": session.lost,
-            "recoveries_ms": [round(1e3 * one, 1) for one, _ in recoveries],
-            "slowest_recovery": max(recoveries, default=(0.0, "")), "round_trip_ms": _quantiles(spent),
-            "ended_by": session.ended_by, "exit_code": session.exit_code,
-            "words": [line for line in session.words.splitlines() if "Traceback" in line or "step failed" in line][:3]}
+    return {"resolution": resolution, "statuses": dict(statuses), "quiet": dict(quiet), "compared": len(differences),
+            "wrong": len(wrong), "first_wrong": wrong[:3], "largest_difference_N": max(differences, default=0.0),
+            "beyond": beyond, "recoveries_ms": [round(1e3 * one, 1) for one, _ in recoveries],
+            "slowest_recovery": max(recoveries, default=(0.0, ""))}
 
 
 def _quantiles(seconds: list[float]) -> list[float]:

@@ -11,10 +11,10 @@ import numpy as np
 
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.fem.solver import SOLVERS, Rung, Step, StepStatus, Surface
+from tissue_sim.live_material import require_same_layers, require_tissue
 from tissue_sim.material.effect import ReducedForce
-from tissue_sim.material.material import Material
 from tissue_sim.model import Model
-from tissue_sim.parameters import parameters, with_values
+from tissue_sim.parameters import with_values
 from tissue_sim.pose import Pose, Screw, between, motion
 from tissue_sim.realtime_ladder import choose, measure_tick
 from tissue_sim.simulator_state import AT_REST, NEVER, Creep, SimulatorState
@@ -41,8 +41,6 @@ _ROUNDING = 1e-9
 _SMALLEST_CUT, _CREEPS, _MOST_OF_CREEP = 2.0**-8, 0.5, 12
 #: Tool speed, m/s, from which on the mass of the tissue counts, and for how long (s) after the tool was last so fast.
 INERTIAL_SPEED, _LINGERS = 0.005, 0.1
-#: Moduli, Pa, that are stepped: softer than any gel, stiffer than any tissue.
-SOFTEST, STIFFEST = 1e-2, 1e9
 #: Of tissue whose density nobody stated, kg/m3: that of water.
 DENSITY = 1000.0
 #: After so many inertial ticks the tissue's own stiffness is found anew: it costs a linear solve.
@@ -78,8 +76,8 @@ class Simulator:
         force_error: largest known error of the force on that mesh, over the force; None where nobody knows.
 
     Raises:
-        InputError: an unknown solver, resolution or inertia, a tool that leans or slips in part, a bulk response or
-            layers that do not fit.
+        InputError: an unknown solver, resolution or inertia, a tool that leans or slips in part, a modulus that is
+            none of tissue, a bulk response or layers that do not fit.
         ConvergenceError: the specimen does not stand under its own weight.
         MissingBackendError: Taichi is not there.
     """
@@ -97,6 +95,7 @@ class Simulator:
         if model.experiment.slip:
             raise InputError("a face that slips in part is a correction of whole recordings and has no place in real "
                              "time; leave the slip out, or use a coefficient of friction", field="slip")
+        require_tissue(model.material)
         self.model, self.budget, self.inertia, self.tolerance = model, budget, inertia, tolerance
         self.looks_ahead = looks_ahead
         self._solver = SOLVERS.find(solver, "solver")(model, resolution=resolution, mesh=mesh)
@@ -162,7 +161,7 @@ class Simulator:
             made[rung.resolution] = one
             one._compile()
             one._stiffness_lasts = NEVER  # it has time where there is some
-            tick = measure_tick(one, depth, lifts=not self._bonded)
+            tick = measure_tick(one, depth, lifts=not self._bonded, budget=self.budget or math.inf)
             one.reset()
             return tick
 
@@ -359,12 +358,12 @@ class Simulator:
                 ``set_parameters(**{"viscoelastic.terms[0].g": 0.2})``.
 
         Raises:
-            InputError: no such parameter, a value that the material refuses, or a modulus beyond `SOFTEST` and
-                `STIFFEST`; nothing is changed.
+            InputError: no such parameter, a value that the material refuses, or a modulus that is none of tissue
+                (`tissue_sim.live_material`); nothing is changed.
         """
         material = with_values(self.model.material, values)
-        _require_same_layers(self.model.material, material)
-        _require_tissue(material)
+        require_same_layers(self.model.material, material)
+        require_tissue(material)
         self._stop_creeping()
         self._solver.set_material(material)
         self.model = replace(self.model, material=material)
@@ -379,21 +378,3 @@ class Simulator:
     def snapshot(self) -> Snapshot:
         """The whole tissue at the last equilibrium, with its fields."""
         return snapshot(self._solver)
-
-
-def _require_same_layers(before: Material, after: Material) -> None:
-    """Raises InputError: the mesh would have to change."""
-    thick = [[layer.thickness for layer in material.layers] for material in (before, after)]
-    if thick[0] != thick[1]:
-        raise InputError("the thickness of a layer is part of the mesh; build another simulator", field="layers")
-
-
-def _require_tissue(material: Material) -> None:
-    """Raises InputError: no tissue is so stiff, or so soft."""
-    for each in parameters(material).values():
-        if each.declaration.unit == "Pa" and not abs(each.value) <= STIFFEST:
-            raise InputError(f"{each.value:g} Pa is stiffer than any tissue; give {STIFFEST:g} Pa or less",
-                             field=each.path)
-    if not SOFTEST <= material.mu0 <= STIFFEST:
-        raise InputError(f"a shear modulus of {material.mu0:g} Pa is none of tissue; give parameters that make it "
-                         f"{SOFTEST:g} to {STIFFEST:g} Pa", field="parameters")

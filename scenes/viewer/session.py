@@ -24,6 +24,7 @@ from scenes.viewer.model_curve import ModelCurve
 from scenes.viewer.scene import Scene
 from scenes.viewer.trace import Trace
 from tissue_sim.errors import InputError
+from tissue_sim.live_material import require_tissue
 from tissue_sim.parameters import parameter_values, with_values
 
 #: Frames a second, and how many of them from one drawing of the plots to the next.
@@ -214,6 +215,7 @@ class Session:
         self._take_material(material, source)
 
     def _take_material(self, material: ts.Material, source: str) -> None:
+        require_tissue(material)  # also where no simulation runs that would refuse it
         scene = replace(self.scene, material=material, source=source)
         if not _differ_in_parameters_only(self.scene.material, material):
             self._change(scene)

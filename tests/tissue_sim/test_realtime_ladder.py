@@ -1,5 +1,7 @@
 """Meshes for real time: how the finest that fits is found, and that their forces err by no more than they say."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -55,6 +57,13 @@ def test_the_motion_that_is_measured(lifts):
     depths = np.array(one.depths)
     assert 4e-3 < depths.max() <= 5e-3 and (depths.min() < 0.0) == lifts
     assert 0.05 < np.abs(np.diff(depths)).max() / realtime_ladder.TICK < 0.2
+
+
+def test_a_mesh_that_does_not_fit_is_known_soon():
+    """One tick in a hundred may take longer, however long; the fourth of three hundred ends it."""
+    one = Counting()
+    assert realtime_ladder.measure_tick(one, 10e-3, lifts=False, budget=-1.0) == math.inf
+    assert len(one.depths) == 4
 
 
 def led_to(monkeypatch, name: str, ticks, **how) -> ts.Simulator:

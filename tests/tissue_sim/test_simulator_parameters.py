@@ -94,3 +94,5 @@ def test_what_no_tissue_has_is_refused_and_changes_nothing(values, said):
         sim.set_parameters(**values)
     assert sim.step(1e-3, 1e-3).force == pytest.approx(before.force, rel=1e-9)
     assert sim.model.material == MATERIAL
+    with pytest.raises(ts.InputError, match=said):
+        ts.Simulator(replace(sim.model, material=replace(MATERIAL, parameters={**MATERIAL.parameters, **values})))

@@ -241,6 +241,17 @@ def test_a_refused_parameter_changes_nothing(session, until):
     assert frame.readouts.force == pytest.approx(before.readouts.force, rel=1e-4)
 
 
+def test_what_is_no_tissue_is_refused_where_no_simulation_runs_too(session, measured, until):
+    os.kill(session.simulation.process.pid, signal.SIGKILL)
+    before = until(session.frame, lambda frame: frame.phase is Phase.DIED)
+    assert "stiffer than any tissue" in done(session, "set_parameters", values={"C10": 1e41})
+    stone = with_values(measured.material, {"C10": 1e12})
+    assert "stiffer than any tissue" in done(session, "use_material", material=stone, source="stone.material.json")
+    assert session.frame().scene is before.scene
+    session.restart()
+    until(session.frame, lambda frame: frame.phase is Phase.RUNNING)
+
+
 def test_a_material_with_other_parameters_is_felt_at_once(session, measured, until):
     done(session, "aim", depth=1e-3)
     before, simulation = until(session.frame, at_rest(1e-3)), session.simulation
