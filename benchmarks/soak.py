@@ -92,7 +92,7 @@ def _answers(results: list[dict]) -> dict:
     recoveries = [each for one in results for each in one["recoveries_ms"]]
     return {"sessions": len(results), "answers": sum(statuses.values()), "statuses": dict(statuses),
             "converged_without_faults_percent": round(100.0 * quiet["converged"] / max(1, sum(quiet.values())), 3),
-            "compared": sum(one["compared"] for one in results), "wrong": sum(one["wrong"] for one in results),
+            **{name: sum(one[name] for one in results) for name in ("compared", "wrong", "wrong_in_time")},
             "largest_difference_N": round(max(one["largest_difference_N"] for one in results), 4),
             "recovery_ms_median_p99_largest": [round(float(q), 1) for q in
                                                np.quantile(recoveries or [0.0], [0.5, 0.99, 1.0])]}

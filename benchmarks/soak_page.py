@@ -97,13 +97,14 @@ class _Player:
         self._next = {what: float(rng.exponential(mean)) for what, mean in BETWEEN.items()}
         self._waiting: list[tuple[str, float]] = []
         self._killed: float | None = None
+        self._began = 0.0
         self._newest: tuple[float, float] = (0.0, time.monotonic())
 
     def run(self, seconds: float) -> None:
         self._wait_for_ticks()
         self._start_reader()
-        began = due = time.monotonic()
-        while (now := time.monotonic() - began) < seconds:
+        self._began = due = time.monotonic()
+        while (now := time.monotonic() - self._began) < seconds:
             for what, when in self._next.items():
                 if now >= when:
                     self._next[what] = now + float(self._rng.exponential(BETWEEN[what]))
@@ -129,13 +130,16 @@ class _Player:
             self._played.stale += now - self._newest[1] > _NOTICED
 
     def _wait_for_ticks(self) -> None:
-        until = time.monotonic() + _PATIENCE
+        """Of a loop that comes up, which is not counted as time of the session."""
+        asked = time.monotonic()
+        until = asked + _PATIENCE
         while (frame := self._session.frame()).phase not in (Phase.RUNNING, Phase.PAUSED) or frame.readouts is None:
             if time.monotonic() > until or frame.phase is Phase.DIED:
                 raise SystemExit(f"the simulation does not start ({frame.phase.value}): "
                                  f"{self._session.simulation.message}; {frame.scene.model}")
             time.sleep(0.05)
         self._newest = frame.readouts.time, time.monotonic()
+        self._began += time.monotonic() - asked
 
     def _post(self, command: str, then: Callable[[str | None], None] = lambda _: None, **values: Any) -> None:
         ticket = command, time.monotonic()

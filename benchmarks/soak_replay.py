@@ -17,6 +17,8 @@ from haptics.server.wire import Status
 SHARE, NEWTONS = 0.01, 0.02
 #: For so long after a fault a step does not count as one without faults, s.
 AFTER = 0.2
+#: For so long tissue remembers that it was not followed in time, s: four relaxation times of `soak_scenes.MATERIAL`.
+REMEMBERS = 2.0
 
 
 def score(session: Session, largest: float) -> dict:
@@ -48,7 +50,7 @@ def _sums(loops: list[dict]) -> dict:
     """Over all loops of a page."""
     return {"statuses": dict(sum((Counter(one["statuses"]) for one in loops), Counter())),
             "quiet": dict(sum((Counter(one["quiet"]) for one in loops), Counter())),
-            **{name: sum(one[name] for one in loops) for name in ("compared", "wrong", "beyond")},
+            **{name: sum(one[name] for one in loops) for name in ("compared", "wrong", "wrong_in_time", "beyond")},
             "largest_difference_N": max((one["largest_difference_N"] for one in loops), default=0.0),
             "recoveries_ms": [each for one in loops for each in one["recoveries_ms"]]}
 
@@ -67,16 +69,20 @@ def replay(model: ts.Model, resolution: str, events: list[tuple], largest: float
     states: dict[str, tuple] = {}
     parameters: dict[str, float] = {}
     statuses, wrong, differences, quiet = Counter(), [], [], Counter()
-    fault, waiting, recoveries, beyond = -math.inf, None, [], 0
+    fault, waiting, recoveries, beyond, now = -math.inf, None, [], 0, 0.0
+    # When the tissue was last not followed, by the clock of the session; of saved states too.
+    behind, behind_of, wrong_in_time = -math.inf, {}, 0
     for event in events:
         match event:
             case ("reset",):
                 simulator.reset()
+                behind = -math.inf
             case ("parameters", values):
                 parameters = {**parameters, **values}
                 simulator.set_parameters(**values)
             case ("save", name):
                 states[name] = simulator.save(), dict(parameters)
+                behind_of[name] = now - behind
             case ("restore", name):
                 state, kept = states[name]
                 if kept != parameters:
@@ -84,11 +90,12 @@ def replay(model: ts.Model, resolution: str, events: list[tuple], largest: float
                     simulator.set_parameters(**{**first, **kept})
                     parameters = dict(kept)
                 simulator.restore(state)
+                behind = now - behind_of[name]
             case ("fault", what, when):
                 fault = when
                 waiting = (what, when)
             case ("step", time, depth, status, force, dt, limited, asked, _):
-                name = Status(status).name.lower()
+                now, name = asked, Status(status).name.lower()
                 statuses[name] += 1
                 beyond += not abs(force) <= largest * (1.0 + 1e-12)
                 if status in (Status.REFUSED, Status.FAILED) or status >= Status.BUSY:
@@ -96,6 +103,8 @@ def replay(model: ts.Model, resolution: str, events: list[tuple], largest: float
                 expected = simulator.step(depth, dt)
                 if asked - fault > AFTER:
                     quiet[name] += 1
+                if status not in (Status.CONVERGED, Status.RETURNING):
+                    behind = asked
                 if status != Status.CONVERGED:
                     continue
                 if waiting is not None:
@@ -106,9 +115,11 @@ def replay(model: ts.Model, resolution: str, events: list[tuple], largest: float
                     differences.append(difference)
                     if difference > SHARE * abs(expected.force) + NEWTONS:
                         wrong.append({"time": time, "depth": depth, "force": force, "expected": expected.force})
+                        wrong_in_time += asked - behind > REMEMBERS
     return {"resolution": resolution, "statuses": dict(statuses), "quiet": dict(quiet), "compared": len(differences),
-            "wrong": len(wrong), "first_wrong": wrong[:3], "largest_difference_N": max(differences, default=0.0),
-            "beyond": beyond, "recoveries_ms": [round(1e3 * one, 1) for one, _ in recoveries],
+            "wrong": len(wrong), "wrong_in_time": wrong_in_time, "first_wrong": wrong[:3], "beyond": beyond,
+            "largest_difference_N": max(differences, default=0.0),
+            "recoveries_ms": [round(1e3 * one, 1) for one, _ in recoveries],
             "slowest_recovery": max(recoveries, default=(0.0, ""))}
 
 

@@ -2,6 +2,7 @@
 
 import asyncio
 import http.client
+import logging
 import platform
 import re
 import socket
@@ -16,8 +17,10 @@ import viser
 from hypothesis import given
 from hypothesis import strategies as st
 from websockets.exceptions import InvalidStatus
+from websockets.server import ServerProtocol
 from websockets.sync.client import connect
 
+from scenes.viewer import web_server
 from scenes.viewer.web_server import VISER_VERSION, ViewerServer, exposure, open_server, refuse
 from tissue_sim.errors import InputError, MissingBackendError
 
@@ -348,6 +351,22 @@ def test_installed_viser_is_the_one_whose_private_parts_are_known(root):
     """Raise the pin only together with VISER_VERSION, after a look at what web_server.py touches."""
     assert viser.__version__ == VISER_VERSION
     assert f'"viser=={VISER_VERSION}"' in (root / "pyproject.toml").read_text(encoding="utf-8")
+
+
+def test_what_comes_while_a_request_is_answered_is_not_told_but_our_own_faults_are():
+    def record_of(work):
+        try:
+            work()
+        except AssertionError:
+            return logging.LogRecord("", logging.ERROR, "", 0, "unexpected internal error", (), sys.exc_info())
+
+    def ours():
+        raise AssertionError
+
+    protocol = ServerProtocol()
+    protocol.send_eof()
+    assert not web_server._is_news(record_of(protocol.send_eof))
+    assert web_server._is_news(record_of(ours))
 
 
 def test_server_prints_nothing():
