@@ -7,7 +7,8 @@ saved and restored, and the tissue is reset; poses and times that no scene holds
 arrive, the client pauses, and servers are interrupted and killed. Every second session is of the viewer: a loop at
 1 kHz in a process of its own under a page that is read, with aims, protocols, parameters, tools, pauses, resets,
 nonsense, bytes that are no request, reloads and loops that are killed. Then the logged motion is stepped again without
-a budget, from a reset on: what was called CONVERGED must be within 1 % + 0.02 N of that.
+a budget, from a reset on: what was called CONVERGED must be within 1 % + 0.02 N of that. That takes
+a few times as long; Ctrl-C sums up what there is.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import math
 import sys
 import tempfile
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -41,20 +43,12 @@ def main() -> int:
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     results, count = [], max(1, round(arguments.minutes * 60.0 / SESSION))
-    with tempfile.TemporaryDirectory() as folder:
-        material = Path(folder) / "soak.material.json"
-        ts.write_material_file(ts.MaterialFile.of(MATERIAL), material)
+    with tempfile.TemporaryDirectory() as folder, suppress(KeyboardInterrupt):
         for number in range(count):
-            rng = np.random.default_rng([arguments.seed, number])
-            seconds = min(SESSION, arguments.minutes * 60.0)
-            if number % 2:
-                (calls := Path(folder) / f"calls{number}").mkdir()
-                results.append(score_page(play(rng, material, calls, seconds), math.inf))
-            else:
-                results.append(score(run(rng, material, seconds), LARGEST))
+            results.append(one_session(number, np.random.default_rng([arguments.seed, number]), Path(folder),
+                                       min(SESSION, arguments.minutes * 60.0)))
             print(f"session {number + 1} of {count}, {results[-1]['kind']}: {results[-1]['statuses']}, "
-                  f"{results[-1]['wrong']} wrong",
-                  file=sys.stderr)
+                  f"{results[-1]['wrong']} wrong", file=sys.stderr)
     summary = summarise(results)
     if arguments.json:
         print(json.dumps({"seed": arguments.seed, "summary": summary, "sessions": results}))
@@ -62,6 +56,17 @@ def main() -> int:
         for kind, figures in summary.items():
             table(Console(), kind, ("figure", "value"), [(key, f"{value}") for key, value in figures.items()])
     return 0
+
+
+def one_session(number: int, rng: np.random.Generator, folder: Path, seconds: float) -> dict:
+    """Play it and replay it: with a server where its number is even, else with the viewer."""
+    material = folder / "soak.material.json"
+    if not number:
+        ts.write_material_file(ts.MaterialFile.of(MATERIAL), material)
+    if number % 2 == 0:
+        return score(run(rng, material, seconds), LARGEST)
+    (calls := folder / f"calls{number}").mkdir()
+    return score_page(play(rng, material, calls, seconds), math.inf)
 
 
 def summarise(results: list[dict]) -> dict:
