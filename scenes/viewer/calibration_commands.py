@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
 import tissue_sim as ts
-from scenes.viewer.calibration_run import CalibrationRun, Upload
+from scenes.viewer.calibration_run import CalibrationRun
 from scenes.viewer.material_files import new_file
+from scenes.viewer.recording_upload import Upload
 from scenes.viewer.scene import Scene
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.errors import InputError
@@ -65,8 +66,8 @@ def _save(session: Calibrating, folder: Path, name: str) -> None:
         session.scene = replace(session.scene, source=path.name)
 
 
-def _add(session: Calibrating, upload: Upload) -> None:
-    session.calibration.add(upload)
+def _add(session: Calibrating, uploads: Sequence[Upload]) -> None:
+    session.calibration.add(uploads)
 
 
 def _remove(session: Calibrating) -> None:
@@ -83,7 +84,7 @@ def _cancel(session: Calibrating) -> None:
 
 #: By name; what each raises is said to the one who asked.
 CALIBRATION_COMMANDS: dict[str, Callable[..., None]] = {
-    "add_recording": _add,
+    "add_recordings": _add,
     "remove_recordings": _remove,
     "calibrate": _begin,
     "cancel_calibration": _cancel,

@@ -2,50 +2,27 @@
 
 from __future__ import annotations
 
-import re
 import tempfile
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
-from pathlib import Path, PureWindowsPath
-from typing import Any
+from pathlib import Path
 
 from calibration.tasks.errors import WorkerError
 from calibration.tasks.process_pool import ProcessPool
 from scenes.viewer.calibration_task import PROGRESS_FILE, RECORDINGS, Calibrated, Wanted, calibrate_files
 from scenes.viewer.measurement import Measurement, measurement
+from scenes.viewer.recording_upload import Upload
 from scenes.viewer.scene import Scene
-from scenes.viewer.shell import LARGEST_UPLOAD
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.decode import read_json
 from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError
-from tissue_sim.recording.file import read_recording
 from tissue_sim.recording.recording import Recording
 
 #: How many recordings a calibration takes.
 MOST_RECORDINGS = 50
 #: Recordings whose depth and speed differ by no more than this share are replicates, as the calibration has it.
 _ALIKE = 0.2
-
-
-@dataclass(frozen=True, eq=False)
-class Upload:
-    """A file that was uploaded: a recording, or the sidecar of one.
-
-    Attributes:
-        name: of the file, made safe. content: its bytes.
-        measured: the recording in it; None of a sidecar. sidecar: the metadata in it; None of a recording.
-    """
-
-    name: str
-    content: bytes
-    measured: Measurement | None = None
-    sidecar: Mapping[str, Any] | None = None
-
-    @property
-    def stem(self) -> str:
-        """What a recording and its sidecar share."""
-        return Path(self.name).stem
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,12 +88,14 @@ class Uploaded:
 
 @dataclass(frozen=True)
 class Told:
-    """How far a fit is: what it does, simulations so far, root mean square misfit (N), parameters (SI)."""
+    """How far a fit is: what it does, simulations so far, root mean square misfit (N), parameters (SI) and the SI unit
+    of each."""
 
     sentence: str
     solves: int = 0
     rmse: float | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,38 +112,6 @@ class CalibrationState:
     told: Told | None = None
     result: Calibrated | None = None
     problem: str = ""
-
-
-def read_recording_upload(name: str, content: bytes) -> Upload:
-    """What is in an uploaded file, in any thread.
-
-    Args:
-        name: of the file on the user's machine: ``NAME.csv``, or ``NAME.json`` that belongs to it.
-        content: its bytes.
-
-    Raises:
-        InputError: too large, another kind of file, or what `tissue_sim.read_recording` and `measurement` refuse.
-    """
-    name = re.sub(r"[^\w .()+-]", "_", PureWindowsPath(name).name).strip(" .")[-100:] or "unnamed"
-    suffix = Path(name).suffix.lower()
-    if suffix not in (".csv", ".json"):
-        raise InputError("is neither a recording (NAME.csv) nor the sidecar of one (NAME.json); make one of it with "
-                         "tissue-sim import", file=name)
-    if len(content) > LARGEST_UPLOAD:
-        raise InputError(f"has {len(content) / 1e6:.1f} MB, expected a recording of at most "
-                         f"{LARGEST_UPLOAD / 1e6:g} MB", file=name)
-    with tempfile.TemporaryDirectory(prefix="tissue_sim_") as folder:
-        path = Path(folder) / name
-        path.write_bytes(content)
-        try:
-            if suffix == ".csv":
-                return Upload(name, content, measurement([read_recording(path).with_metadata(source=name)]))
-            found = read_json(path, "the sidecar of a recording (JSON)")
-        except InputError as error:
-            raise InputError(error.problem, file=name, line=error.line, field=error.field) from None
-    if not isinstance(found, dict):
-        raise InputError("expected an object {...} with the metadata of a recording", file=name)
-    return Upload(name, content, sidecar=found)
 
 
 class CalibrationRun:
@@ -184,14 +131,23 @@ class CalibrationRun:
         self.state = CalibrationState()
         self.scene: Scene | None = None
 
-    def add(self, upload: Upload) -> None:
-        """Take an upload.
+    def add(self, uploads: Sequence[Upload]) -> None:
+        """Take what was in a file.
 
         Raises:
             InputError: a fit runs, a name that is there already, a sidecar of another file, or too many; nothing is
                 changed.
         """
         self._require_rest()
+        before, waiting = self.state, dict(self._waiting)
+        try:
+            for upload in uploads:
+                self._add(upload)
+        except InputError:
+            self.state, self._waiting = before, waiting
+            raise
+
+    def _add(self, upload: Upload) -> None:
         there = self.state.recordings
         if upload.measured is None:
             number = next((i for i, each in enumerate(there) if each.file.stem == upload.stem), None)

@@ -85,7 +85,9 @@ def calibrate_files(folder: str, wanted: Wanted) -> Calibrated:
     import calibration
 
     place = Path(folder)
-    said: dict[str, Any] = {"sentence": "loading the solver", "solves": 0, "rmse": None, "parameters": {}}
+    units = {path: each.declaration.unit for path, each in parameters(wanted.material).items()}
+    said: dict[str, Any] = {"sentence": "loading the solver", "solves": 0, "rmse": None, "parameters": {},
+                            "units": units}
 
     def tell() -> None:
         write_text(place / PROGRESS_FILE, json.dumps(said))

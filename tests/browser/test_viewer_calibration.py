@@ -14,13 +14,18 @@ STIFFER = {"C10": 2200.0, "C20": 900.0}
 
 @pytest.fixture
 def recordings(shown, tmp_path):
-    """Two noisy recordings of a stiffer material with their sidecars, and one of another tool."""
+    """Two noisy recordings of a stiffer material with their sidecars, one as a machine writes it, too, and a bad one."""
     scene = shown.scene
     true = ts.simulate(replace(scene.model, material=with_values(scene.material, STIFFER)), resolution="fast")
     said = {"kind": scene.kind.name, "tool": {"shape": "flat", "radius_mm": 8.0}}
     for seed in range(2):
         ts.write_recording(ts.Rig(force_noise=0.01, seed=seed).measure(true).with_metadata(**said),
                            tmp_path / f"stiff_{seed}.csv")
+    # The second as a test machine writes it.
+    second = ts.read_recording(tmp_path / "stiff_1.csv")
+    rows = zip(second.time, -1e3 * second.displacement, -second.force, strict=True)
+    (tmp_path / "stiff 1.txt").write_text("Time (s)\tExtension (mm)\tLoad (N)\n" + "".join(
+        "\t".join(f"{value!r}" for value in map(float, row)) + "\n" for row in rows), encoding="utf-8")
     (tmp_path / "bad.csv").write_text("time [s],force [N]\n" + "".join(f"{i},1\n" for i in range(9)), encoding="utf-8")
     return tmp_path
 
@@ -45,12 +50,14 @@ def upload(reader, path):
 def test_recordings_are_uploaded_and_calibrated_and_the_material_is_felt_drawn_and_saved(
         shown, calibrating, recordings):
     reader = calibrating
-    for name in ("stiff_0.csv", "stiff_0.json", "stiff_1.csv"):
+    for name, read in (("stiff_0.csv", "stiff_0.csv"), ("stiff_0.json", "stiff_0.json"),
+                       ("stiff 1.txt", "stiff 1.csv")):
         upload(reader, recordings / name)
-        reader.answer(f"{name} is read")
+        reader.answer(f"{read} is read")
     upload(reader, recordings / "bad.csv")
     reader.answer("bad.csv: the column with a motion is missing")
-    reader.until(lambda: reader.read("recordings"), lambda text: "flat, radius 8 mm" in text and "stiff_1.csv" in text)
+    reader.until(lambda: reader.read("recordings"), lambda text: "flat, radius 8 mm" in text
+                 and "force from 'Load (N)' in N, its sign changed" in text)
     assert "bad" not in reader.read("recordings")
 
     reader.press("Calibrate")
@@ -72,7 +79,7 @@ def test_recordings_are_uploaded_and_calibrated_and_the_material_is_felt_drawn_a
     assert file.path().read_bytes() == saved.read_bytes()
     content = json.loads(saved.read_text(encoding="utf-8"))
     assert content["parameters"]["C10"]["standard_error"] > 0
-    assert {each["file"] for each in content["provenance"]["recordings"]} == {"stiff_0.csv", "stiff_1.csv"}
+    assert {each["file"] for each in content["provenance"]["recordings"]} == {"stiff_0.csv", "stiff 1.csv"}
     reader.press("Save calibrated material")
     reader.answer("is there already and is not replaced; give another name")
 

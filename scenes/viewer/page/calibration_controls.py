@@ -8,11 +8,12 @@ from pathlib import Path
 import viser
 
 import tissue_sim as ts
-from scenes.viewer.calibration_run import CalibrationState, Uploaded, read_recording_upload
+from scenes.viewer.calibration_run import CalibrationState, Uploaded
 from scenes.viewer.calibration_task import Calibrated
 from scenes.viewer.frame import Commands, Frame
 from scenes.viewer.material_files import SUFFIX
 from scenes.viewer.page.notices import answer_to, send_file
+from scenes.viewer.recording_upload import read_recording_upload
 from scenes.viewer.scene import Scene
 from tissue_sim.units import shown
 
@@ -29,8 +30,9 @@ class CalibrationControls:
     def __init__(self, server: viser.ViserServer, session: Commands, frame: Frame, folder: Path):
         gui = server.gui
         self._shown: tuple[CalibrationState, Scene] | None = None
-        self._upload = gui.add_upload_button("Upload recording", icon=viser.Icon.UPLOAD, mime_type=".csv,.json",
-                                             hint="NAME.csv, and NAME.json that belongs to it, one by one")
+        self._upload = gui.add_upload_button("Upload recording", icon=viser.Icon.UPLOAD, mime_type="*/*",
+                                             hint="files of a test machine, or NAME.csv, and NAME.json that belongs to "
+                                                  "it, one by one")
         self._begin = gui.add_button("Calibrate", icon=viser.Icon.ADJUSTMENTS,
                                      hint="fit the material, from its present parameters on, to the recordings")
         self._cancel = gui.add_button("Cancel calibration", icon=viser.Icon.X, color="red", visible=False)
@@ -48,11 +50,12 @@ class CalibrationControls:
         def _(event: viser.GuiEvent) -> None:
             file = self._upload.value
             try:
-                upload = read_recording_upload(file.name, file.content)
+                uploads = read_recording_upload(file.name, file.content)
             except ts.InputError as error:
                 answer_to(event)(str(error))
                 return
-            session.post("add_recording", reply=answer_to(event, f"{upload.name} is read"), upload=upload)
+            done = f"{', '.join(upload.name for upload in uploads)} {'is' if len(uploads) == 1 else 'are'} read"
+            session.post("add_recordings", reply=answer_to(event, done), uploads=uploads)
 
         for button, command in ((self._remove, "remove_recordings"), (self._begin, "calibrate"),
                                 (self._cancel, "cancel_calibration")):
@@ -108,8 +111,9 @@ def _recording(each: Uploaded, scene: Scene) -> str:
     if each.duration is not None:
         facts.append(f"{each.duration:.3g} s")
     warnings = "".join(f'<div style="color:#C0392B">{escape(said)}</div>' for said in each.warnings(scene))
+    understood = "".join(f"<div>{escape(said)}</div>" for said in each.file.understood)
     return (f'<div style="margin-bottom:0.4em"><b>{escape(each.file.name)}</b><br>{escape(", ".join(facts))}'
-            f"{warnings}</div>")
+            f"{understood}{warnings}</div>")
 
 
 def told_html(state: CalibrationState) -> str:
@@ -119,15 +123,21 @@ def told_html(state: CalibrationState) -> str:
         told = state.told
         parts.append(f'<div data-testid="calibrating"><b>{escape(told.sentence)}</b></div>')
         if told.solves:
-            numbers = ", ".join(f"{name} {value:.5g}" for name, value in told.parameters.items())
+            numbers = ", ".join(_number(name, value, told.units.get(name, "1"))
+                                for name, value in told.parameters.items())
             misfit = "" if told.rmse is None else f", misfit {told.rmse:.3g} N"
-            parts.append(f"<div>iteration {told.solves}{misfit}<br>{escape(numbers)} (SI)</div>")
+            parts.append(f"<div>iteration {told.solves}{misfit}<br>{escape(numbers)}</div>")
     if state.problem:
         parts.append(f'<div data-testid="calibration-problem" style="border-left:3px solid #D55E00;padding-left:0.6em">'
                      f"{escape(state.problem)}</div>")
     if state.result is not None and state.told is None:
         parts.append(_result(state.result))
     return f'<div style="{_SMALL}">{"".join(parts)}</div>' if parts else ""
+
+
+def _number(name: str, value: float, si_unit: str) -> str:
+    unit, factor = shown(si_unit)
+    return f"{name} {factor * value:.5g} {unit}".rstrip()
 
 
 def _result(result: Calibrated) -> str:

@@ -4,6 +4,7 @@ sentence, or is cancelled; what was there stays."""
 import json
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
+from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,10 @@ import pytest
 
 import tissue_sim as ts
 from scenes.viewer.calibration_commands import CALIBRATED, CALIBRATION_COMMANDS, take_result
-from scenes.viewer.calibration_run import CalibrationRun, read_recording_upload, replicates
+from scenes.viewer.calibration_run import CalibrationRun, CalibrationState, Told, replicates
 from scenes.viewer.calibration_task import PROGRESS_FILE, RECORDINGS, Calibrated, Value, calibrate_files
+from scenes.viewer.page.calibration_controls import recordings_html, told_html
+from scenes.viewer.recording_upload import read_recording_upload
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.parameters import with_values
 
@@ -87,7 +90,7 @@ def test_a_sidecar_finds_its_recording_in_any_order(run, needle, first):
 
 
 @pytest.mark.parametrize(("name", "content", "said"), [
-    ("a.txt", b"", "a.txt: is neither a recording"),
+    ("a.txt", b"", "a.txt: "),
     ("a.csv", b"\x00\x01", "a.csv"),
     ("b.csv", b"time [s],force [N]\n0,1\n1,1\n2,1\n3,1\n4,1\n5,1\n", "b.csv: the column with a motion is missing"),
     ("b.json", b"[1]", "b.json: expected an object"),
@@ -104,9 +107,56 @@ def test_a_bad_file_is_one_sentence_and_changes_nothing(run, name, content, said
     assert "tissue_sim_" not in str(refused.value) and run.state is before
 
 
+def of_a_machine(head="Zeit (s);Extension (mm);Load (N)"):
+    """The same numbers as a machine would write them, pulling negative."""
+    rows = [line.split(",") for line in csv().decode().splitlines()[1:]]
+    lines = [";".join([time, f"-{place}", f"-{force}"]).replace(".", ",") for time, place, force in rows]
+    return "\r\n".join(["Specimen: gel 3", "", head, *lines, ""]).encode("cp1252")
+
+
+@pytest.mark.parametrize("name", ["gel 3.csv", "gel 3.TXT"])
+def test_a_file_of_a_machine_is_understood_and_said(run, needle, name):
+    uploaded, = read_recording_upload(name, of_a_machine())
+    run.add([uploaded])
+    each, = run.state.recordings
+    own, = read_recording_upload("own.csv", csv())
+    for channel in ("time", "displacement", "force"):
+        np.testing.assert_allclose(each.recording.channel(channel), own.measured.recordings[0].channel(channel),
+                                   rtol=1e-12)
+    said, *_ = uploaded.understood
+    assert "displacement from 'Extension (mm)' in mm, its sign changed" in said and "force from 'Load (N)' in N" in said
+    assert escape(said) in recordings_html(run.state, needle)
+    again, = read_recording_upload(uploaded.name, uploaded.content)
+    np.testing.assert_array_equal(again.measured.recordings[0].force, each.recording.force)
+
+
+@pytest.mark.parametrize(("head", "said"), [
+    ("Zeit (s);Extension (mm);Load", "gel.txt: does not say the unit of column 'Load' (force); write it into the"),
+    ("Zeit (s);Strain (%);Stress (kPa)", "and a test of this page has displacement and force"),
+    ("red;green;blue", "gel.txt: "),
+])
+def test_a_file_that_does_not_say_enough_is_one_sentence(head, said):
+    with pytest.raises(InputError) as refused:
+        read_recording_upload("gel.txt", of_a_machine(head))
+    assert said in str(refused.value) and "\n" not in str(refused.value) and "tissue_sim_" not in str(refused.value)
+
+
+def test_of_several_recordings_all_are_taken_or_none(run):
+    first, = read_recording_upload("a.csv", csv())
+    second, = read_recording_upload("b.csv", csv())
+    with pytest.raises(InputError, match="is here already"):
+        run.add([first, second, first])
+    assert run.state.recordings == ()
+
+
+def test_the_progress_has_the_units_of_the_result():
+    told = Told("fitting", 3, 0.02, {"C10": 1404.9, "bulk.bulk_ratio": 1e4}, {"C10": "Pa", "bulk.bulk_ratio": "1"})
+    assert "C10 1.4049 kPa, bulk.bulk_ratio 10000<" in told_html(CalibrationState(told=told))
+
+
 def test_names_of_strangers_stay_in_their_folder():
     for name, safe in (("../../a*.csv", "a_.csv"), ("c:\\x\\b[1].csv", "b_1_.csv")):
-        assert read_recording_upload(name, csv()).name == safe
+        assert read_recording_upload(name, csv())[0].name == safe
 
 
 def test_what_moves_otherwise_is_a_test_of_its_own(run):
