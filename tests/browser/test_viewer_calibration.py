@@ -14,7 +14,7 @@ STIFFER = {"C10": 2200.0, "C20": 900.0}
 
 @pytest.fixture
 def recordings(shown, tmp_path):
-    """Two noisy recordings of a stiffer material with their sidecars, one as a machine writes it, too, and a bad one."""
+    """Two noisy recordings of a stiffer material with their sidecars, one also as machines write it, and a bad one."""
     scene = shown.scene
     true = ts.simulate(replace(scene.model, material=with_values(scene.material, STIFFER)), resolution="fast")
     said = {"kind": scene.kind.name, "tool": {"shape": "flat", "radius_mm": 8.0}}
