@@ -17,6 +17,8 @@ from haptics.server.wire import Status
 SHARE, NEWTONS = 0.01, 0.02
 #: For so long after a fault a step does not count as one without faults, s.
 AFTER = 0.2
+#: s: longer than any tick that finds an equilibrium; where there is none the search goes on for seconds.
+PATIENCE = 0.05
 #: For so long tissue remembers that it was not followed in time, s: four relaxation times of `soak_scenes.MATERIAL`.
 REMEMBERS = 2.0
 
@@ -63,7 +65,7 @@ def replay(model: ts.Model, resolution: str, events: list[tuple], largest: float
         events: as in `soak_session.Session`, from undeformed tissue on.
         largest: force that no answer may exceed, N.
     """
-    simulator = ts.Simulator(model, resolution=resolution)
+    simulator = ts.Simulator(model, resolution=resolution, budget=PATIENCE)
     simulator.warm_up()
     began = simulator.model.material.parameters
     states: dict[str, tuple] = {}

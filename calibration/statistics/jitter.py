@@ -150,12 +150,16 @@ def _independent(grams: Sequence[_Gram]) -> np.ndarray:
 
 
 def _criterion(grams: Sequence[_Gram], flat: np.ndarray, deviations: np.ndarray) -> float:
-    """-2 log restricted likelihood, up to a constant."""
+    """-2 log restricted likelihood, up to a constant; infinite where rounding has swallowed a flat column, as under
+    jitter many orders above the noise."""
     blocks, logarithms = zip(*(gram.reduced(deviations) for gram in grams), strict=True)
     total = _assemble(grams, blocks)
     information, score = flat.T @ total[:-1, :-1] @ flat, flat.T @ total[:-1, -1]
+    sign, logarithm = np.linalg.slogdet(information)
+    if sign <= 0:
+        return np.inf
     squares = total[-1, -1] - score @ np.linalg.solve(information, score)
-    return float(sum(logarithms) + np.linalg.slogdet(information)[1] + squares)
+    return float(sum(logarithms) + logarithm + squares)
 
 
 def _range(tests: Sequence[Sequence[WhitenedReplicate]], kind: int) -> tuple[float, float]:
@@ -184,5 +188,7 @@ def _minimise(criterion, size: int, present: list[int], ranges: list[tuple[float
     bounds = [(float(np.log(low)), float(np.log(high))) for low, high in ranges]
     grid = np.stack(np.meshgrid(*(np.linspace(*bound, GRID) for bound in bounds)), axis=-1).reshape(-1, len(bounds))
     start = min(grid, key=lambda point: criterion(full(point)))
+    if not np.isfinite(criterion(full(start))):
+        return np.inf, np.zeros(size)
     found = minimize(lambda point: criterion(full(point)), start, bounds=bounds, method="L-BFGS-B")
     return float(found.fun), full(found.x)

@@ -32,11 +32,15 @@ class Calibrating(Protocol):
 def take_result(session: Calibrating) -> None:
     """Put what was calibrated under the needle, with the recordings as the scene's measurement, once it is there.
 
-    Where the scene has become another test meanwhile, or refuses the material, that is said and nothing is changed.
+    Where the scene has become another test meanwhile or refuses the material, or the fit is unusable, that is said and
+    nothing is changed.
     """
     run = session.calibration
     result = run.poll()
     if result is None or run.scene is None:
+        return
+    if result.unusable:
+        run.complain("Nobody should work with what came out, as it says below, so it is not under the needle.")
         return
     before = session.scene
     if before.kind is not run.scene.kind or before.experiment != run.scene.experiment:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import tempfile
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
@@ -16,9 +17,10 @@ from scenes.viewer.recording_upload import Upload
 from scenes.viewer.scene import Scene
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.decode import read_json
-from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError
+from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError, shortened
 from tissue_sim.recording.recording import Recording
 
+_logger = logging.getLogger(__name__)
 #: How many recordings a calibration takes.
 MOST_RECORDINGS = 50
 #: Recordings whose depth and speed differ by no more than this share are replicates, as the calibration has it.
@@ -238,6 +240,10 @@ class CalibrationRun:
             self._end(problem=f"{error} The material stays as it was.")
         except self._pool.death:
             self._end(problem="The process that calibrates has died; the material stays as it was. Try again.")
+        except Exception as error:  # a fault of ours must not end the simulation beside it
+            _logger.exception("the calibration has failed")
+            self._end(problem=f"The calibration has failed, which should not happen ({type(error).__name__}: "
+                              f"{shortened(str(error), 200)}); the material stays as it was.")
         else:
             self._end(result=result)
             return result

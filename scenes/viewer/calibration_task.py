@@ -60,6 +60,7 @@ class Calibrated:
         material: the law with what was fitted.
         values: parameter -> what was found. rmse: of all samples, N; None where no fit says one.
         warnings: sentences. solves: simulated tests. file: bytes of the material file, with uncertainty and provenance.
+        unusable: why nobody should work with it, a sentence that is among the warnings, too; empty where one may.
     """
 
     material: ts.Material
@@ -68,6 +69,7 @@ class Calibrated:
     warnings: tuple[str, ...]
     solves: int
     file: bytes
+    unusable: str = ""
 
 
 def calibrate_files(folder: str, wanted: Wanted) -> Calibrated:
@@ -112,7 +114,7 @@ def calibrate_files(folder: str, wanted: Wanted) -> Calibrated:
             raise InputError(f"the fit gives no material: {fit.unusable or fit.message}")
         file = place / "results" / fit.material_file
         return Calibrated(ts.load_material(file), _values(fit), fit.RMSE_N, _warnings(fit), fit.fem_solves,
-                          read_bytes(file, "a calibrated material"))
+                          read_bytes(file, "a calibrated material"), fit.unusable or "")
     except InputError as error:
         own = error.file is None or Path(error.file) == campaign
         # Nobody knows the folder.

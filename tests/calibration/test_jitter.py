@@ -1,5 +1,7 @@
 """Jitter between replicates, from replicates whose jitter is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -153,3 +155,14 @@ def test_a_linear_force_cannot_tell_offset_from_zero_and_does_not_fail():
     found = estimate_jitter([test])
     # 800 N/m x 0.03 mm and 0.01 N make 0.026 N together, however it is divided.
     assert np.hypot(800 * found.contact, found.zero) == pytest.approx(0.026, rel=0.8)
+
+
+@pytest.mark.parametrize("misfit", [1e6, 1e9, 1e12])
+def test_a_model_that_misses_by_any_measure_gives_numbers(misfit):
+    """Jitter that swallows a column to rounding is not tried; it ended in a singular matrix."""
+    rng = np.random.default_rng(2)
+    tests = [[replicate(TESTS[0], rng) for _ in range(2)]]
+    far = [replace(one, residual=sign * misfit * (one.residual + one.contact**2))
+           for one, sign in zip(tests[0], (1.0, -1.0), strict=True)]
+    found = estimate_jitter([far])
+    assert np.isfinite([found.contact, found.zero]).all() and found.contact >= 0 and found.zero >= 0

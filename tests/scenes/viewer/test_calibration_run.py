@@ -197,6 +197,7 @@ def test_a_fit_is_followed_and_its_material_is_put_under_the_needle(run, pool, n
     (ConvergenceError("no start of any law gets through"), "no start of any law gets through"),
     (InputError("needs at least 5 samples", file="a.csv"), "a.csv: needs at least 5 samples"),
     (BrokenProcessPool("terminated abruptly"), "The process that calibrates has died"),
+    (np.linalg.LinAlgError("Singular matrix"), "The calibration has failed, which should not happen (LinAlgError: "),
 ])
 def test_a_failure_is_a_sentence_and_leaves_everything(run, pool, needle, error, said):
     session = Stands(needle, run)
@@ -209,6 +210,18 @@ def test_a_failure_is_a_sentence_and_leaves_everything(run, pool, needle, error,
     assert session.scene is needle and not Path(folder).exists()
     session.do("calibrate")
     assert run.state.problem == "" and run.state.told is not None
+
+
+def test_what_nobody_should_work_with_is_shown_but_not_felt(run, pool, needle):
+    session = Stands(needle, run)
+    upload(run)
+    session.do("calibrate")
+    why = "does not describe the data: its residuals are 2.8e+03 % of the largest force"
+    found = replace(result_for(needle), unusable=why, warnings=(why,))
+    pool.tasks[-1][1].set_result(found)
+    take_result(session)
+    assert session.scene is needle and run.state.result is found and "not under the needle" in run.state.problem
+    assert why in told_html(run.state)
 
 
 def test_a_fit_is_cancelled(run, pool, needle):
