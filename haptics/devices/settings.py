@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import sys
 
 from tissue_sim.errors import InputError, nearest
 
@@ -30,7 +30,8 @@ def read_settings(text: str, **defaults: float) -> dict[str, float]:
             settings[name] = int(value) if whole else float(value)
         except ValueError:
             raise InputError(f"{value!r} is not a {'whole ' * whole}number", field=name) from None
-        if not math.isfinite(settings[name]):
+        # A comparison, which whole numbers beyond any float stand.
+        if not abs(settings[name]) <= sys.float_info.max:
             raise InputError(f"{value!r} is not a finite number", field=name)
     return settings
 

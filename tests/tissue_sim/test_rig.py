@@ -373,6 +373,7 @@ class TestBadValues:
         ("displacement_resolution", -1e-6), ("sampling_rate", 0.0), ("sampling_rate", -5.0), ("sensor_gain", -1.0),
         ("displacement_gain", -1.5), ("contact_offset", float("nan")), ("zero_offset", float("inf")),
         ("sensor_drift", "fast"), ("step_loss", None), ("step_loss_depth", True), ("seed", -1), ("seed", 1.5),
+        ("compliance", 10**400),
     ])
     def test_names_the_field(self, field, value):
         with pytest.raises(ts.InputError) as caught:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from numbers import Real
 
 from tissue_sim.errors import InputError, nearest
@@ -29,7 +28,7 @@ def checked_interface(value: str | float, name: str) -> str | float:
                              field=name)
         return value
     number = isinstance(value, Real) and not isinstance(value, bool)
-    if not (number and math.isfinite(value) and 0 <= value <= LARGEST_FRICTION):
+    if not (number and 0 <= value <= LARGEST_FRICTION):
         raise InputError(f"{value} is not a coefficient of friction; give 0 to {LARGEST_FRICTION:g}, or 'stick' for a "
                          "face without slip", field=name)
     return float(value) or "frictionless"

@@ -7,6 +7,7 @@ import hashlib
 import inspect
 import io
 import json
+import sys
 from collections.abc import Iterable, Mapping
 from functools import partial
 from numbers import Real
@@ -203,7 +204,7 @@ def _require_channels(recording: Recording, kind: str | None, path: Path) -> Non
 
 
 def _with_time(recording: Recording, speed: float, path: Path) -> Recording:
-    if isinstance(speed, bool) or not isinstance(speed, Real) or not (np.isfinite(speed) and speed > 0):
+    if isinstance(speed, bool) or not isinstance(speed, Real) or not 0 < speed <= sys.float_info.max:
         raise InputError(f"{speed!r} is not a speed; give a positive number in m/s", field="speed")
     if "displacement" not in recording:
         raise InputError(f"a speed makes the time from the displacement, which this file lacks; it has "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from math import inf
@@ -97,7 +98,7 @@ class Rig:
             value, low = getattr(self, name), what.bounds[0]
             if name == "sampling_rate" and value is None:
                 continue
-            if not isinstance(value, Real) or isinstance(value, bool) or not np.isfinite(value):
+            if not isinstance(value, Real) or isinstance(value, bool) or not abs(value) <= sys.float_info.max:
                 raise InputError(f"{value!r} is not a finite number", field=f"rig.{name}")
             if low == _REVERSED and value <= -1:
                 raise InputError(f"{value:g} would reverse the reading; give a relative error above -1, such as 0.01",

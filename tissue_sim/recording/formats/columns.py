@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-import math
 import re
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,8 @@ from tissue_sim.recording.recording import CHANNELS, LABELS, MIN_POINTS, Recordi
 from tissue_sim.units import loose_header, split_header
 
 _KEYS = ("name", "column", "unit", "sign", "scale", "offset")
+#: More than any table has.
+_MOST_COLUMNS = 1_000_000
 #: The last column of a spreadsheet is XFD.
 _LETTERS = re.compile(r"[A-Za-z]{1,3}")
 Sheets = str | int | Sequence[str | int]
@@ -232,7 +234,7 @@ def check_columns(columns: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
                 raise InputError(f"{value!r} is not a sign; give 1 or -1", field=f"{field}.sign")
             if key in ("name", "unit") and not isinstance(value, str):
                 raise InputError(f"{value!r} is not text in quotation marks", field=f"{field}.{key}")
-            number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+            number = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
             if key == "scale" and not (number and value > 0):
                 raise InputError(f"{value!r} is no positive number; the direction is said by sign",
                                  field=f"{field}.scale")
@@ -261,8 +263,8 @@ def column_number(column: Any, field: str = "column") -> int:
         number = 0
         for letter in column.upper():
             number = 26 * number + ord(letter) - ord("A") + 1
-        return number
-    if isinstance(column, bool) or not isinstance(column, int) or column < 1:
+        column = number
+    if isinstance(column, bool) or not isinstance(column, int) or not 1 <= column <= _MOST_COLUMNS:
         raise InputError(f'{column!r} is not the place of a column; give a number from 1 or a letter such as "C"',
                          field=field)
     return column

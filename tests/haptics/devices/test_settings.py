@@ -1,0 +1,21 @@
+"""The part of a device's name that says how it is set."""
+
+import pytest
+
+import tissue_sim as ts
+from haptics.devices.settings import read_settings
+
+
+def test_numbers_come_by_name_and_what_is_left_out_is_as_before():
+    assert read_settings(" rate_hz = 500 ,", rate_hz=1000.0, count=3) == {"rate_hz": 500.0, "count": 3}
+
+
+@pytest.mark.parametrize(("text", "field", "words"), [
+    ("rate_hz", "settings", "sets nothing"), ("rate=5", "rate", "rate_hz"), ("count=1.5", "count", "whole number"),
+    ("rate_hz=inf", "rate_hz", "finite"), ("rate_hz=nan", "rate_hz", "finite"),
+    ("count=" + "9" * 400, "count", "finite"), ("count=" + "9" * 9999, "count", "whole number"),
+])
+def test_what_is_no_number_is_refused_by_name(text, field, words):
+    with pytest.raises(ts.InputError, match=words) as caught:
+        read_settings(text, rate_hz=1000.0, count=3)
+    assert caught.value.field == field
