@@ -6,9 +6,9 @@ A hand moves through random aims at 1 kHz under random tools, while parameters c
 saved and restored, and the tissue is reset; poses and times that no scene holds, damaged packets, floods and garbage
 arrive, the client pauses, and servers are interrupted and killed. Every second session is of the viewer: a loop at
 1 kHz in a process of its own under a page that is read, with aims, protocols, parameters, tools, pauses, resets,
-nonsense, bytes that are no request, reloads and loops that are killed. Then the logged motion is stepped again without
-a budget, from a reset on: what was called CONVERGED must be within 1 % + 0.02 N of that. That takes
-a few times as long; Ctrl-C sums up what there is.
+nonsense, bytes that are no request, reloads and loops that are killed. When all have been played the logged motion is
+stepped again without a budget, from a reset on, on all cores: what was called CONVERGED must be within 1 % + 0.02 N of
+that. That takes a few times as long. Ctrl-C ends the play, another one the replay; what there is is summed up.
 """
 
 from __future__ import annotations
@@ -16,21 +16,24 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import os
 import sys
 import tempfile
 from collections import Counter
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 from measure import table
 from rich.console import Console
-from soak_page import play
+from soak_page import PageSession, play
 from soak_replay import score, score_page
 from soak_scenes import MATERIAL
-from soak_session import run
+from soak_session import Session, run
 
 import tissue_sim as ts
+from calibration.tasks.process_pool import ProcessPool
 
 SESSION = 30.0
 LARGEST = 100.0
@@ -42,13 +45,18 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
-    results, count = [], max(1, round(arguments.minutes * 60.0 / SESSION))
-    with tempfile.TemporaryDirectory() as folder, suppress(KeyboardInterrupt):
-        for number in range(count):
-            results.append(one_session(number, np.random.default_rng([arguments.seed, number]), Path(folder),
-                                       min(SESSION, arguments.minutes * 60.0)))
-            print(f"session {number + 1} of {count}, {results[-1]['kind']}: {results[-1]['statuses']}, "
-                  f"{results[-1]['wrong']} wrong", file=sys.stderr)
+    played, results, count = [], [], max(1, round(arguments.minutes * 60.0 / SESSION))
+    with tempfile.TemporaryDirectory() as folder:
+        with suppress(KeyboardInterrupt):
+            for number in range(count):
+                played.append(one_session(number, np.random.default_rng([arguments.seed, number]), Path(folder),
+                                          min(SESSION, arguments.minutes * 60.0)))
+                print(f"session {number + 1} of {count} played", file=sys.stderr)
+        with suppress(KeyboardInterrupt):
+            for result in replayed(played):
+                results.append(result)
+                print(f"session {len(results)} of {len(played)}, {result['kind']}: {result['statuses']}, "
+                      f"{result['wrong']} wrong", file=sys.stderr)
     summary = summarise(results)
     if arguments.json:
         print(json.dumps({"seed": arguments.seed, "summary": summary, "sessions": results}))
@@ -58,15 +66,27 @@ def main() -> int:
     return 0
 
 
-def one_session(number: int, rng: np.random.Generator, folder: Path, seconds: float) -> dict:
-    """Play it and replay it: with a server where its number is even, else with the viewer."""
+def one_session(number: int, rng: np.random.Generator, folder: Path, seconds: float) -> Session | PageSession:
+    """Play it: with a server where its number is even, else with the viewer."""
     material = folder / "soak.material.json"
     if not number:
         ts.write_material_file(ts.MaterialFile.of(MATERIAL), material)
     if number % 2 == 0:
-        return score(run(rng, material, seconds), LARGEST)
+        return run(rng, material, seconds)
     (calls := folder / f"calls{number}").mkdir()
-    return score_page(play(rng, material, calls, seconds), math.inf)
+    return play(rng, material, calls, seconds)
+
+
+def replayed(sessions: Sequence[Session | PageSession]) -> Iterator[dict]:
+    """The result of each, in turn."""
+    pool = ProcessPool(os.cpu_count() or 1)
+    try:
+        tasks = [pool.submit(score, (each, LARGEST)) if isinstance(each, Session)
+                 else pool.submit(score_page, (each, math.inf)) for each in sessions]
+        for task in tasks:
+            yield task.result()
+    finally:
+        pool.stop()
 
 
 def summarise(results: list[dict]) -> dict:

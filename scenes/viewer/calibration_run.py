@@ -197,7 +197,9 @@ class CalibrationRun:
         self._require_rest()
         self.measured  # noqa: B018  refuses what cannot be shown together
         wanted = Wanted(scene.kind.name, scene.experiment, scene.rig, scene.material,
-                        replicates(self.state.recordings))
+                        replicates(self.state.recordings),
+                        {each.file.name: each.file.origin for each in self.state.recordings
+                         if each.file.origin is not None})
         folder = tempfile.TemporaryDirectory(prefix="tissue_sim_")
         try:
             for each in self.state.recordings:

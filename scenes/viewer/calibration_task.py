@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from msgspec.structs import replace
 
 import tissue_sim as ts
 from tissue_sim.atomic_write import write_text
@@ -14,6 +16,7 @@ from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.experiment.tools.tool import tool_sizes
 from tissue_sim.files import read_bytes
+from tissue_sim.material.file import read_material_file, write_material_file
 from tissue_sim.parameters import parameters, to_keys
 from tissue_sim.rig.file import write_rig
 
@@ -32,6 +35,7 @@ class Wanted:
         kind: of test, a name. experiment, rig: how it was done; the motion is that of the recordings.
         material: its law is fitted from its parameters on; all other numbers of it stay.
         tests: names of files of each test, replicates together.
+        origins: name of a file -> file and SHA-256 of the one of a test machine from which it was made.
     """
 
     kind: str
@@ -39,6 +43,7 @@ class Wanted:
     rig: ts.Rig
     material: ts.Material
     tests: tuple[tuple[str, ...], ...]
+    origins: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -113,6 +118,8 @@ def calibrate_files(folder: str, wanted: Wanted) -> Calibrated:
         if fit.material_file is None:
             raise InputError(f"the fit gives no material: {fit.unusable or fit.message}")
         file = place / "results" / fit.material_file
+        if wanted.origins:
+            _name_origins(file, wanted.origins)
         return Calibrated(ts.load_material(file), _values(fit), fit.RMSE_N, _warnings(fit), fit.fem_solves,
                           read_bytes(file, "a calibrated material"), fit.unusable or "")
     except InputError as error:
@@ -122,6 +129,14 @@ def calibrate_files(folder: str, wanted: Wanted) -> Calibrated:
                          file=None if own else Path(str(error.file)).name, line=error.line) from None
     except ConvergenceError as error:
         raise ConvergenceError(str(error).removeprefix(f"{campaign}: ")) from None
+
+
+def _name_origins(file: Path, origins: Mapping[str, Mapping[str, str]]) -> None:
+    """Let the provenance of a material file say from which files of test machines its recordings were made."""
+    content = read_material_file(file)
+    assert content.provenance is not None
+    settings = {**content.provenance.settings, "made_from": origins}
+    write_material_file(replace(content, provenance=replace(content.provenance, settings=settings)), file)
 
 
 def campaign_of(wanted: Wanted, folder: Path) -> str:

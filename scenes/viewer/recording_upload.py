@@ -3,6 +3,7 @@ hold."""
 
 from __future__ import annotations
 
+import hashlib
 import re
 import tempfile
 from collections.abc import Mapping
@@ -32,6 +33,7 @@ class Upload:
         name: of the file, made safe. content: its bytes, as our own files have them.
         measured: the recording in it; None of a sidecar. sidecar: the metadata in it; None of a recording.
         understood: how a file of another program was read, sentences.
+        origin: of such a recording the name of the file that was uploaded and its SHA-256, as a provenance has them.
     """
 
     name: str
@@ -39,6 +41,7 @@ class Upload:
     measured: Measurement | None = None
     sidecar: Mapping[str, Any] | None = None
     understood: tuple[str, ...] = ()
+    origin: Mapping[str, str] | None = None
 
     @property
     def stem(self) -> str:
@@ -72,7 +75,7 @@ def read_recording_upload(name: str, content: bytes) -> tuple[Upload, ...]:
                 case ".csv" if _OWN.match(content[:1000]):
                     return (Upload(name, content, measurement([read_recording(path).with_metadata(source=name)])),)
                 case _:
-                    return _of_a_machine(path)
+                    return _of_a_machine(path, {"file": name, "sha256": hashlib.sha256(content).hexdigest()})
         except InputError as error:
             raise InputError(error.problem, file=name, line=error.line, field=error.field) from None
 
@@ -84,7 +87,7 @@ def _sidecar(path: Path, content: bytes) -> Upload:
     return Upload(path.name, content, sidecar=found)
 
 
-def _of_a_machine(path: Path) -> tuple[Upload, ...]:
+def _of_a_machine(path: Path, origin: Mapping[str, str]) -> tuple[Upload, ...]:
     """The recordings of any other file, in our own form; replicates are numbered."""
     # Only here: the page starts without it.
     from tissue_sim.recording.formats.understanding import understand
@@ -100,7 +103,8 @@ def _of_a_machine(path: Path) -> tuple[Upload, ...]:
         write_recording(kept, own)
         uploads.append(Upload(f"{stem}.csv", read_bytes(own, "a recording"),
                               measurement([kept.with_metadata(source=path.name)]),
-                              understood=(_columns(reading, found.format), *reading.remarks, *found.warnings)))
+                              understood=(_columns(reading, found.format), *reading.remarks, *found.warnings),
+                              origin=origin))
     return tuple(uploads)
 
 

@@ -1,6 +1,7 @@
 """Calibration from the page, without a browser: uploads are understood or refused, a fit ends in a material, in a
 sentence, or is cancelled; what was there stays."""
 
+import hashlib
 import json
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
@@ -280,7 +281,11 @@ def test_the_process_fits_as_the_command_does(run, pool, needle, tmp_path):
     true = ts.simulate(replace(needle.model, material=stiffer), resolution="fast")
     for seed in range(2):
         ts.write_recording(ts.Rig(force_noise=0.005, seed=seed).measure(true), tmp_path / f"r{seed}.csv")
-        upload(run, f"r{seed}.csv", (tmp_path / f"r{seed}.csv").read_bytes())
+    upload(run, "r0.csv", (tmp_path / "r0.csv").read_bytes())
+    # The second as a test machine writes it.
+    machine = (tmp_path / "r1.csv").read_bytes().split(b"\n", 1)[1].replace(b",", b"\t")
+    machine = b"Time (s)\tExtension (mm)\tLoad (N)\n" + machine
+    upload(run, "r1.txt", machine)
     run.begin(needle)
     (folder, wanted), _ = pool.tasks[-1]
     found = calibrate_files(folder, wanted)
@@ -289,6 +294,8 @@ def test_the_process_fits_as_the_command_does(run, pool, needle, tmp_path):
     assert json.loads((Path(folder) / PROGRESS_FILE).read_text(encoding="utf-8"))["solves"] > 1
     said = json.loads(found.file)
     assert {each["file"] for each in said["provenance"]["recordings"]} == {"r0.csv", "r1.csv"}
+    assert said["provenance"]["settings"]["made_from"] == {
+        "r1.csv": {"file": "r1.txt", "sha256": hashlib.sha256(machine).hexdigest()}}
     assert said["parameters"]["C10"]["standard_error"] > 0 and found.material.density == needle.material.density
     with pytest.raises(InputError) as refused:
         calibrate_files(folder, replace(wanted, tests=(("missing.csv",),)))

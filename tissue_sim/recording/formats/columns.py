@@ -6,6 +6,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from tissue_sim.files import decode_text, read_bytes
 from tissue_sim.recording.formats.blocks import Block, named_blocks, placed_blocks
 from tissue_sim.recording.formats.containers import is_container, read_container
 from tissue_sim.recording.formats.header import DELIMITERS, DELIMITERS_OF_NUMBERS, text_tables
+from tissue_sim.recording.formats.long_text import NotPlainError, PlainEnd, split_long
 from tissue_sim.recording.formats.table import Column, Row, Table, conversion, narrow, read_recording_table
 from tissue_sim.recording.formats.workbook import Sheet, is_workbook, read_sheet, read_sheets
 from tissue_sim.recording.recording import CHANNELS, LABELS, MIN_POINTS, Recording
@@ -95,13 +97,23 @@ def read_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int
         text, _ = decode_text(read_bytes(path, expected), path, expected)
         delimiters = ((DELIMITERS if names else DELIMITERS_OF_NUMBERS) if delimiter is None
                       else (check_delimiter(delimiter),))
-        tables = text_tables(text, file=path, skip_lines=skip_lines, delimiters=delimiters)
-        found += _recordings(tables, wanted, path, metadata)
+        found += _of_text(text, skip_lines, delimiters, wanted, path, metadata)
     if curve is not None:
         if curve > len(found):
             raise InputError(f"there is no curve {curve}; the file has {len(found)}", file=path, field="curve")
         found = found[curve - 1:curve]
     return tuple(found)
+
+
+def _of_text(text: str, skip_lines: int, delimiters: Sequence[str], wanted: Mapping[str, Mapping[str, Any]],
+             path: Path, metadata: Mapping[str, Any] | None) -> list[Recording]:
+    beginning, end = split_long(text, skip_lines)
+    if end is not None:
+        with suppress(InputError, NotPlainError):
+            tables = text_tables(beginning, file=path, skip_lines=skip_lines, delimiters=delimiters)
+            return _recordings(tables, wanted, path, metadata, end=end)
+    return _recordings(text_tables(text, file=path, skip_lines=skip_lines, delimiters=delimiters), wanted, path,
+                       metadata)
 
 
 def _sheets(path: Path, sheet: Sheets | None) -> Sequence[Sheet]:
@@ -112,8 +124,8 @@ def _sheets(path: Path, sheet: Sheets | None) -> Sequence[Sheet]:
 
 
 def _recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path, metadata: Mapping[str, Any] | None, *,
-                alone: bool = False) -> list[Recording]:
-    """The recordings of the first of the tables that has the columns."""
+                alone: bool = False, end: PlainEnd | None = None) -> list[Recording]:
+    """The recordings of the first of the tables that has the columns; with a plain end the only one."""
     names = [entry["name"] for entry in wanted.values() if "name" in entry]
     places = [entry["column"] - 1 for entry in wanted.values() if "column" in entry]
     table: Table
@@ -122,6 +134,8 @@ def _recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path, met
                      else placed_blocks(tables, places, file=path))
     # A summary has the names of its table, too.
     blocks = [block for block in blocks if len(block.rows) >= MIN_POINTS] or blocks
+    if end is not None and len(blocks) > 1:
+        raise NotPlainError
     found: list[Recording] = []
     for block in blocks:
         order = iter(block.places[:len(names)]), iter(block.places[len(names):])
@@ -132,7 +146,7 @@ def _recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path, met
             rows, chosen = _narrow(rows, chosen)
             header = Row(header.line, tuple(column.header for column in chosen))
         recording = read_recording_table(header, rows, chosen, file=path,
-                                         delimiter=table.delimiter or ";", metadata=metadata)
+                                         delimiter=table.delimiter or ";", metadata=metadata, end=end)
         if block.below and found and _goes_on(found[-1], recording):
             found[-1] = _joined(found[-1], recording)
         else:

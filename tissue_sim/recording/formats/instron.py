@@ -14,6 +14,7 @@ from typing import Any
 from tissue_sim.files import read_text
 from tissue_sim.recording.formats.columns import read_columns
 from tissue_sim.recording.formats.header import find_header, text_tables
+from tissue_sim.recording.formats.long_text import split_long
 from tissue_sim.recording.formats.table import is_number
 from tissue_sim.recording.recording import Recording
 from tissue_sim.units import split_header, to_si
@@ -31,7 +32,7 @@ def read_instron(path: str | Path) -> Recording:
     """
     path = Path(path)
     text = read_text(path, "an Instron export with the columns Time, Compression and Load")
-    _, header, _ = find_header(text_tables(text, file=path), list(COLUMNS.values()), file=path)
+    _, header, _ = find_header(text_tables(split_long(text)[0], file=path), list(COLUMNS.values()), file=path)
     lines = [line.strip() for line in text.splitlines()[:header.line - 1] if line.strip(" ;,\t")]
     return read_columns(path, COLUMNS, skip_lines=header.line - 1, metadata=_metadata(lines))
 

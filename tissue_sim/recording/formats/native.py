@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-import io
-import re
-import warnings
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.files import read_text
 from tissue_sim.recording.formats.columns import Sheets, read_blocks
+from tissue_sim.recording.formats.long_text import NotPlainError, PlainEnd, split_long
 from tissue_sim.recording.formats.table import Column, Row, conversion, is_number, read_recording_table, split_rows
-from tissue_sim.recording.recording import CHANNELS, LABELS, MIN_POINTS, Recording
+from tissue_sim.recording.recording import CHANNELS, LABELS, Recording
 from tissue_sim.units import split_header, to_si
 
 EXAMPLE = "time [s],displacement [mm],force [N]"
-#: Comments and blank lines above the header.
-_ABOVE = re.compile(r"(?:[ \t]*(?:#[^\n]*)?\n)*")
 _NAMES = {name.casefold(): name for name in (*CHANNELS, *LABELS)}
 
 
@@ -44,52 +39,29 @@ def read_native(path: str | Path, *, columns: Mapping[str, Any] | None = None, s
         if value is not None:
             raise InputError(f"files of format 'native' have no {key}; leave it out", field=key)
     text = read_text(path, f"a recording with the header {EXAMPLE!r}")
-    return _plain_recording(text, path) or native_recording(split_rows(_without_comments(text), ",", file=path), path)
+    beginning, end = split_long(text)
+    if end is not None:
+        with suppress(InputError, NotPlainError):
+            return native_recording(_rows(beginning, path), path, end)
+    return native_recording(_rows(text, path), path)
 
 
-def _plain_recording(text: str, path: Path) -> Recording | None:
-    """The recording in a text that has nothing but numbers below its header, fast and in little memory; None: it has
-    something else, which is read, or named with its line, cell by cell."""
-    above = _ABOVE.match(text)
-    end = text.find("\n", above.end() if above else 0) + 1
-    lines = split_rows(text[:end], ",", file=path) if above and end and not above[0].count('"') else []
-    if not lines or text.find('"', end) >= 0 or not text.isascii():
-        return None
-    columns = _columns(lines[-1], path)
-    if any(column.channel in LABELS for column in columns):
-        return None
-    body = io.TextIOWrapper(io.BytesIO(text[end:].encode("ascii")), encoding="ascii")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            values = np.loadtxt(body, delimiter=",", comments=None, ndmin=2)
-    except (ValueError, UserWarning):
-        return None
-    channels = {column.channel: values[:, column.index] * column.factor + column.offset for column in columns
-                if column.index < values.shape[1]}
-    if values.shape[1] != len(columns) or len(values) < MIN_POINTS or not all(
-            np.isfinite(each).all() for each in channels.values()) or (
-            "time" in channels and (np.diff(channels["time"]) < 0).any()):
-        return None
-    return Recording(channels)
-
-
-def native_recording(rows: Sequence[Row], path: Path) -> Recording:
-    """The recording in rows of which the first is the header, whatever file they come from.
+def native_recording(rows: Sequence[Row], path: Path, end: PlainEnd | None = None) -> Recording:
+    """The recording in rows of which the first is the header, whatever file they come from, and in a plain end.
 
     Raises:
-        InputError: as `read_native`.
+        InputError: as `read_native`. NotPlainError: of an end.
     """
     if not rows:
         raise InputError(f"holds only comments, expected the header {EXAMPLE!r}", file=path)
     header, *data = rows
-    return read_recording_table(header, data, _columns(header, path), file=path)
+    return read_recording_table(header, data, _columns(header, path), file=path, end=end)
 
 
-def _without_comments(text: str) -> str:
-    """Comment lines blanked, not removed, so that line numbers stay those of the file."""
-    return "\n".join("" if line.lstrip().startswith("#") else line
-                     for line in text.replace("\r\n", "\n").replace("\r", "\n").split("\n"))
+def _rows(text: str, path: Path) -> list[Row]:
+    # Comment lines are blanked, not removed, so that line numbers stay those of the file.
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    return split_rows("\n".join("" if line.lstrip().startswith("#") else line for line in lines), ",", file=path)
 
 
 def _columns(header: Row, path: Path) -> list[Column]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from tissue_sim.files import decode_text, read_bytes
 from tissue_sim.recording.formats.blocks import is_unit_row
 from tissue_sim.recording.formats.columns import Sheets, check_delimiter
 from tissue_sim.recording.formats.containers import is_container, read_container
+from tissue_sim.recording.formats.long_text import split_long
 from tissue_sim.recording.formats.table import Row, Table, is_number, split_rows
 from tissue_sim.recording.formats.workbook import is_workbook, read_sheets
 from tissue_sim.recording.recording import MIN_POINTS
@@ -32,7 +34,7 @@ class Source:
 
     Attributes:
         kind: ``text``, ``workbook`` or ``container``.
-        tables: of a text one; of the others one for each sheet.
+        tables: of a text one, of a long one its beginning where numbers alone follow; of the others one for each sheet.
         encoding: of a text.
     """
 
@@ -93,10 +95,24 @@ def open_source(path: Path, *, delimiter: str | None = None, sheet: Sheets | Non
         sheets = read_container(path, sheet) if kind == "container" else read_sheets(path, sheet)
         return Source(path, kind, tuple(each.table(skip_lines) for each in sheets))
     text, encoding = decode_text(read_bytes(path, EXPECTED), path, EXPECTED)
+    if delimiter is not None:
+        check_delimiter(delimiter)
+    beginning, end = split_long(text, skip_lines)
+    if end is not None:
+        with suppress(InputError):
+            table = _text_table(beginning, delimiter, skip_lines, path)
+            last = table.rows[-1].cells if table.rows else ()
+            # What goes on to the end of the file says nothing new of it.
+            if table.delimiter == end.delimiter and len(last) == end.cells and all(map(is_number, last)):
+                return Source(path, "text", (table,), encoding)
+    return Source(path, "text", (_text_table(text, delimiter, skip_lines, path),), encoding)
+
+
+def _text_table(text: str, delimiter: str | None, skip_lines: int, path: Path) -> Table:
     lines = text.splitlines()
     lines[:skip_lines] = [""] * min(skip_lines, len(lines))
-    found = check_delimiter(delimiter) if delimiter is not None else _find_delimiter(lines, path)
-    return Source(path, "text", (Table(split_rows("\n".join(lines), found, file=path), found),), encoding)
+    found = _find_delimiter(lines, path) if delimiter is None else delimiter
+    return Table(split_rows("\n".join(lines), found, file=path), found)
 
 
 def _find_delimiter(lines: list[str], path: Path) -> str:

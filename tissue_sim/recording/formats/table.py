@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import InputError
+from tissue_sim.recording.formats.long_text import NotPlainError, PlainEnd
 from tissue_sim.recording.recording import CHANNELS, LABELS, MIN_POINTS, Recording
 from tissue_sim.units import quantity_of, to_si
 
@@ -98,14 +99,16 @@ def is_number(cell: str) -> bool:
 
 
 def read_recording_table(header: Row, rows: Sequence[Row], columns: Sequence[Column], *, file: Path,
-                         delimiter: str = ",", metadata: Mapping[str, Any] | None = None) -> Recording:
-    """The recording in `columns` of the data rows.
+                         delimiter: str = ",", metadata: Mapping[str, Any] | None = None,
+                         end: PlainEnd | None = None) -> Recording:
+    """The recording in `columns` of the data rows, and of the plain end below them.
 
     Decimal commas are read where the delimiter is not a comma and no cell in use has a decimal point.
 
     Raises:
         InputError: a row of another length than the header, a cell that is not a finite number, time running
             backwards, fewer than `MIN_POINTS` rows; with file and line.
+        NotPlainError: of an end: the rows and the end are not of one table of numbers that can be read so.
     """
     width = len(header.cells)
     for row in rows:
@@ -119,9 +122,13 @@ def read_recording_table(header: Row, rows: Sequence[Row], columns: Sequence[Col
     numeric = [column for column in columns if column.channel not in LABELS]
     decimal_comma = (delimiter != "," or _quoted_commas(rows, numeric)) and _decimal_comma(rows, numeric, file)
     values = _numbers(rows, numeric, decimal_comma, file)
+    if end is not None:
+        values = np.concatenate([values, _below(end, columns, width, delimiter, decimal_comma)])
     channels = {column.channel: values[:, i] * column.factor + column.offset for i, column in enumerate(numeric)}
     if "time" in channels:
         back = np.flatnonzero(np.diff(channels["time"]) < 0)
+        if back.size and end is not None:
+            raise NotPlainError
         if back.size:
             column = next(column for column in numeric if column.channel == "time")
             before, after = (rows[i].cells[column.index] for i in (back[0], back[0] + 1))
@@ -129,6 +136,17 @@ def read_recording_table(header: Row, rows: Sequence[Row], columns: Sequence[Col
                              "times that never fall", file=file, line=rows[back[0] + 1].line)
     labels = {column.channel: _labels(rows, column, file) for column in columns if column.channel in LABELS}
     return Recording(channels, labels, metadata or {})
+
+
+def _below(end: PlainEnd, columns: Sequence[Column], width: int, delimiter: str, decimal_comma: bool) -> np.ndarray:
+    """The numbers of a plain end, as they stand in the file, shape (rows, columns)."""
+    if any(column.channel in LABELS for column in columns) or (end.delimiter, end.cells, end.decimal_comma) != (
+            delimiter, width, decimal_comma):
+        raise NotPlainError
+    values = end.numbers([column.index for column in columns])
+    if values is None:
+        raise NotPlainError
+    return values
 
 
 def _count(number: int, noun: str) -> str:

@@ -84,10 +84,13 @@ def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: M
                         if column.role == "strain" else column for column in columns)
         recordings = _read(source.file, columns, options)
     signed = {column.channel for column in columns if stated.signs.keys() & {column.channel, column.role}}
+    read_so = [column.entry() for column in columns]
     columns = oriented(columns, recordings, kind.kind, signed)
     options["columns"] = {column.channel: column.entry() for column in columns}
-    return Reading("", columns, first.others, read_only(options), _read(source.file, columns, options), kind, line,
-                   sheets, read_only(stated_above), remarks)
+    if [*options["columns"].values()] != read_so:
+        recordings = _read(source.file, columns, options)
+    return Reading("", columns, first.others, read_only(options), recordings, kind, line, sheets,
+                   read_only(stated_above), remarks)
 
 
 def _told_apart(groups: Sequence[Group]) -> bool:

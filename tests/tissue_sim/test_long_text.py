@@ -1,0 +1,119 @@
+"""Long texts, whose plain end is read at once: always the recording, or the sentence, of the way cell by cell."""
+
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import tissue_sim as ts
+from tissue_sim.recording.formats import long_text
+from tissue_sim.recording.formats.columns import read_blocks
+from tissue_sim.recording.formats.long_text import split_long
+from tissue_sim.recording.formats.machines import read_table
+from tissue_sim.recording.formats.native import read_native
+
+COLUMNS = {"time": "Time", "displacement": {"name": "Way", "unit": "mm"}, "force": "Load"}
+PLACES = {"time": {"column": 1, "unit": "s"}, "displacement": {"column": 2, "unit": "mm"},
+          "force": {"column": 3, "unit": "N"}}
+READERS = {"native": read_native, "table": read_table,
+           "columns": lambda path: read_blocks(path, COLUMNS), "places": lambda path: read_blocks(path, PLACES)}
+ROWS = [f"{0.5 * i},{0.25 * i:.3f},{0.1 * i**2:.5f}" for i in range(12)]
+
+
+def foreign(rows, sign=",", header="Time [s],Way,Load [N]"):
+    return "\n".join([header, *rows]).replace(",", sign) + "\n"
+
+
+def outcome(reader, path):
+    """What reading gives: channels and labels, or place and sentence."""
+    try:
+        found = READERS[reader](path)
+    except ts.InputError as error:
+        return error.line, error.field, error.problem
+    return [({name: values.tolist() for name, values in each.channels.items()},
+             {name: values.tolist() for name, values in each.labels.items()})
+            for each in (found if isinstance(found, tuple) else (found,))]
+
+
+def both(reader, text, folder, beginning=4):
+    """The outcomes with a plain end below so few lines, and without one."""
+    path = Path(folder) / "long.csv"
+    path.write_bytes(text.encode())
+    with mock.patch.object(long_text, "BEGINNING", beginning):
+        at_once = outcome(reader, path)
+    return at_once, outcome(reader, path)
+
+
+@pytest.mark.parametrize("text", [
+    foreign(ROWS), foreign(ROWS, ";"), foreign(ROWS, "\t"), foreign(ROWS).replace("\n", "\r\n"),
+    foreign(ROWS).rstrip(), foreign(ROWS) + "\n\n",
+    foreign(ROWS, ", "), foreign([row.replace(".", ",") for row in ROWS], ",").replace(",", ";"),
+    foreign([row.replace(",", ";").replace(".", ",") for row in ROWS], ",", "Time [s];Way;Load [N]"),
+    foreign(["s,mm,N", *ROWS]), foreign([f"{row},7" for row in ROWS], header="Time [s],Way,Load [N],Temperature"),
+    "made by hand\n" + foreign(ROWS), foreign([row.upper() for row in ROWS]),
+])
+@pytest.mark.parametrize("reader", ["columns", "places", "table"])
+def test_a_plain_end_gives_the_same_recording(reader, text, tmp_path):
+    at_once, cell_by_cell = both(reader, text, tmp_path)
+    assert at_once == cell_by_cell
+
+
+def test_the_plain_end_is_what_is_read(tmp_path):
+    text = "# made by hand\n" + foreign(ROWS, header="time [s],displacement [mm],force [N]")
+    with mock.patch.object(long_text, "BEGINNING", 4):
+        beginning, end = split_long(text)
+        assert beginning.count("\n") == 4 and (end.cells, end.delimiter, end.decimal_comma) == (3, ",", False)
+        np.testing.assert_allclose(end.numbers([2, 0]), [[0.1 * i**2, 0.5 * i] for i in range(2, 12)], atol=1e-12)
+    at_once, cell_by_cell = both("native", text, tmp_path)
+    assert at_once == cell_by_cell
+    np.testing.assert_allclose(cell_by_cell[0][0]["force"], [0.1 * i**2 for i in range(12)], atol=1e-12)
+
+
+def test_a_piece_ends_with_a_line(tmp_path):
+    rows = [f"{i},{i},{i}" for i in range(1000)]
+    with mock.patch.object(long_text, "_PIECE", 100):
+        at_once, cell_by_cell = both("columns", foreign(rows), tmp_path)
+    assert at_once == cell_by_cell and len(at_once[0][0]["time"]) == 1000
+
+
+@pytest.mark.parametrize(("row", "words"), [
+    ("5,1,x", "expected a finite number"), ("5,1,1e999", "expected a finite number"), ("5,1,1.2.3", "finite number"),
+    ("-5,1,1", "time runs backwards"), ("5,1,", "is empty"), ("5,1", "2 cells, expected 3"),
+    ("5,1,1,1", "4 cells, expected 3"),
+])
+def test_what_is_wrong_in_the_end_is_named_with_its_line(row, words, tmp_path):
+    at_once, cell_by_cell = both("columns", foreign([*ROWS[:10], row, *ROWS[11:]]), tmp_path)
+    assert at_once == cell_by_cell
+    assert at_once[0] == 12 and words in at_once[2]
+
+
+@pytest.mark.parametrize("lines", [
+    ["", ""], ["Time [s],Way,Load [N]"], ["# a remark"], ["5.25,1.3,\"2,5\""], ["5,1,1", "5.5,2,2,"], ["5,1,nan"],
+    ["5;1;1"], ["5,1,1_0"], ["5,1,\N{ARABIC-INDIC DIGIT ONE}"], ["5 5,1,1"], ["5,1,1\r5,1,1"], [" , , "],
+])
+@pytest.mark.parametrize("reader", ["columns", "places", "table", "native"])
+def test_what_is_not_plain_is_looked_at_cell_by_cell(reader, lines, tmp_path):
+    header = {"header": "time [s],displacement [mm],force [N]"} if reader == "native" else {}
+    at_once, cell_by_cell = both(reader, foreign([*ROWS[:11], *lines, *ROWS[11:]], **header), tmp_path)
+    assert at_once == cell_by_cell
+
+
+@settings(max_examples=150, deadline=None)
+@given(data=st.data())
+def test_damage_anywhere_changes_neither_recording_nor_sentence(data, tmp_path_factory):
+    sign = data.draw(st.sampled_from([",", ";", "\t"]))
+    text = list(foreign(ROWS, sign))
+    for _ in range(data.draw(st.integers(0, 3))):
+        place = data.draw(st.integers(0, len(text) - 1))
+        text[place] = data.draw(st.sampled_from(["", "\n", ",", ";", ".", "0", "-", "e9", "x", " ", "\"", "#", "\r\n"]))
+    reader = data.draw(st.sampled_from(["columns", "places"]))
+    at_once, cell_by_cell = both(reader, "".join(text), tmp_path_factory.getbasetemp(),
+                                 beginning=data.draw(st.integers(1, 12)))
+    assert at_once == cell_by_cell
+
+
+def test_a_short_text_is_whole():
+    assert split_long(foreign(ROWS)) == (foreign(ROWS), None)
