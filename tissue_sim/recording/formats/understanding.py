@@ -84,11 +84,10 @@ def _reading(source: Source, groups: Sequence[Group], stated: Stated, machine: M
                         if column.role == "strain" else column for column in columns)
         recordings = _read(source.file, columns, options)
     signed = {column.channel for column in columns if stated.signs.keys() & {column.channel, column.role}}
-    read_so = [column.entry() for column in columns]
-    columns = oriented(columns, recordings, kind.kind, signed)
+    turned = oriented(columns, recordings, kind.kind, signed)
+    recordings = _turned(source.file, recordings, columns, turned, options)
+    columns = turned
     options["columns"] = {column.channel: column.entry() for column in columns}
-    if [*options["columns"].values()] != read_so:
-        recordings = _read(source.file, columns, options)
     return Reading("", columns, first.others, read_only(options), recordings, kind, line, sheets,
                    read_only(stated_above), remarks)
 
@@ -141,6 +140,17 @@ def _read(path: Path, columns: Sequence[ColumnGuess], options: Mapping[str, Any]
                 raise InputError(f"{channel} reaches {values[np.argmax(np.abs(values))]:g}, which no machine measures: "
                                  "a cell is damaged", file=path)
     return recordings
+
+
+def _turned(path: Path, recordings: tuple[Recording, ...], before: Sequence[ColumnGuess],
+            after: Sequence[ColumnGuess], options: Mapping[str, Any]) -> tuple[Recording, ...]:
+    """The recordings of columns of which some have got another sign."""
+    other = [column for was, column in zip(before, after, strict=True) if column.entry() != was.entry()]
+    if any(column.offset is not None for column in other):
+        return _read(path, after, options)
+    # From zero: no zero becomes a negative one.
+    return tuple(each.with_channels(**{column.channel: 0.0 - each.channel(column.channel) for column in other})
+                 if other else each for each in recordings)
 
 
 def _named(readings: Sequence[Reading]) -> tuple[Reading, ...]:
