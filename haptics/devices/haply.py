@@ -77,11 +77,12 @@ class HaplyDevice(HapticDevice):
         self._first_turn: Quaternion | None = None
         self._line: WebSocketLine | None = None
         self._thread: _Exchange | None = None
+        self._trouble = ""
         self._first: HapticState | None = None
 
     @property
     def trouble(self) -> str:
-        return self._thread.trouble if self._thread is not None else ""
+        return self._trouble if self._thread is None else self._thread.trouble
 
     def start(self) -> None:
         if self._thread is not None:
@@ -168,6 +169,7 @@ class HaplyDevice(HapticDevice):
         thread, self._thread = self._thread, None
         if thread is not None:
             thread.end()
+            self._trouble = thread.trouble
 
     def describe(self) -> dict[str, Any]:
         described: dict[str, Any] = {
@@ -237,15 +239,13 @@ class _Exchange:
                 self._given.clear()
                 asked, force = self._wanted
                 self._exchange(force if time.monotonic() - asked <= SILENCE else (0.0, 0.0, 0.0))
+            # Until it is answered: then the service has taken it.
+            self._unanswered = 0
+            self._exchange((0.0, 0.0, 0.0), within=0.2)
         except OSError as error:
             self.trouble = (f"the Haply Inverse service at {self._address} has gone ({error}); start it again, then "
                             "this program")
         finally:
-            if not self.trouble:
-                # Until it is answered: then the service has taken it.
-                self._unanswered = 0
-                with contextlib.suppress(OSError):
-                    self._exchange((0.0, 0.0, 0.0), within=0.2)
             self._line.close()
 
     def _exchange(self, force: Vector, within: float = ANSWER_WITHIN) -> None:

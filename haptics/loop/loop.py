@@ -174,11 +174,20 @@ class Loop:
             Exception: what the tissue, the device or the listener raised.
         """
         try:
-            return self._run()
+            features = self._run()
         finally:
             self._device.stop()
+        ticker = self._ticker
+        # Now that it has been stopped the device says whether it was there to the end.
+        return LoopReport(
+            self._ended_by or "time", self._now * 1e-9, self._settings.period, ticker.ticks, ticker.late,
+            ticker.missed, ticker.lateness.quantiles, self._compute_time.quantiles,
+            {status.name.lower(): self._statuses[status] for status in ForceStatus},
+            {_FLAGS[flag]: count for flag, count in self._flagged.items()},
+            self._largest_force, features, peak_memory(), self._device.describe(), *mesh_of(self._tissue))
 
-    def _run(self) -> LoopReport:
+    def _run(self) -> tuple[RealTimeFeature, ...]:
+        """Tick; what of the features of the system was to be had."""
         settings, ticker, ring = self._settings, self._ticker, self._ring
         last = math.inf if settings.seconds is None else round(settings.seconds / settings.period)
         listen_every = max(round(LISTEN_EVERY / settings.period), 1)
@@ -194,13 +203,7 @@ class Loop:
                     board.publish(self._now * 1e-9, tissue.snapshot())
                 if self._listen is not None and ticker.ticks % listen_every == 0:
                     self._listen(self)
-            seconds = self._now * 1e-9
-        return LoopReport(
-            self._ended_by or "time", seconds, settings.period, ticker.ticks, ticker.late, ticker.missed,
-            ticker.lateness.quantiles, self._compute_time.quantiles,
-            {status.name.lower(): self._statuses[status] for status in ForceStatus},
-            {_FLAGS[flag]: count for flag, count in self._flagged.items()},
-            self._largest_force, features, peak_memory(), self._device.describe(), *mesh_of(self._tissue))
+        return features
 
     def _tick(self, lateness: float, ring: RingWriter) -> None:
         ticker = self._ticker

@@ -91,6 +91,16 @@ def test_a_service_that_dies_leaves_no_force_and_the_loop_goes_on(other_process)
     assert "has gone" in report.device["trouble"] and other_process.address[6:] in report.device["trouble"]
 
 
+def test_a_service_that_has_gone_is_named_when_the_device_is_stopped(other_process):
+    device = open_haptic(f"{other_process.address},{AT_START}")
+    device.start()
+    assert "trouble" not in device.describe()
+    other_process.kill()
+    other_process.wait()
+    device.stop()
+    assert "has gone" in device.describe()["trouble"] and device.pose(0.0) is None
+
+
 def test_a_loop_without_a_service_does_not_begin():
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
