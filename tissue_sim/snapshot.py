@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, runtime_checkable
+from functools import cache
+from typing import Any, Protocol, TypeGuard, runtime_checkable
 
 import numpy as np
 
@@ -65,25 +66,36 @@ class Snapshot:
         """What is another one in another snapshot of this tissue, beside pose and datum; empty where nothing is."""
         if self.skin is not None:
             return (self.skin.vertices,)
-        return self.fields.arrays() if isinstance(self.fields, SharedFields) else ()
+        return self.fields.arrays() if _are_shared(self.fields) else ()
 
     def at(self, pose: Pose, datum: float, arrays: Sequence[np.ndarray]) -> Snapshot:
         """Another snapshot of this tissue, with its `arrays`."""
         fields, skin = self.fields, self.skin
         if skin is not None:
             skin = replace(skin, vertices=arrays[0])
-        elif isinstance(fields, SharedFields):
+        elif _are_shared(fields):
             fields = fields.with_arrays(arrays)
         return Snapshot(pose, datum, fields, skin)
 
     def of_the_material(self) -> dict[str, Any]:
         """What another material of the same make changes beside the arrays."""
-        return self.fields.of_the_material() if isinstance(self.fields, SharedFields) else {}
+        return self.fields.of_the_material() if _are_shared(self.fields) else {}
 
     def with_material(self, changed: Mapping[str, Any]) -> Snapshot:
         """This snapshot with what `of_the_material` of another material gave."""
         fields = self.fields
-        return replace(self, fields=fields.with_material(changed)) if isinstance(fields, SharedFields) else self
+        return replace(self, fields=fields.with_material(changed)) if _are_shared(fields) else self
+
+
+def _are_shared(fields: Any) -> TypeGuard[SharedFields]:
+    # Asking the protocol each time costs more than all else that is done with a snapshot.
+    kind: Any = type(fields)
+    return _is_shared(kind)
+
+
+@cache
+def _is_shared(kind: Any) -> bool:
+    return all(hasattr(kind, name) for name in ("arrays", "with_arrays", "of_the_material", "with_material"))
 
 
 @runtime_checkable

@@ -14,7 +14,7 @@ from scenes.viewer.revolution import Opening, Surface, joined, revolved_surfaces
 from tissue_sim.mesh import Mesh
 
 #: Parts of an element's edge that are drawn straight: so many that a section has about `CELLS` of them, within reason.
-CELLS, FEWEST, MOST = 500, 2, 5
+CELLS, FEWEST, MOST = 350, 2, 5
 #: How far lines lie in front of a surface, in radii of the specimen.
 LIFT = 1e-3
 

@@ -14,7 +14,7 @@ import tissue_sim as ts
 from haptics.devices.contracts import HapticDevice
 from haptics.loop.loop import LoopSettings
 from haptics.loop.process import LoopError, LoopProcess
-from haptics.loop.ring import PAUSED, TICK, RingReader
+from haptics.loop.ring import PAUSED, RingReader
 from haptics.loop.snapshot_board import SnapshotReader
 from haptics.safety.limits import ForceLimits
 from haptics.safety.rendering import ForceRendering
@@ -28,6 +28,7 @@ from tissue_sim.tool_force import ForceStatus
 BUDGET = 0.8e-3
 #: Over which time read-outs are taken, and rates are counted, s.
 _LOOK_BACK, _DOUBTS_OVER, _COUNT_OVER = 0.5, 1.0, 2.0
+_COUNTED = ("time", "compute_time", "iterations", "status")
 #: A tick each millisecond, and the tissue 30 times a second.
 SETTINGS = LoopSettings(snapshot_rate=30.0)
 #: N, and N per tick: limits of the rendered force, which no device takes; what is shown is the force of the tissue.
@@ -61,8 +62,8 @@ class LiveSimulation:
         self._snapshots: SnapshotReader | None = None
         self._number, self._published = 0, 0
         self._recent: deque[tuple[float, int]] = deque()
-        #: Ticks of the last `_DOUBTS_OVER` s.
-        self._felt = np.empty(0, TICK)
+        #: What is counted of the ticks of the last `_DOUBTS_OVER` s, columns as in `_COUNTED`.
+        self._felt = np.empty((0, len(_COUNTED)))
         self._paused = False
         self.phase, self.message = Phase.STARTING, "starting"
         self.snapshot: Snapshot | None = None
@@ -162,18 +163,20 @@ class LiveSimulation:
             self._recent.popleft()
         (then, before) = self._recent[0]
         rate = (self._number - before) / (now - then) if now > then else 0.0
-        felt = np.concatenate([self._felt, records])
-        self._felt = felt = felt[felt["time"] > last["time"] - _DOUBTS_OVER]
-        recent = felt[felt["time"] > last["time"] - _LOOK_BACK]
+        # A record of the ring is long: its columns that are wanted alone are copied.
+        felt = np.concatenate([self._felt, np.column_stack([records[name] for name in _COUNTED])])
+        self._felt = felt = felt[felt[:, 0] > last["time"] - _DOUBTS_OVER]
+        times, compute_time, iterations, statuses = felt.T
+        recent = times > last["time"] - _LOOK_BACK
         status = ForceStatus(int(last["status"]))
         deadlines = last["tick"]
         self.readouts = Readouts(
             float(last["time"]), float(last["tool_depth"]), float(last["tissue_force"]), float(last["stiffness"]),
-            float(np.median(recent["compute_time"])), float(recent["iterations"].mean()), rate,
+            float(np.median(compute_time[recent])), float(iterations[recent].mean()), rate,
             float((last["late"] + last["missed"]) / max(deadlines, 1)), _in_words(status, last),
             _mesh_in_words(self._loop.resolution, self._loop.force_error),
             "" if status is ForceStatus.CONVERGED else status.message,
-            int(np.count_nonzero(felt["status"] != ForceStatus.CONVERGED)))
+            int(np.count_nonzero(statuses != ForceStatus.CONVERGED)))
 
 
 def _mesh_in_words(resolution: str, force_error: float | None) -> str:

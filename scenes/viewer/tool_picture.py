@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -56,9 +57,10 @@ class Contact:
     area: float
 
 
+@lru_cache(maxsize=16)
 def tool_outline(tool: Tool, specimen: Specimen) -> np.ndarray:
-    """What is drawn of a tool, (r, z), from the axis below to the axis above, m, shape (n, 2); z = 0 is its deepest
-    point, from which it is drawn `INSET` away."""
+    """What is drawn of a tool, (r, z), from the axis below to the axis above, m, shape (n, 2), read-only; z = 0 is its
+    deepest point, from which it is drawn `INSET` away."""
     if tool.is_plate:
         radius, top = PLATE_RADIUS * specimen.radius, plate_thickness(specimen)
         outline = np.array([[0.0, 0.0], [radius, 0.0], [radius, top]])
@@ -76,7 +78,9 @@ def tool_outline(tool: Tool, specimen: Specimen) -> np.ndarray:
     if shrunk[-1, 0] > 0.0:
         shrunk = np.concatenate([shrunk, [[0.0, shrunk[-1, 1]]]])
     steps = np.linalg.norm(np.diff(shrunk, axis=0), axis=1)
-    return shrunk[np.concatenate([[True], steps > 1e-9 * top])]
+    drawn = shrunk[np.concatenate([[True], steps > 1e-9 * top])]
+    drawn.flags.writeable = False
+    return drawn
 
 
 def tool_mesh(tool: Tool, specimen: Specimen, opening: Opening) -> Surface:

@@ -92,7 +92,8 @@ class Trace:
 
     def append(self, records: np.ndarray) -> int:
         """Take in ticks, dtype `haptics.loop.ring.TICK`, in their order; returns how many were kept."""
-        felt = ((records["flags"] & PAUSED) == 0) & np.isin(records["status"], OF_TISSUE)
+        felt = ((records["flags"] & PAUSED) == 0) & np.any([records["status"] == status for status in OF_TISSUE],
+                                                                      axis=0)
         records = records[felt & np.isfinite(records["tool_depth"]) & np.isfinite(records["tissue_force"])]
         if not records.size:
             return 0
@@ -190,11 +191,11 @@ class Trace:
         """
         passes = {1: np.full(grid.size, np.nan), -1: np.full(grid.size, np.nan)}
         for direction, first, last in reversed(self._branches()[-most:]):
-            branch = self._branch(first, last)
             # A branch begins and ends at its extremes.
-            low, high = sorted((branch.depth[0], branch.depth[-1]))
+            low, high = sorted((self.depth[first], self.depth[last]))
             missing = np.isnan(passes[direction]) & (grid >= low - _ROUNDING) & (grid <= high + _ROUNDING)
             if missing.any():
+                branch = self._branch(first, last)
                 passes[direction][missing] = on_grid(branch.depth, branch.force, direction, grid[missing])
         return passes[1], passes[-1]
 

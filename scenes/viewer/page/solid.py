@@ -14,7 +14,7 @@ from scenes.viewer.colours import PALETTE, field_range, steady_levels
 from scenes.viewer.cut_away import CutAway
 from scenes.viewer.frame import Frame
 from scenes.viewer.page.notices import Reply, answer_to
-from scenes.viewer.page.scene_updates import send_arrays
+from scenes.viewer.page.scene_updates import send_arrays, send_position
 from scenes.viewer.revolution import Opening, Surface
 from scenes.viewer.scene import Scene
 from scenes.viewer.tone import seen_colour, surface_colour
@@ -180,7 +180,8 @@ class Solid:
         """The tool at its pose, and the ground where the specimen stands."""
         pose = snapshot.pose
         x, y, z = pose.position
-        self._tool_frame.position = self._force_frame.position = (self.scale * x, self.scale * y, self.scale * z)
+        for moved in (self._tool_frame, self._force_frame):
+            send_position(moved, (self.scale * x, self.scale * y, self.scale * z))
         if not np.array_equal(self._tool_frame.wxyz, pose.orientation):
             self._tool_frame.wxyz = pose.orientation
         # Where a specimen has sagged under its own weight, the tool touches it lower.
@@ -239,7 +240,8 @@ class Solid:
             _show(self._force, arrow is not None)
             self._fill(self._arrow, None if arrow is None else arrow.surface)
             if arrow is not None:
-                self._force.position = tuple(max(arrow.start, arrow.tip, key=lambda end: end[2]) * self.scale)
+                x, y, z = (max(arrow.start, arrow.tip, key=lambda end: end[2]) * self.scale).tolist()
+                send_position(self._force, (x, y, z))
         return True
 
     def _mesh(self, name: str, colour: tuple[int, int, int]) -> viser.MeshHandle:
