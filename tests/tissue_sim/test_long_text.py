@@ -72,6 +72,13 @@ def test_the_plain_end_is_what_is_read(tmp_path):
     np.testing.assert_allclose(cell_by_cell[0][0]["force"], [0.1 * i**2 for i in range(12)], atol=1e-12)
 
 
+def test_a_cell_that_is_open_where_the_beginning_ends_is_refused_as_ever(tmp_path):
+    rows = [f"{row},{i}" for i, row in enumerate(ROWS)]
+    rows[2] = f'{ROWS[2]},"open'
+    at_once, cell_by_cell = both("columns", foreign(rows, header="Time [s],Way,Load [N],Note"), tmp_path)
+    assert at_once == cell_by_cell and "quoted cell" in at_once[2]
+
+
 def test_a_piece_ends_with_a_line(tmp_path):
     rows = [f"{i},{i},{i}" for i in range(1000)]
     with mock.patch.object(long_text, "_PIECE", 100):

@@ -68,6 +68,8 @@ def split_long(text: str, skipped: int = 0) -> tuple[str, PlainEnd | None]:
         place = text.find("\n", place) + 1
         if not place:
             return text, None
+    if text.count('"', 0, place) % 2:  # a cell that goes on below
+        return text, None
     line = text[place:text.find("\n", place) + 1]
     # Of those in a line the first is the delimiter: a comma beside another one is a decimal comma.
     delimiter = next((each for each in _DELIMITERS if each in line), None)
