@@ -132,10 +132,11 @@ def _recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path, met
     blocks: list[Block]
     table, blocks = (named_blocks(tables, names, also=places, file=path) if names
                      else placed_blocks(tables, places, file=path))
+    # The end goes on from the last row; what is above that is another block.
+    if end is not None and (len(blocks) > 1 or not blocks[0].rows or blocks[0].rows[-1].line != table.rows[-1].line):
+        raise NotPlainError
     # A summary has the names of its table, too.
     blocks = [block for block in blocks if len(block.rows) >= MIN_POINTS] or blocks
-    if end is not None and len(blocks) > 1:
-        raise NotPlainError
     found: list[Recording] = []
     for block in blocks:
         order = iter(block.places[:len(names)]), iter(block.places[len(names):])

@@ -63,12 +63,12 @@ def split_long(text: str, skipped: int = 0) -> tuple[str, PlainEnd | None]:
         text: with any line ends.
         skipped: lines at the top that do not count.
     """
-    place = 0
+    last = place = 0
     for _ in range(skipped + BEGINNING):
-        place = text.find("\n", place) + 1
+        last, place = place, text.find("\n", place) + 1
         if not place:
             return text, None
-    if text.count('"', 0, place) % 2:  # a cell that goes on below
+    if '"' in text[last:place]:  # perhaps of a cell that goes on below
         return text, None
     line = text[place:text.find("\n", place) + 1]
     # Of those in a line the first is the delimiter: a comma beside another one is a decimal comma.

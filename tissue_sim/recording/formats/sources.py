@@ -101,9 +101,10 @@ def open_source(path: Path, *, delimiter: str | None = None, sheet: Sheets | Non
     if end is not None:
         with suppress(InputError):
             table = _text_table(beginning, delimiter, skip_lines, path)
-            last = table.rows[-1].cells if table.rows else ()
-            # What goes on to the end of the file says nothing new of it.
-            if table.delimiter == end.delimiter and len(last) == end.cells and all(map(is_number, last)):
+            runs = [*_runs(table)]
+            # One run of numbers in all columns that goes on to the end of the file says nothing new below.
+            if table.delimiter == end.delimiter and [columns for _, columns in runs] == [(*range(end.cells),)] and (
+                    runs[0][0][-1] is table.rows[-1]):
                 return Source(path, "text", (table,), encoding)
     return Source(path, "text", (_text_table(text, delimiter, skip_lines, path),), encoding)
 
