@@ -258,6 +258,10 @@ class HapticDevice(ABC):
         """No force, and disconnect; nothing where it is stopped. It can be started again."""
         return
 
+    def take_over(self, pose: Pose) -> None:
+        """Go on from here, where another source has left the tool: of motions that can begin anywhere."""
+        return
+
     def aim(self, depth: float) -> None:
         """Go to a depth, m: of motions that are steered by somebody.
 

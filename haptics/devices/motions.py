@@ -10,6 +10,7 @@ from haptics.devices.contracts import AxialMotion
 from haptics.devices.settings import read_settings
 from tissue_sim import Protocol
 from tissue_sim.errors import InputError, require_length
+from tissue_sim.pose import Pose
 
 #: Share of the depth by which a random or sine motion lifts off, where nothing else is said.
 _LIFT = 0.2
@@ -80,7 +81,7 @@ class HandMotion(AxialMotion):
     """Goes where somebody points, as a critically damped spring follows, and no faster than `speed`.
 
     Args:
-        start: depth at which it is, m.
+        start: depth at which it is, m; None: where the tool is when this is followed, or the touch.
         speed: largest, m/s.
         response: rad/s of the spring; a target is reached within about 5 / response seconds.
 
@@ -88,12 +89,18 @@ class HandMotion(AxialMotion):
         InputError: a depth that is no number, or a speed or response that is not positive.
     """
 
-    def __init__(self, start: float = 0.0, speed: float = 0.1, response: float = 30.0):
+    def __init__(self, start: float | None = 0.0, speed: float = 0.1, response: float = 30.0):
         require_length(speed, "speed")  # m/s and rad/s, but finite and above zero all the same
         require_length(response, "response")
         self._speed, self._response = speed, response
-        self._time, self._place, self._velocity = 0.0, start, 0.0
-        self.aim(start)
+        self._goes_on = start is None
+        self._time, self._place, self._velocity = 0.0, start or 0.0, 0.0
+        self.aim(self._place)
+
+    def take_over(self, pose: Pose) -> None:
+        if self._goes_on:
+            self._place = pose.depth
+            self.aim(self._place)
 
     def aim(self, depth: float) -> None:
         """Name the depth to go to, m.

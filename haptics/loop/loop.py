@@ -19,6 +19,7 @@ from haptics.loop.ticker import Quantiles, Ticker, TimeHistogram
 from haptics.safety.force_release import PATIENCE, ForceRelease
 from haptics.safety.rendering import ForceRendering, RenderFlag
 from tissue_sim.errors import InputError
+from tissue_sim.pose import Pose
 from tissue_sim.snapshot import ShownTissue
 from tissue_sim.tool_force import ForceStatus, Tissue
 
@@ -165,6 +166,8 @@ class Loop:
         self._advance = 0
         #: Time of the last tick, and of the motion then, ns; the motion stands still while the loop is paused.
         self._now = self._motion = 0
+        #: Where the last tick had the simulated tool.
+        self._tool: Pose | None = None
         self._ended_by = ""
 
     def run(self) -> LoopReport:
@@ -217,7 +220,7 @@ class Loop:
             self._advance = self._advance - going if self._paused else 0
             self._motion += going
             pose = self._device.pose(self._motion * 1e-9)
-        tool = self._rendering.pose_for(pose, dt)
+        self._tool = tool = self._rendering.pose_for(pose, dt)
         answer = self._release.step(self._tissue.step(tool, dt), now * 1e-9)
         rendered = self._rendering.render(answer, dt)
         wrench = rendered.wrench
@@ -262,7 +265,8 @@ class Loop:
         """Take the poses from another device or motion, from its beginning on, and give it the forces.
 
         Args:
-            device: not started; the loop goes on with the one before where it cannot be.
+            device: not started; the loop goes on with the one before where it cannot be. Without `anew` it is told
+                where the tool is, to go on from there if it can.
             anew: on undeformed tissue, as `reset`.
 
         Raises:
@@ -272,6 +276,8 @@ class Loop:
         reset = self._able("reset") if anew else None
         device.start()
         self._device.stop()
+        if self._tool is not None and not anew:
+            device.take_over(self._tool)
         self._device, self._motion = device, 0
         self._keep_to(device)
         if reset is not None:

@@ -141,7 +141,8 @@ class Session:
             raise InputError("the tool stands still while the motion is paused; press Play to go on, or Reset")
         depth = min(max(depth, -CLEARANCE), self.scene.deepest)
         if self._motion != "hand":
-            self._simulation.ask("follow", device=HandMotion(self._simulation.tool_depth, HAND_SPEED))
+            # What is known here of the tool's place is a frame old: the tool would jump back.
+            self._simulation.ask("follow", device=HandMotion(None, HAND_SPEED))
             self._motion, self._target, self._hand_feels = "hand", self._simulation.tool_depth, False
         self._simulation.ask("aim", depth=depth)
         self._target = depth

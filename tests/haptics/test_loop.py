@@ -230,6 +230,20 @@ def test_another_source_is_followed_and_a_hand_is_steered(run, tissues):
     assert (np.diff(after) >= 0).all() and np.diff(after).max() < 0.1e-3
 
 
+def test_a_hand_takes_the_tool_over_where_it_is(run, tissues):
+    """It would jump back where whoever asks knows an older place."""
+    def listen(loop):
+        if len(tissue.steps) == 100:
+            loop.follow(HandMotion(None))
+            loop.aim(5e-3)
+
+    tissue = tissues.Spring()
+    _, ticks = run(tissue, 0.6, listen=listen)
+    way = np.diff(ticks["tool_depth"])
+    assert way[98] == pytest.approx(0.02e-3) and 0 < way[99] < 0.02e-3, "from the tick before, not from the touch"
+    assert (way >= 0).all() and ticks["tool_depth"][-1] == pytest.approx(5e-3, abs=1e-7)
+
+
 def test_another_source_can_begin_anew(run, tissues):
     def listen(loop):
         if len(tissue.steps) == 100 and not done:

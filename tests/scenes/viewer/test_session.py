@@ -6,6 +6,7 @@ import os
 import signal
 import socket
 import threading
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -135,6 +136,19 @@ def test_a_protocol_that_cannot_be_is_refused(session, text, expected):
     assert problem.startswith(expected) and "\n" not in problem
     assert "ends 2 mm from where it began" in done(session, "play", text="ramp 2mm", repeat=True)
     assert session.frame().motion == "hand"
+
+
+def test_a_hand_that_takes_over_goes_on_from_where_the_tool_is(session, until):
+    """What the page knows of its place is a frame old: the tool used to jump back by 0.4 mm in a millisecond."""
+    assert done(session, "play", text="ramp 4mm", speed=8e-3) is None
+    frame = until(session.frame, lambda frame: frame.readouts.depth > 0.5e-3)
+    with RingReader(session.simulation.process.ring_path) as ring:
+        begin = ring.written
+        time.sleep(0.02)  # the tool goes on
+        assert done(session, "aim", depth=4e-3) is None
+        until(ring.latest, lambda tick: abs(tick["tool_depth"] - 4e-3) < 1e-6)
+        depths = ring.since(begin).records["tool_depth"]
+    assert frame.readouts.depth < depths[0] and np.diff(depths).min() >= -1e-9
 
 
 def stands_below(depth):
