@@ -4,7 +4,11 @@ import gc
 import os
 import subprocess
 import sys
+import tempfile
+import threading
+import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -20,6 +24,8 @@ settings.load_profile("shared machine")
 ROOT = Path(__file__).resolve().parents[1]
 # What tests of several folders share is a module beside this one.
 sys.path.insert(0, str(ROOT / "tests"))
+#: With more processes a machine has too little memory before it has too few cores.
+MOST_PROCESSES = 8
 #: Tests that use no finite elements, but for those of the calibration that do; they take more than a minute.
 WITHOUT_KERNELS = (
     "tests/calibration/", "tests/scenes/test_calibrate_command", "tests/scenes/test_material_command",
@@ -58,26 +64,53 @@ class Compilation:
     """A process that compiles kernels while tests run that need none. A machine's first run spends two minutes on
     that, and each of the processes that tests start would compile the same kernels again."""
 
-    def __init__(self):
+    def __init__(self, config: pytest.Config):
+        #: In the processes that share the tests; the one that shares them out has none of this.
+        given = getattr(config, "workerinput", {}).get("compiling")
+        #: There while the process runs.
+        self._mark = None if given is None else Path(given)
         self._process: subprocess.Popen | None = None
 
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, config: pytest.Config, items: list[pytest.Item]) -> None:
-        from tissue_sim.fem.taichi.runtime import cache_folder
-
         items.sort(key=may_use_kernels)
         both_kinds = {may_use_kernels(item) for item in items} == {False, True}
-        if both_kinds and not config.option.collectonly and not any(cache_folder().glob("*.tic")):
-            path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
-            # Where it fails, the tests compile what they need, as with any other kernel.
-            self._process = subprocess.Popen([sys.executable, Path(__file__).with_name("compile_kernels.py")],
-                                             env={**os.environ, "PYTHONPATH": path}, stdin=subprocess.DEVNULL,
-                                             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        if both_kinds and not config.option.collectonly and not hasattr(config, "workerinput"):
+            self._begin()
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_configure_node(self, node: Any) -> None:
+        """Of the process that shares the tests out, which collects none."""
+        if self._mark is None:
+            self._begin()
+        node.workerinput["compiling"] = str(self._mark)
+
+    def _begin(self) -> None:
+        from tissue_sim.files import cache_folder
+
+        folder = tempfile.TemporaryDirectory()
+        self._mark = Path(folder.name) / "compiling"
+        if any(cache_folder().glob("*.tic")):
+            return
+        self._mark.touch()
+        path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+        # Where it fails, the tests compile what they need, as with any other kernel.
+        self._process = subprocess.Popen([sys.executable, Path(__file__).with_name("compile_kernels.py")],
+                                         env={**os.environ, "PYTHONPATH": path}, stdin=subprocess.DEVNULL,
+                                         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+        def wait(process: subprocess.Popen = self._process) -> None:
+            process.wait()
+            folder.cleanup()
+
+        threading.Thread(target=wait, daemon=True).start()
 
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
         # Taichi looks for kept kernels once, when it starts in this process.
-        if self._process is not None and may_use_kernels(item):
-            self._process.wait()
+        if self._mark is not None and may_use_kernels(item):
+            while self._mark.exists():
+                time.sleep(0.1)
+            self._mark = None
 
     def pytest_unconfigure(self) -> None:
         if self._process is not None:
@@ -90,4 +123,11 @@ def may_use_kernels(item: pytest.Item) -> bool:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    config.pluginmanager.register(Compilation())
+    config.pluginmanager.register(Compilation(config))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """The whole suite is shared by processes, some tests are not: each process loads the libraries and kernels anew."""
+    whole = config.args == config.getini("testpaths")
+    return min(os.cpu_count() or 1, MOST_PROCESSES) if whole else 0
