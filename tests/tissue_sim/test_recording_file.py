@@ -213,7 +213,7 @@ def test_any_bytes_give_a_recording_or_one_sentence(tmp_path, data):
         try:
             assert len(read_recording(path, **options)) >= 5
         except InputError as error:
-            assert str(path) in str(error)
+            assert path.name in str(error)  # a long path is shortened in the middle
 
 
 def test_metadata_of_numpy_becomes_json(tmp_path):
