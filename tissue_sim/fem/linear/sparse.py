@@ -63,10 +63,10 @@ class _SuperLU:
 
 
 class _Pardiso:
-    #: Pardiso's kinds of matrices: real and symmetric, real and structurally symmetric.
-    _SYMMETRIC, _OTHER = -2, 1
-    #: Of its parameters: how many eigenvalues are negative.
-    _NEGATIVE = 23
+    #: Pardiso's kinds of matrices: real and symmetric, and real.
+    _SYMMETRIC, _OTHER = -2, 11
+    #: Of its parameters: pivots that it had to make larger, and eigenvalues that are negative.
+    _PERTURBED, _NEGATIVE = 14, 23
 
     def __init__(self, solver: Any, matrix: Any, definite: bool):
         self._solver, self._matrix, self.definite = solver, matrix, definite
@@ -74,24 +74,23 @@ class _Pardiso:
     @classmethod
     def of(cls, matrix: Any, symmetric: bool) -> _Pardiso | None:
         from pypardiso import PyPardisoSolver
+        from pypardiso.pardiso_wrapper import PyPardisoError
         from scipy import sparse
 
         solver = PyPardisoSolver(mtype=cls._SYMMETRIC if symmetric else cls._OTHER)
-        solver.set_statistical_info_off()
-        # Symmetric, so that its columns are its rows.
-        taken = sparse.csr_matrix(sparse.triu(matrix.T if symmetric else matrix.tocsr(), format="csr")
-                                  if symmetric else matrix.tocsr())
+        taken = sparse.csr_matrix(sparse.triu(matrix, format="csr") if symmetric else matrix)
         taken.sort_indices()
         try:
             solver.factorize(taken)
-        except Exception as error:  # its own kind, for anything
-            if type(error).__name__ != "PyPardisoError":
-                raise
+        except PyPardisoError:
             return None
-        return cls(solver, taken, not symmetric or solver.get_iparm(cls._NEGATIVE) == 0)
+        exact = solver.get_iparm(cls._PERTURBED) == 0
+        if not (symmetric or exact):
+            return None
+        return cls(solver, taken, exact and (not symmetric or solver.get_iparm(cls._NEGATIVE) == 0))
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         return self._solver.solve(self._matrix, right)
 
-    def __del__(self):
+    def __del__(self) -> None:
         self._solver.free_memory(everything=True)
