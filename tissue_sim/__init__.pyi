@@ -8,6 +8,7 @@ from tissue_sim.errors import ConvergenceError as ConvergenceError
 from tissue_sim.errors import InputError as InputError
 from tissue_sim.errors import MissingBackendError as MissingBackendError
 from tissue_sim.experiment.adhesion import Adhesion as Adhesion
+from tissue_sim.experiment.approach import Approach as Approach
 from tissue_sim.experiment.contact_law import CONTACT_LAWS as CONTACT_LAWS
 from tissue_sim.experiment.contact_law import ContactLaw as ContactLaw
 from tissue_sim.experiment.contact_law import Traction as Traction

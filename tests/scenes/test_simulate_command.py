@@ -45,6 +45,24 @@ def test_json_is_alone_and_right(material, capsys):
     assert set(answer["mesh"]) == {"elements", "freedoms"} and answer["newton_iterations"] > 0
 
 
+def test_a_needle_off_the_axis_is_simulated_in_space(material, tmp_path, capsys):
+    curve = tmp_path / "curve.csv"
+    words = ["simulate", "needle_indentation", "--material", material, "--depth-mm", "1", "--points", "5",
+             "--offset-mm", "15"]
+    assert main(words) == 2
+    assert "takes a tool on its axis only; take the solver \"solid\" (--solid)" in capsys.readouterr().err
+    assert main([*words, "--solid", "--json", "-o", str(curve)]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert set(answer) >= KEYS | {"force_vector_N", "torque_vector_Nm"}
+    forces = np.array(answer["force_vector_N"])
+    np.testing.assert_allclose(forces[:, 2], answer["force_N"])
+    # 0.1794 N on the axis; nearer to the side it is softer.
+    assert 0.9 * 0.1794 < forces[-1, 2] < 0.1794 and np.array(answer["torque_vector_Nm"]).shape == (5, 3)
+    written = ts.read_recording(curve)
+    assert written.metadata["approach"] == {"offset_mm": 15.0, "tilt_deg": 0.0}
+    np.testing.assert_allclose(written.channel("Fx"), forces[:, 0], atol=1e-9)
+
+
 def test_writes_a_recording_and_a_figure(material, tmp_path, capsys):
     curve, figure = tmp_path / "curve.csv", tmp_path / "f.png"
     words = ["simulate", "lubricated_compression", "--material", material, "--depth-mm", "2", "--points", "5",

@@ -10,6 +10,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.adhesion import Adhesion
+from tissue_sim.experiment.approach import Approach
 from tissue_sim.experiment.contact_law import ContactLaw
 from tissue_sim.experiment.interfaces import AS_TOOL, LARGEST_FRICTION, checked_interface
 from tissue_sim.experiment.protocol import Protocol
@@ -43,6 +44,8 @@ class Experiment:
             they are bonded; under a needle that of its face alone. None where the tool's face is not bonded.
         contact_laws: what was added beside these, by name; see `tissue_sim.experiment.contact_law`. A sequence of laws
             is taken, too.
+        approach: where on the top the tool goes in, and at what angle; None: down the axis. Only a solid in space takes
+            another one.
 
     Raises:
         InputError: an interface that does not fit, a protocol that goes through the specimen, a needle as wide as it.
@@ -58,6 +61,7 @@ class Experiment:
     tilt: float = parameter("delta", "m", key="tilt_mm", factor=1e-3, bounds=(0.0, 1.0), absent=0.0, default=0.0)
     slip: float | None = parameter("s", "1", key="slip", bounds=(0.0, 1.0), absent=0.0, default=None)
     contact_laws: Mapping[str, ContactLaw] = field(default_factory=dict)
+    approach: Approach | None = None
 
     def __post_init__(self):
         given = self.contact_laws.values() if isinstance(self.contact_laws, Mapping) else self.contact_laws
@@ -88,8 +92,15 @@ class Experiment:
         if not self.tool.has_shaft and self.friction_wall != "frictionless":
             raise InputError(f"a {self.tool.shape} has no shaft; leave it out", field="friction_wall")
         radius = self.tool.radius
+        if self.tool.is_plate and self.approach is not None:
+            raise InputError("a plate covers the whole top and comes down its axis; leave the approach out",
+                             field="approach")
         if self.tool.is_plate or radius is None:
             return
+        if self.approach is not None and abs(self.approach.offset) + radius > self.specimen.radius:
+            raise InputError(f"a tool of radius {radius * 1e3:g} mm that is {abs(self.approach.offset) * 1e3:g} mm off "
+                             f"the axis reaches beyond the specimen, radius {self.specimen.radius * 1e3:g} mm",
+                             field="approach.offset")
         if radius >= self.specimen.radius:
             raise InputError(f"the tool's radius, {radius * 1e3:g} mm, must be smaller than the specimen's, "
                              f"{self.specimen.radius * 1e3:g} mm", field="tool.radius")
@@ -113,8 +124,8 @@ class Experiment:
         return replace(self, friction="frictionless", friction_base=base, slip=None)
 
     def tool_pose(self, displacement: float) -> Pose:
-        """Where the tool is when the protocol says this displacement, m: pushed in along the axis."""
-        return Pose.at_depth(displacement)
+        """Where the tool is when the protocol says this displacement, m."""
+        return Pose.at_depth(displacement) if self.approach is None else self.approach.pose(displacement)
 
     @property
     def base_interface(self) -> str | float:

@@ -14,21 +14,24 @@ FACTOR, INSTANT, LOSS, LOSS_MODULUS, LOSS_SHARE = range(5)
 class Memory:
     """Hereditary stresses and the largest load; the arrays that a step's kernel works on.
 
+    Args:
+        points: elements, and quadrature points of each. components: of a symmetric tensor.
+
     Attributes:
         past: how stresses act in this step; places as named above.
-        inherited: isochoric second Piola stress that is left of earlier ones, Pa, shape (elements, q, 4).
+        inherited: isochoric second Piola stress that is left of earlier ones, Pa, shape (elements, q, components).
         largest: largest isochoric energy density so far, J/m3, shape (elements, q).
         stresses, energies: of the law, softened but not relaxed, in this step; before: those of the step before.
-        internal: Q_i of each term, Pa, shape (terms, elements, q, 4).
+        internal: Q_i of each term, Pa, shape (terms, elements, q, components).
         step: decay and gain of each term in this step.
 
     The recursion is that of `tissue_sim.material.viscoelasticity`: within a step the stress of the law changes linearly
     in time.
     """
 
-    def __init__(self, points: tuple[int, int]):
+    def __init__(self, points: tuple[int, int], components: int):
         self.past = np.zeros(5)
-        self.inherited, self.stresses = np.zeros((*points, 4)), np.zeros((*points, 4))
+        self.inherited, self.stresses = np.zeros((2, *points, components))
         self.largest, self.energies = np.zeros(points), np.zeros(points)
         self.before, self._scratch = np.zeros_like(self.stresses), np.zeros_like(self.stresses)
         self.internal = np.zeros((0, *self.stresses.shape))
@@ -80,7 +83,8 @@ class Memory:
         np.maximum(self.largest, self.energies, out=self.largest)
 
     def total(self) -> np.ndarray:
-        """Isochoric second Piola stress of the last committed step, relaxation included, Pa, (elements, q, 4)."""
+        """Isochoric second Piola stress of the last committed step, relaxation included, Pa, shape (elements, q,
+        components)."""
         if self._prony is None:
             return self.stresses.copy()
         return (1.0 - self._prony.relaxing) * self.before + self.internal.sum(axis=0)

@@ -315,5 +315,6 @@ class SolverMaker(Protocol):
 
 
 SOLVERS: Registry[SolverMaker] = Registry(
-    "solver", "tissue_sim.solvers", {"axisymmetric": "tissue_sim.fem.axisymmetric.discretisation:make_solver"})
+    "solver", "tissue_sim.solvers", {"axisymmetric": "tissue_sim.fem.axisymmetric.discretisation:make_solver",
+                                   "solid": "tissue_sim.fem.solid.discretisation:make_solver"})
 

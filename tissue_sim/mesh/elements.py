@@ -13,6 +13,20 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 
 
+def lagrange(x: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
+    """Values and slopes of the Lagrange polynomials through order + 1 even places in [-1, 1], shapes (q, order + 1), at
+    places (q,)."""
+    lines = np.linspace(-1.0, 1.0, order + 1)
+    values = np.ones((x.size, lines.size))
+    slopes = np.zeros_like(values)
+    for i, own in enumerate(lines):
+        others = np.delete(lines, i)
+        values[:, i] = np.prod([(x - o) / (own - o) for o in others], axis=0)
+        slopes[:, i] = sum(np.prod([(x - o) for o in np.delete(others, k)], axis=0)
+                           for k in range(others.size)) / np.prod(own - others)
+    return values, slopes
+
+
 @dataclass(frozen=True)
 class Element:
     """A quadrilateral of tensor-product Lagrange polynomials.
@@ -63,20 +77,8 @@ class Element:
 
     def shape_functions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Values (q, nodes) and reference gradients (q, nodes, 2) at reference points (q, 2)."""
-        lines = np.array([-1.0, 1.0]) if self.order == 1 else np.array([-1.0, 0.0, 1.0])
-
-        def lagrange(x):
-            values = np.ones((x.size, lines.size))
-            slopes = np.zeros_like(values)
-            for i, own in enumerate(lines):
-                others = np.delete(lines, i)
-                values[:, i] = np.prod([(x - o) / (own - o) for o in others], axis=0)
-                slopes[:, i] = sum(np.prod([(x - o) for o in np.delete(others, k)], axis=0)
-                                   for k in range(others.size)) / np.prod(own - others)
-            return values, slopes
-
-        (vx, sx), (vy, sy) = lagrange(points[:, 0]), lagrange(points[:, 1])
-        where = np.searchsorted(lines, self.reference_nodes)
+        (vx, sx), (vy, sy) = (lagrange(points[:, axis], self.order) for axis in range(2))
+        where = np.rint((self.reference_nodes + 1.0) * 0.5 * self.order).astype(int)
         i, j = where[:, 0], where[:, 1]
         return vx[:, i] * vy[:, j], np.stack([sx[:, i] * vy[:, j], vx[:, i] * sy[:, j]], axis=-1)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -59,6 +60,10 @@ def add_experiment_flags(parser: Parser) -> None:
     tool.add_argument("--contact-law", action="append", default=[], metavar="NAME:KEY=N,...",
                       help="a law of the contact beside these, from an installed package; once for each")
     tool.add_argument("--tilt-mm", type=positive, metavar="N", help="height difference across the tool's face")
+    tool.add_argument("--offset-mm", type=between(-1e3, 1e3), metavar="N",
+                      help="how far from the axis the needle is; with --solid")
+    tool.add_argument("--tilt-deg", type=between(-80.0, 80.0), metavar="N",
+                      help="angle between the needle and the axis, along which it goes in; with --solid")
     tool.add_argument("--slip", type=between(0.0, 1.0), metavar="N", help="share of bonded faces that slips")
 
 
@@ -127,6 +132,8 @@ def make_experiment(arguments, protocol: Protocol, material: Material) -> Experi
         changes["tilt"] = arguments.tilt_mm * 1e-3
     if arguments.slip is not None:
         changes["slip"] = arguments.slip
+    if arguments.offset_mm is not None or arguments.tilt_deg is not None:
+        changes["approach"] = ts.Approach((arguments.offset_mm or 0.0) * 1e-3, math.radians(arguments.tilt_deg or 0.0))
     return scene.experiment(
         specimen=ts.Specimen(arguments.radius_mm * 1e-3, arguments.height_mm * 1e-3, **weight), protocol=protocol,
         tool=_tool(arguments, shape, profile, usual), **changes)

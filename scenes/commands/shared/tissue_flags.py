@@ -25,7 +25,10 @@ def add_solver_flags(parser: Parser, resolutions: Sequence[str] = tuple(_RESOLUT
                         default=resolutions[0],
                         help=f"{', '.join(_RESOLUTIONS[name] for name in resolutions)} (default: %(default)s)")
     parser.add_argument("--solver", metavar="NAME", default="axisymmetric",
-                        help="axisymmetric, or one that an installed package adds (default: %(default)s)")
+                        help="axisymmetric, solid (in space), or one that an installed package adds (default: "
+                             "%(default)s)")
+    parser.add_argument("--solid", dest="solver", action="store_const", const="solid",
+                        help="the same as --solver solid")
 
 
 def check_solver(name: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -107,7 +108,10 @@ def what_was_done(scene: str, experiment: ts.Experiment) -> dict[str, Any]:
     """Of the sidecar: the kind of test, and the tool, so that nobody compares a cone with a flat punch unawares."""
     tool = experiment.tool
     sizes = {} if tool.is_plate or tool.radius is None else {"radius_mm": tool.radius * 1e3}
-    return {"kind": scene, "tool": {"shape": tool.shape, **sizes}}
+    approach = experiment.approach
+    way = {} if approach is None else {"approach": {"offset_mm": approach.offset * 1e3,
+                                                    "tilt_deg": math.degrees(approach.angle)}}
+    return {"kind": scene, "tool": {"shape": tool.shape, **sizes}, **way}
 
 
 def describe(done: int, samples: int) -> str:

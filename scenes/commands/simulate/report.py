@@ -34,6 +34,7 @@ def as_json(recordings: Sequence[Recording], resolution: str, failure: Exception
         "displacement_mm": (recording.displacement * 1e3).tolist(),
         "time_s": recording.time.tolist(),
         "force_N": recording.force.tolist(),
+        **_vectors(recording),
         **{name: labels.tolist() for name, labels in recording.labels.items()},
         "status": solver.get("status", "failed" if failure else "converged"),
         "message": str(failure) if failure else solver.get("message", ""),
@@ -48,6 +49,15 @@ def as_json(recordings: Sequence[Recording], resolution: str, failure: Exception
         answer["replicates"] = [{"displacement_mm": (one.displacement * 1e3).tolist(), "force_N": one.force.tolist(),
                                  "seed": one.metadata["seed"]} for one in recordings]
     return answer
+
+
+def _vectors(recording: Recording) -> dict[str, Any]:
+    """Force and torque on the tool, where there is more than a force along z."""
+    if "Fx" not in recording:
+        return {}
+    force, torque = ([recording.channel(f"{kind}{axis}") for axis in "xyz"] for kind in "FT")
+    return {"force_vector_N": [list(map(float, row)) for row in zip(*force, strict=True)],
+            "torque_vector_Nm": [list(map(float, row)) for row in zip(*torque, strict=True)]}
 
 
 def print_curve(recording: Recording, title: str, console: Console) -> None:

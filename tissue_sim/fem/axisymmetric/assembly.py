@@ -17,6 +17,7 @@ from tissue_sim.fem.axisymmetric import energy as point
 from tissue_sim.fem.axisymmetric.batches import LANES
 from tissue_sim.fem.axisymmetric.point_effects import effects_function
 from tissue_sim.fem.axisymmetric.scratch import AT, scratch
+from tissue_sim.fem.energy import inverse_root_function, soften_function
 from tissue_sim.fem.history import FACTOR, INSTANT, LOSS, LOSS_MODULUS, LOSS_SHARE
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.fem.taichi.trace import Formula
@@ -50,9 +51,9 @@ def element_functions(element_name: str, energy: KernelEnergy,
     vec = ti.types.vector(LANES, ti.f64)
     s = scratch()
     with_tangent, without = point.function(energy), point.function(energy, tangents=False)
-    inverse_root = point.inverse_root_function()
+    inverse_root = inverse_root_function()
     add_volume = point.volume_function()
-    soften, relax = point.history_functions()
+    soften, relax = soften_function(5), point.relax_function()
     has_effects, add_effects = bool(effects), effects_function(effects)
     variables = sum(len(formula.kind.rest) for formula in effects)
     UR, UZ, FR, FZ, SR, SZ = (AT[name] for name in ("UR", "UZ", "FR", "FZ", "SR", "SZ"))

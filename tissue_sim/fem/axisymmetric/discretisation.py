@@ -113,6 +113,9 @@ def make_solver(model: Model, *, resolution: str = "fast", mesh: Mesh | None = N
         mesh: a mesh of your own instead.
         topology: a model of another geometry, whose mesh is taken (or whose `mesh` is given) and moved to this one's.
     """
+    if model.experiment.approach is not None:
+        raise InputError("an axisymmetric solid takes a tool on its axis only; take the solver \"solid\" (--solid)",
+                         field="approach")
     meshed = model if topology is None else topology
     if mesh is None:
         mesh = build_mesh(meshed.experiment, resolution, layers=meshed.material.layers)

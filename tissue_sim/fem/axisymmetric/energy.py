@@ -10,9 +10,9 @@ Every function here works on lists of numbers, of one point, and on lists of vec
 from functools import cache
 from typing import TYPE_CHECKING
 
+from tissue_sim.fem.energy import invariant_derivatives, packed, stretch_derivatives, taichi_function
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
-from tissue_sim.laws.derivation import derived
 from tissue_sim.public_names import ModuleOnUse
 
 if TYPE_CHECKING:
@@ -21,11 +21,9 @@ else:
     sp = ModuleOnUse("sympy")
 
 #: Packed symmetric 5 x 5: row and column of every entry of the tangent.
-PACKED = tuple((i, j) for i in range(5) for j in range(i + 1))
+PACKED = packed(5)
 #: Second derivatives of the in-plane determinant: F_rR with F_zZ, F_rZ with F_zR.
 COFACTOR_SIGNS = {(3, 0): 1.0, (2, 1): -1.0}
-#: Around J = 1 a series starts Newton's iteration for a cube root well; further away it need not converge.
-_NEAR = 0.3
 
 
 #: Where entry (i, k) stands among them.
@@ -40,7 +38,7 @@ def _isochoric_chain(tangents: bool):
     gradient; j, its determinant; c, the hoop stretch: I1 = a + c^2, I2 = j^2 + a c^2, J = j c. The derivatives are
     those with respect to a, j and c; s = J^(-2/3) comes in ready, so that no other power is taken.
     """
-    return _taichi_function(lambda: _isochoric_derivatives(tangents), ("chain", tangents))
+    return taichi_function(lambda: _isochoric_derivatives(tangents), ("chain", tangents), __file__)
 
 
 def _isochoric_derivatives(tangents: bool):
@@ -62,36 +60,6 @@ def _isochoric_derivatives(tangents: bool):
                  + sum(hessian[m, n] * slopes[m][i] * slopes[n][k] for m in range(2) for n in range(2))
                  for i in range(3) for k in range(i + 1)]
     return (*v, s, *first, *second), [*gradient, *curvature] if tangents else gradient
-
-
-def _taichi_function(derive, kept_as: tuple | None):
-    """A Python function that builds expressions, which `derive` gives with their arguments, out of Taichi variables
-    when a kernel is compiled."""
-    ti = initialise()
-    names = {name: getattr(ti, name) for name in ("exp", "log", "sqrt", "sin", "cos", "tan", "tanh")}
-    return derived(derive, kept_as=kept_as, source=__file__, names=names)
-
-
-def _of_energy(energy: KernelEnergy, derive, *what):
-    return _taichi_function(derive, None if energy.kept_as is None else (*energy.kept_as, *what))
-
-
-@cache
-def inverse_root_function():
-    """Taichi function ``inverse_root(J)``: J^(-1/3) of a vector, without a call per lane where J is near 1."""
-    ti = initialise()
-
-    @ti.func
-    def inverse_root(J):
-        x = J - 1.0
-        r = 1.0 + x * (-1.0 / 3.0 + x * (2.0 / 9.0 - x * (14.0 / 81.0)))
-        for _i in ti.static(range(3)):
-            r = r * (4.0 - J * r * r * r) * (1.0 / 3.0)
-        if ti.abs(x).max() > _NEAR:
-            r = ti.pow(J, -1.0 / 3.0)
-        return r
-
-    return inverse_root
 
 
 @cache
@@ -117,21 +85,9 @@ def volume_function():
 
 
 @cache
-def history_functions():
-    """Taichi functions ``soften(W, largest, past, P, A) -> (P, A)`` and ``relax(F, instant, h, P, A) -> (S, P, A)``."""
+def relax_function():
+    """Taichi function ``relax(F, instant, h, P, A) -> (S, P, A)``."""
     ti = initialise()
-
-    @ti.func
-    def soften(W, largest, loss, modulus, share, P, A):
-        """Multiply the stress by eta = 1 - loss tanh((largest - W) / (modulus + share largest)) where the point was
-        loaded higher before (Dorfmann and Ogden, IJSS 40 (2003) 2699)."""
-        width = ti.max(modulus + share * largest, 1e-300)  # nothing at rest
-        bend = ti.tanh(ti.max(largest - W, 0.0) / width)
-        eta = 1.0 - loss * bend
-        slope = ti.select(W < largest, loss * (1.0 - bend * bend) / width, 0.0 * W)
-        tangent = [eta * A[n] + slope * P[ti.static(PACKED[n][0])] * P[ti.static(PACKED[n][1])]
-                   for n in ti.static(range(15))]
-        return [eta * P[i] for i in ti.static(range(5))], tangent
 
     @ti.func
     def relax(F, instant, h, P, A):
@@ -152,7 +108,7 @@ def history_functions():
         tangent[ti.static(PLACE[4][4])] += h[3]
         return S, [instant * P[i] + pushed[i] for i in ti.static(range(5))], tangent
 
-    return soften, relax
+    return relax
 
 
 @cache
@@ -176,12 +132,7 @@ def _of_invariants(energy: KernelEnergy, tangents: bool):
     ti = initialise()
     count = energy.count
 
-    def derive():
-        W, (I1, I2) = energy.energy, energy.variables
-        second = [sp.diff(W, I1, 2), sp.diff(W, I1, I2), sp.diff(W, I2, 2)] if tangents else [sp.Integer(0)] * 3
-        return (I1, I2, energy.coefficients), [W, sp.diff(W, I1), sp.diff(W, I2), *second]
-
-    derivatives = _of_energy(energy, derive, "energy", tangents)
+    derivatives = invariant_derivatives(energy, tangents)
     chain = _isochoric_chain(tangents)
 
     @ti.func
@@ -218,11 +169,7 @@ def _of_stretches(energy: KernelEnergy, tangents: bool):
     ti = initialise()
     count = energy.count
 
-    def derive():
-        W, (stretch,) = energy.energy, energy.variables
-        return (stretch, energy.coefficients), [sp.diff(W, stretch), sp.diff(W, stretch, 2), W]
-
-    derivatives = _of_energy(energy, derive, "energy")
+    derivatives = stretch_derivatives(energy)
 
     @ti.func
     def stress_and_tangent(F, root, coefficients: ti.template()):

@@ -55,7 +55,7 @@ class Equations:
         self.reference = reference = integrate(mesh)
         self.batches = ElementBatches(mesh, reference.node_gradients, reference.weights, reference.pressure_modes,
                                       reference.volumes)
-        self.surface, self.memory = ContactPoints(mesh, contact), Memory(reference.weights.shape)
+        self.surface, self.memory = ContactPoints(mesh, contact), Memory(reference.weights.shape, 4)
         self.effects = PointEffects(reference.weights.shape)
         self._tangent_arrays()
         elements, freedoms = len(mesh.connectivity), 2 * len(mesh.nodes)

@@ -10,6 +10,7 @@ import sympy as sp
 from tissue_sim.fem.axisymmetric import energy as point
 from tissue_sim.fem.axisymmetric.batches import LANES
 from tissue_sim.fem.axisymmetric.scratch import AT, scratch
+from tissue_sim.fem.energy import inverse_root_function, soften_function
 from tissue_sim.fem.history import FACTOR, INSTANT, LOSS, LOSS_MODULUS, LOSS_SHARE
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
@@ -64,8 +65,8 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
     law_of = point.function(energy)
     add_volume = point.volume_function()
     stress_rate = point.function(directional(energy), tangents=False)
-    inverse_root = point.inverse_root_function()
-    soften, _relax = point.history_functions()
+    inverse_root = inverse_root_function()
+    soften = soften_function(5)
     UR, UZ, FR, FZ, RATE = AT["UR"], AT["UZ"], AT["FR"], AT["FZ"], AT["STRESS"]
     LAW, ENERGY_RATE, PAST, BEFORE, CHANGE = (AT[name] for name in ("LAW", "ENERGY_RATE", "PAST", "BEFORE", "CHANGE"))
     row = point.PLACE

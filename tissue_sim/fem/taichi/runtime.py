@@ -52,6 +52,8 @@ def _initialise():
                 # LLVM finds what is common and what is not read again as well, and in a fraction of the time. Taichi
                 # takes time that grows with the square of a kernel.
                 cfg_optimization=False, opt_level=0,
+                # Loops over the components of tensors are unrolled on purpose.
+                unrolling_limit=0,
                 # Keeps numbers of arrays in local variables while a kernel runs, one for each expression that names
                 # their place: what one of them is set to, another does not see.
                 cache_loop_invariant_global_vars=False)

@@ -1,0 +1,91 @@
+"""Orders of convergence of the elements in space, on the solution of `test_orders`, and patches without error."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import tissue_sim as ts
+from tissue_sim.fem.solid.solver import SolidSolver
+from tissue_sim.fem.solver import StepStatus
+from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, HEXAHEDRA
+from tissue_sim.mesh.solid import block_mesh
+from tissue_sim.pose import Pose
+
+AMOUNT = 2e-6  # m3
+MATERIALS = {"reduced_polynomial_2": {"C10": 1404.9, "C20": 699.4}, "ogden_1": {"mu1": 3000.0, "alpha1": 4.0}}
+
+
+def exact(points):
+    """Displacement of incompressible matter that expands around the origin, at points (n, 3)."""
+    distance = np.linalg.norm(points, axis=-1, keepdims=True)
+    return points * (np.cbrt(distance**3 + AMOUNT) / distance - 1.0)
+
+
+class Moved(SolidSolver):
+    """Its held nodes go where a function says, as far as the tool is deep (from 0 to 1)."""
+
+    way = staticmethod(exact)
+
+    def held_displacement(self, frame):
+        return (-frame.origin[2] * self.way(self.mesh.nodes[self._bonded])).ravel()
+
+
+def solve(mesh, material, way, steps):
+    """The displacement of all nodes and the last step, where those of the surface go a way."""
+    edge = np.unique(np.concatenate(list(mesh.sets.values())))
+    solver = Moved(mesh, material, {}, edge, start=Pose.at_depth(0.0))
+    solver.way = way
+    for share in np.linspace(0, 1, steps + 1)[1:]:
+        step = solver.step(Pose.at_depth(share))
+        assert step.status is StepStatus.CONVERGED
+    return solver.sample().displacement, step
+
+
+def law(name, ratio=1e4):
+    return ts.Material(name, MATERIALS[name], ts.Bulk("bulk_ratio", ratio))
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+@pytest.mark.parametrize(("element", "order", "cells"), [(HEX8P0, 2, (4, 8)), (HEX27P1, 3, (2, 4))],
+                         ids=["H8/P0", "H27/P-1"])
+def test_order(element, order, cells, name):
+    errors = []
+    for count in cells:
+        line = np.linspace(-0.01, 0.01, count + 1)
+        mesh = block_mesh(line, line, line - 0.03, element)
+        displacement, _ = solve(mesh, law(name), exact, 2)
+        points, weights = element.quadrature
+        values, slopes = element.shape_functions(points)
+        X = mesh.nodes[mesh.connectivity]
+        places, found = np.einsum("qa,eai->eqi", values, X), np.einsum("qa,eai->eqi", values,
+                                                                       displacement[mesh.connectivity])
+        volumes = np.linalg.det(np.einsum("eai,qaj->eqij", X, slopes)) * weights
+        errors.append(np.sqrt((((found - exact(places)) ** 2).sum(axis=-1) * volumes).sum()))
+    assert np.log2(errors[0] / errors[1]) > order - 0.25
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+@pytest.mark.parametrize("element", HEXAHEDRA.values(), ids=lambda element: element.name)
+def test_patch(element, name):
+    """A uniform deformation is a solution on elements of any shape, and has the stress of the law."""
+    rng = np.random.default_rng(4)
+    mesh = block_mesh([0, 0.01, 0.02], [0, 0.01, 0.02], [-0.02, -0.01, 0.0], element)
+    nodes = mesh.nodes.copy()
+    # The corner in the middle goes elsewhere, and all nodes follow the trilinear map of the corners of their element.
+    middle, away = np.array([0.01, 0.01, -0.01]), rng.uniform(-2e-3, 2e-3, 3)
+    shapes, _ = HEX8P0.shape_functions(element.reference_nodes)
+    ends = mesh.nodes[mesh.connectivity][:, np.abs(element.reference_nodes).all(axis=1)]
+    ends = ends + away * (np.abs(ends - middle) < 1e-9).all(axis=-1, keepdims=True)
+    nodes[mesh.connectivity] = np.einsum("na,eai->eni", shapes, ends)
+    mesh = replace(mesh, nodes=nodes)
+    assert np.abs(nodes - block_mesh([0, 0.01, 0.02], [0, 0.01, 0.02], [-0.02, -0.01, 0.0], element).nodes).max() > 5e-4
+    stretch = np.diag([1.2, 0.9, 1.0 / 1.08]) @ (np.eye(3) + 0.1 * rng.uniform(-1, 1, (3, 3)))
+    stretch /= np.cbrt(np.linalg.det(stretch))
+
+    def way(places):
+        return places @ (stretch - np.eye(3)).T
+
+    displacement, step = solve(mesh, law(name), way, 4)
+    np.testing.assert_allclose(displacement, way(mesh.nodes), atol=1e-10)
+    assert step.residual < 1e-9

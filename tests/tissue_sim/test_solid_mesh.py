@@ -1,0 +1,81 @@
+"""Meshes of hexahedra: volume, surface, names, and how circles are met."""
+
+import numpy as np
+import pytest
+
+from tissue_sim.errors import InputError
+from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, HEXAHEDRA
+from tissue_sim.mesh.solid import block_mesh, cylinder_solid, needle_solid
+
+every_element = pytest.mark.parametrize("element", HEXAHEDRA.values(), ids=lambda element: element.name)
+NEEDLE = {"smallest": 1.3e-3, "growth": 1.8, "largest": 15e-3}
+
+
+def volume(mesh):
+    points, weights = mesh.element.quadrature
+    _, slopes = mesh.element.shape_functions(points)
+    determinants = np.linalg.det(np.einsum("eai,qaj->eqij", mesh.nodes[mesh.connectivity], slopes))
+    assert (determinants > 0.0).all()
+    return (determinants * weights).sum()
+
+
+def normals(mesh, name):
+    """Of the flat quadrilaterals through the corners of each side, times twice their area."""
+    count = round(mesh.faces[name].shape[1] ** 0.5)
+    grid = mesh.nodes[mesh.faces[name]].reshape(-1, count, count, 3)
+    return np.cross(grid[:, -1, -1] - grid[:, 0, 0], grid[:, -1, 0] - grid[:, 0, -1]), grid.mean(axis=(1, 2))
+
+
+@every_element
+def test_shape_functions_are_one_at_their_node_and_add_up_to_one(element):
+    values, _ = element.shape_functions(element.reference_nodes)
+    np.testing.assert_allclose(values, np.eye(element.nodes), atol=1e-14)
+    points = np.random.default_rng(1).uniform(-1, 1, (20, 3))
+    values, slopes = element.shape_functions(points)
+    np.testing.assert_allclose(values.sum(axis=1), 1.0, atol=1e-14)
+    np.testing.assert_allclose(slopes.sum(axis=1), 0.0, atol=1e-13)
+    h = 1e-6
+    for axis, step in enumerate(np.eye(3) * h):
+        ahead, behind = (element.shape_functions(points + sign * step)[0] for sign in (1, -1))
+        np.testing.assert_allclose(slopes[..., axis], (ahead - behind) / (2 * h), atol=1e-9)
+
+
+@every_element
+def test_a_block_has_its_volume_and_its_surface_points_outwards(element):
+    mesh = block_mesh([0.0, 0.01, 0.03], [-0.01, 0.0, 0.02], [-0.02, -0.015, 0.0], element)
+    assert volume(mesh) == pytest.approx(0.03 * 0.03 * 0.02, rel=1e-12)
+    assert len(np.unique(mesh.nodes.round(12), axis=0)) == len(mesh.nodes), "a node twice"
+    middle = mesh.nodes.mean(axis=0)
+    for name in ("base", "top", "side"):
+        outwards, places = normals(mesh, name)
+        assert (np.einsum("fi,fi->f", outwards, places - middle) > 0.0).all()
+    assert (mesh.nodes[mesh.sets["top"], 2] == 0.0).all() and (mesh.nodes[mesh.sets["base"], 2] == -0.02).all()
+
+
+@pytest.mark.parametrize("centre", [(0.0, 0.0), (0.015, -0.01)])
+def test_a_cylinder_under_a_needle(centre):
+    mesh = needle_solid(0.04, 0.07, 0.008, HEX27P1, around=3, centre=centre, **NEEDLE)
+    # Two points of a quadratic side are on the circle beside each middle.
+    assert volume(mesh) == pytest.approx(np.pi * 0.04**2 * 0.07, rel=3e-4)
+    side = np.hypot(*mesh.nodes[mesh.sets["side"], :2].T)
+    np.testing.assert_allclose(side, 0.04, rtol=1e-12)
+    both = np.intersect1d(mesh.sets["face"], mesh.sets["free"])
+    np.testing.assert_allclose(np.hypot(*(mesh.nodes[both, :2] - centre).T), 0.008, rtol=1e-12)
+    assert both.size == 24 and (np.union1d(mesh.sets["face"], mesh.sets["free"]) == mesh.sets["top"]).all()
+    outwards, places = normals(mesh, "side")
+    assert (np.einsum("fi,fi->f", outwards[:, :2], places[:, :2]) > 0.0).all()
+
+
+def test_finer_rings_of_linear_elements_come_to_the_volume_with_order_two():
+    errors = []
+    for around in (3, 6):
+        mesh = needle_solid(0.04, 0.07, 0.008, HEX8P0, around=around, **NEEDLE)
+        errors.append(abs(volume(mesh) / (np.pi * 0.04**2 * 0.07) - 1.0))
+    assert errors[1] == pytest.approx(errors[0] / 4.0, rel=0.05)
+
+
+def test_a_circle_beyond_the_cylinder_is_refused():
+    with pytest.raises(InputError, match=r"reaches beyond the cylinder, radius 0\.04 m") as caught:
+        cylinder_solid(0.04, 0.07, HEX8P0, around=2, inward=[0.5, 1.0], outward=[0.0, 1.0], z=[-0.07, 0.0],
+                       face_radius=0.01, centre=(0.03, 0.01))
+    assert caught.value.field == "centre"

@@ -1,0 +1,97 @@
+"""What every solver's kernels need of a law: its derivatives as Taichi functions, and J^(-1/3).
+
+They work on numbers, of one point, and on vectors, of as many points at once.
+"""
+
+from functools import cache
+from typing import TYPE_CHECKING
+
+from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.laws import KernelEnergy
+from tissue_sim.laws.derivation import derived
+from tissue_sim.public_names import ModuleOnUse
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = ModuleOnUse("sympy")
+
+#: Around J = 1 a series starts Newton's iteration for a cube root well; further away it need not converge.
+_NEAR = 0.3
+
+
+def taichi_function(derive, kept_as: tuple | None, source: str):
+    """A Python function that builds expressions, which `derive` gives with their arguments, out of Taichi variables
+    when a kernel is compiled. `source` is the file in which `derive` stands; see `tissue_sim.laws.derivation`."""
+    ti = initialise()
+    names = {name: getattr(ti, name) for name in ("exp", "log", "sqrt", "sin", "cos", "tan", "tanh")}
+    return derived(derive, kept_as=kept_as, source=source, names=names)
+
+
+def invariant_derivatives(energy: KernelEnergy, tangents: bool = True):
+    """Python function of (I1, I2, coefficients) -> W, W1, W2, W11, W12, W22, of a law of the isochoric invariants; the
+    last three are zero without `tangents`."""
+    def derive():
+        W, (I1, I2) = energy.energy, energy.variables
+        second = [sp.diff(W, I1, 2), sp.diff(W, I1, I2), sp.diff(W, I2, 2)] if tangents else [sp.Integer(0)] * 3
+        return (I1, I2, energy.coefficients), [W, sp.diff(W, I1), sp.diff(W, I2), *second]
+
+    return taichi_function(derive, _kept_as(energy, tangents), __file__)
+
+
+def stretch_derivatives(energy: KernelEnergy):
+    """Python function of (stretch, coefficients) -> w', w'', w, of a law that is a sum over the isochoric stretches."""
+    def derive():
+        W, (stretch,) = energy.energy, energy.variables
+        return (stretch, energy.coefficients), [sp.diff(W, stretch), sp.diff(W, stretch, 2), W]
+
+    return taichi_function(derive, _kept_as(energy), __file__)
+
+
+def _kept_as(energy: KernelEnergy, *what) -> tuple | None:
+    return None if energy.kept_as is None else (*energy.kept_as, "energy", *what)
+
+
+@cache
+def inverse_root_function():
+    """Taichi function ``inverse_root(J)``: J^(-1/3) of a vector, without a call per lane where J is near 1."""
+    ti = initialise()
+
+    @ti.func
+    def inverse_root(J):
+        x = J - 1.0
+        r = 1.0 + x * (-1.0 / 3.0 + x * (2.0 / 9.0 - x * (14.0 / 81.0)))
+        for _i in ti.static(range(3)):
+            r = r * (4.0 - J * r * r * r) * (1.0 / 3.0)
+        if ti.abs(x).max() > _NEAR:
+            r = ti.pow(J, -1.0 / 3.0)
+        return r
+
+    return inverse_root
+
+
+def packed(size: int) -> tuple[tuple[int, int], ...]:
+    """Row and column of every entry of a symmetric matrix of this size, its lower half row by row."""
+    return tuple((m, n) for m in range(size) for n in range(m + 1))
+
+
+@cache
+def soften_function(size: int):
+    """Taichi function ``soften(W, largest, loss, modulus, share, P, A) -> (P, A)`` of a stress of so many components
+    and its tangent, `packed`."""
+    ti = initialise()
+    places = packed(size)
+
+    @ti.func
+    def soften(W, largest, loss, modulus, share, P, A):
+        """Multiply the stress by eta = 1 - loss tanh((largest - W) / (modulus + share largest)) where the point was
+        loaded higher before (Dorfmann and Ogden, IJSS 40 (2003) 2699)."""
+        width = ti.max(modulus + share * largest, 1e-300)  # nothing at rest
+        bend = ti.tanh(ti.max(largest - W, 0.0) / width)
+        eta = 1.0 - loss * bend
+        slope = ti.select(largest > W, loss * (1.0 - bend * bend) / width, 0.0 * W)
+        tangent = [eta * A[n] + slope * P[ti.static(places[n][0])] * P[ti.static(places[n][1])]
+                   for n in ti.static(range(len(places)))]
+        return [eta * P[i] for i in ti.static(range(size))], tangent
+
+    return soften

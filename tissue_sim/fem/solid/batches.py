@@ -1,0 +1,146 @@
+"""The elements of a solid a few at a time, as the arrays that the kernel works on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tissue_sim.errors import InputError
+from tissue_sim.mesh.solid import SolidMesh
+
+#: Elements that a kernel works on at once, one in each lane of its vectors.
+LANES = 4
+
+
+class ElementBatches:
+    """Lane l of batch b is element LANES b + l; lanes that are left over repeat the last element and write nowhere.
+
+    Args:
+        mesh: undeformed.
+
+    Attributes:
+        weights: volumes of the quadrature points, m3, shape (elements, q).
+        volumes: that each node stands for, m3, shape (nodes,).
+        pressures: amplitudes of the elements' pressure modes, Pa.
+        matrix: rows and columns of the stiffness of all freedoms, a `scipy.sparse.csc_array` whose data the kernel
+            writes; residual: forces of all freedoms, N, shape (freedoms,).
+
+    Raises:
+        InputError: an element of no or negative volume.
+    """
+
+    def __init__(self, mesh: SolidMesh):
+        element = mesh.element
+        count, nodes = mesh.connectivity.shape
+        self._modes = element.pressure_modes
+        points, weights = element.quadrature
+        values, slopes = element.shape_functions(points)
+        X = mesh.nodes[mesh.connectivity]
+        jacobian = np.einsum("eai,qaj->eqij", X, slopes)
+        self.weights = np.linalg.det(jacobian) * weights
+        if not (self.weights > 0.0).all():
+            worst = int(np.argmin(self.weights.min(axis=1)))
+            raise InputError(f"element {worst} of the mesh is turned inside out or has no volume", field="mesh")
+        gradients = np.einsum("qaj,eqji->eqai", slopes, np.linalg.inv(jacobian))
+        self.volumes = np.bincount(mesh.connectivity.ravel(), np.einsum("eq,qa->ea", self.weights, values).ravel(),
+                                   minlength=len(mesh.nodes))
+        numbers = np.arange(-(-count // LANES) * LANES).reshape(-1, LANES)
+        self._elements, self._real = np.minimum(numbers, count - 1).astype(np.int32), numbers < count
+        self.count, self.batches = count, len(numbers)
+        self.moduli = np.ones((self.batches, LANES))
+        self.pressures, self.gaps = np.zeros((2, self.batches * self._modes, LANES))
+        self.volume_rates = np.zeros((3 * self.batches * self._modes * nodes, LANES))
+        self.residual = np.zeros(3 * len(mesh.nodes) + 1)
+        self._dofs = 3 * mesh.connectivity.astype(np.int32)
+        own = (self._dofs[:, :, None] + np.arange(3, dtype=np.int32)).reshape(count, -1)
+        lanes = np.where(self._real[..., None], own[self._elements], self.residual.size - 1)
+        self._equations = np.ascontiguousarray(np.moveaxis(lanes, 1, -1).reshape(-1, LANES), dtype=np.int32)
+        self._gradients = [self._lanes(gradients[..., i]) for i in range(3)]
+        self._weights, self._mode_values = self._lanes(self.weights), self._lanes(self._pressure_modes(X, values))
+        self._number(mesh.connectivity, len(mesh.nodes))
+
+    def _lanes(self, values: np.ndarray) -> np.ndarray:
+        """Values of the elements, shape (elements, ...), with the lanes last: (batches times the rest, LANES)."""
+        return np.ascontiguousarray(np.moveaxis(values[self._elements], 1, -1).reshape(-1, LANES))
+
+    def _pressure_modes(self, X: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Orthonormal, shape (elements, q, modes)."""
+        modes = np.ones((*self.weights.shape, self._modes))
+        if self._modes == 4:
+            place = np.einsum("qa,eai->eqi", values, X)
+            modes[..., 1:] = (place - place.mean(axis=1, keepdims=True)) / np.ptp(X, axis=1)[:, None]
+        gram = np.einsum("eq,eqm,eqn->emn", self.weights, modes, modes)
+        return np.einsum("eqm,enm->eqn", modes, np.linalg.inv(np.linalg.cholesky(gram)))
+
+    def _number(self, connectivity: np.ndarray, nodes: int) -> None:
+        """The pattern of the matrix, and where the stiffness of each pair of nodes stands in it."""
+        from scipy import sparse
+
+        of_element = connectivity.shape[1]
+        c, a = np.array([(c, a) for c in range(of_element) for a in range(c + 1)]).T
+        ones = np.ones(connectivity.size, dtype=np.int8)
+        holds = sparse.csr_array((ones, (np.repeat(np.arange(len(connectivity)), of_element), connectivity.ravel())),
+                                 shape=(len(connectivity), nodes))
+        pattern = (holds.T @ holds).tocsc()
+        pattern.sort_indices()
+        # Of each pair of nodes that an element has, its place among the blocks of the column of the second.
+        places = _places(pattern, connectivity[:, a], connectivity[:, c])
+        mirrored = _places(pattern, connectivity[:, c], connectivity[:, a])
+        starts, rows = pattern.indptr.astype(np.int64), pattern.indices
+        blocks = np.diff(starts)
+        i, k = np.tile(np.arange(3), 3), np.repeat(np.arange(3), 3)
+
+        def entries(place: np.ndarray, column: np.ndarray, row: np.ndarray, along: np.ndarray) -> np.ndarray:
+            """Of the nine of a block: columns stand behind each other, three for a node, rows of a column likewise."""
+            first = 9 * starts[column] + 3 * (place - starts[column])
+            return first[..., None] + 3 * blocks[column][..., None] * along + row
+
+        nobody = 9 * rows.size
+        direct = entries(places, connectivity[:, c], i, k)
+        # A block of the diagonal is there once.
+        across = np.where((c == a)[:, None], nobody, entries(mirrored, connectivity[:, a], k, i))
+        self._places, self._mirrored = (self._pair_lanes(each.reshape(len(connectivity), -1), nobody)
+                                        for each in (direct, across))
+        self._stiffness = np.zeros((9 * c.size, LANES))
+        self._data = np.zeros(nobody + 1)
+        lengths = np.repeat(3 * blocks, 3)
+        indices = np.concatenate([(3 * rows[starts[n] : starts[n + 1], None] + np.arange(3)).ravel()
+                                  for n in range(nodes) for _ in range(3)])
+        self.matrix = sparse.csc_array((self._data[:-1], indices.astype(np.int32), np.concatenate(
+            [[0], np.cumsum(lengths)])), shape=(3 * nodes, 3 * nodes))
+
+    def _pair_lanes(self, places: np.ndarray, nobody: int) -> np.ndarray:
+        lanes = np.where(self._real[..., None], places[self._elements], nobody)
+        return np.ascontiguousarray(np.moveaxis(lanes, 1, -1).reshape(self.batches, -1), dtype=np.int32)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """By their names in the kernel."""
+        dofs = np.ascontiguousarray(np.moveaxis(self._dofs[self._elements], 1, -1).reshape(-1, LANES))
+        named = dict(zip(("gradient_x", "gradient_y", "gradient_z"), self._gradients, strict=True))
+        return named | {
+            "elements": self._elements, "pressures": self.pressures, "dofs": dofs, "equations": self._equations,
+            "weights": self._weights,
+            "mode_values": self._mode_values, "moduli": self.moduli.reshape(-1, LANES),
+            "volume_rates": self.volume_rates, "gaps": self.gaps, "forces": np.zeros_like(self._equations, dtype=float),
+            "stiffness": self._stiffness, "scattered": self._stiffness.reshape(-1), "places": self._places,
+            "mirrored": self._mirrored, "residual": self.residual, "data": self._data}
+
+    def follow(self, motion: np.ndarray, kappa: float) -> None:
+        """Let the pressures follow a linear solution, in which the freedoms moved so, shape (freedoms,), m."""
+        nodes = self._dofs.shape[1]
+        moved = motion[self._equations_of_nodes].reshape(self.batches, 1, 3 * nodes, LANES)
+        rates = self.volume_rates.reshape(self.batches, self._modes, 3 * nodes, LANES)
+        change = self.gaps.reshape(self.batches, self._modes, LANES) + (rates * moved).sum(axis=2)
+        self.pressures += (kappa * self.moduli[:, None] * change).reshape(-1, LANES)
+
+    @property
+    def _equations_of_nodes(self) -> np.ndarray:
+        # Of lanes that are left over those of the last element, so that they stay its copies.
+        own = (self._dofs[:, :, None] + np.arange(3, dtype=np.int32)).reshape(self.count, -1)
+        return np.moveaxis(own[self._elements], 1, -1)
+
+
+def _places(pattern, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Where these entries stand in the data of a matrix by columns with sorted rows."""
+    count = pattern.shape[0]
+    keys = np.repeat(np.arange(count, dtype=np.int64), np.diff(pattern.indptr)) * count + pattern.indices
+    return np.searchsorted(keys, columns.astype(np.int64) * count + rows)

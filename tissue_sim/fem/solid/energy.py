@@ -1,0 +1,261 @@
+"""Stress and tangent of a law in three dimensions, as Taichi functions.
+
+Components of a deformation gradient F_iJ, and of everything conjugate to it, stand in the order xX, xY, xZ, yX, ... zZ.
+The isochoric energy is W(F / J^(1/3)); the pressure adds p (J - 1). What happens to the tissue in time acts on the
+isochoric part: softening scales it, relaxation scales it and adds what is left of earlier stresses.
+
+Every function here works on vectors, of as many points at once as they have lanes.
+"""
+
+from functools import cache
+from typing import TYPE_CHECKING
+
+from tissue_sim.fem.energy import invariant_derivatives, packed, stretch_derivatives, taichi_function
+from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.laws import KernelEnergy
+from tissue_sim.public_names import ModuleOnUse
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = ModuleOnUse("sympy")
+
+#: Packed symmetric 9 x 9: row and column of every entry of the tangent.
+PACKED = packed(9)
+#: Where entry (m, n) stands among them.
+PLACE = tuple(tuple(PACKED.index((max(m, n), min(m, n))) for n in range(9)) for m in range(9))
+#: Rows and columns of a symmetric tensor's components, and the place of each entry among them.
+SYMMETRIC = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+SYMMETRIC_PLACE = tuple(tuple(SYMMETRIC.index((min(i, k), max(i, k))) for k in range(3)) for i in range(3))
+#: Sweeps of rotations that make a 3 x 3 matrix diagonal to rounding, and the pairs of a sweep.
+_SWEEPS, _PAIRS = 5, ((0, 1), (0, 2), (1, 2))
+
+
+def _permutation(i: int, k: int, m: int) -> int:
+    return (i - k) * (k - m) * (m - i) // 2
+
+
+#: Second derivatives of the determinant: of each entry (m, n) the component of F and its sign.
+COFACTOR = {(m, n): (3 * (3 - m // 3 - n // 3) + 3 - m % 3 - n % 3,
+                     float(_permutation(m // 3, n // 3, 3 - m // 3 - n // 3)
+                           * _permutation(m % 3, n % 3, 3 - m % 3 - n % 3)))
+            for m, n in PACKED if m // 3 != n // 3 and m % 3 != n % 3}
+
+
+@cache
+def _isochoric_chain():
+    """Python function of (I1, I2, J, s, W1, W2, W11, W12, W22) -> gradient and Hessian of the isochoric energy with
+    respect to the invariants of F; s = J^(-2/3) comes in ready, so that no other power is taken."""
+    return taichi_function(_isochoric_derivatives, ("solid chain",), __file__)
+
+
+def _isochoric_derivatives():
+    I1, I2, J = v = sp.symbols("I1 I2 J", positive=True)
+    s = sp.Symbol("s", positive=True)
+    first = sp.symbols("W1 W2", real=True)
+    second = sp.symbols("W11 W12 W22", real=True)
+    hessian = sp.Matrix(2, 2, [second[0], second[1], second[1], second[2]])
+
+    def total(expression, x):
+        """Derivative with respect to x, s included."""
+        inner = -sp.Rational(2, 3) * s / x if x is J else 0
+        return sp.diff(expression, x) + sp.diff(expression, s) * inner
+
+    bars = (s * I1, s**2 * I2)
+    slopes = [[total(bar, x) for x in v] for bar in bars]
+    gradient = [sum(first[m] * slopes[m][i] for m in range(2)) for i in range(3)]
+    curvature = [sum(first[m] * total(slopes[m][i], v[k]) for m in range(2))
+                 + sum(hessian[m, n] * slopes[m][i] * slopes[n][k] for m in range(2) for n in range(2))
+                 for i in range(3) for k in range(i + 1)]
+    return (*v, s, *first, *second), [*gradient, *curvature]
+
+
+@cache
+def cofactor_function():
+    """Taichi function ``cofactor(F)``: dJ/dF, 9 components."""
+    ti = initialise()
+
+    @ti.func
+    def cofactor(F):
+        return [F[4] * F[8] - F[5] * F[7], F[5] * F[6] - F[3] * F[8], F[3] * F[7] - F[4] * F[6],
+                F[2] * F[7] - F[1] * F[8], F[0] * F[8] - F[2] * F[6], F[1] * F[6] - F[0] * F[7],
+                F[1] * F[5] - F[2] * F[4], F[2] * F[3] - F[0] * F[5], F[0] * F[4] - F[1] * F[3]]
+
+    return cofactor
+
+
+@cache
+def relax_function():
+    """Taichi function ``relax(F, cof, J, instant, h, P, A) -> (S, P, A)``."""
+    ti = initialise()
+
+    @ti.func
+    def relax(F, cof, J, instant, h, P, A):
+        """Make the stress F S of this step that of the hereditary integral, F (instant S + h), and return S besides.
+
+        S and h are isochoric second Piola stresses (XX, XY, XZ, YY, YZ, ZZ); see
+        `tissue_sim.material.viscoelasticity`.
+        """
+        S = [(cof[ti.static(I)] * P[ti.static(K)] + cof[ti.static(3 + I)] * P[ti.static(3 + K)]
+              + cof[ti.static(6 + I)] * P[ti.static(6 + K)]) / J for I, K in ti.static(SYMMETRIC)]
+        pushed = [F[ti.static(m // 3 * 3)] * h[ti.static(SYMMETRIC_PLACE[0][m % 3])]
+                  + F[ti.static(m // 3 * 3 + 1)] * h[ti.static(SYMMETRIC_PLACE[1][m % 3])]
+                  + F[ti.static(m // 3 * 3 + 2)] * h[ti.static(SYMMETRIC_PLACE[2][m % 3])]
+                  for m in ti.static(range(9))]
+        tangent = [instant * A[n] for n in ti.static(range(45))]
+        for i in ti.static(range(3)):
+            for I in ti.static(range(3)):
+                for K in ti.static(range(I + 1)):
+                    tangent[ti.static(PLACE[3 * i + I][3 * i + K])] += h[ti.static(SYMMETRIC_PLACE[I][K])]
+        return S, [instant * P[m] + pushed[m] for m in ti.static(range(9))], tangent
+
+    return relax
+
+
+@cache
+def function(energy: KernelEnergy):
+    """Taichi function ``stress_and_tangent(F, J, root, coefficients) -> (W, P, A)`` for one kernel energy.
+
+    Args of the Taichi function:
+        F: deformation gradient, 9 components; its determinant J must be positive.
+        root: J^(-1/3).
+        coefficients: array of the energy's coefficients.
+
+    Returns of the Taichi function:
+        W: isochoric energy density; P (9): its first Piola stress; A (45): the derivative of that, symmetric, packed
+        as `PACKED`.
+    """
+    return (_of_invariants if energy.family == "invariants" else _of_stretches)(energy)
+
+
+def _of_invariants(energy: KernelEnergy):
+    ti = initialise()
+    count = energy.count
+
+    derivatives = invariant_derivatives(energy)
+    chain = _isochoric_chain()
+    cofactor = cofactor_function()
+
+    @ti.func
+    def stress_and_tangent(F, J, root, coefficients: ti.template()):
+        scale = root * root
+        # Of F' F and F F'.
+        right = [[F[i] * F[k] + F[3 + i] * F[3 + k] + F[6 + i] * F[6 + k] for k in ti.static(range(3))]
+                 for i in ti.static(range(3))]
+        left = [[F[3 * i] * F[3 * k] + F[3 * i + 1] * F[3 * k + 1] + F[3 * i + 2] * F[3 * k + 2]
+                 for k in ti.static(range(3))] for i in ti.static(range(3))]
+        I1 = right[0][0] + right[1][1] + right[2][2]
+        cof = cofactor(F)
+        I2 = cof[0] * cof[0]
+        for n in ti.static(range(1, 9)):
+            I2 += cof[n] * cof[n]
+        w = [v + 0.0 * J for v in ti.static(derivatives(I1 * scale, I2 * scale * scale,
+                                                        [coefficients[i] for i in range(count)]))]
+        d = [v + 0.0 * J for v in ti.static(chain(I1, I2, J, scale, w[1], w[2], w[3], w[4], w[5]))]
+        # Derivatives of I1, I2 and J; they span the first and a part of the second derivative of the energy.
+        first = [2.0 * F[m] for m in ti.static(range(9))]
+        second = [2.0 * (I1 * F[m] - F[ti.static(m // 3 * 3)] * right[0][ti.static(m % 3)]
+                         - F[ti.static(m // 3 * 3 + 1)] * right[1][ti.static(m % 3)]
+                         - F[ti.static(m // 3 * 3 + 2)] * right[2][ti.static(m % 3)]) for m in ti.static(range(9))]
+        P = [d[0] * first[m] + d[1] * second[m] + d[2] * cof[m] for m in ti.static(range(9))]
+        x = [d[3] * first[m] + d[4] * second[m] + d[6] * cof[m] for m in ti.static(range(9))]
+        y = [d[4] * first[m] + d[5] * second[m] + d[7] * cof[m] for m in ti.static(range(9))]
+        z = [d[6] * first[m] + d[7] * second[m] + d[8] * cof[m] for m in ti.static(range(9))]
+        A = [0.0 * J for _n in ti.static(range(45))]
+        for m, n in ti.static(PACKED):
+            i, I, k, K = ti.static(m // 3, m % 3, n // 3, n % 3)
+            a = x[m] * first[n] + y[m] * second[n] + z[m] * cof[n] + d[1] * (
+                4.0 * F[m] * F[n] - 2.0 * F[ti.static(3 * i + K)] * F[ti.static(3 * k + I)])
+            if ti.static(i == k):
+                a -= 2.0 * d[1] * right[I][K]
+            if ti.static(I == K):
+                a -= 2.0 * d[1] * left[i][k]
+            if ti.static(m == n):
+                a += 2.0 * (d[0] + d[1] * I1)
+            if ti.static((m, n) in COFACTOR):
+                a += ti.static(COFACTOR[m, n][1] if (m, n) in COFACTOR else 0.0) * d[2] * F[
+                    ti.static(COFACTOR[m, n][0] if (m, n) in COFACTOR else 0)]
+            A[ti.static(PLACE[m][n])] = a
+        return w[0], P, A
+
+    return stress_and_tangent
+
+
+def _of_stretches(energy: KernelEnergy):
+    ti = initialise()
+    count = energy.count
+
+    derivatives = stretch_derivatives(energy)
+
+    @ti.func
+    def stress_and_tangent(F, J, root, coefficients: ti.template()):
+        # Jacobi's rotations make F' F diagonal, V its directions; F V then has orthogonal columns.
+        zero = 0.0 * J
+        C = [[F[i] * F[k] + F[3 + i] * F[3 + k] + F[6 + i] * F[6 + k] for k in ti.static(range(3))]
+             for i in ti.static(range(3))]
+        V = [[zero + ti.static(float(i == k)) for k in ti.static(range(3))] for i in ti.static(range(3))]
+        for _sweep in range(_SWEEPS):
+            for p, q in ti.static(_PAIRS):
+                o = ti.static(3 - p - q)
+                apart = 0.5 * (C[q][q] - C[p][p])
+                reach = ti.abs(apart) + ti.sqrt(apart * apart + C[p][q] * C[p][q])
+                turn = ti.select(reach > 1e-150, C[p][q] / ti.max(reach, 1e-150), zero)
+                t = ti.select(apart < 0.0, -turn, turn)
+                c = 1.0 / ti.sqrt(1.0 + t * t)
+                s = t * c
+                off, at_p, at_q = C[p][q], C[o][p], C[o][q]
+                C[p][p] = C[p][p] - t * off
+                C[q][q] = C[q][q] + t * off
+                C[p][q], C[q][p] = zero, zero
+                C[o][p] = c * at_p - s * at_q
+                C[p][o] = C[o][p]
+                C[o][q] = s * at_p + c * at_q
+                C[q][o] = C[o][q]
+                for i in ti.static(range(3)):
+                    v, w = V[i][p], V[i][q]
+                    V[i][p] = c * v - s * w
+                    V[i][q] = s * v + c * w
+        # Stretches, and the directions in space, by the columns of F V.
+        U = [[F[3 * i] * V[0][k] + F[3 * i + 1] * V[1][k] + F[3 * i + 2] * V[2][k] for k in ti.static(range(3))]
+             for i in ti.static(range(3))]
+        stretch = [ti.sqrt(U[0][k] * U[0][k] + U[1][k] * U[1][k] + U[2][k] * U[2][k]) for k in ti.static(range(3))]
+        for i in ti.static(range(3)):
+            for k in ti.static(range(3)):
+                U[i][k] = U[i][k] / stretch[k]
+        bars = [stretch[k] * root for k in ti.static(range(3))]
+        # First and second derivatives with respect to the logarithm of each isochoric stretch.
+        w = [[v + zero for v in ti.static(derivatives(bars[k], [coefficients[m] for m in range(count)]))]
+             for k in ti.static(range(3))]
+        t = [w[k][0] * bars[k] for k in ti.static(range(3))]
+        mean_t = (t[0] + t[1] + t[2]) / 3.0
+        # First and second derivatives with respect to the stretches themselves.
+        w1 = [(t[k] - mean_t) / stretch[k] for k in ti.static(range(3))]
+        u = [w[k][1] * bars[k] * bars[k] + t[k] for k in ti.static(range(3))]
+        mean_u = (u[0] + u[1] + u[2]) / 3.0
+        w2 = [[((-(u[i] + u[k]) / 3.0 + mean_u / 3.0
+                 + ti.static(float(i == k)) * (u[i] - (t[i] - mean_t))) / (stretch[i] * stretch[k]))
+               for k in ti.static(range(3))] for i in ti.static(range(3))]
+        # Directions of stretching.
+        N = [[U[ti.static(m // 3)][k] * V[ti.static(m % 3)][k] for m in ti.static(range(9))]
+             for k in ti.static(range(3))]
+        P = [w1[0] * N[0][m] + w1[1] * N[1][m] + w1[2] * N[2][m] for m in ti.static(range(9))]
+        Q = [[w2[k][0] * N[0][m] + w2[k][1] * N[1][m] + w2[k][2] * N[2][m] for m in ti.static(range(9))]
+             for k in ti.static(range(3))]
+        A = [N[0][m] * Q[0][n] + N[1][m] * Q[1][n] + N[2][m] * Q[2][n] for m, n in ti.static(PACKED)]
+        for p, q in ti.static(_PAIRS):
+            # What turns and what shears a pair of directions.
+            twist = (w1[p] + w1[q]) / (stretch[p] + stretch[q])
+            apart = ti.abs(stretch[p] - stretch[q]) > 1e-5 * stretch[p]
+            flip = ti.select(apart, (w1[p] - w1[q]) / ti.select(apart, stretch[p] - stretch[q], stretch[p]),
+                             0.5 * (w2[p][p] + w2[q][q]) - w2[p][q])
+            one = [U[ti.static(m // 3)][p] * V[ti.static(m % 3)][q] for m in ti.static(range(9))]
+            other = [U[ti.static(m // 3)][q] * V[ti.static(m % 3)][p] for m in ti.static(range(9))]
+            # 1/2 twist (one - other)(one - other) + 1/2 flip (one + other)(one + other)
+            same, cross = 0.5 * (flip + twist), 0.5 * (flip - twist)
+            along = [same * one[m] + cross * other[m] for m in ti.static(range(9))]
+            across = [cross * one[m] + same * other[m] for m in ti.static(range(9))]
+            for m, n in ti.static(PACKED):
+                A[ti.static(PLACE[m][n])] += along[m] * one[n] + across[m] * other[n]
+        return w[0][2] + w[1][2] + w[2][2], P, A
+
+    return stress_and_tangent

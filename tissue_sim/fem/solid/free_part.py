@@ -1,0 +1,39 @@
+"""The free part of a sparse matrix, with the rates of contact forces."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+
+class FreePart:
+    """The part of a matrix that belongs to free freedoms, with the rates of the contact forces.
+
+    Args:
+        matrix: of all freedoms, whose data are written anew each time.
+        free: numbers of the free ones.
+        blocks: freedoms of the contact nodes, shape (n, 3).
+
+    Attributes:
+        all, free: the two, with what was added.
+    """
+
+    def __init__(self, matrix: Any, free: np.ndarray, blocks: np.ndarray):
+        from scipy import sparse
+
+        self.all = matrix
+        numbered = sparse.csc_array((np.arange(1, matrix.nnz + 1), matrix.indices, matrix.indptr), shape=matrix.shape)
+        part = numbered[:, free][free].tocsc()
+        part.sort_indices()
+        self._places = part.data - 1
+        self.free = sparse.csc_array((np.zeros(part.nnz), part.indices, part.indptr), shape=part.shape)
+        # Entry (i, j) of each node's own block.
+        rows, columns = np.broadcast_arrays(blocks[:, :, None], blocks[:, None])
+        self._blocks = np.asarray(numbered[rows.ravel(), columns.ravel()]).ravel() - 1 if blocks.size else (
+            np.zeros(0, dtype=np.intp))
+
+    def add(self, rates: np.ndarray) -> None:
+        """Add rates of contact forces, N/m, shape (n, 3, 3), to the matrix that was assembled last."""
+        np.add.at(self.all.data, self._blocks, rates.ravel())
+        self.free.data[:] = self.all.data[self._places]

@@ -1,0 +1,379 @@
+"""A solid in space: a mesh of hexahedra, a material and how its faces are held, stepped from pose to pose of a tool."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+
+from tissue_sim.errors import InputError
+from tissue_sim.fem.history import Memory
+from tissue_sim.fem.linear.sparse import Factor, factorise
+from tissue_sim.fem.solid.assembly import KAPPA, REMEMBERS, TANGENT, assembly_kernel
+from tissue_sim.fem.solid.batches import ElementBatches
+from tissue_sim.fem.solid.contact import ALL, Body, ContactNodes, Frame, Look
+from tissue_sim.fem.solid.free_part import FreePart
+from tissue_sim.fem.solid.surface import SolidSurface
+from tissue_sim.fem.solver import Fields, Neighbours, Solver, Step, StepStatus
+from tissue_sim.fem.taichi.launch import BoundKernel
+from tissue_sim.fem.taichi.runtime import LOCK
+from tissue_sim.material.effect import PointEffect
+from tissue_sim.material.material import BULK_RATIOS, Material, incompressible_ratio
+from tissue_sim.mesh.solid import SolidMesh
+from tissue_sim.pose import Pose, Screw
+from tissue_sim.tool_force import Matrix
+
+#: A step that turns an element inside out is halved so often.
+_HALVINGS = 4
+#: From this linear solution on only some of the nodes may change their state at once.
+_CIRCLING = 8
+#: Unbalanced forces are measured against the reactions, but at least this share of the largest load so far.
+_FLOOR_SHARE = 0.1
+#: Friction below this share of the floor is none.
+_FRICTION_FLOOR = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """A committed state: displacements, m, shape (nodes, 3), and pressure amplitudes, Pa, (elements, modes)."""
+
+    displacement: np.ndarray
+    pressures: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Saved:
+    arrays: tuple[np.ndarray, ...]
+    pose: Pose
+    largest_force: float
+
+
+class SolidSolver(Solver):
+    """Stateful Newton solver of one boundary-value problem in space.
+
+    Args:
+        mesh: undeformed mesh.
+        material: law, parameters, bulk response.
+        fixed: node set -> axes, ``"z"`` or ``"xyz"``, along which its nodes stay where they are.
+        bonded: nodes that the tool holds, shape (n,).
+        pins: nodes and axes, ``"xy"``, along which they stay where they are, where nothing else keeps the solid from
+            sliding off or turning.
+        bodies: what the surface may meet.
+        tolerance: how far a contact condition may be violated, m.
+        start: of the tool, where it first touches, in the frame of the scene.
+        datum: height of that frame's origin in that of the mesh, m.
+        contact_radius: m; how fast the pores drain, see `Material.relaxation`.
+
+    Raises:
+        InputError: what it does not take of a material, or a bulk ratio outside `BULK_RATIOS`.
+        MissingBackendError: Taichi is not there.
+    """
+
+    highest_order = 0
+
+    def __init__(self, mesh: SolidMesh, material: Material, fixed: dict[str, str], bonded: np.ndarray, *,
+                 bodies: Sequence[Body] = (), tolerance: float = 0.0, start: Pose, datum: float = 0.0,
+                 contact_radius: float = 1.0, pins: Sequence[tuple[int, str]] = ()):
+        self.mesh, self.datum, self._tolerance = mesh, datum, tolerance
+        self.batches = ElementBatches(mesh)
+        self.x = np.zeros(3 * len(mesh.nodes))
+        self._pose = start
+        freedoms = np.arange(self.x.size).reshape(-1, 3)
+        stays = np.zeros_like(freedoms, dtype=bool)
+        for name, axes in fixed.items():
+            for axis in axes:
+                stays[mesh.sets[name], "xyz".index(axis)] = True
+        for node, axes in pins:
+            stays[node, ["xyz".index(axis) for axis in axes]] = True
+        self._bonded = np.asarray(bonded, dtype=np.intp)
+        moved = np.zeros_like(stays)
+        moved[self._bonded] = True
+        self._free = np.flatnonzero(~(stays | moved))
+        self._reacting = np.flatnonzero(stays | moved)
+        self._moved = freedoms[self._bonded].ravel()
+        # Where what is bonded stands in the tool's frame.
+        self._held_at = Frame(start, datum).into(mesh.nodes[self._bonded])
+        self.contact = ContactNodes(bodies, mesh.nodes, mesh.node_areas)
+        self.contact.bring_down(start, datum)
+        self._matrix = FreePart(self.batches.matrix, self._free, freedoms[self.contact.nodes])
+        self._settings, self._least = np.zeros(3), np.zeros(1)
+        self.memory, self._contact_radius = Memory(self.batches.weights.shape, 6), contact_radius
+        self._coefficients, self._kernel = np.zeros(0), cast("Any", None)
+        self._largest_force, self._asked, self._modulus = 0.0, False, 0.0
+        self._committed = self.x.copy(), self.batches.pressures.copy(), self.contact.forces.copy()
+        #: Of the tool where the state that is worked on belongs to it.
+        self._here = Frame(start, datum)
+        self.set_material(material)
+
+    def set_material(self, material: Material) -> None:
+        """Change parameters, bulk response or law; the state is kept. See `Solver.set_material`."""
+        if any(isinstance(effect, PointEffect) for effect in material.effects.values()):
+            raise InputError("the solid in space takes no added effects of the tissue yet; leave them out, or use the "
+                             "axisymmetric solver", field="material.effects")
+        if material.layers:
+            raise InputError("the solid in space takes no layers yet; leave them out", field="material.layers")
+        energy = material.energy_law.kernel_energy
+        bulk = material.bulk_modulus
+        if np.isinf(bulk):
+            height = float(np.ptp(self.mesh.nodes[:, 2]))
+            bulk = incompressible_ratio(0.5 * float(np.ptp(self.mesh.nodes[:, 0])), height) * material.mu0
+        low, high = BULK_RATIOS
+        if not low <= bulk / material.mu0 <= high:
+            raise InputError(f"K/mu0 is {bulk / material.mu0:g}; the finite elements are checked from {low:g} to "
+                             f"{high:g}", field="bulk")
+        coefficients = material.energy_law.kernel_coefficients(material.parameters)
+        before: float = self._modulus or material.mu0
+        self.material, self._modulus, self._settings[KAPPA] = material, material.mu0, bulk
+        if coefficients.size == self._coefficients.size:
+            self._coefficients[:] = coefficients
+        else:
+            self._coefficients = np.array(coefficients)
+        memory = self.memory
+        memory.set_material(material.relaxation(self._contact_radius), material.softening,
+                            material.instantaneous_factor)
+        self._settings[REMEMBERS] = memory.works
+        with LOCK:
+            kernel = assembly_kernel(self.mesh.element.name, energy)
+            arrays = {"settings": self._settings, "least": self._least, "x": self.x,
+                      "coefficients": self._coefficients, "past": memory.past, "inherited": memory.inherited,
+                      "largest": memory.largest, "stresses": memory.stresses, "energies": memory.energies,
+                      **self.batches.arrays()}
+            self._kernel = BoundKernel(kernel, arrays)
+        # Where all moduli change alike, the tissue stays where it is and its forces follow them.
+        for array in (*self._committed[1:], self.batches.pressures, self.contact.forces):
+            array *= material.mu0 / before
+        self.contact.set_stiffness(material.mu0)
+        top = self.mesh.nodes[self.mesh.sets["top"]]
+        self._floor = 1e-6 * material.mu0 * float(np.prod(np.ptp(top[:, :2], axis=0)))
+
+    @property
+    def pose(self) -> Pose:
+        """Of the tool at the last committed state."""
+        return self._pose
+
+    def ask_for_stiffness(self) -> None:
+        """Let every step answer its stiffness matrix from now on."""
+        self._asked = True
+
+    def step(self, pose: Pose, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
+             predictor_order: int = 2, inertial: bool = False, resumes: bool = False,
+             own_stiffness: bool = True) -> Step:
+        """Move the tool to a pose and find equilibrium; see `Solver.step`. There is no mass, and no predictor
+        but the linear solution for the tool's way."""
+        self.memory.prepare(dt)
+        frame = Frame(pose, self.datum)
+        if not resumes:
+            self._go_back()
+        outcome = self._iterate(frame, tolerance, max_iterations)
+        if outcome.status is StepStatus.CONVERGED:
+            self.contact.commit()
+            self.memory.commit()
+            self._committed = self.x.copy(), self.batches.pressures.copy(), self.contact.forces.copy()
+            self._pose = pose
+            self._largest_force = max(self._largest_force, float(np.linalg.norm(outcome.wrench[:3])))
+        return outcome
+
+    def _go_back(self) -> None:
+        """To the last committed state."""
+        self.x[:], self.batches.pressures[:], self.contact.forces[:] = self._committed
+        self.contact.begin()
+        self._here = Frame(self._pose, self.datum)
+
+    def _iterate(self, frame: Frame, tolerance: float, max_iterations: int) -> Step:
+        """Newton's iteration from the state as it is."""
+        contact, batches, x = self.contact, self.batches, self.x
+        goal = self.held_displacement(frame)
+        here = self._here
+        way = np.zeros_like(x)
+        way[self._moved] = goal - x[self._moved]
+        # Nodes that touch the tool begin by going with it.
+        tool_way = frame.out_of(here.into(self._places())) - self._places()
+        pending = bool(way.any() or tool_way.any())
+        changeable, bending, iterations, halvings = ALL, 0.0, 0, 0
+        floor = max(self._floor, _FLOOR_SHARE * self._largest_force)
+        before = first_ratio = None
+        factor: Factor | None = None
+        while True:
+            self._assemble()
+            if self._least[0] <= 0.0 and before is not None and halvings < _HALVINGS:
+                halvings += 1
+                for array, earlier in zip(self._state, before, strict=True):
+                    array[:] = 0.5 * (array + earlier)
+                continue
+            displacement = x.reshape(-1, 3)[contact.nodes]
+            look = contact.look(displacement, here if pending else frame, changeable, 1e-9 if pending else 0.0, bending,
+                                _FRICTION_FLOOR * floor, self._tolerance)
+            residual = batches.residual[:-1].copy()
+            np.add.at(residual.reshape(-1, 3), contact.nodes, contact.forces)
+            unbalanced = float(np.linalg.norm(residual[self._free]))
+            balanced = float(np.hypot(np.linalg.norm(residual[self._reacting]), np.linalg.norm(contact.forces)))
+            ratio = unbalanced / max(balanced, floor)
+            status = None
+            if not self._least[0] > 0.0 or self._least[0] >= 1e30:
+                status = StepStatus.INVERTED
+            elif not np.isfinite(ratio):
+                status = StepStatus.DIVERGED
+            elif not pending and ratio <= tolerance and look.violation <= self._tolerance and not look.wanting:
+                if contact.release():
+                    changeable, first_ratio = ALL, None
+                    continue
+                contact.hold()
+                status = StepStatus.CONVERGED
+                if self._asked:
+                    # The stiffness is that with the new bonds.
+                    look = contact.look(displacement, frame, 0, 0.0, 1.0, _FRICTION_FLOOR * floor, self._tolerance)
+            elif iterations >= max_iterations:
+                status = StepStatus.SLOW
+            elif first_ratio is not None and iterations > 3 and ratio > 1e3 * max(first_ratio, 1.0):
+                status = StepStatus.DIVERGED
+            if status is not None and not (status is StepStatus.CONVERGED and self._asked):
+                return self._answer(status, iterations, ratio, look, residual, frame, None)
+            self._matrix.add(contact.rates)
+            factor = factorise(self._matrix.free, symmetric=not look.slipping)
+            if factor is None or not factor.definite:
+                if bending > 0.0 and status is None:
+                    bending = 0.0
+                    continue
+                if status is None:
+                    status = StepStatus.INDEFINITE
+                return self._answer(status, iterations, ratio, look, residual, frame, None)
+            if status is not None:
+                return self._answer(status, iterations, ratio, look, residual, frame, self._stiffness(factor, frame))
+            if iterations == 1:
+                first_ratio = ratio
+            right = residual
+            np.add.at(right.reshape(-1, 3), contact.nodes, contact.missing)
+            motion = np.zeros_like(x)
+            apart = np.zeros_like(displacement)
+            if pending:
+                motion += way
+                apart = -np.where(contact.moves[:, None], tool_way, 0.0)
+                np.add.at(right.reshape(-1, 3), contact.nodes, np.einsum("nij,nj->ni", contact.rates, apart))
+                right += self._matrix.all @ way
+            before = tuple(array.copy() for array in self._state)
+            motion[self._free] = -factor.solve(right[self._free])
+            x += motion
+            batches.follow(motion, self._settings[KAPPA])
+            contact.follow(motion.reshape(-1, 3)[contact.nodes] + apart)
+            self._here = frame
+            iterations += 1
+            halvings = _HALVINGS if pending else 0  # the tool's way is not cut in here
+            pending = False
+            changeable = ALL if iterations < _CIRCLING else iterations
+            bending = 1.0 if ratio < 0.1 else 0.0
+
+    def held_displacement(self, frame: Frame) -> np.ndarray:
+        """Of the nodes that the tool holds, when it is there, m, shape (3 n,)."""
+        return (frame.out_of(self._held_at) - self.mesh.nodes[self._bonded]).ravel()
+
+    @property
+    def _state(self) -> tuple[np.ndarray, ...]:
+        return self.x, self.batches.pressures, self.contact.forces
+
+    def _places(self) -> np.ndarray:
+        """Where the nodes of the contact are, m, shape (n, 3)."""
+        nodes = self.contact.nodes
+        return self.mesh.nodes[nodes] + self.x.reshape(-1, 3)[nodes]
+
+    def _assemble(self) -> None:
+        self._settings[TANGENT] = 1.0
+        with LOCK:
+            self._kernel()
+
+    def _answer(self, status: StepStatus, iterations: int, ratio: float, look: Look, residual: np.ndarray, frame: Frame,
+                stiffness: np.ndarray | None) -> Step:
+        rates = [frame.rates(self.mesh.nodes[self._bonded] + self.x.reshape(-1, 3)[self._bonded]),
+                 frame.rates(self._places()[self.contact.moves])]
+        # The residual of what the tool holds is the force that it needs.
+        forces = [-self.batches.residual[:-1][self._moved].reshape(-1, 3), self.contact.forces[self.contact.moves]]
+        wrench = sum(np.einsum("nik,ni->k", rate, force) for rate, force in zip(rates, forces, strict=True))
+        return Step(status, iterations, ratio, cast("Screw", tuple(np.asarray(wrench).tolist())),
+                    None if stiffness is None else cast("Matrix", tuple(map(tuple, stiffness.tolist()))),
+                    look.violation, look.slipping)
+
+    def _stiffness(self, factor: Factor, frame: Frame) -> np.ndarray:
+        """Minus the derivative of the wrench with the tool's place and rotation, shape (6, 6)."""
+        contact, matrix, size = self.contact, self._matrix.all, self.x.size
+        moved = np.zeros((size, 6))
+        levers = frame.rates(self._places_of(self._bonded))
+        moved[self._moved] = levers.reshape(-1, 6)
+        way, turned = np.zeros((2, len(contact.nodes), 3, 6))
+        way[contact.moves] = frame.rates(self._places()[contact.moves])
+        # The forces of what touches the tool turn with it.
+        turned[contact.moves] = _turned(contact.forces[contact.moves])
+        # Forces of the nodes when the tool moves and the tissue does not yet; the matrix holds the rates of contact.
+        pushed = matrix @ moved
+        np.add.at(pushed.reshape(-1, 3, 6), contact.nodes, turned - np.einsum("nij,njk->nik", contact.rates, way))
+        answer = moved.copy()
+        answer[self._free] = -factor.solve(pushed[self._free])
+        on_tool = turned + np.einsum("nij,njk->nik", contact.rates, answer.reshape(-1, 3, 6)[contact.nodes] - way)
+        held = self.batches.residual[:-1][self._moved].reshape(-1, 3)
+        reactions = (matrix @ answer)[self._moved].reshape(-1, 3, 6)
+        wrench_rate = np.einsum("nia,nib->ab", levers, -reactions)
+        wrench_rate += np.einsum("nia,nib->ab", way[contact.moves], on_tool[contact.moves])
+        # The levers of the torque change, too: a node goes its way, and the tool's deepest point the tool's.
+        apart = np.concatenate([levers, answer.reshape(-1, 3, 6)[contact.nodes[contact.moves]]])
+        apart[:, :, :3] -= np.eye(3)
+        forces = np.concatenate([-held, contact.forces[contact.moves]])
+        wrench_rate[3:] += np.cross(apart, forces[:, :, None], axisa=1, axisb=1, axisc=1).sum(axis=0)
+        return -wrench_rate
+
+    def _places_of(self, nodes: np.ndarray) -> np.ndarray:
+        return self.mesh.nodes[nodes] + self.x.reshape(-1, 3)[nodes]
+
+    def differentiate(self, neighbours: Neighbours) -> None:
+        """There are no exact derivatives in space yet."""
+        return
+
+    def lift_off(self) -> None:
+        """Take the tool away at once; see `Solver.lift_off`."""
+        self.x[:], self.batches.pressures[:], self.contact.forces[:] = 0.0, 0.0, 0.0
+        self._committed = self.x.copy(), self.batches.pressures.copy(), self.contact.forces.copy()
+
+    def save(self) -> _Saved:
+        """All that a committed step leaves behind, for `restore`."""
+        return _Saved(tuple(array.copy() for array in self._kept), self._pose, self._largest_force)
+
+    def restore(self, saved: _Saved) -> None:
+        """Go back to where `save` was called."""
+        for array, before in zip(self._kept, saved.arrays, strict=True):
+            array[:] = before
+        self._pose, self._largest_force = saved.pose, saved.largest_force
+
+    @property
+    def _kept(self) -> tuple[np.ndarray, ...]:
+        return (*self._committed, *self.contact.kept, *self.memory.kept)
+
+    def sample(self) -> Sample:
+        """What `fields` needs of the last committed state."""
+        x, pressures, _ = self._committed
+        modes = self.mesh.element.pressure_modes
+        by_element = np.moveaxis(pressures.reshape(self.batches.batches, modes, -1), 1, -1).reshape(-1, modes)
+        return Sample(x.reshape(-1, 3).copy(), by_element[: self.batches.count].copy())
+
+    def fields(self, samples: Sequence[Sample]) -> Fields | None:
+        """There are none in space yet."""
+        return None
+
+    def surface(self) -> SolidSurface:
+        """The surface at the last committed state."""
+        return SolidSurface(self.mesh, self._committed[0].reshape(-1, 3), self.datum)
+
+    def report(self) -> dict[str, Any]:
+        """What a recording's metadata say of the solver; see `Solver.report`."""
+        report = {"element": self.mesh.element.name,
+                  "mesh": {"elements": len(self.mesh.connectivity), "freedoms": int(self._free.size)}}
+        if self.contact.nodes.size:
+            report |= {"penetration_mm": 0.0, "penetration_tolerance_mm": self._tolerance * 1e3}
+            if self.contact.has_friction:
+                report["slipping_points"] = 0
+        return report
+
+
+def _turned(forces: np.ndarray) -> np.ndarray:
+    """How forces (n, 3) change with the place and the rotation of what they are fixed to, shape (n, 3, 6)."""
+    rates = np.zeros((*forces.shape, 6))
+    rates[:, :, 3:] = np.cross(np.eye(3)[None], forces[:, None], axis=-1).swapaxes(1, 2)
+    return rates

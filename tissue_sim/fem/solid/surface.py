@@ -1,0 +1,32 @@
+"""The deformed surface of a solid."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tissue_sim.mesh.solid import SolidMesh
+
+
+class SolidSurface:
+    """The surface at a state, in the frame of the scene; no outline, since it has no axis.
+
+    Args:
+        mesh: undeformed.
+        displacement: of its nodes, m, shape (nodes, 3).
+        datum: height of the scene's origin in the frame of the mesh, m.
+    """
+
+    outline = None
+
+    def __init__(self, mesh: SolidMesh, displacement: np.ndarray, datum: float):
+        self._mesh, self._displacement, self._datum = mesh, displacement, datum
+
+    def triangles(self, segments: int = 48) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices, m, shape (v, 3), and triangles, (t, 3), normals outwards; two for each square between nodes."""
+        side = round(self._mesh.element.faces.shape[1] ** 0.5)
+        grid = np.concatenate(list(self._mesh.faces.values())).reshape(-1, side, side)
+        a, b, c, d = (each.ravel() for each in (grid[:, :-1, :-1], grid[:, :-1, 1:], grid[:, 1:, 1:], grid[:, 1:, :-1]))
+        triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+        numbers, places = np.unique(triangles, return_inverse=True)
+        vertices = self._mesh.nodes[numbers] + self._displacement[numbers] - [0.0, 0.0, self._datum]
+        return vertices, places.reshape(-1, 3)

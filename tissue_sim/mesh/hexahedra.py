@@ -1,0 +1,83 @@
+"""Mixed displacement-pressure hexahedra of the solid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.polynomial.legendre import leggauss
+
+from tissue_sim.mesh.elements import lagrange
+
+
+@dataclass(frozen=True)
+class Hexahedron:
+    """A hexahedron of tensor-product Lagrange polynomials; nodes are numbered along x first, then y, then z.
+
+    Attributes:
+        name: as the field writes it.
+        order: polynomial order in each direction, 1 or 2.
+        pressure_modes: 1 (constant) or 4 (linear), discontinuous.
+    """
+
+    name: str
+    order: int
+    pressure_modes: int
+
+    @property
+    def nodes(self) -> int:
+        """Of an element."""
+        return (self.order + 1) ** 3
+
+    @cached_property
+    def _places(self) -> np.ndarray:
+        """Place of each node along x, y and z, shape (nodes, 3)."""
+        line = np.arange(self.order + 1)
+        return np.array([(i, j, k) for k in line for j in line for i in line])
+
+    @cached_property
+    def reference_nodes(self) -> np.ndarray:
+        """Reference coordinates in [-1, 1]^3, shape (nodes, 3)."""
+        return np.linspace(-1.0, 1.0, self.order + 1)[self._places]
+
+    @cached_property
+    def faces(self) -> np.ndarray:
+        """Nodes of each side, shape (6, nodes of a side): along two directions, the first faster, whose cross product
+        points outwards. Sides are those of least and most x, then y, then z."""
+        count = self.order + 1
+        numbers = np.arange(count**3).reshape(count, count, count)  # [z, y, x]
+        sides = []
+        for axis in (2, 1, 0):
+            for end in (0, -1):
+                side = np.take(numbers, end, axis=axis)
+                # Of y and z, z and x, x and y the cross product points to more x, y and z.
+                turned = (axis == 1) == (end == -1)
+                sides.append((side.T if turned else side).ravel())
+        return np.array(sides)
+
+    @cached_property
+    def quadrature(self) -> tuple[np.ndarray, np.ndarray]:
+        """Gauss points (q, 3) and weights (q,), order + 1 in each direction."""
+        x, w = leggauss(self.order + 1)
+        return x[self._places], w[self._places].prod(axis=1)
+
+    @cached_property
+    def from_quadrature(self) -> np.ndarray:
+        """Weights of the quadrature points in the nodes, of the polynomial through them, shape (nodes, q)."""
+        return np.linalg.inv(self.shape_functions(self.quadrature[0])[0])
+
+    def shape_functions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Values (q, nodes) and reference gradients (q, nodes, 3) at reference points (q, 3)."""
+        values, slopes = zip(*(lagrange(points[:, axis], self.order) for axis in range(3)), strict=True)
+        along = [(values[axis][:, self._places[:, axis]], slopes[axis][:, self._places[:, axis]]) for axis in range(3)]
+        (vx, sx), (vy, sy), (vz, sz) = along
+        return vx * vy * vz, np.stack([sx * vy * vz, vx * sy * vz, vx * vy * sz], axis=-1)
+
+
+#: Twenty-seven nodes with four discontinuous pressures: for truth (Bathe, Finite Element Procedures, 2014, section
+#: 4.4.3, the three-dimensional 27/4 element).
+HEX27P1 = Hexahedron("H27/P-1", order=2, pressure_modes=4)
+#: Eight nodes with one pressure, which is mean dilatation: for speed.
+HEX8P0 = Hexahedron("H8/P0", order=1, pressure_modes=1)
+HEXAHEDRA = {element.name: element for element in (HEX27P1, HEX8P0)}
