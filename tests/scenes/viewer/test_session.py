@@ -6,7 +6,6 @@ import os
 import signal
 import socket
 import threading
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -144,7 +143,8 @@ def test_a_hand_that_takes_over_goes_on_from_where_the_tool_is(session, until):
     frame = until(session.frame, lambda frame: frame.readouts.depth > 0.5e-3)
     with RingReader(session.simulation.process.ring_path) as ring:
         begin = ring.written
-        time.sleep(0.02)  # the tool goes on
+        # It goes on before the page looks again.
+        until(ring.latest, lambda tick: tick["tool_depth"] > frame.readouts.depth + 0.1e-3)
         assert done(session, "aim", depth=4e-3) is None
         until(ring.latest, lambda tick: abs(tick["tool_depth"] - 4e-3) < 1e-6)
         depths = ring.since(begin).records["tool_depth"]
