@@ -131,3 +131,17 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     """The whole suite is shared by processes, some tests are not: each process loads the libraries and kernels anew."""
     whole = config.args == config.getini("testpaths")
     return min(os.cpu_count() or 1, MOST_PROCESSES) if whole else 0
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """A file is run by one process, and so are all pages: two browsers that draw without a graphics card leave no time
+    for what is drawn."""
+    from xdist.scheduler import LoadFileScheduling
+
+    class PagesTogether(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            scope = super()._split_scope(nodeid)
+            return "tests/browser" if scope.startswith("tests/browser/") else scope
+
+    return PagesTogether(config, log)
