@@ -172,6 +172,16 @@ def test_what_was_saved_comes_back_to_the_last_bit():
     assert stepped(solver, *way[2:]) == first
 
 
+def test_a_tool_that_was_taken_away_begins_again():
+    solver = make_solver(model(ts.Tool("sphere", radius=8e-3), "stick"), mesh=coarse())
+    way = [Pose((0.0, 0.0, -5e-4)), Pose((0.0, 0.0, -1e-3))]
+    first = stepped(solver, *way)
+    solver.lift_off()
+    assert solver.pose == Pose((0.0, 0.0, 0.0)) and not solver.sample().displacement.any()
+    assert stepped(solver, Pose((0.0, 0.0, 1e-3))).force == 0.0
+    np.testing.assert_allclose(stepped(solver, Pose((0.0, 0.0, 0.0)), *way).wrench, first.wrench, rtol=1e-7, atol=1e-12)
+
+
 def test_simulator_steps_it():
     simulator = ts.Simulator(model(ts.Tool("sphere", radius=8e-3), "stick"), mesh=coarse(), solver="solid")
     simulator.warm_up()

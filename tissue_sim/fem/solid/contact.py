@@ -202,6 +202,12 @@ class ContactNodes:
             touches = own[nearest(body, at, pressed_in=True).gap <= self._slack]
             self.bound[touches] = HELD if body.tied else TOUCHED
             self.anchors[touches] = 0.0
+        self._first_bonds = self.bound.copy(), self.anchors.copy()
+
+    def forget(self) -> None:
+        """Bonds as they were at the first touch, and no force."""
+        self.bound[:], self.anchors[:] = self._first_bonds
+        self.slipped[:], self.ways_before[:], self.forces[:] = False, 0.0, 0.0
 
     def begin(self) -> None:
         """Before a step: bonds as they are at the last equilibrium."""

@@ -31,6 +31,8 @@ _HALVINGS = 4
 _CIRCLING = 8
 #: Unbalanced forces are measured against the reactions, but at least this share of the largest load so far.
 _FLOOR_SHARE = 0.1
+#: A tool that goes less than this share of the mesh's size has not moved.
+_NO_WAY = 1e-14
 #: Friction below this share of the floor is none.
 _FRICTION_FLOOR = 1e-6
 
@@ -79,7 +81,7 @@ class SolidSolver(Solver):
         self.mesh, self.datum, self._tolerance = mesh, datum, tolerance
         self.batches = ElementBatches(mesh)
         self.x = np.zeros(3 * len(mesh.nodes))
-        self._pose = start
+        self._start = self._pose = start
         freedoms = np.arange(self.x.size).reshape(-1, 3)
         stays = np.zeros_like(freedoms, dtype=bool)
         for name, axes in fixed.items():
@@ -190,7 +192,7 @@ class SolidSolver(Solver):
         way[self._moved] = goal - x[self._moved]
         # Nodes that touch the tool begin by going with it.
         tool_way = frame.out_of(here.into(self._places())) - self._places()
-        pending = bool(way.any() or tool_way.any())
+        pending = max(np.abs(way).max(), np.abs(tool_way).max(initial=0.0)) > _NO_WAY * float(np.ptp(self.mesh.nodes))
         changeable, bending, iterations, halvings = ALL, 0.0, 0, 0
         floor = max(self._floor, _FLOOR_SHARE * self._largest_force)
         before = first_ratio = None
@@ -329,8 +331,11 @@ class SolidSolver(Solver):
 
     def lift_off(self) -> None:
         """Take the tool away at once; see `Solver.lift_off`."""
-        self.x[:], self.batches.pressures[:], self.contact.forces[:] = 0.0, 0.0, 0.0
-        self._committed = self.x.copy(), self.batches.pressures.copy(), self.contact.forces.copy()
+        for array in self._committed:
+            array[:] = 0.0
+        self.contact.forget()
+        self._pose = self._start
+        self._go_back()
 
     def save(self) -> _Saved:
         """All that a committed step leaves behind, for `restore`."""
