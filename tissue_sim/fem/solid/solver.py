@@ -11,9 +11,10 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.fem.history import Memory
 from tissue_sim.fem.linear.sparse import Factor, factorise
-from tissue_sim.fem.solid.assembly import KAPPA, REMEMBERS, TANGENT, assembly_kernel
+from tissue_sim.fem.solid.assembly import assembly_kernel
 from tissue_sim.fem.solid.batches import ElementBatches
 from tissue_sim.fem.solid.contact import ALL, Body, ContactNodes, Frame, Look
+from tissue_sim.fem.solid.element import KAPPA, REMEMBERS, TANGENT
 from tissue_sim.fem.solid.free_part import FreePart
 from tissue_sim.fem.solid.surface import SolidSurface
 from tissue_sim.fem.solver import Fields, Neighbours, Solver, Step, StepStatus

@@ -1,0 +1,207 @@
+"""Elements of a solid as Taichi functions: stresses to forces and stiffness, a few elements at a time.
+
+One element stands in each lane of the vectors; see `tissue_sim.fem.axisymmetric.assembly`, of which this is the form in
+space: a discontinuous pressure per element enforces J - 1 = p / K in the mean, is an unknown of Newton's iteration and
+eliminated element by element (Simo, Taylor and Pister, CMAME 51 (1985) 177).
+"""
+
+from functools import cache
+from typing import Any, NamedTuple
+
+from tissue_sim.fem.energy import inverse_root_function, soften_function
+from tissue_sim.fem.history import FACTOR, INSTANT, LOSS, LOSS_MODULUS, LOSS_SHARE
+from tissue_sim.fem.solid import energy as point
+from tissue_sim.fem.solid.batches import LANES
+from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.laws import KernelEnergy
+from tissue_sim.mesh.hexahedra import HEXAHEDRA
+
+#: Places in `settings`: bulk modulus, Pa; whether the tangent is wanted; whether the tissue remembers.
+KAPPA, TANGENT, REMEMBERS = range(3)
+#: Most nodes, points and pressure modes of an element.
+_NODES, _POINTS, _MODES = 27, 27, 4
+#: Where things of the batch that is worked on stand in the scratch field: motion of nodes, pressure amplitudes, gaps,
+#: rates of the volume, and at each point stress, tangent, dJ/dF, modes, and stress rates.
+_sizes = (("U", 3 * _NODES), ("PRESSURE", _MODES), ("GAP", _MODES), ("V", 3 * _MODES * _NODES), ("STRESS", 9 * _POINTS),
+          ("A", 45 * _POINTS), ("COFACTOR", 9 * _POINTS), ("MODE", _MODES * _POINTS), ("RATE", 27 * _POINTS))
+_AT = {name: sum(size for _, size in _sizes[:i]) for i, (name, _) in enumerate(_sizes)}
+
+
+@cache
+def _scratch():
+    """The Taichi field of a batch that is worked on; one for all solvers of the process."""
+    ti = initialise()
+    return ti.Vector.field(LANES, ti.f64, shape=sum(size for _, size in _sizes))
+
+
+class ElementFunctions(NamedTuple):
+    """Taichi functions of a batch: `integrate` gives its forces, `stiffen` its stiffness; `scratch` is the field between
+    them."""
+
+    integrate: Any
+    stiffen: Any
+    scratch: Any
+
+
+@cache
+def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctions:
+    """The functions of an element and an energy."""
+    ti = initialise()
+    element = HEXAHEDRA[element_name]
+    nodes, modes, points = element.nodes, element.pressure_modes, element.quadrature[1].size
+    s = _scratch()
+    stress_and_tangent = point.function(energy)
+    inverse_root, cofactor = inverse_root_function(), point.cofactor_function()
+    soften, relax = soften_function(9), point.relax_function()
+    vec = ti.types.vector(LANES, ti.f64)
+    U, PRESSURE, GAP, V, STRESS = (_AT[name] for name in ("U", "PRESSURE", "GAP", "V", "STRESS"))
+    A, COF, MODE, RATE = (_AT[name] for name in ("A", "COFACTOR", "MODE", "RATE"))
+    PLACE, COFACTOR = point.PLACE, point.COFACTOR
+
+    # Throughout, `a = a + b` on arrays: `a += b` is an atomic operation in Taichi, four times slower here.
+
+    @ti.func
+    def at_point(b, q, tangent, remembers, H, J, p, weights: ti.template(), moduli: ti.template(),
+                 coefficients: ti.template(), elements: ti.template(), past: ti.template(), inherited: ti.template(),
+                 largest: ti.template(), stresses: ti.template(), energies: ti.template()):
+        """Note stress, tangent and dJ/dF of a point, times its weight."""
+        F = [H[m] + ti.static(float(m % 4 == 0)) for m in ti.static(range(9))]
+        W, P, T = stress_and_tangent(F, J, inverse_root(ti.max(J, 1e-6)), coefficients)
+        cof = cofactor(F)
+        if remembers > 0.0:
+            f = past[FACTOR]
+            W = f * W
+            for l in ti.static(range(LANES)):
+                energies[elements[b, l], q] = W[l]
+            P1, T1 = [f * P[m] for m in ti.static(range(9))], [f * T[n] for n in ti.static(range(45))]
+            if past[LOSS] != 0.0:
+                most = ti.Vector([largest[elements[b, l], q] for l in ti.static(range(LANES))])
+                P2, T2 = soften(W, most, past[LOSS], past[LOSS_MODULUS], past[LOSS_SHARE], P1, T1)
+                for m in ti.static(range(9)):
+                    P1[m] = P2[m]
+                for n in ti.static(range(45)):
+                    T1[n] = T2[n]
+            h = [ti.Vector([inherited[elements[b, l], q, i] for l in ti.static(range(LANES))])
+                 for i in ti.static(range(6))]
+            S, P3, T3 = relax(F, cof, J, past[INSTANT], h, P1, T1)
+            for i in ti.static(range(6)):
+                for l in ti.static(range(LANES)):
+                    stresses[elements[b, l], q, i] = S[i][l]
+            for m in ti.static(range(9)):
+                P[m] = P3[m]
+            for n in ti.static(range(45)):
+                T[n] = T3[n]
+        w = weights[b * points + q]
+        wm, wp = w * moduli[b], w * p
+        for m in ti.static(range(9)):
+            s[STRESS + 9 * q + m] = wm * P[m] + wp * cof[m]
+            s[COF + 9 * q + m] = w * cof[m]
+        if tangent > 0.0:
+            for n in ti.static(range(45)):
+                s[A + 45 * q + n] = wm * T[n]
+            for m, n in ti.static(tuple(COFACTOR)):
+                at = A + 45 * q + ti.static(PLACE[m][n])
+                s[at] = s[at] + ti.static(COFACTOR[m, n][1]) * wp * F[ti.static(COFACTOR[m, n][0])]
+
+    @ti.func
+    def integrate(b, kappa, tangent, remembers, x: ti.template(), pressures: ti.template(), dofs: ti.template(),
+                  gx: ti.template(), gy: ti.template(), gz: ti.template(), weights: ti.template(),
+                  mode_values: ti.template(), moduli: ti.template(), coefficients: ti.template(),
+                  elements: ti.template(), past: ti.template(), inherited: ti.template(), largest: ti.template(),
+                  stresses: ti.template(), energies: ti.template(), volume_rates: ti.template(), gaps: ti.template(),
+                  forces: ti.template()):
+        """Forces of the nodes of a batch, with the pressure's share of what the volume still misses; returns the
+        smallest J. What the tissue remembers is as in `tissue_sim.fem.history`."""
+        for a in range(nodes):
+            i = b * nodes + a
+            for k in ti.static(range(3)):
+                s[U + 3 * a + k] = ti.Vector([x[dofs[i, l] + k] for l in ti.static(range(LANES))])
+        bulk = kappa * moduli[b]
+        for m in range(modes):
+            s[PRESSURE + m] = pressures[b * modes + m]
+            s[GAP + m] = -pressures[b * modes + m] / bulk
+        least = vec(1e30)
+        for q in range(points):
+            H = [vec(0.0) for _m in ti.static(range(9))]
+            for a in range(nodes):
+                g = (b * points + q) * nodes + a
+                x0, y0, z0 = gx[g], gy[g], gz[g]
+                for k in ti.static(range(3)):
+                    u = s[U + 3 * a + k]
+                    H[3 * k] = H[3 * k] + u * x0
+                    H[3 * k + 1] = H[3 * k + 1] + u * y0
+                    H[3 * k + 2] = H[3 * k + 2] + u * z0
+            # J - 1 from the displacement gradient: nothing is lost to the 1 when K/mu multiplies it.
+            minors = (H[0] * H[4] - H[1] * H[3] + H[0] * H[8] - H[2] * H[6] + H[4] * H[8] - H[5] * H[7])
+            cube = (H[0] * (H[4] * H[8] - H[5] * H[7]) - H[1] * (H[3] * H[8] - H[5] * H[6])
+                    + H[2] * (H[3] * H[7] - H[4] * H[6]))
+            dilation = H[0] + H[4] + H[8] + minors + cube
+            least = ti.min(least, 1.0 + dilation)
+            p = vec(0.0)
+            for m in range(modes):
+                phi = mode_values[(b * points + q) * modes + m]
+                s[MODE + modes * q + m] = phi
+                p = p + phi * s[PRESSURE + m]
+                s[GAP + m] = s[GAP + m] + weights[b * points + q] * phi * dilation
+            at_point(b, q, tangent, remembers, H, 1.0 + dilation, p, weights, moduli, coefficients, elements, past,
+                     inherited, largest, stresses, energies)
+        for a in range(nodes):
+            f = [vec(0.0) for _k in ti.static(range(3))]
+            for q in range(points):
+                g = (b * points + q) * nodes + a
+                x0, y0, z0, at = gx[g], gy[g], gz[g], STRESS + 9 * q
+                for k in ti.static(range(3)):
+                    f[k] = f[k] + s[at + 3 * k] * x0 + s[at + 3 * k + 1] * y0 + s[at + 3 * k + 2] * z0
+            for m in range(modes):
+                v = [vec(0.0) for _k in ti.static(range(3))]
+                for q in range(points):
+                    g = (b * points + q) * nodes + a
+                    x0, y0, z0, at, phi = gx[g], gy[g], gz[g], COF + 9 * q, s[MODE + modes * q + m]
+                    for k in ti.static(range(3)):
+                        v[k] = v[k] + phi * (s[at + 3 * k] * x0 + s[at + 3 * k + 1] * y0 + s[at + 3 * k + 2] * z0)
+                missed = bulk * s[GAP + m]
+                for k in ti.static(range(3)):
+                    f[k] = f[k] + missed * v[k]
+                    s[V + 3 * (m * nodes + a) + k] = v[k]
+            for k in ti.static(range(3)):
+                forces[3 * (b * nodes + a) + k] = f[k]
+        for i in range(3 * modes * nodes):
+            at = 3 * b * modes * nodes + i
+            volume_rates[at] = s[V + i]
+        for m in range(modes):
+            at = b * modes + m
+            gaps[at] = s[GAP + m]
+        return least.min()
+
+    @ti.func
+    def stiffen(b, kappa, moduli: ti.template(), gx: ti.template(), gy: ti.template(), gz: ti.template(),
+                stiffness: ti.template()):
+        """Stiffness of all pairs of nodes (c, a), a <= c: the force on a along i for a motion of c along k stands at
+        3 k + i of their nine."""
+        bulk = kappa * moduli[b]
+        for c in range(nodes):
+            for q in range(points):
+                g = (b * points + q) * nodes + c
+                x0, y0, z0, t, at = gx[g], gy[g], gz[g], A + 45 * q, RATE + 27 * q
+                for k in ti.static(range(3)):
+                    for m in ti.static(range(9)):
+                        s[at + 9 * k + m] = (s[t + ti.static(PLACE[m][3 * k])] * x0
+                                             + s[t + ti.static(PLACE[m][3 * k + 1])] * y0
+                                             + s[t + ti.static(PLACE[m][3 * k + 2])] * z0)
+            for a in range(c + 1):
+                K = [vec(0.0) for _n in ti.static(range(9))]
+                for q in range(points):
+                    g = (b * points + q) * nodes + a
+                    x0, y0, z0, at = gx[g], gy[g], gz[g], RATE + 27 * q
+                    for n in ti.static(range(9)):
+                        K[n] = K[n] + s[at + 3 * n] * x0 + s[at + 3 * n + 1] * y0 + s[at + 3 * n + 2] * z0
+                for m in range(modes):
+                    for k in ti.static(range(3)):
+                        moved = bulk * s[V + 3 * (m * nodes + c) + k]
+                        for i in ti.static(range(3)):
+                            K[3 * k + i] = K[3 * k + i] + moved * s[V + 3 * (m * nodes + a) + i]
+                at_pair = 9 * (c * (c + 1) // 2 + a)
+                for n in ti.static(range(9)):
+                    stiffness[at_pair + n] = K[n]
+
+    return ElementFunctions(integrate, stiffen, s)
