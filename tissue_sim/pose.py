@@ -105,6 +105,15 @@ def between(start: Pose, end: Pose, share: float) -> Pose:
     return Pose(position, _product(turn, start.orientation))
 
 
+def turned(pose: Pose, rotation: Vector) -> Pose:
+    """A pose turned about its position by a rotation vector, rad, in the frame of the scene."""
+    angle = math.sqrt(sum(part * part for part in rotation))
+    if angle == 0.0:
+        return pose
+    x, y, z = (math.sin(0.5 * angle) * part / angle for part in rotation)
+    return Pose(pose.position, _product((math.cos(0.5 * angle), x, y, z), pose.orientation))
+
+
 def _relative(start: Quaternion, end: Quaternion) -> Quaternion:
     """The rotation that takes one orientation to another, the shorter way round."""
     w, x, y, z = start

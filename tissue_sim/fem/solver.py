@@ -30,6 +30,7 @@ class StepStatus(IntEnum):
     INDEFINITE = 3
     SLOW = 4
     DIVERGED = 5
+    OUTSIDE = 6
 
     @property
     def message(self) -> str:
@@ -39,6 +40,7 @@ class StepStatus(IntEnum):
             StepStatus.INDEFINITE: "the tangent lost positive definiteness, so the equilibrium is no longer stable",
             StepStatus.SLOW: "Newton's iteration did not reach its tolerance",
             StepStatus.DIVERGED: "Newton's iteration diverged",
+            StepStatus.OUTSIDE: "the tool left the box of poses for which the reduced model was made",
         }[self]
 
 
@@ -316,5 +318,6 @@ class SolverMaker(Protocol):
 
 SOLVERS: Registry[SolverMaker] = Registry(
     "solver", "tissue_sim.solvers", {"axisymmetric": "tissue_sim.fem.axisymmetric.discretisation:make_solver",
-                                   "solid": "tissue_sim.fem.solid.discretisation:make_solver"})
+                                   "solid": "tissue_sim.fem.solid.discretisation:make_solver",
+                                   "reduced": "tissue_sim.fem.reduced.solver:make_solver"})
 

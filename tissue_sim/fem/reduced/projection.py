@@ -3,22 +3,21 @@
 from functools import cache
 
 from tissue_sim.fem.solid.batches import LANES
-from tissue_sim.fem.solid.element import KAPPA, REMEMBERS, TANGENT, element_functions
+from tissue_sim.fem.solid.element import KAPPA, REMEMBERS, element_functions
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.hexahedra import HEXAHEDRA
 
-#: Places in `settings` beside those of the elements: whether the pressures follow a change of the amplitudes, and the
-#: batches whose stiffness is computed anew.
-FOLLOWS, FIRST, LAST, SETTINGS = 3, 4, 5, 6
+#: Places in `settings` beside those of the elements: whether the pressures follow a change of the amplitudes.
+FOLLOWS, SETTINGS = 3, 4
 
 
 @cache
 def projection_kernel(element_name: str, energy: KernelEnergy):
-    """Kernel of the forces on each mode, and of the stiffness between them where `settings` ask for it.
+    """Kernel of the forces on each mode, and of the stiffness between them of those groups of batches that are wanted.
 
     ``basis`` holds what each mode moves, shape (batches times freedoms of an element times modes), with the lanes last;
-    ``tangent`` is added to, its upper half only; ``least`` gets the smallest J.
+    there is an even number of them. ``tangents`` of the groups get their upper halves; ``least`` gets the smallest J.
     """
     ti = initialise()
     element = HEXAHEDRA[element_name]
@@ -26,9 +25,9 @@ def projection_kernel(element_name: str, energy: KernelEnergy):
     freedoms = 3 * nodes
     integrate, stiffen, _ = element_functions(element_name, energy)
     vec = ti.types.vector(LANES, ti.f64)
-    row = ti.Vector.field(LANES, ti.f64, shape=freedoms)
+    row = ti.Vector.field(LANES, ti.f64, shape=2 * freedoms)
     real1, real2, real3 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2, 3))
-    int2 = ti.types.ndarray(ti.i32, ndim=2)
+    int1, int2 = (ti.types.ndarray(ti.i32, ndim=n) for n in (1, 2))
     vector1 = ti.types.ndarray(vec, ndim=1)
 
     @ti.func
@@ -49,41 +48,53 @@ def projection_kernel(element_name: str, energy: KernelEnergy):
             pressures[at] = pressures[at] + bulk * gap
 
     @ti.func
-    def project(b, modes, basis: ti.template(), stiffness: ti.template(), tangent: ti.template()):
-        """Add the stiffness of a batch between the modes."""
-        for j in range(modes):
-            for i in range(freedoms):
+    def project(b, modes, group, basis: ti.template(), stiffness: ti.template(), tangents: ti.template()):
+        """Add the stiffness of a batch between the modes to that of its group; two modes at a time share what is read of
+        the stiffness."""
+        for half in range(modes // 2):
+            j = 2 * half
+            for i in range(2 * freedoms):
                 row[i] = vec(0.0)
             for c in range(nodes):
                 at_c = (b * freedoms + 3 * c) * modes + j
-                c0, c1, c2 = basis[at_c], basis[at_c + modes], basis[at_c + 2 * modes]
-                y0, y1, y2 = row[3 * c], row[3 * c + 1], row[3 * c + 2]
+                C = [basis[at_c + k * modes] for k in ti.static(range(3))]
+                D = [basis[at_c + k * modes + 1] for k in ti.static(range(3))]
+                Y = [row[6 * c + i] for i in ti.static(range(6))]
                 for a in range(c):
                     # The force on a along i for a motion of c along k stands at 3 k + i.
                     pair = 9 * (c * (c + 1) // 2 + a)
                     at_a = (b * freedoms + 3 * a) * modes + j
-                    a0, a1, a2 = basis[at_a], basis[at_a + modes], basis[at_a + 2 * modes]
-                    k00, k01, k02 = stiffness[pair], stiffness[pair + 1], stiffness[pair + 2]
-                    k10, k11, k12 = stiffness[pair + 3], stiffness[pair + 4], stiffness[pair + 5]
-                    k20, k21, k22 = stiffness[pair + 6], stiffness[pair + 7], stiffness[pair + 8]
-                    row[3 * a] = row[3 * a] + k00 * c0 + k10 * c1 + k20 * c2
-                    row[3 * a + 1] = row[3 * a + 1] + k01 * c0 + k11 * c1 + k21 * c2
-                    row[3 * a + 2] = row[3 * a + 2] + k02 * c0 + k12 * c1 + k22 * c2
-                    y0 = y0 + k00 * a0 + k01 * a1 + k02 * a2
-                    y1 = y1 + k10 * a0 + k11 * a1 + k12 * a2
-                    y2 = y2 + k20 * a0 + k21 * a1 + k22 * a2
+                    for i in ti.static(range(3)):
+                        moved_a, moved_e = basis[at_a + i * modes], basis[at_a + i * modes + 1]
+                        one, other = row[6 * a + i], row[6 * a + 3 + i]
+                        for k in ti.static(range(3)):
+                            K = stiffness[pair + 3 * k + i]
+                            one = one + K * C[k]
+                            other = other + K * D[k]
+                            Y[k] = Y[k] + K * moved_a
+                            Y[ti.static(3 + k)] = Y[ti.static(3 + k)] + K * moved_e
+                        row[6 * a + i] = one
+                        row[6 * a + 3 + i] = other
                 own = 9 * (c * (c + 1) // 2 + c)
-                row[3 * c] = y0 + stiffness[own] * c0 + stiffness[own + 3] * c1 + stiffness[own + 6] * c2
-                row[3 * c + 1] = y1 + stiffness[own + 1] * c0 + stiffness[own + 4] * c1 + stiffness[own + 7] * c2
-                row[3 * c + 2] = y2 + stiffness[own + 2] * c0 + stiffness[own + 5] * c1 + stiffness[own + 8] * c2
-            for h in range(j + 1):
-                sum0, sum1, sum2 = vec(0.0), vec(0.0), vec(0.0)
+                for i in ti.static(range(3)):
+                    one, other = Y[i], Y[ti.static(3 + i)]
+                    for k in ti.static(range(3)):
+                        K = stiffness[own + 3 * k + i]
+                        one = one + K * C[k]
+                        other = other + K * D[k]
+                    row[6 * c + i] = one
+                    row[6 * c + 3 + i] = other
+            for h in range(j + 2):
+                y0, y1, y2 = vec(0.0), vec(0.0), vec(0.0)
+                z0, z1, z2 = vec(0.0), vec(0.0), vec(0.0)
                 for c in range(nodes):
                     at = (b * freedoms + 3 * c) * modes + h
-                    sum0 = sum0 + basis[at] * row[3 * c]
-                    sum1 = sum1 + basis[at + modes] * row[3 * c + 1]
-                    sum2 = sum2 + basis[at + 2 * modes] * row[3 * c + 2]
-                tangent[h, j] = tangent[h, j] + (sum0 + sum1 + sum2).sum()
+                    m0, m1, m2 = basis[at], basis[at + modes], basis[at + 2 * modes]
+                    y0, y1, y2 = y0 + m0 * row[6 * c], y1 + m1 * row[6 * c + 1], y2 + m2 * row[6 * c + 2]
+                    z0, z1, z2 = z0 + m0 * row[6 * c + 3], z1 + m1 * row[6 * c + 4], z2 + m2 * row[6 * c + 5]
+                if h <= j:
+                    tangents[group, h, j] = tangents[group, h, j] + (y0 + y1 + y2).sum()
+                tangents[group, h, j + 1] = tangents[group, h, j + 1] + (z0 + z1 + z2).sum()
 
     @ti.kernel
     def evaluate(settings: real1, least: real1, amplitudes: real1, change: real1, basis: vector1, x: real1,
@@ -91,7 +102,7 @@ def projection_kernel(element_name: str, energy: KernelEnergy):
                  weights: vector1, mode_values: vector1, moduli: vector1, coefficients: real1, elements: int2,
                  past: real1, inherited: real3, largest: real2, stresses: real3, energies: real2,
                  volume_rates: vector1, gaps: vector1, forces: vector1, stiffness: vector1, on_modes: real1,
-                 tangent: real2):
+                 groups: int1, wanted: real1, tangents: real3):
         ti.loop_config(serialize=True)
         for _ in range(1):
             kappa, remembers = settings[KAPPA], settings[REMEMBERS]
@@ -99,10 +110,13 @@ def projection_kernel(element_name: str, energy: KernelEnergy):
             for j in range(modes):
                 on_modes[j] = 0.0
             least[0] = 1e30
+            for g in range(wanted.shape[0]):
+                if wanted[g] > 0.0:
+                    for h in range(modes):
+                        for j in range(modes):
+                            tangents[g, h, j] = 0.0
             for b in range(moduli.shape[0]):
-                stiff = 0.0
-                if settings[TANGENT] > 0.0 and settings[FIRST] <= b and b < settings[LAST]:
-                    stiff = 1.0
+                stiff = wanted[groups[b]]
                 if settings[FOLLOWS] > 0.0:
                     follow(b, modes, kappa, change, basis, pressures, moduli, volume_rates, gaps)
                 for a in range(nodes):
@@ -129,6 +143,6 @@ def projection_kernel(element_name: str, energy: KernelEnergy):
                     on_modes[j] = on_modes[j] + (f0 + f1 + f2).sum()
                 if stiff > 0.0:
                     stiffen(b, kappa, moduli, gradient_x, gradient_y, gradient_z, stiffness)
-                    project(b, modes, basis, stiffness, tangent)
+                    project(b, modes, groups[b], basis, stiffness, tangents)
 
     return evaluate

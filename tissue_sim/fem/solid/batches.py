@@ -16,6 +16,7 @@ class ElementBatches:
 
     Args:
         mesh: undeformed.
+        shares: how many times its own volume each element stands for, shape (elements,); None: once.
 
     Attributes:
         weights: volumes of the quadrature points, m3, shape (elements, q).
@@ -28,7 +29,7 @@ class ElementBatches:
         InputError: an element of no or negative volume.
     """
 
-    def __init__(self, mesh: SolidMesh):
+    def __init__(self, mesh: SolidMesh, shares: np.ndarray | None = None):
         element = mesh.element
         count, nodes = mesh.connectivity.shape
         self._modes = element.pressure_modes
@@ -40,6 +41,8 @@ class ElementBatches:
         if not (self.weights > 0.0).all():
             worst = int(np.argmin(self.weights.min(axis=1)))
             raise InputError(f"element {worst} of the mesh is turned inside out or has no volume", field="mesh")
+        if shares is not None:
+            self.weights *= shares[:, None]
         gradients = np.einsum("qaj,eqji->eqai", slopes, np.linalg.inv(jacobian))
         self.volumes = np.bincount(mesh.connectivity.ravel(), np.einsum("eq,qa->ea", self.weights, values).ravel(),
                                    minlength=len(mesh.nodes))
@@ -50,6 +53,7 @@ class ElementBatches:
         self.pressures, self.gaps = np.zeros((2, self.batches * self._modes, LANES))
         self.volume_rates = np.zeros((3 * self.batches * self._modes * nodes, LANES))
         self.residual = np.zeros(3 * len(mesh.nodes) + 1)
+        self._forces = np.zeros((3 * self.batches * nodes, LANES))
         self._dofs = 3 * mesh.connectivity.astype(np.int32)
         own = (self._dofs[:, :, None] + np.arange(3, dtype=np.int32)).reshape(count, -1)
         lanes = np.where(self._real[..., None], own[self._elements], self.residual.size - 1)
@@ -120,9 +124,15 @@ class ElementBatches:
             "elements": self._elements, "pressures": self.pressures, "dofs": dofs, "equations": self._equations,
             "weights": self._weights,
             "mode_values": self._mode_values, "moduli": self.moduli.reshape(-1, LANES),
-            "volume_rates": self.volume_rates, "gaps": self.gaps, "forces": np.zeros_like(self._equations, dtype=float),
+            "volume_rates": self.volume_rates, "gaps": self.gaps, "forces": self._forces,
             "stiffness": self._stiffness, "scattered": self._stiffness.reshape(-1), "places": self._places,
             "mirrored": self._mirrored, "residual": self.residual, "data": self._data}
+
+    @property
+    def element_forces(self) -> np.ndarray:
+        """Of each element on its freedoms, N, shape (elements, freedoms of an element), as the kernel left them."""
+        by_batch = np.moveaxis(self._forces.reshape(self.batches, -1, LANES), 1, -1)
+        return by_batch.reshape(self.batches * LANES, -1)[: self.count].copy()
 
     def follow(self, motion: np.ndarray, kappa: float) -> None:
         """Let the pressures follow a linear solution, in which the freedoms moved so, shape (freedoms,), m."""

@@ -363,6 +363,10 @@ class Frame:
         x0, y0, z0 = pose.position
         self.origin = np.array([x0, y0, z0 + datum])
 
+    def motion_from(self, first: Frame) -> np.ndarray:
+        """The way from another frame, m, and how the entries of the rotation changed, row by row, shape (12,)."""
+        return np.concatenate([self.origin - first.origin, (self.rotation - first.rotation).ravel()])
+
     def into(self, points: np.ndarray) -> np.ndarray:
         """Points of the mesh, (n, 3), in the frame of the tool."""
         return (points - self.origin) @ self.rotation
@@ -379,3 +383,13 @@ class Frame:
         turning = np.stack([np.stack([zero, z, -y], axis=-1), np.stack([-z, zero, x], axis=-1),
                             np.stack([y, -x, zero], axis=-1)], axis=1)
         return np.concatenate([np.broadcast_to(np.eye(3), (len(points), 3, 3)), turning], axis=2)
+
+
+def turned_with(forces: np.ndarray) -> np.ndarray:
+    """How forces (n, 3) change with the place and the rotation of what they are fixed to, shape (n, 3, 6)."""
+    rates = np.zeros((*forces.shape, 6))
+    x, y, z = forces.T
+    rates[:, 0, 4], rates[:, 0, 5] = z, -y
+    rates[:, 1, 3], rates[:, 1, 5] = -z, x
+    rates[:, 2, 3], rates[:, 2, 4] = y, -x
+    return rates

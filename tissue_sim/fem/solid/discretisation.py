@@ -63,13 +63,20 @@ def make_solver(model: Model, *, resolution: str = "fast", mesh: SolidMesh | Non
     tool = experiment.tool
     bonded = mesh.sets["top" if tool.is_plate else "face"] if experiment.friction == "bonded" else np.zeros(0, int)
     start = experiment.tool_pose(0.0)
-    bodies = _bodies(experiment, mesh, bonded)
+    bodies, datum = contact_bodies(experiment, mesh, bonded, start)
     tolerance = (_PLATE_TOLERANCE * experiment.specimen.radius if tool.is_plate
                  else _NEEDLE_TOLERANCE * tool.require_radius())
     fixed = {"base": _FIXED[experiment.base_interface]} if experiment.base_interface in _FIXED else {}
     return SolidSolver(mesh, model.material, fixed, bonded, bodies=bodies, tolerance=tolerance, start=start,
-                       datum=_touching_height(mesh, bodies, start), contact_radius=experiment.contact_radius,
+                       datum=datum, contact_radius=experiment.contact_radius,
                        pins=_pins(experiment, mesh))
+
+
+def contact_bodies(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray, start: Pose) -> tuple[list[Body], float]:
+    """What the surface of a mesh may meet, and the height of the scene's origin where the tool at `start` touches it, m;
+    `bonded` are the nodes that the tool holds."""
+    bodies = _bodies(experiment, mesh, bonded)
+    return bodies, _touching_height(mesh, bodies, start)
 
 
 def _pins(experiment: Experiment, mesh: SolidMesh) -> list[tuple[int, str]]:

@@ -13,7 +13,7 @@ from tissue_sim.fem.history import Memory
 from tissue_sim.fem.linear.sparse import Factor, SparseSolver
 from tissue_sim.fem.solid.assembly import assembly_kernel
 from tissue_sim.fem.solid.batches import ElementBatches
-from tissue_sim.fem.solid.contact import ALL, Body, ContactNodes, Frame, Look
+from tissue_sim.fem.solid.contact import ALL, Body, ContactNodes, Frame, Look, turned_with
 from tissue_sim.fem.solid.element import KAPPA, REMEMBERS, TANGENT
 from tissue_sim.fem.solid.free_part import FreePart
 from tissue_sim.fem.solid.surface import SolidSurface
@@ -113,20 +113,8 @@ class SolidSolver(Solver):
 
     def set_material(self, material: Material) -> None:
         """Change parameters, bulk response or law; the state is kept. See `Solver.set_material`."""
-        if any(isinstance(effect, PointEffect) for effect in material.effects.values()):
-            raise InputError("the solid in space takes no added effects of the tissue yet; leave them out, or use the "
-                             "axisymmetric solver", field="material.effects")
-        if material.layers:
-            raise InputError("the solid in space takes no layers yet; leave them out", field="material.layers")
+        bulk = bulk_of(material, self.mesh)
         energy = material.energy_law.kernel_energy
-        bulk = material.bulk_modulus
-        if np.isinf(bulk):
-            height = float(np.ptp(self.mesh.nodes[:, 2]))
-            bulk = incompressible_ratio(0.5 * float(np.ptp(self.mesh.nodes[:, 0])), height) * material.mu0
-        low, high = BULK_RATIOS
-        if not low <= bulk / material.mu0 <= high:
-            raise InputError(f"K/mu0 is {bulk / material.mu0:g}; the finite elements are checked from {low:g} to "
-                             f"{high:g}", field="bulk")
         coefficients = material.energy_law.kernel_coefficients(material.parameters)
         before: float = self._modulus or material.mu0
         self.material, self._modulus, self._settings[KAPPA] = material, material.mu0, bulk
@@ -273,6 +261,45 @@ class SolidSolver(Solver):
         return (frame.out_of(self._held_at) - self.mesh.nodes[self._bonded]).ravel()
 
     @property
+    def held_places(self) -> np.ndarray:
+        """Of the nodes that the tool holds, in its frame, m, shape (n, 3)."""
+        return self._held_at
+
+    def lifted_amplitudes(self, pose: Pose) -> np.ndarray:
+        """How far a tool that holds tissue has come at a pose: its way, m, and how the entries of its rotation changed,
+        row by row, shape (12,)."""
+        return Frame(pose, self.datum).motion_from(Frame(self._start, self.datum))
+
+    def elastic_answer(self, motions: np.ndarray) -> np.ndarray:
+        """What small motions of the nodes that the tool holds do to the resting solid, m, shape (freedoms, n).
+
+        Args:
+            motions: of these freedoms, m, shape (3 nodes, n).
+        """
+        self.lift_off()
+        self._assemble()
+        self._matrix.add(np.zeros_like(self.contact.rates))
+        factor = self._sparse.factorise(self._matrix.free, symmetric=True)
+        answer = np.zeros((self.x.size, motions.shape[1]))
+        answer[self._moved] = motions
+        if factor is not None:
+            answer[self._free] = -factor.solve(np.asarray(self._matrix.all[:, self._moved] @ motions)[self._free])
+        return answer
+
+    def element_forces(self, displacement: np.ndarray) -> np.ndarray:
+        """Of each element on its nodes at a displacement, N, shape (elements, freedoms of an element); the state is that
+        of the last committed step afterwards.
+
+        Args:
+            displacement: of all freedoms, m.
+        """
+        self.x[:], self.batches.pressures[:] = displacement, 0.0
+        self._assemble()
+        forces = self.batches.element_forces
+        self._go_back()
+        return forces
+
+    @property
     def _state(self) -> tuple[np.ndarray, ...]:
         return self.x, self.batches.pressures, self.contact.forces
 
@@ -306,7 +333,7 @@ class SolidSolver(Solver):
         way, turned = np.zeros((2, len(contact.nodes), 3, 6))
         way[contact.moves] = frame.rates(self._places()[contact.moves])
         # The forces of what touches the tool turn with it.
-        turned[contact.moves] = _turned(contact.forces[contact.moves])
+        turned[contact.moves] = turned_with(contact.forces[contact.moves])
         # Forces of the nodes when the tool moves and the tissue does not yet; the matrix holds the rates of contact.
         pushed = matrix @ moved
         np.add.at(pushed.reshape(-1, 3, 6), contact.nodes, turned - np.einsum("nij,njk->nik", contact.rates, way))
@@ -379,8 +406,23 @@ class SolidSolver(Solver):
         return report
 
 
-def _turned(forces: np.ndarray) -> np.ndarray:
-    """How forces (n, 3) change with the place and the rotation of what they are fixed to, shape (n, 3, 6)."""
-    rates = np.zeros((*forces.shape, 6))
-    rates[:, :, 3:] = np.cross(np.eye(3)[None], forces[:, None], axis=-1).swapaxes(1, 2)
-    return rates
+def bulk_of(material: Material, mesh: SolidMesh) -> float:
+    """Bulk modulus with which a solid is computed, Pa.
+
+    Raises:
+        InputError: what a solid does not take of a material, or a bulk ratio outside `BULK_RATIOS`.
+    """
+    if any(isinstance(effect, PointEffect) for effect in material.effects.values()):
+        raise InputError("the solid in space takes no added effects of the tissue yet; leave them out, or use the "
+                         "axisymmetric solver", field="material.effects")
+    if material.layers:
+        raise InputError("the solid in space takes no layers yet; leave them out", field="material.layers")
+    bulk = material.bulk_modulus
+    if np.isinf(bulk):
+        height = float(np.ptp(mesh.nodes[:, 2]))
+        bulk = incompressible_ratio(0.5 * float(np.ptp(mesh.nodes[:, 0])), height) * material.mu0
+    low, high = BULK_RATIOS
+    if not low <= bulk / material.mu0 <= high:
+        raise InputError(f"K/mu0 is {bulk / material.mu0:g}; the finite elements are checked from {low:g} to "
+                         f"{high:g}", field="bulk")
+    return bulk

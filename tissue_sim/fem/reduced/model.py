@@ -1,0 +1,81 @@
+"""A reduced solid: what is kept of it, and for which motions of the tool it was made."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from tissue_sim.errors import InputError
+from tissue_sim.mesh.solid import SolidMesh
+from tissue_sim.model import Model
+from tissue_sim.pose import Pose, motion
+
+
+@dataclass(frozen=True)
+class PoseBox:
+    """Where a tool may be: its deepest point in a box beside its first touch, its axis within a cone.
+
+    Attributes:
+        sideways: from where the experiment's approach begins, along x and y either way, m.
+        depth: m.
+        turn: from the orientation of the experiment's approach, about any axis, rad.
+
+    Raises:
+        InputError: a size that is negative or not finite, or no depth.
+    """
+
+    sideways: float
+    depth: float
+    turn: float = 0.0
+
+    def __post_init__(self):
+        for name in ("sideways", "depth", "turn"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0.0):
+                raise InputError(f"{value:g} is no size of a box of poses; give 0 or more", field=f"box.{name}")
+        if not self.depth > 0.0:
+            raise InputError("a box without depth holds no contact; give a depth", field="box.depth")
+
+    def holds(self, pose: Pose, start: Pose, slack: float = 1e-6) -> bool:
+        """Whether a pose lies in the box of a tool that begins at `start`; above the tissue all do.
+
+        Args:
+            slack: share of the sizes that does not count.
+        """
+        x, y, z, *turn = motion(start, pose)
+        if z > self.depth:
+            return True
+        most = 1.0 + slack
+        return (max(abs(x), abs(y)) <= self.sideways * most + slack * self.depth and -z <= self.depth * most
+                and math.hypot(*turn) <= self.turn * most + slack)
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedModel:
+    """A solid in some of its motions and elements, for `ts.Simulator(reduced.model, solver="reduced", mesh=reduced)`.
+
+    Attributes:
+        model: experiment and material that it was made of.
+        mesh: of the whole solid.
+        basis: what the modes move, m per amplitude, shape (freedoms, modes); after the first `lifting` of them what the
+            tool holds stays where it is.
+        lifting: modes whose amplitudes the tool's pose says: 12 where it holds tissue, else 0.
+        elements: numbers of those that are looked at, shape (n,); shares: how many each stands for.
+        box: of poses.
+        softness: share of the contact's reach by which the layer between tool and tissue gives way.
+        report: how it was made and how good it is: ``freedoms``, ``modes``, ``elements``, ``snapshots``,
+            ``force_rms_error`` and ``force_largest_error`` over the rms force, on motions that it was not made of.
+    """
+
+    model: Model
+    mesh: SolidMesh
+    basis: np.ndarray
+    lifting: int
+    elements: np.ndarray
+    shares: np.ndarray
+    box: PoseBox
+    softness: float
+    report: dict[str, Any] = field(default_factory=dict)

@@ -1,0 +1,275 @@
+"""A reduced solid, stepped from pose to pose of a tool a thousand times a second."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+
+from tissue_sim.errors import InputError
+from tissue_sim.fem.reduced.contact import LayerContact
+from tissue_sim.fem.reduced.elements import SampledElements
+from tissue_sim.fem.reduced.model import ReducedModel
+from tissue_sim.fem.solid.contact import Frame, turned_with
+from tissue_sim.fem.solid.discretisation import contact_bodies
+from tissue_sim.fem.solid.solver import bulk_of
+from tissue_sim.fem.solid.surface import SolidSurface
+from tissue_sim.fem.solver import Fields, Solver, Step, StepStatus
+from tissue_sim.material.material import Material
+from tissue_sim.mesh.solid import SolidMesh
+from tissue_sim.model import Model
+from tissue_sim.pose import Pose, Screw, motion
+from tissue_sim.tool_force import Matrix
+
+#: Unbalanced over balanced forces on the modes; a smaller tolerance would be far below the error of the reduction.
+TOLERANCE = 1e-4
+#: Unbalanced forces are measured against those of the contact, but at least this share of the largest so far.
+_FLOOR_SHARE = 0.02
+#: A linear solution is halved where it does not make the unbalanced forces smaller by this share of itself.
+_DESCENT, _MOST_HALVINGS = 0.1, 5
+#: Groups of elements whose stiffness is computed at one time; in an iteration after the first, no stiffness is computed
+#: anew while the unbalanced forces shrink to this share each time.
+_GROUPS, _FAST = 8, 0.2
+#: Smallest J of an element that is not about to turn inside out.
+_LEAST = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class _Saved:
+    arrays: tuple[np.ndarray, ...]
+    pose: Pose
+    largest_force: float
+
+
+class ReducedSolver(Solver):
+    """Newton's iteration on the modes of a reduced solid; see `ReducedModel`.
+
+    Args:
+        reduced: what was kept of the solid.
+        material: law, parameters, bulk response; may differ from the one that it was made of.
+
+    Raises:
+        InputError: what it does not take of a material.
+        MissingBackendError: Taichi is not there.
+    """
+
+    highest_order = 1
+
+    def __init__(self, reduced: ReducedModel, material: Material):
+        experiment, mesh = reduced.model.experiment, reduced.mesh
+        self.mesh, self.reduced = mesh, reduced
+        self._start = self._pose = experiment.tool_pose(0.0)
+        bonded = mesh.sets["face"] if reduced.lifting else np.zeros(0, dtype=np.intp)
+        bodies, self.datum = contact_bodies(experiment, mesh, bonded, self._start)
+        self.elements = SampledElements(mesh, reduced.basis, reduced.elements, reduced.shares, groups=_GROUPS,
+                                        contact_radius=experiment.contact_radius)
+        self._reach = experiment.contact_radius
+        self.contact = LayerContact(bodies, mesh.nodes, mesh.node_areas, reduced.basis, reach=self._reach,
+                                    softness=reduced.softness)
+        self._first = Frame(self._start, self.datum)
+        modes = reduced.basis.shape[1]
+        self._lifting = reduced.lifting
+        self.amplitudes = np.zeros(modes)
+        #: How they follow the tool at the last equilibrium.
+        self._answer = np.zeros((modes, 6))
+        self._committed = self.amplitudes.copy(), self.elements.pressures.copy()
+        self._largest_force, self._asked, self._modulus = 0.0, False, 0.0
+        self.set_material(material)
+
+    def set_material(self, material: Material) -> None:
+        """Change parameters, bulk response or law; the state is kept. See `Solver.set_material`."""
+        bulk = bulk_of(material, self.mesh)
+        self.elements.set_material(material, bulk)
+        before: float = self._modulus or material.mu0
+        self.material, self._modulus = material, material.mu0
+        self.contact.set_stiffness(material.mu0)
+        for pressures in (self._committed[1], self.elements.pressures):
+            pressures *= material.mu0 / before
+        self._floor = 1e-3 * material.mu0 * self._reach**2
+
+    @property
+    def pose(self) -> Pose:
+        """Of the tool at the last committed state."""
+        return self._pose
+
+    def ask_for_stiffness(self) -> None:
+        """Let every step answer its stiffness matrix from now on."""
+        self._asked = True
+
+    def step(self, pose: Pose, dt: float = 0.0, *, tolerance: float = TOLERANCE, max_iterations: int = 20,
+             predictor_order: int = 2, inertial: bool = False, resumes: bool = False,
+             own_stiffness: bool = True) -> Step:
+        """Move the tool to a pose and find equilibrium; see `Solver.step`. There is no mass."""
+        if not self.reduced.box.holds(pose, self._start):
+            return Step(StepStatus.OUTSIDE, 0, 0.0, (0.0,) * 6)
+        elements, contact = self.elements, self.contact
+        elements.memory.prepare(dt)
+        if not resumes:
+            self._go_back()
+        frame = Frame(pose, self.datum)
+        pressed_in = bool(frame.origin[2] <= self._first.origin[2])
+        held, free = self._lifting, slice(self._lifting, None)
+        # It begins by going with the tool as it would if the contact did not change.
+        way = np.array(motion(self._pose, pose)) if predictor_order else np.zeros(6)
+        here = self.amplitudes + self._answer @ way
+        here[:held] = self._lifted(frame)
+        change: np.ndarray | None = here - self.amplitudes
+        iterations, ratio, last, anew, halvings, status = 0, 0.0, np.inf, 1, 0, None
+        base = self.amplitudes.copy(), elements.pressures.copy()
+        while status is None:
+            elements.evaluate(here, change, anew)
+            contact.evaluate(here, frame, pressed_in)
+            pushed, rates = contact.on_modes()
+            residual = elements.forces + pushed
+            unbalanced = float(np.linalg.norm(residual[free]))
+            balanced = float(np.linalg.norm(pushed)) + float(np.linalg.norm(elements.forces[:held]))
+            ratio = unbalanced / max(balanced, self._floor, _FLOOR_SHARE * self._largest_force)
+            bad = not (elements.least > _LEAST and np.isfinite(ratio))
+            if ratio <= max(tolerance, TOLERANCE) and not bad:
+                status = StepStatus.CONVERGED
+                break
+            if (bad or unbalanced > (1.0 - _DESCENT) * last) and halvings < _MOST_HALVINGS and (iterations or bad):
+                # Half of the way back.
+                halvings += 1
+                here = 0.5 * (here + base[0])
+                here[:held] = self._lifted(frame)
+                elements.pressures[:] = 0.5 * (elements.pressures + base[1])
+                change = None
+                continue
+            if bad:
+                status = StepStatus.INVERTED
+            elif iterations >= max_iterations:
+                status = StepStatus.SLOW
+            if status is not None:
+                break
+            if iterations and (unbalanced > _FAST * last or halvings):
+                # The stiffness is that of other states.
+                elements.evaluate(here, None, _GROUPS)
+            last, halvings, base = unbalanced, 0, (here, elements.pressures.copy())
+            step = np.zeros_like(here)
+            step[free] = -np.linalg.solve((elements.tangent + rates)[free, free], residual[free])
+            here, change, anew = here + step, step, 0
+            iterations += 1
+        self.amplitudes[:] = here
+        stiffness, wrench = None, np.zeros(6)
+        if status is StepStatus.CONVERGED:
+            wrench = contact.wrench(frame) - self._lifted_rates(frame).T @ residual[:held]
+            self._answer[:] = self._follows(frame, rates)
+            if self._asked:
+                stiffness = self._stiffness(frame, rates)
+            contact.commit()
+            elements.memory.commit()
+            self._committed = here.copy(), elements.pressures.copy()
+            self._pose = pose
+            self._largest_force = max(self._largest_force, balanced)
+        return Step(status, iterations, ratio, cast("Screw", tuple(wrench.tolist())),
+                    None if stiffness is None else cast("Matrix", tuple(map(tuple, stiffness.tolist()))),
+                    contact.violation, contact.slipping)
+
+    def _go_back(self) -> None:
+        """To the last committed state."""
+        self.amplitudes[:], self.elements.pressures[:] = self._committed
+
+    def _lifted(self, frame: Frame) -> np.ndarray:
+        """Amplitudes of the modes that the tool's pose says, shape (lifting,): its way, and how its axes turned."""
+        return frame.motion_from(self._first)[: self._lifting]
+
+    def _lifted_rates(self, frame: Frame) -> np.ndarray:
+        """How these change with the position and a rotation of the tool, shape (lifting, 6)."""
+        rates = np.zeros((self._lifting, 6))
+        if self._lifting:
+            rates[:3, :3] = np.eye(3)
+            rates[3:, 3:] = turned_with(frame.rotation.T).transpose(1, 0, 2).reshape(9, 6)[:, 3:]
+        return rates
+
+    def _follows(self, frame: Frame, rates: np.ndarray) -> np.ndarray:
+        """How the amplitudes follow the position and a rotation of the tool, shape (modes, 6)."""
+        held = self._lifting
+        tangent = self.elements.tangent + rates
+        answer = np.zeros((tangent.shape[0], 6))
+        answer[:held] = self._lifted_rates(frame)
+        pushed = self.contact.rates_of_modes(frame)
+        answer[held:] = -np.linalg.solve(tangent[held:, held:], pushed[held:] + tangent[held:, :held] @ answer[:held])
+        return answer
+
+    def _stiffness(self, frame: Frame, rates: np.ndarray) -> np.ndarray:
+        """Minus the derivative of the wrench with the tool's pose, shape (6, 6)."""
+        stiffness, held = self.contact.stiffness(frame, self._answer), self._lifting
+        if held:
+            # Of the contact only what the lifted modes move beside the held face is in the residual.
+            forces = (self.elements.tangent + rates)[:held] @ self._answer + self.contact.rates_of_modes(frame)[:held]
+            stiffness = stiffness + self._answer[:held].T @ forces
+        return stiffness
+
+    def lift_off(self) -> None:
+        """Take the tool away at once; see `Solver.lift_off`."""
+        for array in self._committed:
+            array[:] = 0.0
+        self._answer[:] = 0.0
+        self.contact.forget()
+        self._pose = self._start
+        self._go_back()
+
+    def save(self) -> _Saved:
+        """All that a committed step leaves behind, for `restore`."""
+        return _Saved(tuple(array.copy() for array in self._kept), self._pose, self._largest_force)
+
+    def restore(self, saved: _Saved) -> None:
+        """Go back to where `save` was called."""
+        for array, before in zip(self._kept, saved.arrays, strict=True):
+            array[:] = before
+        self._pose, self._largest_force = saved.pose, saved.largest_force
+
+    @property
+    def _kept(self) -> tuple[np.ndarray, ...]:
+        return (*self._committed, self._answer, *self.contact.kept, *self.elements.memory.kept)
+
+    def displacement(self) -> np.ndarray:
+        """Of all nodes at the last committed state, m, shape (nodes, 3)."""
+        return (self.reduced.basis @ self._committed[0]).reshape(-1, 3)
+
+    def sample(self) -> Any:
+        """What `fields` needs of the last committed state."""
+        return self.displacement()
+
+    def fields(self, samples: Sequence[Any]) -> Fields | None:
+        """There are none: of most elements nobody looks."""
+        return None
+
+    def surface(self) -> SolidSurface:
+        """The surface at the last committed state."""
+        return SolidSurface(self.mesh, self.displacement(), self.datum)
+
+    def report(self) -> dict[str, Any]:
+        """What a recording's metadata say of the solver; see `Solver.report`."""
+        report = {"element": self.mesh.element.name,
+                  "mesh": {"elements": len(self.mesh.connectivity), "freedoms": 3 * len(self.mesh.nodes)},
+                  "reduced": dict(self.reduced.report), "penetration_mm": 0.0,
+                  "penetration_tolerance_mm": self.reduced.softness * self._reach * 1e3}
+        if self.contact.has_friction:
+            report["slipping_points"] = 0
+        return report
+
+
+def make_solver(model: Model, *, resolution: str = "realtime", mesh: SolidMesh | ReducedModel | None = None,
+                topology: Model | None = None) -> ReducedSolver:
+    """The solver of a reduced model; see `tissue_sim.fem.solver.SolverMaker`.
+
+    Args:
+        model: the experiment of the reduced model, and a material.
+        resolution: not known here.
+        mesh: the `ReducedModel`.
+        topology: not known here.
+
+    Raises:
+        InputError: no reduced model, or the experiment of another one.
+    """
+    if not isinstance(mesh, ReducedModel):
+        raise InputError("the reduced solver steps what `tissue-sim reduce` has made; give that as the mesh",
+                         field="mesh")
+    if topology is not None:
+        raise InputError("a reduced model has the geometry that it was made of; leave the topology out",
+                         field="topology")
+    return ReducedSolver(mesh, model.material)

@@ -1,0 +1,239 @@
+"""Making a reduced solid: what the whole one does, the modes in it, and the elements that stand for all.
+
+Modes are the left singular vectors of displacements (proper orthogonal decomposition; Sirovich, Quart. Appl. Math. 45
+(1987) 561). What a tool holds is lifted into the solid by the elastic solutions for its twelve motions (three ways, and the
+nine entries of a rotation), so that the modes need not know them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tissue_sim.errors import ConvergenceError, InputError
+from tissue_sim.fem.reduced.model import PoseBox, ReducedModel
+from tissue_sim.fem.reduced.sampling import sparse_weights
+from tissue_sim.fem.reduced.solver import ReducedSolver
+from tissue_sim.fem.reduced.strokes import stroke
+from tissue_sim.fem.solid.discretisation import build_mesh, make_solver
+from tissue_sim.fem.solid.solver import SolidSolver
+from tissue_sim.fem.solver import StepStatus
+from tissue_sim.mesh.solid import SolidMesh
+from tissue_sim.model import Model
+from tissue_sim.pose import Pose, between
+
+#: Motions of what a tool holds: three ways, and the nine entries of a rotation.
+LIFTING = 12
+#: Linear solves of a step of the whole solid, and parts that it is cut into where it does not come through.
+_MOST_SOLVES, _CUTS = 40, 3
+#: States whose forces are less than this share of the largest are left out where elements are chosen, and as many of the
+#: others are looked at.
+_LEAST_FORCE, _LOOKED_AT = 0.02, 240
+#: Steps of the reduced solid on the way of one of the whole.
+_FINER = 8
+#: Strokes on which a reduced solid is tried are those from here on.
+UNSEEN = 5000
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshots:
+    """What the whole solid did on a stroke.
+
+    Attributes:
+        displacements: of all freedoms at each pose, m, shape (poses, freedoms).
+        wrenches: on the tool, N and N m, shape (poses, 6).
+    """
+
+    displacements: np.ndarray
+    wrenches: np.ndarray
+
+
+def check(model: Model, mesh: SolidMesh) -> None:
+    """Refuse what a reduced solid does not take.
+
+    Raises:
+        InputError: a plate, a base with friction, weight, layers.
+    """
+    experiment = model.experiment
+    if experiment.tool.is_plate:
+        raise InputError("a reduced solid is one under a needle; a plate moves along one line, for which "
+                         "the axisymmetric solver is fast enough", field="tool")
+    if experiment.base_interface not in ("bonded", "frictionless"):
+        raise InputError("a reduced solid stands on a base that is bonded or frictionless; use one of them",
+                         field="friction_base")
+    if experiment.specimen.specific_weight:
+        raise InputError("a reduced solid has no weight yet; leave gravity out", field="specimen.gravity")
+    if model.material.layers or getattr(mesh, "regions", None):
+        raise InputError("a reduced solid is of one material; leave layers and regions out", field="material.layers")
+
+
+def whole_solver(model: Model, mesh: SolidMesh) -> SolidSolver:
+    """The solver of the whole solid."""
+    return make_solver(model, mesh=mesh)
+
+
+def snapshots(solver: SolidSolver, poses: Sequence[Pose], *, tolerance: float = 1e-7) -> Snapshots:
+    """Take the whole solid along poses, from a specimen that nobody has touched.
+
+    Raises:
+        ConvergenceError: a step did not converge however small.
+    """
+    solver.lift_off()
+    displacements, wrenches, here = [], [], poses[0]
+    for pose in poses:
+        for part in _parts(solver, here, pose, tolerance):
+            step = part
+        here = pose
+        displacements.append(solver.sample().displacement.ravel())
+        wrenches.append(step.wrench)
+    return Snapshots(np.array(displacements), np.array(wrenches))
+
+
+def _parts(solver: SolidSolver, here: Pose, goal: Pose, tolerance: float) -> Iterator:
+    """The steps to a pose, in parts where one does not come through."""
+    for cut in range(_CUTS + 1):
+        count = 4**cut
+        for k in range(count):
+            step = solver.step(between(here, goal, (k + 1) / count), 0.0, tolerance=tolerance,
+                               max_iterations=_MOST_SOLVES)
+            if step.status is not StepStatus.CONVERGED:
+                break
+        else:
+            yield step
+            return
+        here = solver.pose
+    raise ConvergenceError(f"the whole solid found no equilibrium {solver.pose.depth * 1e3:.3g} mm deep: "
+                           f"{step.status.message}; make the box smaller", depth=solver.pose.depth)
+
+
+def lifted_modes(solver: SolidSolver) -> np.ndarray:
+    """What the motions of the tool do to the resting solid whose nodes it holds, shape (freedoms, 12), or (freedoms, 0)
+    of a tool that holds none."""
+    held = solver.held_places
+    if not held.size:
+        return np.zeros((solver.x.size, 0))
+    motions = np.zeros((*held.shape, LIFTING))
+    motions[:, :, :3] = np.eye(3)
+    for i in range(3):
+        for k in range(3):
+            motions[:, i, 3 + 3 * i + k] = held[:, k]
+    return solver.elastic_answer(motions.reshape(-1, LIFTING))
+
+
+def modes(states: np.ndarray, lifted: np.ndarray, amplitudes: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The most important modes of displacements, beside the lifted ones.
+
+    Args:
+        states: displacements, m, shape (states, freedoms).
+        lifted: shape (freedoms, lifting); amplitudes: of them in each state, shape (states, lifting).
+        count: modes beside the lifted ones.
+
+    Returns:
+        Basis, shape (freedoms, lifting + count), and all singular values, m.
+    """
+    rest = states - amplitudes @ lifted.T
+    # Of few long rows the small matrix of their products has the same singular values.
+    values, vectors = np.linalg.eigh(rest @ rest.T)
+    order = np.argsort(values)[::-1]
+    singular = np.sqrt(np.maximum(values[order], 0.0))
+    count = min(count, int((singular > 1e-9 * singular[0]).sum()))
+    found = rest.T @ (vectors[:, order[:count]] / singular[:count])
+    return np.hstack([lifted, found]), singular
+
+
+def sample_elements(solver: SolidSolver, basis: np.ndarray, lifting: int, states: np.ndarray, amplitudes: np.ndarray,
+                    wrenches: np.ndarray, tolerance: float,
+                    progress: Callable[[int, float], None] | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Elements that stand for all, and for how many each: their forces on the modes at the states that the modes hold.
+
+    Returns:
+        Numbers and shares, shape (n,).
+    """
+    mesh = solver.mesh
+    forces = np.linalg.norm(wrenches[:, :3], axis=1)
+    strong = np.flatnonzero(forces >= _LEAST_FORCE * forces.max())
+    looked_at = strong[np.linspace(0, strong.size - 1, min(_LOOKED_AT, strong.size)).astype(int)]
+    scale = np.linalg.norm(basis, axis=0)
+    rows = (basis / scale).reshape(-1, 3, basis.shape[1])[mesh.connectivity].reshape(
+        len(mesh.connectivity), -1, basis.shape[1])
+    contributions = []
+    for state in looked_at:
+        lifted, rest = basis[:, :lifting], basis[:, lifting:]
+        own = rest @ (rest.T @ (states[state] - lifted @ amplitudes[state]))
+        on_nodes = solver.element_forces(lifted @ amplitudes[state] + own)
+        contributions.append(np.einsum("eir,ei->re", rows, on_nodes) / forces[state])
+    weights = sparse_weights(np.concatenate(contributions), tolerance, progress=progress)
+    elements = np.flatnonzero(weights)
+    return elements, weights[elements]
+
+
+def verify(reduced: ReducedModel, solver: SolidSolver, numbers: Sequence[int],
+           progress: Callable[[int, int], None] | None = None) -> dict[str, float]:
+    """How far the reduced solid is from the whole one on strokes that it was not made of.
+
+    Returns:
+        ``force_rms_error`` and ``force_largest_error`` over the rms force of the whole, its rms ``force_rms_N``, and
+        ``not_converged``, the share of steps that were not.
+    """
+    experiment = reduced.model.experiment
+    small = ReducedSolver(reduced, reduced.model.material)
+    missed, forces, lost, steps = [], [], 0, 0
+    for done, number in enumerate(numbers):
+        poses = stroke(number, reduced.box, experiment.tool_pose(0.0), holds=reduced.lifting > 0,
+                       reach=experiment.contact_radius)
+        true = snapshots(solver, poses).wrenches
+        small.lift_off()
+        here = poses[0]
+        for pose, wrench in zip(poses, true, strict=True):
+            for k in range(_FINER):
+                step = small.step(between(here, pose, (k + 1) / _FINER))
+                steps += 1
+                lost += step.status is not StepStatus.CONVERGED
+            here = pose
+            missed.append(np.subtract(step.wrench[:3], wrench[:3]))
+            forces.append(wrench[:3])
+        if progress:
+            progress(done + 1, len(numbers))
+    error, force = (np.linalg.norm(np.array(each), axis=1) for each in (missed, forces))
+    rms = float(np.sqrt(np.mean(force**2)))
+    return {"force_rms_error": float(np.sqrt(np.mean(error**2))) / rms, "force_largest_error": float(error.max()) / rms,
+            "force_rms_N": rms, "not_converged": lost / steps}
+
+
+def assemble(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[Snapshots], poses: Sequence[Sequence[Pose]], *,
+             count: int, tolerance: float, softness: float,
+             progress: Callable[[int, float], None] | None = None) -> ReducedModel:
+    """The reduced solid that snapshots along strokes give.
+
+    Args:
+        model, mesh, box: of the solid.
+        taken: what it did; poses: on which poses.
+        count: modes beside the lifted ones; tolerance: of the forces of the sampled elements over those of all.
+        softness: see `ReducedModel`.
+        progress: called with the number of elements and their error so far.
+    """
+    solver = whole_solver(model, mesh)
+    states = np.concatenate([each.displacements for each in taken])
+    wrenches = np.concatenate([each.wrenches for each in taken])
+    lifted = lifted_modes(solver)
+    lifting = lifted.shape[1]
+    amplitudes = np.array([solver.lifted_amplitudes(pose) for each in poses for pose in each])[:, :lifting]
+    basis, singular = modes(states, lifted, amplitudes, count)
+    elements, shares = sample_elements(solver, basis, lifting, states, amplitudes, wrenches, tolerance, progress)
+    kept = basis.shape[1] - lifting
+    report = {"freedoms": int(states.shape[1]), "modes": kept, "elements": int(elements.size),
+              "elements_of_all": len(mesh.connectivity), "snapshots": int(states.shape[0]),
+              "energy_left_out": float((singular[kept:] ** 2).sum() / (singular**2).sum())}
+    return ReducedModel(model, mesh, basis, lifting, elements, shares, box, softness, report)
+
+
+def with_report(reduced: ReducedModel, **more: float) -> ReducedModel:
+    """With more in its report."""
+    return replace(reduced, report={**reduced.report, **more})
+
+
+def training_mesh(model: Model, resolution: str) -> SolidMesh:
+    """The mesh of a named resolution."""
+    return build_mesh(model.experiment, resolution)
