@@ -9,7 +9,12 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.mesh.axisymmetric import growing_line
-from tissue_sim.mesh.hexahedra import Hexahedron
+from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
+from tissue_sim.mesh.solid_element import SolidElement
+from tissue_sim.mesh.tetrahedra import TET10P0, TET15P1
+
+#: Elements of the solid by their names.
+SOLID_ELEMENTS: dict[str, SolidElement] = {element.name: element for element in (HEX27P1, HEX8P0, TET15P1, TET10P0)}
 
 #: Nodes nearer to each other than this share of the mesh's size are one.
 _SAME = 1e-9
@@ -22,7 +27,7 @@ _Map = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class SolidMesh:
-    """Hexahedra in space; the undeformed top face is z = 0 and the base z = -height.
+    """Elements in space; the undeformed top face is z = 0 and the base z = -height.
 
     Attributes:
         element: element type.
@@ -31,10 +36,10 @@ class SolidMesh:
         sets: named node numbers, sorted: ``base``, ``top``, ``side``; where a needle comes down also ``face``, what is
             under its flat face, and ``free``, the rest of the top, both with the nodes at the edge.
         faces: element sides on the surface, by the names ``base``, ``top`` and ``side``, as node numbers, shape (m,
-            nodes of a side); see `Hexahedron.faces`.
+            nodes of a side); see `SolidElement.faces`.
     """
 
-    element: Hexahedron
+    element: SolidElement
     nodes: np.ndarray
     connectivity: np.ndarray
     sets: dict[str, np.ndarray] = field(default_factory=dict)
@@ -43,14 +48,11 @@ class SolidMesh:
     @property
     def node_areas(self) -> np.ndarray:
         """Of the surface that each node stands for, m2, shape (n,)."""
-        areas, count = np.zeros(len(self.nodes)), self.element.order + 1
-        # Simpson's rule, or that of trapezoids.
-        line = np.array([1.0, 4.0, 1.0]) / 6.0 if count == 3 else np.array([0.5, 0.5])
+        areas = np.zeros(len(self.nodes))
         for faces in self.faces.values():
-            grid = self.nodes[faces].reshape(-1, count, count, 3)
-            corners = grid[:, 0, 0], grid[:, 0, -1], grid[:, -1, -1], grid[:, -1, 0]
-            area = 0.5 * np.linalg.norm(np.cross(corners[2] - corners[0], corners[3] - corners[1]), axis=1)
-            np.add.at(areas, faces, area[:, None] * np.outer(line, line).ravel())
+            corners = self.nodes[faces[:, self.element.face_corners]]
+            area = 0.5 * np.linalg.norm(np.cross(corners, np.roll(corners, -1, axis=1)).sum(axis=1), axis=1)
+            np.add.at(areas, faces, area[:, None] * self.element.face_shares)
         return areas
 
 
@@ -169,7 +171,7 @@ class _Section:
         return with_surface(element, nodes, connectivity)
 
 
-def with_surface(element: Hexahedron, nodes: np.ndarray, connectivity: np.ndarray) -> SolidMesh:
+def with_surface(element: SolidElement, nodes: np.ndarray, connectivity: np.ndarray) -> SolidMesh:
     """A mesh whose surface is named by where it is: ``top``, ``base`` and the rest, ``side``.
 
     Args:

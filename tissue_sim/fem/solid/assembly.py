@@ -13,7 +13,7 @@ from tissue_sim.fem.solid import energy as point
 from tissue_sim.fem.solid.batches import LANES
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
-from tissue_sim.mesh.hexahedra import HEXAHEDRA
+from tissue_sim.mesh.solid import SOLID_ELEMENTS
 
 #: Places in `settings`: bulk modulus, Pa; whether the tangent is wanted; whether the tissue remembers.
 KAPPA, TANGENT, REMEMBERS = range(3)
@@ -38,7 +38,7 @@ def assembly_kernel(element_name: str, energy: KernelEnergy):
     """Kernel of the forces of all nodes, and of the tangent where `settings` ask for it; `least` gets the smallest
     J."""
     ti = initialise()
-    element = HEXAHEDRA[element_name]
+    element = SOLID_ELEMENTS[element_name]
     nodes, modes, points = element.nodes, element.pressure_modes, element.quadrature[1].size
     pairs = nodes * (nodes + 1) // 2
     s = _scratch()
