@@ -45,7 +45,7 @@ def joined_at_corners(element: SolidElement, corners: np.ndarray,
 
 
 def split_hexahedra(mesh: SolidMesh, element: Tetrahedron) -> SolidMesh:
-    """The same solid in tetrahedra, six for each hexahedron, whose curved sides they keep.
+    """The same solid in tetrahedra, six for each hexahedron, whose curved sides quadratic ones keep.
 
     From its corner of the lowest number each hexahedron is seen as six tetrahedra over the three sides that do not
     hold it; every side is cut from its lowest corner, so that neighbours fit (Dompierre et al., How to subdivide
@@ -64,6 +64,8 @@ def split_hexahedra(mesh: SolidMesh, element: Tetrahedron) -> SolidMesh:
     inside = np.einsum("nc,etci->etni", element.corner_shares, spots)
     values, _ = given.shape_functions(inside.reshape(-1, 3))
     places = np.einsum("etng,egi->etni", values.reshape(*inside.shape[:-1], -1), mesh.nodes[mesh.connectivity])
+    if element.order == 1:  # whose sides are straight
+        places = np.einsum("nc,etci->etni", element.corner_shares, places[:, :, element.corners])
     numbers = np.take_along_axis(corners[:, None], cut, axis=2).reshape(-1, 4)
     return with_surface(element, *joined_at_corners(element, numbers, places.reshape(-1, element.nodes, 3)))
 

@@ -11,10 +11,10 @@ from tissue_sim.errors import InputError
 from tissue_sim.mesh.axisymmetric import growing_line
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
 from tissue_sim.mesh.solid_element import SolidElement
-from tissue_sim.mesh.tetrahedra import TET10P0, TET15P1
+from tissue_sim.mesh.tetrahedra import TET8P0, TET15P1
 
 #: Elements of the solid by their names.
-SOLID_ELEMENTS: dict[str, SolidElement] = {element.name: element for element in (HEX27P1, HEX8P0, TET15P1, TET10P0)}
+SOLID_ELEMENTS: dict[str, SolidElement] = {element.name: element for element in (HEX27P1, HEX8P0, TET15P1, TET8P0)}
 
 #: Nodes nearer to each other than this share of the mesh's size are one.
 _SAME = 1e-9
