@@ -4,7 +4,7 @@ import numpy as np
 
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
 from tissue_sim.mesh.raising import joined_at_corners, split_hexahedra
-from tissue_sim.mesh.solid import block_mesh, needle_solid, with_surface
+from tissue_sim.mesh.solid import block_mesh, needle_solid, with_surface, with_tool_sets
 
 
 def block(x, y, z, element, move=None):
@@ -24,8 +24,4 @@ def punched_cylinder(element, radius=8e-3, centre=(0.0, 0.0), **sizes):
     mesh = needle_solid(0.04, 0.07, radius, made_of, centre=centre, **sizes)
     if made_of is element:
         return mesh
-    tetrahedra = split_hexahedra(mesh, element)
-    top = tetrahedra.sets["top"]
-    beside = np.hypot(*(tetrahedra.nodes[top, :2] - centre).T) - radius
-    tetrahedra.sets.update(face=top[beside <= 4e-11], free=top[beside >= -4e-11])
-    return tetrahedra
+    return with_tool_sets(split_hexahedra(mesh, element), radius, centre)

@@ -6,9 +6,7 @@ from solid_meshes import block
 
 from tissue_sim.errors import InputError
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.raising import split_hexahedra
 from tissue_sim.mesh.solid import SOLID_ELEMENTS, cylinder_solid, needle_solid
-from tissue_sim.mesh.tetrahedra import TET8P0, TET15P1
 
 every_element = pytest.mark.parametrize("element", SOLID_ELEMENTS.values(), ids=lambda element: element.name)
 NEEDLE = {"smallest": 1.3e-3, "growth": 1.8, "largest": 15e-3}
