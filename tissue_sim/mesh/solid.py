@@ -33,6 +33,7 @@ class SolidMesh:
             under its flat face, and ``free``, the rest of the top, both with the nodes at the edge.
         faces: element sides on the surface, by the names ``base``, ``top`` and ``side``, as node numbers, shape (m,
             nodes of a side); see `SolidElement.faces`.
+        regions: named element numbers, no element in two; what may have a material of its own.
     """
 
     element: SolidElement
@@ -40,6 +41,7 @@ class SolidMesh:
     connectivity: np.ndarray
     sets: dict[str, np.ndarray] = field(default_factory=dict)
     faces: dict[str, np.ndarray] = field(default_factory=dict)
+    regions: dict[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def node_areas(self) -> np.ndarray:

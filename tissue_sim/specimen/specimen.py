@@ -51,7 +51,7 @@ class Specimen(metaclass=_ByShape):
     dataclass with the sizes of its shape as fields, m.
 
     Attributes:
-        shape: name of the shape: ``"cylinder"``, ``"block"``; a package may add others.
+        shape: name of the shape: ``"cylinder"``, ``"block"``, ``"mesh"``; a package may add others.
         is_prism: whether all cross-sections are alike, so that one between plates that slip deforms homogeneously.
         name: for people and campaign files.
         density: kg/m3, or None where nobody said.
@@ -151,7 +151,8 @@ def _words(name: str) -> str:
 
 #: Shape -> its class.
 SPECIMENS: Registry[type[Specimen]] = Registry("specimen shape", "tissue_sim.specimens", {
-    "cylinder": "tissue_sim.specimen.cylinder:Cylinder", "block": "tissue_sim.specimen.block:Block"},
+    "cylinder": "tissue_sim.specimen.cylinder:Cylinder", "block": "tissue_sim.specimen.block:Block",
+    "mesh": "tissue_sim.specimen.mesh:MeshSpecimen"},
     accepts=lambda kind: isinstance(kind, type) and issubclass(kind, Specimen) and is_dataclass(kind),
     expected="a frozen dataclass derived from Specimen", named_by="shape")
 
