@@ -141,8 +141,8 @@ def _apart(regions: dict[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
 
 
 def solid_from_file(mesh: FileMesh, order: int = 2, *, base: str | None = None, top: str | None = None) -> SolidMesh:
-    """The mesh with elements of the solver, its base and top named; the middle of the box about the top comes to x = y =
-    0, its highest node to z = 0.
+    """The mesh with elements of the solver, its base and top named; the middle of the box about the top comes to
+    x = y = 0, its highest node to z = 0.
 
     Args:
         mesh: of a file.

@@ -107,8 +107,9 @@ class MeshSpecimen(Specimen):
             return mesh
         mesh = with_tool_sets(mesh, grading.radius, grading.centre)
         if mesh.sets["face"].size < _FEWEST:
-            raise InputError(f"only {mesh.sets['face'].size} nodes of the top lie under the tool, {grading.radius * 1e3:g} "
-                             "mm about its axis; give a mesh that is finer there", file=self.mesh_file, field="mesh_file")
+            raise InputError(f"only {mesh.sets['face'].size} nodes of the top lie within {grading.radius * 1e3:g} mm "
+                             "of the tool's axis; give a mesh that is finer there", file=self.mesh_file,
+                             field="specimen.mesh_file")
         return mesh
 
 

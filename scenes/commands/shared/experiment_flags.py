@@ -50,14 +50,15 @@ def add_experiment_flags(parser: Parser) -> None:
         usual = f" (of the cylinder by default: {USUAL_SIZES[key]:g})" if key in USUAL_SIZES else ""
         specimen.add_argument(f"--{key.replace('_', '-')}", type=_size(what), metavar="N",
                               help=f"{name.replace('_', ' ')} of the specimen: {', '.join(shapes)}{usual}")
-    specimen.add_argument("--mesh", type=Path, metavar="FILE", help="a specimen of any shape: .msh, .vtu, .vtk or .inp, "
-                          "tetrahedra or hexahedra, z upwards; with --solid")
+    specimen.add_argument("--mesh", type=Path, metavar="FILE",
+                          help="a specimen of any shape: .msh, .vtu, .vtk or .inp of tetrahedra or hexahedra, z "
+                               "upwards; with --solid")
     specimen.add_argument("--mesh-unit", choices=("m", "cm", "mm", "um", "in"),
                           help="of the coordinates in that file (default: mm)")
-    for flag, what, usual in (("--mesh-base", "held", "in its lowest plane"),
-                              ("--mesh-top", "met by the tool", "in its highest plane, or all that look up")):
-        specimen.add_argument(flag, metavar="NAME", help=f"name in that file of the sides that are {what} (default: "
-                                                         f"those {usual})")
+    for flag, how, where in (("--mesh-base", "held", "in its lowest plane"),
+                             ("--mesh-top", "met by the tool", "in its highest plane, or all that look up")):
+        specimen.add_argument(flag, metavar="NAME",
+                              help=f"name in that file of the sides that are {how} (default: those {where})")
     specimen.add_argument("--gravity", action="store_true", help="let the specimen weigh, and settle before the test")
     specimen.add_argument("--density-kg-m3", type=positive, metavar="N", help="default: that of the material file")
     specimen.add_argument("--height-is", choices=("moulded", "placed"),
