@@ -47,7 +47,7 @@ def draw_simulation(recording: Recording, model: Model, path: Path, field: str =
     sample = _drawn_sample(recording, segment)
     specimen, tool = model.experiment.specimen, model.experiment.tool
     panels = {"section": 1.25} | ({"fold": 0.75} if not tool.is_plate else {}) | {"curve": 1.0}
-    if specimen.radius > 1.5 * specimen.height:
+    if specimen.outer_radius > 1.5 * specimen.height:
         figure = Figure(figsize=(10, 6.4), layout="constrained")
         layout: list[Any] = [["section"] * (len(panels) - 1), list(panels)[1:]]
         axes = figure.subplot_mosaic(layout, height_ratios=[1, 1.6])

@@ -143,7 +143,7 @@ def _neighbours(change: Callable, value: float, half: float):
 
 def _difference(model: Model, parameter: Parameter, options: dict) -> np.ndarray:
     """Central difference of two simulations on one mesh, whose nodes move with the geometry."""
-    length = model.experiment.tool.radius or model.experiment.specimen.radius
+    length = model.experiment.tool.radius or model.experiment.specimen.margin()
     size = abs(parameter.value) or (length if parameter.declaration.unit == "m" else 1.0)
     more, less, width = _neighbours(lambda new: with_values(model, {parameter.path: new}), parameter.value,
                                     0.5 * SIMULATION_WIDTH * size)

@@ -33,11 +33,13 @@ class Registry(Mapping[str, T], Generic[T]):
         built_in: name -> the thing, or where it is, ``"package.module:attribute"``, which is imported on first use.
         accepts: whether a thing that somebody adds is one.
         expected: what to give where it is none, in messages.
+        named_by: attribute of a thing that is its name.
     """
 
     def __init__(self, what: str, group: str, built_in: Mapping[str, T | str], *,
-                 accepts: Callable[[Any], bool] = lambda _: True, expected: str = ""):
+                 accepts: Callable[[Any], bool] = lambda _: True, expected: str = "", named_by: str = "name"):
         self.what, self.group, self._accepts, self._expected = what, group, accepts, expected
+        self._named_by = named_by
         self._things: dict[str, T | str] = dict(built_in)
         self._built_in = frozenset(built_in)
         self._added: dict[str, T] = {}
@@ -98,14 +100,14 @@ class Registry(Mapping[str, T], Generic[T]):
 
         Args:
             thing: to add.
-            name: None: its attribute ``name``.
+            name: None: its attribute `named_by`.
 
         Raises:
             InputError: a name that is taken by another thing, or no such thing.
         """
-        name = getattr(thing, "name", None) if name is None else name
+        name = getattr(thing, self._named_by, None) if name is None else name
         if not isinstance(name, str) or not name:
-            raise InputError(f"a {self.what} needs a name; give {type(thing).__name__} an attribute 'name'",
+            raise InputError(f"a {self.what} needs a name; give {type(thing).__name__} an attribute {self._named_by!r}",
                              field=self.group)
         if name in self:
             if self[name] is thing:

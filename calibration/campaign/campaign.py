@@ -34,10 +34,10 @@ from calibration.campaign.schema import (
     CampaignTable,
     FitTable,
     NoiseTable,
-    SpecimenTable,
     TestTable,
     decode_campaign,
 )
+from calibration.campaign.specimens import find_specimen, read_specimens
 from tissue_sim.errors import InputError, located, nearest
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
@@ -46,7 +46,7 @@ from tissue_sim.laws import LAWS
 from tissue_sim.material.material import Bulk, Material
 from tissue_sim.recording.formats.columns import check_delimiter
 from tissue_sim.rig.rig import Rig
-from tissue_sim.specimen import STANDARD_GRAVITY, Specimen
+from tissue_sim.specimen import Specimen
 
 #: Prior standard deviation of a contact offset when neither the fit nor the noise states one, m; that of a short test
 #: is smaller.
@@ -202,44 +202,11 @@ def load_campaign(path: str | Path, *, planned: bool = False) -> Campaign:
     table, data, defaults = decode_campaign(path)
     try:
         with located(file=path):
-            tests = _tests(table, specimens := _specimens(table), path.parent, planned)
+            tests = _tests(table, specimens := read_specimens(table), path.parent, planned)
             return Campaign(path, _read_only(specimens), tests, _fit_settings(table.fit, table.noise, tests),
                             _noise(table.noise, table.fit.method), hashlib.sha256(data).hexdigest(), _density(tests))
     except InputError as error:
         raise defaults.located(error, path) from None
-
-
-def _specimens(table: CampaignTable) -> dict[str, Specimen]:
-    specimens: dict[str, Specimen] = {}
-    for i, entry in enumerate(table.specimen):
-        field = f"specimen[{i}]"
-        if entry.name is None and len(table.specimen) > 1:
-            raise InputError("several specimens need a name each, by which the tests call them", field=f"{field}.name")
-        name = entry.name if entry.name is not None else "specimen"
-        if name in specimens:
-            raise InputError(f"the name {name!r} is taken by another specimen; names must be unique",
-                             field=f"{field}.name")
-        specimens[name] = _specimen(entry, name, field)
-    return specimens
-
-
-def _specimen(entry: SpecimenTable, name: str, field: str) -> Specimen:
-    require_positive(entry.height_mm, f"{field}.height_mm", " mm")
-    require_positive(entry.density_kg_m3, f"{field}.density_kg_m3", " kg/m3")
-    if entry.gravity and entry.density_kg_m3 is None:
-        raise InputError("gravity = true needs the density of the specimen; give density_kg_m3",
-                         field=f"{field}.density_kg_m3")
-    needed, other = ("radius_mm", "area_mm2") if entry.shape == "cylinder" else ("area_mm2", "radius_mm")
-    size = getattr(entry, needed)
-    if size is None:
-        raise InputError(f"a {entry.shape} needs {needed}", field=f"{field}.{needed}")
-    if getattr(entry, other) is not None:
-        raise InputError(f"a {entry.shape} has {needed}, not {other}; leave it out", field=f"{field}.{other}")
-    require_positive(size, f"{field}.{needed}", " mm" if needed == "radius_mm" else " mm2")
-    # Homogeneous tests know a specimen by its cross-section and height only.
-    radius = size * 1e-3 if needed == "radius_mm" else float(np.sqrt(size * 1e-6 / np.pi))
-    return Specimen(radius, entry.height_mm * 1e-3, name, entry.density_kg_m3,
-                    STANDARD_GRAVITY if entry.gravity else 0.0, entry.height_is)
 
 
 def _density(tests: tuple[Test, ...]) -> float | None:
@@ -280,7 +247,7 @@ def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path
         columns = read_columns_key(entry, field)
         if entry.delimiter is not None:
             check_delimiter(entry.delimiter, f"{field}.delimiter")
-        specimen = _find_specimen(entry, specimens, table, field)
+        specimen = find_specimen(entry, specimens, table, field)
         tests[name] = Test(
             name, kind, specimen, () if entry.protocol is not None and not entry.recordings else
             find_recordings(entry.recordings, folder, f"{field}.recordings"),
@@ -298,32 +265,6 @@ def _reading(entry: TestTable, columns: Mapping[str, Any] | None) -> Mapping[str
     stated = {"columns": columns, "skip_lines": entry.skip_lines, "delimiter": entry.delimiter, "sheet": entry.sheet,
               "curve": entry.curve, "speed": None if entry.speed_mm_s is None else entry.speed_mm_s * 1e-3}
     return _read_only({"format": entry.format, **{key: value for key, value in stated.items() if value is not None}})
-
-
-def _find_specimen(entry: TestTable, specimens: Mapping[str, Specimen], table: CampaignTable,
-                   field: str) -> Specimen | None:
-    if entry.specimen is not None and entry.specimen not in specimens:
-        hint = nearest(entry.specimen, specimens) if specimens else "; the file has no [[specimen]]"
-        raise InputError(f"no specimen is named {entry.specimen!r}{hint}", field=f"{field}.specimen")
-    if entry.specimen is None and len(specimens) > 1:
-        raise InputError(f"name one of the specimens: {', '.join(specimens)}", field=f"{field}.specimen")
-    found = next(iter(specimens.values()), None) if entry.specimen is None else specimens[entry.specimen]
-    kind = KINDS[entry.kind]
-    stands = kind.settles if table.fit.method == "analytical" else not kind.gripped
-    if found is not None and found.specific_weight and not stands:
-        raise InputError(f"gravity = true is for a specimen that stands under a plate, and {entry.kind} does not say "
-                         "how it hangs or lies; give this test a specimen with gravity = false",
-                         field=f"{field}.specimen")
-    if found is None and kind.closed_form is None:
-        raise InputError(f"{entry.kind} is simulated on its specimen; add a [[specimen]] and name it here",
-                         field=f"{field}.specimen")
-    if found is None:
-        return None
-    prism = table.specimen[list(specimens).index(found.name)].shape == "prism"
-    if prism and kind.closed_form is None:
-        raise InputError(f"{entry.kind} is simulated on a cylinder, and {found.name!r} is a prism; use shape = "
-                         "'cylinder' with radius_mm", field=f"{field}.specimen")
-    return found
 
 
 def _fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ...]) -> FitSettings:

@@ -165,7 +165,7 @@ def check_size(recording: Recording, test: Test, campaign: Campaign, path: Path)
     if test.specimen is None or not isinstance(said, Mapping):
         return
     place = f"specimen[{list(campaign.specimens).index(test.specimen.name)}]"
-    for key, size in (("radius_mm", test.specimen.radius * 1e3), ("height_mm", test.specimen.height * 1e3)):
+    for key, size in test.specimen.sizes.items():
         stated = said.get(key)
         if isinstance(stated, int | float) and abs(stated - size) > SIZE_TOLERANCE * size:
             raise InputError(f"{size:g} mm, but {path.name} says of itself that it is {stated:g} mm; mend the one that "

@@ -15,7 +15,10 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.experiment.tools.tool import tool_sizes
 from tissue_sim.files import read_bytes
+from tissue_sim.specimen import SPECIMENS, specimen_sizes
 
+#: A body of any cross-section, of which homogeneous tests need no more than its area.
+PRISM = "prism"
 Pair = tuple[float, float]
 #: JSON's words in TOML.
 _WORDS = {"object": "a table, written [name] or { ... }", "array": "a list, written [...]"}
@@ -30,16 +33,19 @@ class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class SpecimenTable(_Table, frozen=True, kw_only=True):
-    """``[[specimen]]``."""
+    """``[[specimen]]``, but for the sizes of its shape, see `campaign_table`."""
 
     name: str | None = None
-    shape: Literal["cylinder", "prism"] = "cylinder"
-    radius_mm: float | None = None
+    shape: str = "cylinder"
     area_mm2: float | None = None
-    height_mm: float
     gravity: bool = False
     height_is: Literal["moulded", "placed"] = "moulded"
     density_kg_m3: float | None = None
+
+    @property
+    def sizes(self) -> dict[str, float]:
+        """Key of `tissue_sim.specimen.specimen_sizes` -> value, of those that are stated."""
+        return {key: value for key in specimen_sizes() if (value := getattr(self, key)) is not None}
 
 
 class TestTable(_Table, frozen=True, kw_only=True):
@@ -116,12 +122,18 @@ class CampaignTable(_Table, frozen=True, kw_only=True):
 
 
 def campaign_table() -> type[CampaignTable]:
-    """The whole file, with the kinds of test and the sizes of tools that there are now, those of packages included."""
+    """The whole file, with the kinds of test, the shapes of specimens and the sizes of both that there are now, those
+    of packages included."""
     how: dict[str, Any] = {"frozen": True, "forbid_unknown_fields": True, "kw_only": True}
     sizes = [(key, float | None, None) for key in tool_sizes()]
     test = msgspec.defstruct("TestTable", [("kind", Literal[tuple(KINDS)]), *sizes], bases=(TestTable,), **how)
+    shapes = [("shape", Literal[(*SPECIMENS, PRISM)], "cylinder"),
+              *((key, float | None, None) for key in specimen_sizes())]
+    specimen = msgspec.defstruct("SpecimenTable", shapes, bases=(SpecimenTable,), **how)
     tests: Any = GenericAlias(list, (test,))
-    table = msgspec.defstruct("CampaignTable", [("test", tests)], bases=(CampaignTable,), **how)
+    specimens: Any = GenericAlias(list, (specimen,))
+    table = msgspec.defstruct("CampaignTable", [("test", tests), ("specimen", specimens, [])], bases=(CampaignTable,),
+                              **how)
     return cast(type[CampaignTable], table)
 
 

@@ -112,7 +112,7 @@ class Situation:
     def contact_radius(self, test: Test) -> float:
         """About how wide the contact of a test with a tool is at its largest displacement, m."""
         experiment = experiment_of(test)
-        return experiment.tool.contact_radius(self.depth(test), experiment.specimen.radius)
+        return experiment.tool.contact_radius(self.depth(test), experiment.specimen.margin())
 
     def strain(self, test: Test) -> float:
         """About how much a test with a tool strains the tissue: its depth over the height, or the width of a needle."""

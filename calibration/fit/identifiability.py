@@ -19,7 +19,7 @@ from tissue_sim.experiment.protocol import STUDY_SPEED, Protocol
 from tissue_sim.experiment.tools.flat import Flat
 from tissue_sim.experiment.tools.plate import Plate
 from tissue_sim.model import Model
-from tissue_sim.specimen import Specimen
+from tissue_sim.specimen.cylinder import Cylinder
 
 #: A combination whose relative standard error is larger than this is poorly told.
 WEAK = 0.2
@@ -30,7 +30,7 @@ _MOST_SUGGESTIONS = 3
 #: Noise, N, and jitter, m and N, of a rig such as the study's, for campaigns that recorded stress.
 _RIG = 0.02, (0.03e-3, 0.01)
 #: The study's specimen, for campaigns whose tests have none.
-_SPECIMEN = Specimen(0.040, 0.070)
+_SPECIMEN = Cylinder(0.040, 0.070)
 
 
 def condition(spread: Uncertainty) -> float | None:
@@ -97,12 +97,14 @@ def suggest_tests(problem: Problem, theta: np.ndarray, spread: Uncertainty) -> l
 def _candidates(problem: Problem, theta: np.ndarray, of: ForwardTest) -> Sequence[tuple[str, Experiment]]:
     """Tests in words, as experiments on the specimen of a test."""
     specimen = of.specimen or _SPECIMEN
+    if not isinstance(specimen, Cylinder):  # the tests are simulated with the axisymmetric solver
+        specimen = Cylinder(float(np.sqrt(specimen.area / np.pi)), specimen.height)
     ageing = problem.space.material(problem.space.values(theta), test=of.name).remembers
     found = []
     for strain in (_STRAIN, min(_DEEPER * _STRAIN, 0.3)):
         depth = strain * specimen.height
         millimetres = f"{depth * 1e3:.3g} mm"
-        needle = Flat(radius=_NEEDLE * specimen.radius)
+        needle = Flat(radius=_NEEDLE * specimen.margin())
         for words, tool, friction in (
                 (f"lubricated compression to {millimetres}", Plate(), "frictionless"),
                 (f"bonded compression to {millimetres}", Plate(), "bonded"),

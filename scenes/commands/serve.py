@@ -143,8 +143,8 @@ def describe(arguments, experiment: Experiment, material_file, simulator) -> dic
     specimen, tool, mesh = experiment.specimen, experiment.tool, simulator.mesh
     return {
         "scene": arguments.scene,
-        "specimen": {"radius": specimen.radius, "height": specimen.height, "density": specimen.density,
-                     "gravity": specimen.gravity},
+        "specimen": {"shape": specimen.shape, "height": specimen.height} | {
+            name: getattr(specimen, name) for name in declared(type(specimen))},
         "tool": {"shape": tool.shape, "radius": tool.radius} | {name: getattr(tool, name)
                                                                 for name in declared(type(tool))},
         "interfaces": {name: getattr(experiment, name) for name in ("friction", "friction_base", "friction_wall")},

@@ -156,7 +156,7 @@ def campaign_of(wanted: Wanted, folder: Path) -> str:
                          "calibrate with contact_laws")
     specimen = experiment.specimen
     density = material.density if specimen.density is None else specimen.density
-    body: dict[str, Any] = {"radius_mm": specimen.radius * 1e3, "height_mm": specimen.height * 1e3}
+    body: dict[str, Any] = {"shape": specimen.shape, **specimen.sizes}
     if density is not None:
         body |= {"density_kg_m3": density, "gravity": specimen.gravity > 0, "height_is": specimen.height_is}
     how = {"kind": wanted.kind, **_experiment_keys(wanted)}

@@ -42,11 +42,11 @@ def camera_pose(preset: str, specimen: Specimen, tool: Tool, depth: float, above
     right = np.array([-sin(azimuth), cos(azimuth), 0.0])
     up = np.cross(toward, right)
     if preset == "contact":
-        width = 1.6 * (tool.radius or specimen.radius)
+        width = 1.6 * (tool.radius or specimen.outer_radius)
         radius, bottom, top = width, -depth - 0.9 * width, -depth + 0.7 * width
     else:
         thickness = plate_thickness(specimen)
-        radius, bottom, top = PLATE_RADIUS * specimen.radius, -specimen.height - thickness, above
+        radius, bottom, top = PLATE_RADIUS * specimen.outer_radius, -specimen.height - thickness, above
     centre = np.array([0.0, 0.0, 0.5 * (bottom + top)])
     angles = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=-1)

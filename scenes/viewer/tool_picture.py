@@ -62,9 +62,9 @@ def tool_outline(tool: Tool, specimen: Specimen) -> np.ndarray:
     """What is drawn of a tool, (r, z), from the axis below to the axis above, m, shape (n, 2), read-only; z = 0 is its
     deepest point, from which it is drawn `INSET` away."""
     if tool.is_plate:
-        radius, top = PLATE_RADIUS * specimen.radius, plate_thickness(specimen)
+        radius, top = PLATE_RADIUS * specimen.outer_radius, plate_thickness(specimen)
         outline = np.array([[0.0, 0.0], [radius, 0.0], [radius, top]])
-        inset = INSET * specimen.radius
+        inset = INSET * specimen.outer_radius
     else:
         profile, radius = tool.profile, tool.require_radius()
         # A ball ends by itself; the others have a shaft.
@@ -94,12 +94,12 @@ def tool_mesh(tool: Tool, specimen: Specimen, opening: Opening) -> Surface:
     Returns:
         Closed surface, m; the origin is the tool's deepest point.
     """
-    return _body(tool_outline(tool, specimen), opening, RECESS * specimen.radius)
+    return _body(tool_outline(tool, specimen), opening, RECESS * specimen.outer_radius)
 
 
 def base_plate(specimen: Specimen, opening: Opening) -> Surface:
     """The plate under the specimen, whole, in as many segments as the specimen, m."""
-    radius, top = PLATE_RADIUS * specimen.radius, -specimen.height - INSET * specimen.radius
+    radius, top = PLATE_RADIUS * specimen.outer_radius, -specimen.height - INSET * specimen.outer_radius
     bottom = top - plate_thickness(specimen)
     outline = np.array([[0.0, bottom], [radius, bottom], [radius, top], [0.0, top]])
     return _body(outline, replace(opening, cut=0.0))
@@ -113,7 +113,7 @@ def picture_height(tool: Tool, specimen: Specimen) -> float:
 def scale_bar(specimen: Specimen) -> tuple[np.ndarray, float]:
     """A bar of a round length on the base in front of the specimen, with its ends: lines, m, shape (3, 2, 3), and its
     length, m."""
-    radius, tick = specimen.radius, 0.03 * specimen.radius
+    radius, tick = specimen.outer_radius, 0.03 * specimen.outer_radius
     power = 10.0 ** np.floor(np.log10(0.6 * radius))
     length = float(max(step for step in (1.0, 2.0, 5.0) if step * power <= 0.6 * radius * (1 + 1e-9)) * power)
     y, z = -1.12 * radius, -specimen.height + 0.01 * radius
@@ -205,4 +205,4 @@ def _body(outline: np.ndarray, opening: Opening, recess: float = 0.0) -> Surface
 
 def plate_thickness(specimen: Specimen) -> float:
     """Of the plates above and below a specimen, m."""
-    return PLATE_THICKNESS * max(specimen.height, 0.5 * specimen.radius)
+    return PLATE_THICKNESS * max(specimen.height, 0.5 * specimen.outer_radius)

@@ -2,22 +2,23 @@
 
 import numpy as np
 import pytest
+from solid_meshes import block
 
 import tissue_sim as ts
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
-from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, HEXAHEDRA
-from tissue_sim.mesh.solid import block_mesh
+from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
+from tissue_sim.mesh.solid import SOLID_ELEMENTS, block_mesh
 from tissue_sim.pose import Pose
 
 LAWS = {"reduced_polynomial_2": {"C10": 1404.9, "C20": 699.4}, "mooney_rivlin": {"C10": 600.0, "C01": 700.0},
         "ogden_2": {"mu1": 3000.0, "alpha1": 3.0, "mu2": 500.0, "alpha2": -4.0}}
-every_element = pytest.mark.parametrize("element", HEXAHEDRA.values(), ids=lambda element: element.name)
+every_element = pytest.mark.parametrize("element", SOLID_ELEMENTS.values(), ids=lambda element: element.name)
 
 
 def solver(element, material, cells=1):
     line = np.linspace(0.0, 0.01, cells + 1)
-    mesh = block_mesh(line, line * 1.5, line - 0.01, element)
+    mesh = block(line, line * 1.5, line - 0.01, element)
     return SolidSolver(mesh, material, {"base": "xyz"}, mesh.sets["top"], start=Pose.at_depth(0.0))
 
 

@@ -1,13 +1,14 @@
-"""Meshes of hexahedra: volume, surface, names, and how circles are met."""
+"""Meshes of a solid: volume, surface, names, and how circles are met."""
 
 import numpy as np
 import pytest
+from solid_meshes import block
 
 from tissue_sim.errors import InputError
-from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, HEXAHEDRA
-from tissue_sim.mesh.solid import block_mesh, cylinder_solid, needle_solid
+from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
+from tissue_sim.mesh.solid import SOLID_ELEMENTS, cylinder_solid, needle_solid
 
-every_element = pytest.mark.parametrize("element", HEXAHEDRA.values(), ids=lambda element: element.name)
+every_element = pytest.mark.parametrize("element", SOLID_ELEMENTS.values(), ids=lambda element: element.name)
 NEEDLE = {"smallest": 1.3e-3, "growth": 1.8, "largest": 15e-3}
 
 
@@ -20,10 +21,9 @@ def volume(mesh):
 
 
 def normals(mesh, name):
-    """Of the flat quadrilaterals through the corners of each side, times twice their area."""
-    count = round(mesh.faces[name].shape[1] ** 0.5)
-    grid = mesh.nodes[mesh.faces[name]].reshape(-1, count, count, 3)
-    return np.cross(grid[:, -1, -1] - grid[:, 0, 0], grid[:, -1, 0] - grid[:, 0, -1]), grid.mean(axis=(1, 2))
+    """Of the flat polygons through the corners of each side, times twice their area."""
+    corners = mesh.nodes[mesh.faces[name][:, mesh.element.face_corners]]
+    return np.cross(corners, np.roll(corners, -1, axis=1)).sum(axis=1), corners.mean(axis=1)
 
 
 @every_element
@@ -31,6 +31,8 @@ def test_shape_functions_are_one_at_their_node_and_add_up_to_one(element):
     values, _ = element.shape_functions(element.reference_nodes)
     np.testing.assert_allclose(values, np.eye(element.nodes), atol=1e-14)
     points = np.random.default_rng(1).uniform(-1, 1, (20, 3))
+    np.testing.assert_allclose(element.corner_functions(element.reference_nodes[element.corners]),
+                               np.eye(len(element.corners)), atol=1e-14)
     values, slopes = element.shape_functions(points)
     np.testing.assert_allclose(values.sum(axis=1), 1.0, atol=1e-14)
     np.testing.assert_allclose(slopes.sum(axis=1), 0.0, atol=1e-13)
@@ -42,7 +44,7 @@ def test_shape_functions_are_one_at_their_node_and_add_up_to_one(element):
 
 @every_element
 def test_a_block_has_its_volume_and_its_surface_points_outwards(element):
-    mesh = block_mesh([0.0, 0.01, 0.03], [-0.01, 0.0, 0.02], [-0.02, -0.015, 0.0], element)
+    mesh = block([0.0, 0.01, 0.03], [-0.01, 0.0, 0.02], [-0.02, -0.015, 0.0], element)
     assert volume(mesh) == pytest.approx(0.03 * 0.03 * 0.02, rel=1e-12)
     assert len(np.unique(mesh.nodes.round(12), axis=0)) == len(mesh.nodes), "a node twice"
     middle = mesh.nodes.mean(axis=0)

@@ -80,9 +80,10 @@ class Experiment:
             raise InputError("a part of a bonded face slips; use friction 'bonded', or leave the slip out",
                              field="slip")
         object.__setattr__(self, "slip", slip if self.friction == "bonded" else None)
-        if self.protocol.depth >= self.specimen.height:
+        place = () if self.approach is None else (self.approach.offset,)
+        if self.protocol.depth >= (thickness := self.specimen.thickness(*place)):
             raise InputError(f"{self.protocol.depth * 1e3:g} mm is deeper than the specimen is high "
-                             f"({self.specimen.height * 1e3:g} mm)", field="protocol")
+                             f"({thickness * 1e3:g} mm)", field="protocol")
         if (self.adhesion or self.contact_laws) and self.friction == "bonded":
             raise InputError("a bonded face never lifts off; use 'stick', 'frictionless' or a coefficient of friction "
                              f"with {next(iter(self.contact_laws), 'adhesion')}", field="friction")
@@ -97,13 +98,12 @@ class Experiment:
                              field="approach")
         if self.tool.is_plate or radius is None:
             return
-        if self.approach is not None and abs(self.approach.offset) + radius > self.specimen.radius:
+        if self.approach is not None and radius > self.specimen.margin(*place):
             raise InputError(f"a tool of radius {radius * 1e3:g} mm that is {abs(self.approach.offset) * 1e3:g} mm off "
-                             f"the axis reaches beyond the specimen, radius {self.specimen.radius * 1e3:g} mm",
-                             field="approach.offset")
-        if radius >= self.specimen.radius:
+                             f"the axis reaches beyond the specimen, {self.specimen.in_words}", field="approach.offset")
+        if radius >= (margin := self.specimen.margin()):
             raise InputError(f"the tool's radius, {radius * 1e3:g} mm, must be smaller than the specimen's, "
-                             f"{self.specimen.radius * 1e3:g} mm", field="tool.radius")
+                             f"{margin * 1e3:g} mm", field="tool.radius")
         if self.tool.face_radius == 0 and self.friction == "bonded":
             raise InputError(f"a {self.tool.shape} tool has no flat face to be bonded to; use 'stick', 'frictionless' "
                              "or a coefficient of friction", field="friction")
@@ -142,7 +142,7 @@ class Experiment:
     def contact_radius(self) -> float:
         """About how wide the contact is at the largest depth, m; see `Tool.contact_radius`."""
         depth = max(self.protocol.depth, 1e-3 * (self.tool.radius or self.specimen.height))
-        return self.tool.contact_radius(depth, self.specimen.radius)
+        return self.tool.contact_radius(depth, self.specimen.margin())
 
     @property
     def depends_on_way(self) -> bool:
@@ -155,4 +155,4 @@ class Experiment:
     def homogeneous(self) -> bool:
         """Whether a specimen of one material deforms homogeneously, so that closed forms hold."""
         return (self.tool.is_plate and self.friction == self.base_interface == "frictionless"
-                and not self.specimen.specific_weight and not self.contact_laws)
+                and self.specimen.is_prism and not self.specimen.specific_weight and not self.contact_laws)

@@ -9,26 +9,13 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 
 from tissue_sim.mesh.elements import lagrange
+from tissue_sim.mesh.solid_element import SolidElement
 
 
 @dataclass(frozen=True)
-class Hexahedron:
-    """A hexahedron of tensor-product Lagrange polynomials; nodes are numbered along x first, then y, then z.
-
-    Attributes:
-        name: as the field writes it.
-        order: polynomial order in each direction, 1 or 2.
-        pressure_modes: 1 (constant) or 4 (linear), discontinuous.
-    """
-
-    name: str
-    order: int
-    pressure_modes: int
-
-    @property
-    def nodes(self) -> int:
-        """Of an element."""
-        return (self.order + 1) ** 3
+class Hexahedron(SolidElement):
+    """A hexahedron of tensor-product Lagrange polynomials, of its order in each direction; nodes are numbered along x
+    first, then y, then z."""
 
     @cached_property
     def _places(self) -> np.ndarray:
@@ -40,6 +27,10 @@ class Hexahedron:
     def reference_nodes(self) -> np.ndarray:
         """Reference coordinates in [-1, 1]^3, shape (nodes, 3)."""
         return np.linspace(-1.0, 1.0, self.order + 1)[self._places]
+
+    @cached_property
+    def corners(self) -> np.ndarray:
+        return np.flatnonzero(np.abs(self.reference_nodes).all(axis=1))
 
     @cached_property
     def faces(self) -> np.ndarray:
@@ -55,6 +46,24 @@ class Hexahedron:
                 turned = (axis == 1) == (end == -1)
                 sides.append((side.T if turned else side).ravel())
         return np.array(sides)
+
+    @cached_property
+    def face_corners(self) -> np.ndarray:
+        side = self.order + 1
+        return np.array([0, side - 1, side**2 - 1, side**2 - side])
+
+    @cached_property
+    def face_shares(self) -> np.ndarray:
+        """Of Simpson's rule, or that of trapezoids."""
+        line = np.array([1.0, 4.0, 1.0]) / 6.0 if self.order == 2 else np.array([0.5, 0.5])
+        return np.outer(line, line).ravel()
+
+    @cached_property
+    def face_triangles(self) -> np.ndarray:
+        """Two for each square between nodes."""
+        grid = np.arange((self.order + 1) ** 2).reshape(self.order + 1, -1)
+        a, b, c, d = (each.ravel() for each in (grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]))
+        return np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
 
     @cached_property
     def quadrature(self) -> tuple[np.ndarray, np.ndarray]:
@@ -74,10 +83,14 @@ class Hexahedron:
         (vx, sx), (vy, sy), (vz, sz) = along
         return vx * vy * vz, np.stack([sx * vy * vz, vx * sy * vz, vx * vy * sz], axis=-1)
 
+    def corner_functions(self, points: np.ndarray) -> np.ndarray:
+        """Trilinear, in the order of `corners`."""
+        signs = self.reference_nodes[self.corners]
+        return (0.5 * (1.0 + signs * points[:, None])).prod(axis=-1)
+
 
 #: Twenty-seven nodes with four discontinuous pressures: for truth (Bathe, Finite Element Procedures, 2014, section
 #: 4.4.3, the three-dimensional 27/4 element).
 HEX27P1 = Hexahedron("H27/P-1", order=2, pressure_modes=4)
 #: Eight nodes with one pressure, which is mean dilatation: for speed.
 HEX8P0 = Hexahedron("H8/P0", order=1, pressure_modes=1)
-HEXAHEDRA = {element.name: element for element in (HEX27P1, HEX8P0)}

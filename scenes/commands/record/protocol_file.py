@@ -190,8 +190,7 @@ def _plan(test: Any, record: RecordTable, lag: dict[str, Any] | None, number: in
         raise InputError(f"a {test.kind.name} is not done with a tool that is pushed in; leave the test out",
                          field=f"{test.place}.kind")
     entry = content["test"][number]
-    about = {"specimen": {"name": test.specimen.name, "radius_mm": test.specimen.radius * 1e3,
-                          "height_mm": test.specimen.height * 1e3} if test.specimen is not None else None,
+    about = {"specimen": {"name": test.specimen.name, **test.specimen.sizes} if test.specimen is not None else None,
              "kind": test.kind.name, "tool": entry.get("tool", "plate"), "tool_radius_mm": entry.get("tool_radius_mm"),
              "friction": entry.get("friction"), "lubricant": record.lubricant,
              "temperature_degC": record.temperature_degC, "operator": record.operator, "notes": record.notes}

@@ -17,6 +17,8 @@ from tissue_sim.experiment.tools.tool import (
     sizes_of_keys,
     tool_sizes,
 )
+from tissue_sim.specimen import SPECIMENS, STANDARD_GRAVITY, Specimen, specimen_sizes
+from tissue_sim.specimen.specimen import specimen_of_keys
 
 if TYPE_CHECKING:
     from tissue_sim import Experiment, Material, Protocol
@@ -25,6 +27,8 @@ if TYPE_CHECKING:
 
 MOST_POINTS = 100_000
 DEPTH_MM = 10.0
+#: Of the cylinder where nothing else is said.
+USUAL_SIZES = {"radius_mm": 40.0, "height_mm": 70.0}
 
 
 def add_experiment_flags(parser: Parser) -> None:
@@ -40,8 +44,21 @@ def add_experiment_flags(parser: Parser) -> None:
     motion.add_argument("--speed-mm-s", type=positive, metavar="N", default=0.248,
                         help="of the tool, until the protocol names one (default: 0.248)")
     specimen = parser.add_argument_group("specimen")
-    specimen.add_argument("--radius-mm", type=positive, metavar="N", default=40.0, help="of the cylinder (default: 40)")
-    specimen.add_argument("--height-mm", type=positive, metavar="N", default=70.0, help="of the cylinder (default: 70)")
+    specimen.add_argument("--shape", choices=tuple(SPECIMENS),
+                          help="cylinder, or with --solid another (default: cylinder)")
+    for key, (what, name, shapes) in specimen_sizes().items():
+        usual = f" (of the cylinder by default: {USUAL_SIZES[key]:g})" if key in USUAL_SIZES else ""
+        specimen.add_argument(f"--{key.replace('_', '-')}", type=_size(what), metavar="N",
+                              help=f"{name.replace('_', ' ')} of the specimen: {', '.join(shapes)}{usual}")
+    specimen.add_argument("--mesh", type=Path, metavar="FILE",
+                          help="a specimen of any shape: .msh, .vtu, .vtk or .inp of tetrahedra or hexahedra, z "
+                               "upwards; with --solid")
+    specimen.add_argument("--mesh-unit", choices=("m", "cm", "mm", "um", "in"),
+                          help="of the coordinates in that file (default: mm)")
+    for flag, how, where in (("--mesh-base", "held", "in its lowest plane"),
+                             ("--mesh-top", "met by the tool", "in its highest plane, or all that look up")):
+        specimen.add_argument(flag, metavar="NAME",
+                              help=f"name in that file of the sides that are {how} (default: those {where})")
     specimen.add_argument("--gravity", action="store_true", help="let the specimen weigh, and settle before the test")
     specimen.add_argument("--density-kg-m3", type=positive, metavar="N", help="default: that of the material file")
     specimen.add_argument("--height-is", choices=("moulded", "placed"),
@@ -96,7 +113,6 @@ def make_experiment(arguments, protocol: Protocol, material: Material) -> Experi
         InputError: flags that do not fit the scene or each other, or what the experiment refuses.
     """
     import tissue_sim as ts
-    from tissue_sim.specimen import STANDARD_GRAVITY
 
     scene = SCENES[arguments.scene]
     usual = scene.require_tool()
@@ -134,9 +150,28 @@ def make_experiment(arguments, protocol: Protocol, material: Material) -> Experi
         changes["slip"] = arguments.slip
     if arguments.offset_mm is not None or arguments.tilt_deg is not None:
         changes["approach"] = ts.Approach((arguments.offset_mm or 0.0) * 1e-3, math.radians(arguments.tilt_deg or 0.0))
-    return scene.experiment(
-        specimen=ts.Specimen(arguments.radius_mm * 1e-3, arguments.height_mm * 1e-3, **weight), protocol=protocol,
-        tool=_tool(arguments, shape, profile, usual), **changes)
+    return scene.experiment(specimen=_specimen(arguments, weight), protocol=protocol,
+                            tool=_tool(arguments, shape, profile, usual), **changes)
+
+
+def _specimen(arguments, weight: dict[str, Any]) -> Specimen:
+    stated = {key: value for key in specimen_sizes() if (value := getattr(arguments, key)) is not None}
+    of_file = {name: value for name in ("mesh_unit", "mesh_base", "mesh_top")
+               if (value := getattr(arguments, name)) is not None}
+    if arguments.mesh is not None:
+        if (other := next(iter(stated), None)) is not None or arguments.shape not in (None, "mesh"):
+            raise InputError("a mesh states shape and sizes of the specimen itself; leave them out",
+                             field=f"--{(other or 'shape').replace('_', '-')}")
+        return Specimen(shape="mesh", mesh_file=arguments.mesh, **of_file, **weight)
+    if of_file or arguments.shape == "mesh":
+        raise InputError("a mesh of a file needs the file; add --mesh FILE",
+                         field=f"--{next(iter(of_file), 'shape').replace('_', '-')}")
+    shape = arguments.shape or "cylinder"
+    usual = USUAL_SIZES if shape == "cylinder" else {}
+    try:
+        return specimen_of_keys(shape, usual | stated, **weight)
+    except InputError as error:
+        raise InputError(error.problem, field=f"--{(error.field or '').replace('_', '-')}") from None
 
 
 def _contact_law(text: str) -> ContactLaw:

@@ -111,7 +111,11 @@ def what_was_done(scene: str, experiment: ts.Experiment) -> dict[str, Any]:
     approach = experiment.approach
     way = {} if approach is None else {"approach": {"offset_mm": approach.offset * 1e3,
                                                     "tilt_deg": math.degrees(approach.angle)}}
-    return {"kind": scene, "tool": {"shape": tool.shape, **sizes}, **way}
+    from tissue_sim.specimen.cylinder import Cylinder
+
+    specimen = experiment.specimen
+    body = {} if isinstance(specimen, Cylinder) else {"specimen": {"shape": specimen.shape, **specimen.sizes}}
+    return {"kind": scene, **body, "tool": {"shape": tool.shape, **sizes}, **way}
 
 
 def describe(done: int, samples: int) -> str:

@@ -8,6 +8,7 @@ from scenes.viewer.frame import Frame, Phase
 from scenes.viewer.live_gap import LiveGap
 from scenes.viewer.scene import Scene
 from tissue_sim.experiment.tools.tool import tool_sizes
+from tissue_sim.specimen.cylinder import Cylinder
 
 #: Phase -> colour of its dot.
 _DOTS = {Phase.STARTING: "#E69F00", Phase.RUNNING: "#009E73", Phase.PAUSED: "#0072B2", Phase.DIED: "#D55E00"}
@@ -18,7 +19,8 @@ def title_html(scene: Scene) -> str:
     """What is looked at, in two lines: test and specimen, tool and material."""
     experiment = scene.experiment
     specimen, tool, held = experiment.specimen, experiment.tool, experiment.friction
-    body = f"cylinder \u2300 {2e3 * specimen.radius:g} \u00d7 {1e3 * specimen.height:g} mm"
+    body = (f"cylinder \u2300 {2e3 * specimen.radius:g} \u00d7 {1e3 * specimen.height:g} mm"
+            if isinstance(specimen, Cylinder) else f"{specimen.shape}, {specimen.in_words}")
     sizes = []
     for key, (what, name, shapes) in tool_sizes().items():
         words, _, unit = key.rpartition("_")

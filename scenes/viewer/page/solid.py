@@ -74,7 +74,7 @@ class Solid:
         self._light()
         self.levels: np.ndarray | None = None
         specimen = scene.experiment.specimen
-        self.scale = SIZE / max(2.0 * specimen.radius, specimen.height)
+        self.scale = SIZE / max(2.0 * specimen.outer_radius, specimen.height)
         self._segments_of_turn = COARSE if low_graphics else FINE
         surface_colours = [surface_colour(colour) for colour in PALETTE]
         #: As they are seen, for the colour bar.
@@ -215,7 +215,7 @@ class Solid:
             self._ambient.intensity = _FULL - _KEY * faces_it
         self._fill(self._tool, tool_mesh(tool, specimen, _opening(look.cut, STILL)))
         self._fill(self._base, base_plate(specimen, _opening(0.0, STILL)))
-        covered = specimen.radius if tool.is_plate else tool.radius or 0.0
+        covered = specimen.outer_radius if tool.is_plate else tool.radius or 0.0
         self._lines(self._outline, cut_away.undeformed_outline(opening, tool=(covered, scene.deepest))
                     if look.outline else None)
         bar, length = scale_bar(specimen)

@@ -47,7 +47,7 @@ def build_contact(experiment: Experiment, mesh: Mesh, *, tool: bool = True,
         return None
     if experiment.tool.is_plate:
         share = HOMOGENEOUS_TOLERANCE if homogeneous else PLATE_TOLERANCE
-        tolerance = share * experiment.specimen.radius
+        tolerance = share * experiment.specimen.margin()
     else:
         tolerance = NEEDLE_TOLERANCE * experiment.tool.require_radius()
     level = tool and experiment.tool.is_plate

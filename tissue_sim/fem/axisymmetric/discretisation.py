@@ -16,7 +16,7 @@ from tissue_sim.material.layer import Layer
 from tissue_sim.mesh import Mesh, cylinder_mesh, needle_mesh, structured_mesh, tip_mesh, with_lines
 from tissue_sim.mesh.elements import Q9P1, Element
 from tissue_sim.model import Model
-from tissue_sim.specimen import Specimen
+from tissue_sim.specimen.cylinder import Cylinder, require_cylinder
 
 #: Elements need not be smaller than this share of a rounded edge, nor larger than this share of the specimen.
 _ROUNDING_SHARE, _SPECIMEN_SHARE = 0.25, 0.17
@@ -59,7 +59,7 @@ def build_mesh(experiment: Experiment, resolution: str = "fast", element: Elemen
 
 
 def _mesh_of_one_material(experiment: Experiment, resolution: Resolution, element: Element, *, small: bool) -> Mesh:
-    specimen, tool = experiment.specimen, experiment.tool
+    specimen, tool = _cylinder(experiment), experiment.tool
     if small:
         # Every mesh is exact.
         return cylinder_mesh(specimen.radius, specimen.height, (2, 2), element)
@@ -99,8 +99,12 @@ def _lines(model: Model) -> tuple[np.ndarray, np.ndarray]:
     experiment = model.experiment
     face = [experiment.tool.face_radius] if experiment.tool.face_radius else []
     interfaces = -np.cumsum([layer.thickness for layer in model.material.layers])
-    return (np.array([0.0, *face, experiment.specimen.radius]),
+    return (np.array([0.0, *face, _cylinder(experiment).radius]),
             np.array([-experiment.specimen.height, *interfaces[::-1], 0.0]))
+
+
+def _cylinder(experiment: Experiment) -> Cylinder:
+    return require_cylinder(experiment.specimen, "the axisymmetric solver")
 
 
 def make_solver(model: Model, *, resolution: str = "fast", mesh: Mesh | None = None,
@@ -158,7 +162,7 @@ def _supports(experiment: Experiment) -> dict[str, str]:
 
 def _settled(model: Model, mesh: Mesh, layers: np.ndarray) -> AxisymmetricSolver:
     """The specimen as moulded, standing under its own weight without the tool."""
-    specimen: Specimen = model.experiment.specimen
+    specimen = model.experiment.specimen
     height = -float(mesh.nodes[:, 1].min())
     factor = 1.0
     for _ in range(50):

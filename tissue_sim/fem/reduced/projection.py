@@ -6,7 +6,7 @@ from tissue_sim.fem.solid.batches import LANES
 from tissue_sim.fem.solid.element import KAPPA, REMEMBERS, element_functions
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
-from tissue_sim.mesh.hexahedra import HEXAHEDRA
+from tissue_sim.mesh.solid import SOLID_ELEMENTS
 
 #: Places in `settings` beside those of the elements: whether the pressures follow a change of the amplitudes.
 FOLLOWS, SETTINGS = 3, 4
@@ -20,7 +20,7 @@ def projection_kernel(element_name: str, energy: KernelEnergy):
     there is an even number of them. ``tangents`` of the groups get their upper halves; ``least`` gets the smallest J.
     """
     ti = initialise()
-    element = HEXAHEDRA[element_name]
+    element = SOLID_ELEMENTS[element_name]
     nodes, pressure_modes = element.nodes, element.pressure_modes
     freedoms = 3 * nodes
     integrate, stiffen, _ = element_functions(element_name, energy)

@@ -6,7 +6,7 @@ from tissue_sim.fem.solid.batches import LANES
 from tissue_sim.fem.solid.element import KAPPA, REMEMBERS, TANGENT, element_functions
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
-from tissue_sim.mesh.hexahedra import HEXAHEDRA
+from tissue_sim.mesh.solid import SOLID_ELEMENTS
 
 
 @cache
@@ -14,7 +14,7 @@ def assembly_kernel(element_name: str, energy: KernelEnergy):
     """Kernel of the forces of all nodes, and of the tangent where `settings` ask for it; `least` gets the smallest
     J."""
     ti = initialise()
-    nodes = HEXAHEDRA[element_name].nodes
+    nodes = SOLID_ELEMENTS[element_name].nodes
     pairs = nodes * (nodes + 1) // 2
     integrate, stiffen, _ = element_functions(element_name, energy)
     vec = ti.types.vector(LANES, ti.f64)

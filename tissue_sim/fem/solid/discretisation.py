@@ -13,13 +13,16 @@ from tissue_sim.experiment.tools.plate import PLATE_RADIUS
 from tissue_sim.fem.solid.contact import STICK, Body, Frame
 from tissue_sim.fem.solid.contact import nearest as nearest_surface
 from tissue_sim.fem.solid.solver import SolidSolver
+from tissue_sim.mesh.grading import Grading
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
-from tissue_sim.mesh.solid import SolidMesh, needle_solid
+from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose
 
 #: How far a node may violate a contact condition, in radii of the tool, and of the specimen between plates.
 _NEEDLE_TOLERANCE, _PLATE_TOLERANCE = 1e-4, 1e-7
+#: Elements far from a needle need not be smaller than this share of the specimen.
+_LEAST_LARGEST = 0.17
 
 
 class Resolution(NamedTuple):
@@ -64,7 +67,7 @@ def make_solver(model: Model, *, resolution: str = "fast", mesh: SolidMesh | Non
     bonded = mesh.sets["top" if tool.is_plate else "face"] if experiment.friction == "bonded" else np.zeros(0, int)
     start = experiment.tool_pose(0.0)
     bodies, datum = contact_bodies(experiment, mesh, bonded, start)
-    tolerance = (_PLATE_TOLERANCE * experiment.specimen.radius if tool.is_plate
+    tolerance = (_PLATE_TOLERANCE * experiment.specimen.margin() if tool.is_plate
                  else _NEEDLE_TOLERANCE * tool.require_radius())
     fixed = {"base": _FIXED[experiment.base_interface]} if experiment.base_interface in _FIXED else {}
     return SolidSolver(mesh, model.material, fixed, bonded, bodies=bodies, tolerance=tolerance, start=start,
@@ -115,17 +118,16 @@ def build_mesh(experiment: Experiment, resolution: str = "fast") -> SolidMesh:
     if chosen is None:
         raise InputError(f"unknown resolution {resolution!r}{nearest(resolution, RESOLUTIONS)}", field="resolution")
     specimen, tool = experiment.specimen, experiment.tool
+    size = specimen.margin()
     if tool.is_plate:
-        ring = 0.6 * specimen.radius
-        return needle_solid(specimen.radius, specimen.height, ring, chosen.element, growth=1.3,
-                            smallest=0.6 * chosen.smallest * ring, largest=0.3 * chosen.largest * ring,
-                            around=chosen.around)
+        return specimen.solid_mesh(Grading(chosen.element, chosen.smallest * size, chosen.growth,
+                                           chosen.largest * size, chosen.around))
     radius = tool.face_radius or experiment.contact_radius
-    least = 0.17 * max(specimen.radius, specimen.height)
+    least = _LEAST_LARGEST * max(size, specimen.height)
     offset = 0.0 if experiment.approach is None else experiment.approach.offset
-    return needle_solid(specimen.radius, specimen.height, radius, chosen.element, smallest=chosen.smallest * radius,
-                        growth=chosen.growth, largest=max(chosen.largest * radius, least), around=chosen.around,
-                        centre=(offset, 0.0))
+    return specimen.solid_mesh(Grading(chosen.element, chosen.smallest * radius, chosen.growth,
+                                       max(chosen.largest * radius, least), chosen.around, radius=radius,
+                                       centre=(offset, 0.0)))
 
 
 def _coefficient(interface: str | float) -> float:

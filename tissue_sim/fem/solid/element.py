@@ -14,7 +14,7 @@ from tissue_sim.fem.solid import energy as point
 from tissue_sim.fem.solid.batches import LANES
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
-from tissue_sim.mesh.hexahedra import HEXAHEDRA
+from tissue_sim.mesh.solid import SOLID_ELEMENTS
 
 #: Places in `settings`: bulk modulus, Pa; whether the tangent is wanted; whether the tissue remembers.
 KAPPA, TANGENT, REMEMBERS = range(3)
@@ -47,7 +47,7 @@ class ElementFunctions(NamedTuple):
 def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctions:
     """The functions of an element and an energy."""
     ti = initialise()
-    element = HEXAHEDRA[element_name]
+    element = SOLID_ELEMENTS[element_name]
     nodes, modes, points = element.nodes, element.pressure_modes, element.quadrature[1].size
     s = _scratch()
     stress_and_tangent = point.function(energy)

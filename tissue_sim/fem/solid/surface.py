@@ -22,11 +22,9 @@ class SolidSurface:
         self._mesh, self._displacement, self._datum = mesh, displacement, datum
 
     def triangles(self, segments: int = 48) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices, m, shape (v, 3), and triangles, (t, 3), normals outwards; two for each square between nodes."""
-        side = round(self._mesh.element.faces.shape[1] ** 0.5)
-        grid = np.concatenate(list(self._mesh.faces.values())).reshape(-1, side, side)
-        a, b, c, d = (each.ravel() for each in (grid[:, :-1, :-1], grid[:, :-1, 1:], grid[:, 1:, 1:], grid[:, 1:, :-1]))
-        triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+        """Vertices, m, shape (v, 3), and triangles between nodes, (t, 3), normals outwards."""
+        faces = np.concatenate(list(self._mesh.faces.values()))
+        triangles = faces[:, self._mesh.element.face_triangles].reshape(-1, 3)
         numbers, places = np.unique(triangles, return_inverse=True)
         vertices = self._mesh.nodes[numbers] + self._displacement[numbers] - [0.0, 0.0, self._datum]
         return vertices, places.reshape(-1, 3)

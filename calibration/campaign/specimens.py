@@ -1,0 +1,96 @@
+"""The specimens of a campaign, and which of them a test is done on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from calibration.campaign.checks import require_positive
+from calibration.campaign.schema import PRISM, CampaignTable, SpecimenTable, TestTable
+from tissue_sim.errors import InputError, nearest
+from tissue_sim.experiment.kinds.kind import KINDS
+from tissue_sim.specimen import STANDARD_GRAVITY, Specimen, specimen_sizes
+from tissue_sim.specimen.cylinder import Cylinder
+from tissue_sim.specimen.specimen import specimen_of_keys
+
+
+def read_specimens(table: CampaignTable) -> dict[str, Specimen]:
+    """The specimens of a campaign by their names.
+
+    Raises:
+        InputError: a name that is missing or there twice, sizes that are no sizes of the shape.
+    """
+    specimens: dict[str, Specimen] = {}
+    for i, entry in enumerate(table.specimen):
+        field = f"specimen[{i}]"
+        if entry.name is None and len(table.specimen) > 1:
+            raise InputError("several specimens need a name each, by which the tests call them", field=f"{field}.name")
+        name = entry.name if entry.name is not None else "specimen"
+        if name in specimens:
+            raise InputError(f"the name {name!r} is taken by another specimen; names must be unique",
+                             field=f"{field}.name")
+        specimens[name] = _specimen(entry, name, field)
+    return specimens
+
+
+def _specimen(entry: SpecimenTable, name: str, field: str) -> Specimen:
+    for key, value in entry.sizes.items():
+        require_positive(value, f"{field}.{key}", " mm")
+    require_positive(entry.density_kg_m3, f"{field}.density_kg_m3", " kg/m3")
+    if entry.gravity and entry.density_kg_m3 is None:
+        raise InputError("gravity = true needs the density of the specimen; give density_kg_m3",
+                         field=f"{field}.density_kg_m3")
+    shape, stated = entry.shape, dict(entry.sizes)
+    known = specimen_sizes()
+    has = ["area_mm2", "height_mm"] if shape == PRISM else [key for key, size in known.items() if shape in size.shapes]
+    given = stated | ({} if entry.area_mm2 is None else {"area_mm2": entry.area_mm2})
+    needs = [key for key in has if key not in known or known[key].declaration.absent is None]
+    if lacks := [key for key in needs if key not in given]:
+        raise InputError(f"a {shape} needs {lacks[0]}, which is missing", field=f"{field}.{lacks[0]}")
+    if others := [key for key in given if key not in has]:
+        raise InputError(f"a {shape} has {has[0]}, not {others[0]}; leave it out", field=f"{field}.{others[0]}")
+    if shape == PRISM:
+        # Homogeneous tests know a specimen by its cross-section and height only.
+        area = given.pop("area_mm2")
+        require_positive(area, f"{field}.area_mm2", " mm2")
+        shape, given = "cylinder", given | {"radius_mm": 1e3 * math.sqrt(area * 1e-6 / math.pi)}
+    try:
+        return specimen_of_keys(shape, given, name=name, density=entry.density_kg_m3, height_is=entry.height_is,
+                                gravity=STANDARD_GRAVITY if entry.gravity else 0.0)
+    except InputError as error:
+        raise InputError(error.problem, field=f"{field}.{error.field}") from None
+
+
+def find_specimen(entry: TestTable, specimens: Mapping[str, Specimen], table: CampaignTable,
+                  field: str) -> Specimen | None:
+    """The specimen of a test; None where it has none and needs none.
+
+    Raises:
+        InputError: no such specimen, or one with which the test is not computed.
+    """
+    if entry.specimen is not None and entry.specimen not in specimens:
+        hint = nearest(entry.specimen, specimens) if specimens else "; the file has no [[specimen]]"
+        raise InputError(f"no specimen is named {entry.specimen!r}{hint}", field=f"{field}.specimen")
+    if entry.specimen is None and len(specimens) > 1:
+        raise InputError(f"name one of the specimens: {', '.join(specimens)}", field=f"{field}.specimen")
+    found = next(iter(specimens.values()), None) if entry.specimen is None else specimens[entry.specimen]
+    kind = KINDS[entry.kind]
+    stands = kind.settles if table.fit.method == "analytical" else not kind.gripped
+    if found is not None and found.specific_weight and not stands:
+        raise InputError(f"gravity = true is for a specimen that stands under a plate, and {entry.kind} does not say "
+                         "how it hangs or lies; give this test a specimen with gravity = false",
+                         field=f"{field}.specimen")
+    if found is None and kind.closed_form is None:
+        raise InputError(f"{entry.kind} is simulated on its specimen; add a [[specimen]] and name it here",
+                         field=f"{field}.specimen")
+    if found is None:
+        return None
+    shape = table.specimen[list(specimens).index(found.name)].shape
+    simulated = kind.closed_form is None or (table.fit.method != "analytical" and not kind.gripped and shape != PRISM)
+    if simulated and (shape == PRISM or not isinstance(found, Cylinder)):
+        raise InputError(f"{entry.kind} is simulated on a cylinder, and {found.name!r} is a {shape}; use shape = "
+                         "'cylinder' with radius_mm", field=f"{field}.specimen")
+    if not found.is_prism:
+        raise InputError(f"{found.name!r} is a {shape}, which has not one cross-section, and so no closed form",
+                         field=f"{field}.specimen")
+    return found

@@ -1,0 +1,1 @@
+"""Files of meshes: what other programs write, as one type."""

@@ -1,0 +1,157 @@
+"""What a mesh of a file must be: elements of one kind that fill one body, each the right way round."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tissue_sim.errors import InputError
+from tissue_sim.mesh.formats.content import FACES, OTHER_SOLIDS, SIDES, SOLIDS, Cells, MeshContent
+
+#: Largest extent of a specimen, and the least, m.
+LARGEST_EXTENT, SMALLEST_EXTENT = 1.0, 1e-4
+#: Most elements and nodes; a product of three numbers of nodes is one of 64 bits.
+MOST_ELEMENTS, MOST_NODES = 300_000, 2_000_000
+#: An element whose volume is below this share of that of a cube over its longest edge is flat.
+_FLAT = 1e-6
+#: Nodes nearer to each other than this share of the mesh's size are at one place.
+_SAME = 1e-9
+
+
+def solid_cells(content: MeshContent) -> Cells:
+    """The elements that fill the volume, all of one kind.
+
+    Raises:
+        InputError: none, too many, several kinds, or one that the solid has no element for; coordinates that are no
+            numbers, nodes that are not there.
+    """
+    solids = [block for block in content.cells if block.kind in SOLIDS and len(block.nodes)]
+    for block in content.cells:
+        if block.kind.startswith(OTHER_SOLIDS) and block.kind not in SOLIDS and len(block.nodes):
+            raise InputError(f"element {block.numbers[0]} is a {block.kind}; the solid takes {', '.join(SOLIDS)}, "
+                             "all of one kind")
+    if not solids:
+        kinds = sorted({block.kind for block in content.cells if len(block.nodes)})
+        has = f"it has only {', '.join(kinds)}" if kinds else "it has no elements"
+        raise InputError(f"holds no volume elements, {has}; export tetrahedra or hexahedra")
+    other = next((block for block in solids if block.kind != solids[0].kind), None)
+    if other is not None:
+        raise InputError(f"mixes kinds of elements: element {solids[0].numbers[0]} is a {solids[0].kind}, element "
+                         f"{other.numbers[0]} a {other.kind}; export elements of one kind")
+    cells = Cells(solids[0].kind, np.concatenate([block.nodes for block in solids]),
+                  np.concatenate([block.numbers for block in solids]))
+    if len(cells.nodes) > MOST_ELEMENTS or len(content.points) > MOST_NODES:
+        raise InputError(f"has {len(cells.nodes)} elements and {len(content.points)} nodes, expected at most "
+                         f"{MOST_ELEMENTS} and {MOST_NODES}; give a coarser mesh")
+    if (~np.isfinite(content.points)).any():
+        worst = int(np.flatnonzero(~np.isfinite(content.points).all(axis=1))[0])
+        raise InputError(f"node {content.point_numbers[worst]} has a coordinate that is no number")
+    for block in (cells, *(block for block in content.cells if block.kind in FACES)):
+        outside = (block.nodes < 0) | (block.nodes >= len(content.points))
+        if outside.any():
+            row = int(np.flatnonzero(outside.any(axis=1))[0])
+            raise InputError(f"element {block.numbers[row]} has a node that is not in the file")
+    return cells
+
+
+def require_size(points: np.ndarray, unit: str) -> None:
+    """Refuse a specimen, in m, of no size of a specimen."""
+    extent = float(np.ptp(points, axis=0).max())
+    if not SMALLEST_EXTENT <= extent <= LARGEST_EXTENT:
+        raise InputError(f"is {extent:g} m large where its unit is {unit}, expected {SMALLEST_EXTENT:g} m to "
+                         f"{LARGEST_EXTENT:g} m; state the unit of its coordinates (mesh_unit, --mesh-unit)")
+
+
+def require_sound(cells: Cells, points: np.ndarray, point_numbers: np.ndarray) -> None:
+    """Refuse elements that are degenerate or there twice, nodes without elements, and what is no one body.
+
+    Args:
+        cells: of the volume. points: m, shape (n, 3). point_numbers: in the file.
+
+    Raises:
+        InputError: the first fault, with the number of an element or a node in the file.
+    """
+    numbers, corners = cells.numbers, np.sort(cells.corners, axis=1)
+    everything = np.sort(cells.nodes, axis=1)
+    if (twice := (np.diff(everything, axis=1) == 0).any(axis=1)).any():
+        raise InputError(f"element {numbers[np.argmax(twice)]} is degenerate: it has a node twice")
+    _, first, inverse, times = np.unique(corners, axis=0, return_index=True, return_inverse=True, return_counts=True)
+    if (times > 1).any():
+        again = int(np.flatnonzero(first[inverse.ravel()] != np.arange(len(corners)))[0])
+        raise InputError(f"elements {numbers[first[inverse.ravel()[again]]]} and {numbers[again]} have the same "
+                         "corners; remove one of them")
+    used = np.zeros(len(points), dtype=bool)
+    used[cells.nodes] = True
+    if not used.all():
+        raise InputError(f"node {point_numbers[np.argmin(used)]} belongs to no element of the volume; export only "
+                         "nodes that elements have")
+    _require_apart(points, point_numbers)
+    _require_volume(cells, points)
+    _require_one_body(cells)
+
+
+def _require_apart(points: np.ndarray, point_numbers: np.ndarray) -> None:
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(points)
+    distance, other = tree.query(points, k=2)
+    same = distance[:, 1] <= _SAME * float(np.ptp(points, axis=0).max())
+    if same.any():
+        one = int(np.argmax(same))
+        # Which of the two the tree finds first is open.
+        a, b = point_numbers[[one, int(other[one][other[one] != one][0])]]
+        raise InputError(f"nodes {a} and {b} are at one place, so that the mesh is torn there; merge coincident nodes")
+
+
+def _require_volume(cells: Cells, points: np.ndarray) -> None:
+    """Of the straight element between the corners; curved ones are looked at where they are integrated."""
+    corners = points[cells.corners]
+    if cells.shape == "tetra":
+        volumes = np.linalg.det(corners[:, 1:] - corners[:, :1])[:, None] / 6.0
+    else:
+        # At every corner, by the three edges from it.
+        edges = [(1, 3, 4), (2, 0, 5), (3, 1, 6), (0, 2, 7), (7, 5, 0), (4, 6, 1), (5, 7, 2), (6, 4, 3)]
+        volumes = np.stack([np.linalg.det(corners[:, list(ends)] - corners[:, [corner]])
+                            for corner, ends in enumerate(edges)], axis=-1)
+    least, size = volumes.min(axis=1), np.ptp(corners, axis=1).max(axis=1) ** 3
+    flat = np.abs(volumes).min(axis=1) <= _FLAT * size
+    if flat.any():
+        raise InputError(f"element {cells.numbers[np.argmax(flat)]} is degenerate: it has no volume")
+    if (least < 0.0).all():
+        raise InputError(f"all elements are turned inside out, element {cells.numbers[0]} the first; the mesh is "
+                         "mirrored, or its nodes are numbered the wrong way round")
+    if (least < 0.0).any():
+        raise InputError(f"element {cells.numbers[np.argmin(least)]} is turned inside out")
+
+
+def _require_one_body(cells: Cells) -> None:
+    from scipy import sparse
+    from scipy.sparse.csgraph import connected_components
+
+    sides = np.array(SIDES[cells.shape])
+    keys = np.sort(cells.corners[:, sides], axis=-1).reshape(-1, sides.shape[1])
+    owners = np.repeat(np.arange(len(cells.nodes)), len(sides))
+    _, inverse, times = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
+    inverse = inverse.ravel()
+    if (times > 2).any():
+        shared = owners[inverse == np.argmax(times > 2)]
+        named = ", ".join(map(str, cells.numbers[shared[:3]]))
+        raise InputError(f"elements {named} share one side, which has room for two; the mesh overlaps itself")
+    order = np.argsort(inverse, kind="stable")
+    pairs = np.flatnonzero(np.diff(inverse[order]) == 0)
+    a, b = owners[order[pairs]], owners[order[pairs + 1]]
+    parts, label = connected_components(sparse.coo_array((np.ones(len(a)), (a, b)), shape=(len(cells.nodes),) * 2),
+                                        directed=False)
+    if parts > 1:
+        raise InputError(f"is not one body: no way over the sides of elements leads from element {cells.numbers[0]} to "
+                         f"element {cells.numbers[np.argmax(label != label[0])]}; merge coincident nodes, or export "
+                         "one part")
+    of_outer = owners[times[inverse] == 1]
+    # Their order round the side, which the sorted keys have lost.
+    rounds = cells.corners[:, sides].reshape(-1, sides.shape[1])[times[inverse] == 1]
+    edges = np.sort(np.stack([rounds, np.roll(rounds, -1, axis=1)], axis=-1), axis=-1).reshape(-1, 2)
+    _, edge, shared = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
+    wrong = shared[edge.ravel()] != 2
+    if wrong.any():
+        number = cells.numbers[of_outer[np.argmax(wrong) // sides.shape[1]]]
+        raise InputError(f"the surface does not close, or touches itself, at an edge of element {number}; every edge "
+                         "of it belongs to two sides")

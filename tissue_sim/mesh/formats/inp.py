@@ -1,0 +1,239 @@
+"""Input files of Abaqus and CalculiX.
+
+They are read here and not by meshio, which follows ``*INCLUDE`` to any file, takes the names of element sets that a
+``*ELEMENT`` line states for another block, forgets the numbers of the elements, and knows no ``*SURFACE``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from tissue_sim.errors import InputError
+from tissue_sim.files import decode_text, read_bytes
+from tissue_sim.mesh.formats.content import FACES, SOLIDS, Cells, MeshContent
+
+_EXPECTED = "a mesh of Abaqus or CalculiX"
+#: Beginnings of the names of element types -> kind, where the digits that follow say how many nodes there are.
+_SOLID = re.compile(r"C3D(\d+)")
+_FACE = re.compile(r"(?:S|STRI|CPS|CPE|CAX|M3D|SFM3D|R3D|DS)(\d+)")
+_SOLID_KINDS = {4: "tetra", 10: "tetra10", 8: "hexahedron", 20: "hexahedron20", 27: "hexahedron27", 6: "wedge",
+                15: "wedge15", 5: "pyramid"}
+_FACE_KINDS = {3: "triangle", 6: "triangle6", 65: "triangle6", 4: "quad", 8: "quad8", 9: "quad9"}
+_NODES = SOLIDS | FACES | {"wedge": 6, "wedge15": 15, "pyramid": 5}
+#: Of Abaqus' 27 nodes in the order of VTK: it begins the last seven with the middle of the element.
+_ORDER_27 = [*range(20), 26, 24, 23, 25, 21, 22, 20]
+_SIDE = re.compile(r"S(\d)")
+#: Most numbers that a generated set may have.
+_MOST_GENERATED = 10_000_000
+
+
+class _Keyword:
+    """A line that begins with a star, and the lines of data below it."""
+
+    def __init__(self, line: int, text: str):
+        self.line, self.rows = line, []  # type: tuple[int, list[list[str]]]
+        name, *options = [part.strip() for part in text[1:].split(",")]
+        self.name = " ".join(name.upper().split())
+        self.options = {key.strip().upper(): value.strip().strip('"')
+                        for key, _, value in (option.partition("=") for option in options if option)}
+
+    def integers(self) -> np.ndarray:
+        """All data as integers.
+
+        Raises:
+            InputError: some are none.
+        """
+        flat = [word for row in self.rows for word in row if word]
+        try:
+            return np.array(list(map(int, flat)), dtype=np.int64)
+        except (ValueError, OverflowError):
+            raise InputError(f"there are words below *{self.name} that are no numbers", line=self.line) from None
+
+
+def _keywords(text: str) -> Iterator[_Keyword]:
+    current: _Keyword | None = None
+    waiting = ""
+    for number, raw in enumerate(text.splitlines(), start=1):
+        line = raw.strip()
+        if not line or line.startswith("**"):
+            continue
+        if waiting or line.startswith("*"):
+            waiting += line
+            if line.endswith(","):  # it goes on in the next line
+                continue
+            if current is not None:
+                yield current
+            current, waiting = _Keyword(number, waiting), ""
+        elif current is None:
+            raise InputError(f"does not begin with a keyword such as *NODE, expected {_EXPECTED}", line=number)
+        else:
+            current.rows.append([word.strip() for word in line.split(",")])
+    if current is not None:
+        yield current
+
+
+def read_inp(path: Path, largest: int) -> MeshContent:
+    """The mesh of an input file.
+
+    Args:
+        path: the file. largest: bytes that it may have.
+
+    Raises:
+        InputError: what it is not, with the line.
+    """
+    text, _ = decode_text(read_bytes(path, _EXPECTED, largest), path, _EXPECTED)
+    reader = _Reader()
+    for keyword in _keywords(text):
+        if keyword.name == "INCLUDE":
+            raise InputError("takes a part of the mesh from another file (*INCLUDE); put all into one",
+                             line=keyword.line)
+        if keyword.name == "INSTANCE" and keyword.rows:
+            raise InputError("moves a part where it is assembled (*INSTANCE); export the mesh as it stands",
+                             line=keyword.line)
+        take = getattr(reader, f"take_{keyword.name.lower()}", None)
+        if take is not None:
+            take(keyword)
+    return reader.content()
+
+
+class _Reader:
+    def __init__(self) -> None:
+        self._numbers: list[np.ndarray] = []
+        self._points: list[np.ndarray] = []
+        self._blocks: list[tuple[str, np.ndarray]] = []
+        self._node_sets: dict[str, np.ndarray] = {}
+        self._element_sets: dict[str, np.ndarray] = {}
+        self._surfaces: dict[str, list[tuple[np.ndarray, int]]] = {}
+
+    def take_node(self, keyword: _Keyword) -> None:
+        try:
+            rows = [(int(row[0]), *(float(word or 0.0) for word in (row[1:4] + ["0"] * 3)[:3])) for row in keyword.rows]
+        except (ValueError, IndexError, OverflowError):
+            raise InputError("a node below *NODE is not its number and its coordinates", line=keyword.line) from None
+        table = np.array(rows, dtype=float).reshape(-1, 4)
+        self._numbers.append(np.array([row[0] for row in rows], dtype=np.int64))
+        self._points.append(table[:, 1:])
+        if "NSET" in keyword.options:
+            self._add(self._node_sets, keyword.options["NSET"], self._numbers[-1])
+
+    def take_element(self, keyword: _Keyword) -> None:
+        name = keyword.options.get("TYPE", "").upper()
+        solid, face = _SOLID.match(name), _FACE.match(name)
+        kind = (_SOLID_KINDS.get(int(solid[1])) if solid else _FACE_KINDS.get(int(face[1])) if face else None)
+        if kind is None:
+            if solid:
+                raise InputError(f"elements of the type {name} are not known; use C3D4, C3D10, C3D8, C3D20 or C3D27",
+                                 line=keyword.line)
+            return  # bars, springs and the like
+        data = keyword.integers()
+        if data.size % (_NODES[kind] + 1):
+            raise InputError(f"an element below *ELEMENT is not its number and {_NODES[kind]} nodes, which type {name} "
+                             "has", line=keyword.line)
+        table = data.reshape(-1, _NODES[kind] + 1)
+        if kind == "hexahedron27":
+            table = table[:, [0, *(1 + place for place in _ORDER_27)]]
+        self._blocks.append((kind, table))
+        if "ELSET" in keyword.options:
+            self._add(self._element_sets, keyword.options["ELSET"], table[:, 0])
+
+    def take_nset(self, keyword: _Keyword) -> None:
+        self._take_set(keyword, self._node_sets, "NSET")
+
+    def take_elset(self, keyword: _Keyword) -> None:
+        self._take_set(keyword, self._element_sets, "ELSET")
+
+    def take_surface(self, keyword: _Keyword) -> None:
+        name, kind = keyword.options.get("NAME", ""), keyword.options.get("TYPE", "ELEMENT").upper()
+        sides = self._surfaces.setdefault(name.upper(), [])
+        for row in keyword.rows if kind == "ELEMENT" else []:
+            if len(row) > 1 and (side := _SIDE.fullmatch(row[1].upper())):
+                numbers = (np.array([int(row[0])]) if row[0].isdigit() else
+                           self._known(self._element_sets, row[0], keyword))
+                sides.append((numbers, int(side[1]) - 1))
+        for row in keyword.rows if kind == "NODE" else []:
+            numbers = np.array([int(row[0])]) if row[0].isdigit() else self._known(self._node_sets, row[0], keyword)
+            self._add(self._node_sets, name, numbers)
+
+    def _take_set(self, keyword: _Keyword, sets: dict[str, np.ndarray], option: str) -> None:
+        name = keyword.options.get(option, "")
+        if "GENERATE" in keyword.options:
+            for row in keyword.rows:
+                try:
+                    first, last, step = map(int, (*[word for word in row if word], "1")[:3])
+                except ValueError:
+                    raise InputError("a generated set is not first, last and step", line=keyword.line) from None
+                if step < 1 or (last - first) // step > _MOST_GENERATED:
+                    raise InputError("a generated set has a step below 1, or too many members", line=keyword.line)
+                self._add(sets, name, np.arange(first, last + 1, step))
+            return
+        words = [word for row in keyword.rows for word in row if word]
+        self._add(sets, name, np.array([int(word) for word in words if word.isdigit()], dtype=np.int64))
+        for word in words:
+            if not word.isdigit():
+                self._add(sets, name, self._known(sets, word, keyword))
+
+    @staticmethod
+    def _known(sets: dict[str, np.ndarray], name: str, keyword: _Keyword) -> np.ndarray:
+        if name.upper() not in sets:
+            raise InputError(f"*{keyword.name} names the set {name!r}, which is not stated above", line=keyword.line)
+        return sets[name.upper()]
+
+    @staticmethod
+    def _add(sets: dict[str, np.ndarray], name: str, numbers: np.ndarray) -> None:
+        sets[name.upper()] = np.concatenate([sets.get(name.upper(), np.zeros(0, dtype=np.int64)), numbers])
+
+    def content(self) -> MeshContent:
+        """What was read, with places instead of numbers."""
+        nodes = _Index(self._numbers, "node")
+        points = np.concatenate(self._points) if self._points else np.zeros((0, 3))
+        elements = _Index([table[:, 0] for _, table in self._blocks], "element")
+        cells = [Cells(kind, nodes.places(table[:, 1:], table[:, 0]), table[:, 0]) for kind, table in self._blocks]
+        starts = np.cumsum([0, *(len(block.numbers) for block in cells)])
+
+        def by_block(numbers: np.ndarray) -> list[np.ndarray]:
+            places = np.sort(elements.known(np.unique(numbers)))
+            return [places[(places >= first) & (places < last)] - first
+                    for first, last in pairwise(starts.tolist())]
+
+        sides = {name: np.array([(block, place, side) for numbers, side in rows
+                                 for block, places in enumerate(by_block(numbers)) for place in places.tolist()],
+                                dtype=np.intp).reshape(-1, 3) for name, rows in self._surfaces.items() if rows}
+        return MeshContent(points, nodes.numbers, cells,
+                           {name: nodes.known(np.unique(numbers)) for name, numbers in self._node_sets.items()},
+                           {name: by_block(numbers) for name, numbers in self._element_sets.items()}, sides)
+
+
+class _Index:
+    """Where numbers of nodes or elements stand in the order of the file."""
+
+    def __init__(self, numbers: Sequence[np.ndarray], what: str):
+        self.numbers = np.concatenate([np.zeros(0, dtype=np.int64), *numbers])
+        self._order = np.argsort(self.numbers, kind="stable")
+        self._sorted, self._what = self.numbers[self._order], what
+        if (twice := self._sorted[1:][np.diff(self._sorted) == 0]).size:
+            raise InputError(f"{what} {twice[0]} is stated twice; give every {what} a number of its own")
+
+    def _look_up(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if not self._sorted.size:
+            return np.zeros(numbers.shape, dtype=np.intp), np.zeros(numbers.shape, dtype=bool)
+        at = np.minimum(np.searchsorted(self._sorted, numbers), self._sorted.size - 1)
+        return self._order[at], self._sorted[at] == numbers
+
+    def known(self, numbers: np.ndarray) -> np.ndarray:
+        """Places of those that there are."""
+        places, there = self._look_up(numbers)
+        return places[there]
+
+    def places(self, numbers: np.ndarray, owners: np.ndarray) -> np.ndarray:
+        """Places of all, of elements with the numbers `owners`."""
+        places, there = self._look_up(numbers)
+        if not there.all():
+            row, column = np.argwhere(~there)[0]
+            raise InputError(f"element {owners[row]} has the {self._what} {numbers[row, column]}, which is not in the "
+                             "file")
+        return places

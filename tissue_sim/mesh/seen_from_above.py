@@ -1,0 +1,57 @@
+"""A surface of flat sides, seen from above."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+class SeenFromAbove:
+    """The top of a body and all of its surface.
+
+    Args:
+        points: corners, m, shape (n, 3).
+        top: sides of the top, as numbers of their corners going round, shape (m, corners).
+        surface: all sides, the same.
+    """
+
+    def __init__(self, points: np.ndarray, top: np.ndarray, surface: np.ndarray):
+        self._points = points
+        self._top, self._surface = (_triangles(sides) for sides in (top, surface))
+        edges = np.stack([top, np.roll(top, -1, axis=1)], axis=-1).reshape(-1, 2)
+        _, first, times = np.unique(np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True)
+        self._rim = edges[first[times == 1]]
+
+    def margin(self, x: float, y: float) -> float:
+        """Distance of a place from the rim of the top, m; negative beyond it."""
+        a, b = self._points[self._rim[:, 0], :2], self._points[self._rim[:, 1], :2]
+        place, way = np.array([x, y]), b - a
+        length2 = np.einsum("ei,ei->e", way, way)
+        share = np.clip(np.einsum("ei,ei->e", place - a, way) / np.where(length2 > 0.0, length2, 1.0), 0.0, 1.0)
+        distance = float(np.linalg.norm(a + share[:, None] * way - place, axis=1).min())
+        return distance if self._heights(self._top, x, y).size else -distance
+
+    def thickness(self, x: float, y: float) -> float:
+        """From the highest to the lowest place of the surface on a vertical, m; 0 beside the body."""
+        heights = self._heights(self._surface, x, y)
+        return float(np.ptp(heights)) if heights.size else 0.0
+
+    @property
+    def outer_radius(self) -> float:
+        """Of the circle about the axis that the body fits in, m."""
+        return float(np.hypot(*self._points[np.unique(self._surface), :2].T).max())
+
+    def _heights(self, triangles: np.ndarray, x: float, y: float) -> np.ndarray:
+        """Where a vertical meets triangles, m."""
+        corners = self._points[triangles]
+        a, u, v = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        area = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+        lying = np.abs(area) > 0.0
+        a, u, v, area = a[lying], u[lying], v[lying], area[lying]
+        dx, dy = x - a[:, 0], y - a[:, 1]
+        s, t = (dx * v[:, 1] - dy * v[:, 0]) / area, (u[:, 0] * dy - u[:, 1] * dx) / area
+        met = (s >= -1e-9) & (t >= -1e-9) & (s + t <= 1.0 + 1e-9)
+        return (a[:, 2] + s * u[:, 2] + t * v[:, 2])[met]
+
+
+def _triangles(sides: np.ndarray) -> np.ndarray:
+    return sides if sides.shape[1] == 3 else np.concatenate([sides[:, [0, 1, 2]], sides[:, [0, 2, 3]]])

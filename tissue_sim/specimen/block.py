@@ -1,0 +1,45 @@
+"""A rectangular block."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from tissue_sim.parameters import parameter
+from tissue_sim.specimen.specimen import Specimen
+
+if TYPE_CHECKING:
+    from tissue_sim.mesh.grading import Grading
+    from tissue_sim.mesh.solid import SolidMesh
+
+
+@dataclass(frozen=True)
+class Block(Specimen):
+    """A rectangular block that stands on its base, such as the cubes that are cut of brains.
+
+    Attributes:
+        length, width: along x and y, m. height: m.
+    """
+
+    shape = "block"
+    length: float = parameter("L", "m", key="length_mm", factor=1e-3, bounds=(1e-5, 1.0), shapes_mesh=True)
+    width: float = parameter("B", "m", key="width_mm", factor=1e-3, bounds=(1e-5, 1.0), shapes_mesh=True)
+    height: float = parameter("H", "m", key="height_mm", factor=1e-3, bounds=(1e-5, 1.0), shapes_mesh=True)
+
+    @property
+    def area(self) -> float:
+        return self.length * self.width
+
+    def margin(self, x: float = 0.0, y: float = 0.0) -> float:
+        return min(0.5 * self.length - abs(x), 0.5 * self.width - abs(y))
+
+    @property
+    def outer_radius(self) -> float:
+        return 0.5 * math.hypot(self.length, self.width)
+
+    def solid_mesh(self, grading: Grading) -> SolidMesh:
+        from tissue_sim.mesh.block import block_under_plate, block_under_tool
+
+        mesh = block_under_plate if grading.radius is None else block_under_tool
+        return mesh(self.length, self.width, self.height, grading)

@@ -1,0 +1,59 @@
+"""A cylinder."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from tissue_sim.errors import InputError
+from tissue_sim.parameters import parameter
+from tissue_sim.specimen.specimen import Specimen
+
+if TYPE_CHECKING:
+    from tissue_sim.mesh.grading import Grading
+    from tissue_sim.mesh.solid import SolidMesh
+
+
+@dataclass(frozen=True)
+class Cylinder(Specimen):
+    """A cylinder that stands on its base.
+
+    Attributes:
+        radius, height: m; the radius is that of the undeformed cylinder.
+    """
+
+    shape = "cylinder"
+    radius: float = parameter("R", "m", key="radius_mm", factor=1e-3, bounds=(1e-5, 1.0), shapes_mesh=True)
+    height: float = parameter("H", "m", key="height_mm", factor=1e-3, bounds=(1e-5, 1.0), shapes_mesh=True)
+
+    @property
+    def area(self) -> float:
+        return math.pi * self.radius**2
+
+    def margin(self, x: float = 0.0, y: float = 0.0) -> float:
+        return self.radius - math.hypot(x, y)
+
+    @property
+    def outer_radius(self) -> float:
+        return self.radius
+
+    def solid_mesh(self, grading: Grading) -> SolidMesh:
+        from tissue_sim.mesh.solid import graded_cylinder
+
+        return graded_cylinder(self.radius, self.height, grading)
+
+
+def require_cylinder(specimen: Specimen, who: str, instead: str = 'take the solver "solid" (--solid)') -> Cylinder:
+    """The specimen where it is a cylinder.
+
+    Args:
+        specimen: of any shape. who: takes nothing else, in words. instead: what to do.
+
+    Raises:
+        InputError: it is none.
+    """
+    if not isinstance(specimen, Cylinder):
+        raise InputError(f"{who} takes cylinders only, and the specimen is a {specimen.shape}; {instead}",
+                         field="specimen.shape")
+    return specimen

@@ -1,0 +1,121 @@
+"""A body of any shape, from a file of its mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tissue_sim.errors import InputError
+from tissue_sim.mesh.seen_from_above import SeenFromAbove
+from tissue_sim.specimen.specimen import Specimen
+
+if TYPE_CHECKING:
+    from tissue_sim.mesh.grading import Grading
+    from tissue_sim.mesh.solid import SolidMesh
+    from tissue_sim.mesh.solid_file import FileMesh
+
+#: Corners of elements that a tool has under it, at least.
+_FEWEST = 4
+
+
+@dataclass(frozen=True)
+class MeshSpecimen(Specimen):
+    """A body whose mesh of tetrahedra or hexahedra another program has made; z points upwards in its file. The middle
+    of the box about its top is the origin.
+
+    Attributes:
+        mesh_file: .msh of Gmsh, .vtu or .vtk, or .inp of Abaqus or CalculiX.
+        mesh_unit: of its coordinates: ``"mm"``, ``"m"``, ``"cm"``, ``"um"``, ``"in"``.
+        mesh_base: name in the file of the sides that are held; None: those in the lowest plane.
+        mesh_top: of those that the tool may meet; None: those in the highest plane, or all that look up.
+
+    Raises:
+        InputError: what `tissue_sim.mesh.solid_file.read_file_mesh` refuses; a name that the file does not have.
+    """
+
+    shape = "mesh"
+    is_prism = False
+    mesh_file: str | Path
+    mesh_unit: str = "mm"
+    mesh_base: str | None = None
+    mesh_top: str | None = None
+
+    def __post_init__(self):
+        super().__post_init__()
+        _ = self._seen
+
+    @cached_property
+    def _mesh(self) -> FileMesh:
+        path = Path(self.mesh_file)
+        try:
+            found = path.stat()
+            return _read(path.resolve(), self.mesh_unit, found.st_mtime_ns, found.st_size)
+        except (OSError, ValueError):
+            return _read(path, self.mesh_unit, 0, 0)  # which says what is the matter
+
+    @cached_property
+    def _seen(self) -> SeenFromAbove:
+        from tissue_sim.mesh.solid_file import base_and_top, origin
+
+        mesh = self._mesh
+        try:
+            _, met = base_and_top(mesh, self.mesh_base, self.mesh_top)
+        except InputError as error:
+            raise error.located(file=self.mesh_file) from None
+        return SeenFromAbove(mesh.points - origin(mesh, met), mesh.sides[met], mesh.sides)
+
+    @property
+    def height(self) -> float:
+        """From the lowest to the highest node, m."""
+        heights = self._mesh.points[:, 2]
+        return float(heights.max() - heights.min())
+
+    @property
+    def in_words(self) -> str:
+        x, y, z = (1e3 * (self._mesh.points.max(axis=0) - self._mesh.points.min(axis=0))).tolist()
+        return f"{Path(self.mesh_file).name} of {x:.4g} x {y:.4g} x {z:.4g} mm"
+
+    def margin(self, x: float = 0.0, y: float = 0.0) -> float:
+        return self._seen.margin(x, y)
+
+    @property
+    def outer_radius(self) -> float:
+        return self._seen.outer_radius
+
+    def thickness(self, x: float = 0.0, y: float = 0.0) -> float:
+        return self._seen.thickness(x, y)
+
+    def solid_mesh(self, grading: Grading) -> SolidMesh:
+        """The file's own elements, raised to the order of those that the grading asks for; their sizes are the file's.
+
+        Raises:
+            InputError: layers, or a tool with hardly a node under it.
+        """
+        from tissue_sim.mesh.solid import with_tool_sets
+        from tissue_sim.mesh.solid_file import solid_from_file
+
+        if grading.interfaces:
+            raise InputError("a mesh of a file has regions of its own and takes no layers; leave them out",
+                             field="material.layers")
+        try:
+            mesh = solid_from_file(self._mesh, grading.element.order, base=self.mesh_base, top=self.mesh_top)
+        except InputError as error:
+            raise error.located(file=self.mesh_file) from None
+        if grading.radius is None:
+            return mesh
+        mesh = with_tool_sets(mesh, grading.radius, grading.centre)
+        if mesh.sets["face"].size < _FEWEST:
+            raise InputError(f"only {mesh.sets['face'].size} nodes of the top lie within {grading.radius * 1e3:g} mm "
+                             "of the tool's axis; give a mesh that is finer there", file=self.mesh_file,
+                             field="specimen.mesh_file")
+        return mesh
+
+
+@lru_cache(maxsize=4)
+def _read(path: Path, unit: str, changed: int, size: int) -> FileMesh:
+    """A file is read once while it stays as it is."""
+    from tissue_sim.mesh.solid_file import read_file_mesh
+
+    return read_file_mesh(path, unit)
