@@ -280,6 +280,9 @@ class Simulator:
                 # The next step goes on with this iteration, and with what is left of the way then.
                 self._attempt, self._spent = (target, dt), self._spent * resumes + step.iterations
                 status = ForceStatus.LATE
+            elif step.status is StepStatus.OUTSIDE:
+                # No shorter part leads there; the tissue waits where it is.
+                self._attempt, self._spent, status = None, 0, ForceStatus.STOPPED
             elif creep is None and order:
                 self._attempt, self._spent, resumes, self._extrapolates = None, 0, False, False
             elif creep is None and min(self._share, way / self._largest_part) < _CREEPS:

@@ -1,0 +1,89 @@
+"""`tissue-sim reduce`: a solid in space that is stepped a thousand times a second, for a tool that stays in a box."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+from scenes.catalogue import SCENES
+from scenes.commands.shared.console import print_json, progress_console
+from scenes.commands.shared.experiment_flags import add_experiment_flags, check_scene, make_experiment
+from scenes.commands.shared.parsing import Parser, add_json, at_least, between, not_negative, positive
+from scenes.commands.shared.tissue_flags import read_material
+from tissue_sim.errors import InputError
+
+SUMMARY = "reduce a solid in space to what a tool in a box of poses needs, for 1000 steps a second"
+EXAMPLE = ("tissue-sim reduce needle_indentation --material m.material.json --tool flat --tool-radius-mm 8 "
+           "--depth-mm 4 --sideways-mm 3 --turn-deg 5 -o needle.reduced.npz")
+#: Depth of the box where nothing is said, mm.
+_DEPTH_MM = 4.0
+
+
+def add_arguments(parser: Parser) -> None:
+    parser.add_argument("scene", metavar="SCENE", nargs="?", default="needle_indentation",
+                        help=f"{' or '.join(SCENES)} (default: %(default)s)")
+    parser.add_argument("--material", type=Path, metavar="FILE",
+                        help="NAME.material.json (default: the study's silicone, reduced_polynomial_2)")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="NAME.reduced.npz")
+    parser.add_argument("--overwrite", action="store_true", help="replace an output that is there")
+    box = parser.add_argument_group("box of poses (its depth is --depth-mm, default: 4)")
+    box.add_argument("--sideways-mm", type=not_negative, metavar="N", default=0.0,
+                     help="how far the tool may go aside, along x and y either way (default: 0)")
+    box.add_argument("--turn-deg", type=between(0.0, 45.0), metavar="N", default=0.0,
+                     help="how far it may turn, about any axis (default: 0)")
+    effort = parser.add_argument_group("effort")
+    effort.add_argument("--resolution", choices=("realtime", "fast", "accurate"), default="realtime",
+                        help="of the whole solid (default: %(default)s)")
+    effort.add_argument("--strokes", type=at_least(2, 4000), metavar="N",
+                        help="motions on which the whole solid is followed (default: 40, of a tool that only touches 80)")
+    effort.add_argument("--modes", type=at_least(2, 400), metavar="N",
+                        help="motions of the tissue that are kept (default: 24, of a tool that only touches 80)")
+    effort.add_argument("--sampling", type=positive, metavar="N", default=6e-3,
+                        help="error of the forces of the sampled elements (default: %(default)g)")
+    effort.add_argument("--tried", type=at_least(1, 1000), metavar="N", default=3,
+                        help="unseen strokes on which the result is tried (default: %(default)s)")
+    add_experiment_flags(parser)
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments) -> int:
+    check_scene(arguments.scene)
+    if arguments.protocol is not None:
+        raise InputError("a reduced solid is made for a box of poses, not for a protocol; use --depth-mm",
+                         field="--protocol")
+    output: Path = arguments.output
+    if output.exists() and not arguments.overwrite:
+        raise InputError("exists; add --overwrite, or choose another name", file=output)
+    if not output.name.endswith(".npz"):
+        raise InputError("a reduced solid is a file NAME.reduced.npz; give it that ending", file=output)
+
+    import tissue_sim as ts
+
+    material = read_material(arguments.material)
+    depth = (arguments.depth_mm or _DEPTH_MM) * 1e-3
+    experiment = make_experiment(arguments, ts.Protocol.ramp(depth, points=2), material)
+    box = ts.PoseBox(arguments.sideways_mm * 1e-3, depth, math.radians(arguments.turn_deg))
+    # A pre-stated name where a killed run goes on.
+    folder = output.with_name(f"{output.name}.strokes")
+    arguments.resume_hint = "the same command goes on with the strokes that are done"
+    console = progress_console(quiet=arguments.json)
+    with console.status("making the mesh") as status:
+        def tell(stage: str, done: int, of: int, *, note: str = "") -> None:
+            status.update(f"{stage}: {done} of {of}{f', {note}' if note else ''}")
+
+        reduced = ts.reduce_solid(
+            ts.Model(replace(experiment), material), box, resolution=arguments.resolution, strokes=arguments.strokes,
+            modes=arguments.modes, sampling=arguments.sampling, tried=arguments.tried, folder=folder, progress=tell)
+    ts.write_reduced(reduced, output)
+    report = reduced.report
+    if arguments.json:
+        print_json({**report, "file": str(output)})
+        return 0
+    print(f"{report['freedoms']} freedoms in {report['modes']} modes, {report['elements_of_all']} elements in "
+          f"{report['elements']}, from {report['snapshots']} states of {report['strokes']} strokes")
+    print(f"on {arguments.tried} other strokes the force is {100 * report['force_rms_error']:.2g} % off (rms; at most "
+          f"{100 * report['force_largest_error']:.2g} %, of {report['force_rms_N']:.3g} N)")
+    print(f"written to {output}")
+    return 0

@@ -1,0 +1,135 @@
+"""Files of reduced solids, ``NAME.reduced.npz``: arrays, and a description in JSON."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from tissue_sim.atomic_write import write_bytes
+from tissue_sim.bounded import bounded
+from tissue_sim.errors import InputError, located
+from tissue_sim.experiment.approach import Approach
+from tissue_sim.experiment.experiment import Experiment
+from tissue_sim.experiment.protocol import Protocol
+from tissue_sim.experiment.tools.tool import TOOLS
+from tissue_sim.fem.reduced.model import PoseBox, ReducedModel
+from tissue_sim.files import open_file
+from tissue_sim.material.file import MaterialFile, decode_material_file
+from tissue_sim.mesh.solid import SOLID_ELEMENTS, SolidMesh
+from tissue_sim.model import Model
+from tissue_sim.parameters import from_keys, to_keys
+from tissue_sim.specimen.specimen import specimen_of_keys
+
+VERSION = 1
+_EXPECTED = "a reduced solid (.npz of `tissue-sim reduce`)"
+_FACES = ("friction", "friction_base", "friction_wall")
+
+
+def write_reduced(reduced: ReducedModel, path: str | Path) -> None:
+    """Write a reduced solid in one step.
+
+    Raises:
+        InputError: a tool or a specimen whose shape is in a file of its own, or a place that cannot be written.
+    """
+    mesh = reduced.mesh
+    arrays = {"nodes": mesh.nodes, "connectivity": mesh.connectivity, "basis": reduced.basis,
+              "elements": reduced.elements, "shares": reduced.shares}
+    arrays |= {f"set {name}": each for name, each in mesh.sets.items()}
+    arrays |= {f"faces {name}": each for name, each in mesh.faces.items()}
+    stream = io.BytesIO()
+    np.savez_compressed(stream, description=np.array(json.dumps(_description(reduced))), **arrays)
+    write_bytes(path, stream.getvalue())
+
+
+def _description(reduced: ReducedModel) -> dict[str, Any]:
+    experiment = reduced.model.experiment
+    specimen, tool, box = experiment.specimen, experiment.tool, reduced.box
+    for kind, from_file in (("tool", tool.from_file), ("specimen", specimen.shape == "mesh")):
+        if from_file:
+            raise InputError(f"the shape of the {kind} is in a file of its own, which a reduced solid does not keep; use "
+                             "a shape by its sizes", field=kind)
+    return {
+        "schema": "tissue_sim.reduced", "version": VERSION, "element": reduced.mesh.element.name,
+        "lifting": reduced.lifting, "softness": reduced.softness, "report": reduced.report,
+        "box": {"sideways": box.sideways, "depth": box.depth, "turn": box.turn},
+        "material": msgspec.to_builtins(MaterialFile.of(reduced.model.material)),
+        "experiment": {
+            "specimen": {"shape": specimen.shape, "name": specimen.name, **specimen.sizes},
+            "tool": {"shape": tool.shape, **to_keys(tool)},
+            "approach": None if experiment.approach is None else to_keys(experiment.approach),
+            **{name: getattr(experiment, name) for name in _FACES}}}
+
+
+def load_reduced(path: str | Path) -> ReducedModel:
+    """Read and check a reduced solid.
+
+    Raises:
+        InputError: damaged, of another program or a newer version, or with arrays that do not fit each other.
+    """
+    path = Path(path)
+    with open_file(path, _EXPECTED):
+        pass
+    description, arrays = bounded(_read, str(path), file=path)
+    with located(file=path):
+        return _checked(description, arrays)
+
+
+def _read(path: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+        return json.loads(str(arrays.pop("description"))), arrays
+    except (ValueError, KeyError, OSError, EOFError) as error:
+        raise InputError(f"expected {_EXPECTED}, and it is damaged or none ({error}); make it again with "
+                         "`tissue-sim reduce`", file=path) from None
+
+
+def _checked(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> ReducedModel:
+    try:
+        if description["schema"] != "tissue_sim.reduced":
+            raise KeyError("schema")
+        if description["version"] != VERSION:
+            raise InputError(f"version {description['version']} is not the one that this program reads, {VERSION}; make "
+                             "it again with `tissue-sim reduce`", field="version")
+        element = SOLID_ELEMENTS[description["element"]]
+        nodes, connectivity, basis = arrays["nodes"], arrays["connectivity"], arrays["basis"]
+        elements, shares = arrays["elements"], arrays["shares"]
+        sets = {name.removeprefix("set "): each for name, each in arrays.items() if name.startswith("set ")}
+        faces = {name.removeprefix("faces "): each for name, each in arrays.items() if name.startswith("faces ")}
+        lifting, softness, report = description["lifting"], float(description["softness"]), description["report"]
+        box = PoseBox(**description["box"])
+        material = decode_material_file(description["material"]).material
+        experiment = _experiment(description["experiment"], box)
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"expected {_EXPECTED}, and something is missing or of another kind ({error}); make it again "
+                         "with `tissue-sim reduce`") from None
+    numbers = (connectivity, elements, *sets.values(), *faces.values())
+    fits = (all(each.dtype.kind in "iu" and each.size for each in numbers) and nodes.ndim == connectivity.ndim == 2
+            and nodes.shape[1] == 3 and connectivity.shape[1] == element.nodes
+            and all(0 <= each.min() and each.max() < len(nodes)
+                    for each in (connectivity, *sets.values(), *faces.values()))
+            and 0 <= elements.min() and elements.max() < len(connectivity)
+            and basis.ndim == 2 and len(basis) == nodes.size and elements.shape == shares.shape
+            and lifting in (0, 12) and lifting < basis.shape[1] and {"top", "base", "side", "face", "free"} <= sets.keys()
+            and all(np.isfinite(each).all() for each in (nodes, basis, shares)) and bool((shares > 0.0).all())
+            and 0.0 < softness < 1.0 and isinstance(report, dict))
+    if not fits:
+        raise InputError("its arrays do not fit each other; make it again with `tissue-sim reduce`")
+    as_numbers = [{name: each.astype(np.intp) for name, each in group.items()} for group in (sets, faces)]
+    mesh = SolidMesh(element, nodes, connectivity.astype(np.intp), *as_numbers)
+    return ReducedModel(Model(experiment, material), mesh, basis, lifting, elements.astype(np.intp), shares, box,
+                        softness, report)
+
+
+def _experiment(stated: dict[str, Any], box: PoseBox) -> Experiment:
+    specimen, tool = dict(stated["specimen"]), dict(stated["tool"])
+    shape, name, kind = specimen.pop("shape"), specimen.pop("name"), TOOLS.find(tool.pop("shape"), field="tool.shape")
+    return Experiment(
+        specimen_of_keys(shape, specimen, name=name), Protocol.ramp(box.depth, points=2), from_keys(kind, tool, "tool"),
+        **{face: stated[face] for face in _FACES},
+        approach=None if stated["approach"] is None else from_keys(Approach, stated["approach"], "approach"))

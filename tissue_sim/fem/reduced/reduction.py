@@ -1,0 +1,122 @@
+"""A solid reduced from its model to its file, stroke by stroke, so that what was killed goes on where it was."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from tissue_sim.atomic_write import write_bytes
+from tissue_sim.errors import InputError
+from tissue_sim.fem.reduced import training
+from tissue_sim.fem.reduced.model import PoseBox, ReducedModel
+from tissue_sim.fem.reduced.strokes import stroke
+from tissue_sim.model import Model
+
+#: Strokes, modes and error of the sampled forces where nothing is said, of a tool that holds tissue and of one that
+#: touches it.
+STROKES, MODES, SAMPLING = {True: 40, False: 80}, {True: 24, False: 80}, 6e-3
+#: Share of the contact's reach by which the layer gives way, and unseen strokes on which the result is tried.
+SOFTNESS, TRIED = 3e-3, 3
+
+
+class Progress(Protocol):
+    """Who is told how far a reduction is."""
+
+    def __call__(self, stage: str, done: int, of: int, *, note: str = "") -> None:
+        """`done` of `of` parts of a stage are done."""
+
+
+def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", strokes: int | None = None,
+                 modes: int | None = None, sampling: float = SAMPLING, softness: float = SOFTNESS, tried: int = TRIED,
+                 folder: Path | None = None, progress: Progress | None = None) -> ReducedModel:
+    """Make a solid that is stepped a thousand times a second for a tool that stays in a box.
+
+    Args:
+        model: experiment and material.
+        box: of poses, beside the first one of the experiment's approach.
+        resolution: of the whole solid.
+        strokes: motions on which the whole solid is followed.
+        modes: motions of the tissue that are kept.
+        sampling: error of the forces of the sampled elements.
+        softness: see `ReducedModel`.
+        tried: strokes that it was not made of, on which it is tried.
+        folder: where the strokes are kept until all is done; one that holds strokes of the same model is gone on with.
+        progress: told of the stages ``"strokes"``, ``"elements"`` and ``"trial"``.
+
+    Raises:
+        InputError: what a reduced solid does not take, or a folder of another model.
+        ConvergenceError: the whole solid did not come through a stroke.
+    """
+    experiment = model.experiment
+    holds = experiment.friction == "bonded"
+    strokes, modes = strokes or STROKES[holds], modes or MODES[holds]
+    tell: Callable[..., None] = progress or (lambda *_, **__: None)
+    mesh = training.training_mesh(model, resolution)
+    training.check(model, mesh)
+    solver = training.whole_solver(model, mesh)
+    store = _Store(folder, f"{model!r} {box!r} {resolution} {len(mesh.nodes)}")
+    start, reach = experiment.tool_pose(0.0), experiment.contact_radius
+    poses = [stroke(number, box, start, holds=holds, reach=reach) for number in range(strokes)]
+    taken = []
+    tell("strokes", 0, strokes)
+    for number, way in enumerate(poses):
+        done = store.read(number)
+        if done is None or len(done.wrenches) != len(way):
+            done = training.snapshots(solver, way)
+            store.write(number, done)
+        taken.append(done)
+        tell("strokes", number + 1, strokes)
+    count = len(mesh.connectivity)
+    reduced = training.assemble(
+        model, mesh, box, taken, poses, count=modes, tolerance=sampling, softness=softness,
+        progress=lambda elements, error: tell("elements", elements, count, note=f"error {100 * error:.2g} %"))
+    numbers = range(training.UNSEEN, training.UNSEEN + tried)
+    report = training.verify(reduced, solver, numbers, lambda done, of: tell("trial", done, of))
+    store.remove()
+    return training.with_report(reduced, strokes=strokes, **report)
+
+
+class _Store:
+    """Strokes that are done, a file each; of one model."""
+
+    def __init__(self, folder: Path | None, model: str):
+        self._folder = folder
+        if folder is None:
+            return
+        label = folder / "model.txt"
+        if label.exists() and label.read_text(encoding="utf-8") != model:
+            raise InputError("holds strokes of another model; remove it, or choose another output", file=folder)
+        write_bytes(label, model.encode())
+
+    def read(self, number: int) -> training.Snapshots | None:
+        path = self._path(number)
+        if path is None or not path.exists():
+            return None
+        try:
+            with np.load(path, allow_pickle=False) as stored:
+                return training.Snapshots(stored["displacements"], stored["wrenches"])
+        except (ValueError, KeyError, OSError, EOFError):  # a file that is none of ours is made again
+            return None
+
+    def write(self, number: int, snapshots: training.Snapshots) -> None:
+        path = self._path(number)
+        if path is not None:
+            stream = io.BytesIO()
+            np.savez(stream, displacements=snapshots.displacements, wrenches=snapshots.wrenches)
+            write_bytes(path, stream.getvalue())
+
+    def remove(self) -> None:
+        """All that was kept."""
+        if self._folder is None:
+            return
+        for path in [*self._folder.glob("stroke_*.npz"), self._folder / "model.txt"]:
+            path.unlink(missing_ok=True)
+        if not any(self._folder.iterdir()):
+            self._folder.rmdir()
+
+    def _path(self, number: int) -> Path | None:
+        return None if self._folder is None else self._folder / f"stroke_{number:04d}.npz"
