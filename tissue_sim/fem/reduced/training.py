@@ -15,7 +15,7 @@ import numpy as np
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.fem.reduced.model import PoseBox, ReducedModel
 from tissue_sim.fem.reduced.sampling import sparse_weights
-from tissue_sim.fem.reduced.solver import ReducedSolver
+from tissue_sim.fem.reduced.solver import ReducedSolver, reduced_bulk
 from tissue_sim.fem.reduced.strokes import stroke
 from tissue_sim.fem.solid.discretisation import build_mesh, make_solver
 from tissue_sim.fem.solid.solver import SolidSolver
@@ -156,13 +156,14 @@ def sample_elements(solver: SolidSolver, basis: np.ndarray, lifting: int, states
     strong = np.flatnonzero(forces >= _LEAST_FORCE * forces.max())
     looked_at = strong[np.linspace(0, strong.size - 1, min(_LOOKED_AT, strong.size)).astype(int)]
     scale = np.linalg.norm(basis, axis=0)
+    bulk = reduced_bulk(solver.material, mesh)
     rows = (basis / scale).reshape(-1, 3, basis.shape[1])[mesh.connectivity].reshape(
         len(mesh.connectivity), -1, basis.shape[1])
     contributions = []
     for state in looked_at:
         lifted, rest = basis[:, :lifting], basis[:, lifting:]
         own = rest @ (rest.T @ (states[state] - lifted @ amplitudes[state]))
-        on_nodes = solver.element_forces(lifted @ amplitudes[state] + own)
+        on_nodes = solver.element_forces(lifted @ amplitudes[state] + own, bulk)
         contributions.append(np.einsum("eir,ei->re", rows, on_nodes) / forces[state])
     weights = sparse_weights(np.concatenate(contributions), tolerance, progress=progress)
     elements = np.flatnonzero(weights)

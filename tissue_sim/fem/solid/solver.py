@@ -286,16 +286,17 @@ class SolidSolver(Solver):
             answer[self._free] = -factor.solve(np.asarray(self._matrix.all[:, self._moved] @ motions)[self._free])
         return answer
 
-    def element_forces(self, displacement: np.ndarray) -> np.ndarray:
-        """Of each element on its nodes at a displacement, N, shape (elements, freedoms of an element); the state is that
-        of the last committed step afterwards.
+    def element_forces(self, displacement: np.ndarray, bulk: float) -> np.ndarray:
+        """Of each element on its nodes at a displacement, N, shape (elements, freedoms of an element).
 
         Args:
-            displacement: of all freedoms, m.
+            displacement: of all freedoms, m. bulk: modulus, Pa.
         """
-        self.x[:], self.batches.pressures[:] = displacement, 0.0
+        own = self._settings[KAPPA]
+        self.x[:], self.batches.pressures[:], self._settings[KAPPA] = displacement, 0.0, bulk
         self._assemble()
         forces = self.batches.element_forces
+        self._settings[KAPPA] = own
         self._go_back()
         return forces
 
