@@ -15,8 +15,9 @@ from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.solid import SOLID_ELEMENTS
 
-#: Places in `settings`: bulk modulus, Pa; whether the tangent is wanted; whether the tissue remembers.
-KAPPA, TANGENT, REMEMBERS = range(3)
+#: Places in `settings`: bulk modulus, Pa; whether the tangent is wanted; whether the tissue remembers; whether forces
+#: and stiffness are added to what other elements have left.
+KAPPA, TANGENT, REMEMBERS, ADDS = range(4)
 #: Most nodes, points and pressure modes of an element.
 _NODES, _POINTS, _MODES = 27, 27, 4
 #: Where things of the batch that is worked on stand in the scratch field: motion of nodes, pressure amplitudes, gaps,
@@ -209,9 +210,10 @@ def assembly_kernel(element_name: str, energy: KernelEnergy):
         ti.loop_config(serialize=True)
         for _ in range(1):
             kappa, tangent, remembers = settings[KAPPA], settings[TANGENT], settings[REMEMBERS]
-            for i in range(residual.shape[0]):
-                residual[i] = 0.0
-            if tangent > 0.0:
+            if settings[ADDS] == 0.0:
+                for i in range(residual.shape[0]):
+                    residual[i] = 0.0
+            if tangent > 0.0 and settings[ADDS] == 0.0:
                 for i in range(data.shape[0]):
                     data[i] = 0.0
             least[0] = 1e30
