@@ -26,7 +26,7 @@ def forces(tissue):
     """Of all freedoms, with the pressures as they are: without what the volume still misses."""
     tissue._assemble()
     batches, modes = tissue.batches, tissue.mesh.element.pressure_modes
-    missed = tissue._settings[0] * batches.moduli[:, None] * batches.gaps.reshape(batches.batches, modes, -1)
+    missed = tissue.tissue.bulk_moduli[0] * batches.moduli[:, None] * batches.gaps.reshape(batches.batches, modes, -1)
     rates = batches.volume_rates.reshape(batches.batches, modes, -1, missed.shape[-1])
     residual = batches.residual.copy()
     np.add.at(residual, batches._equations.ravel(), -(missed[:, :, None] * rates).sum(axis=1).ravel())
@@ -59,7 +59,7 @@ def test_tangent_is_the_derivative_of_the_forces(element, name, past):
         x[:], batches.pressures[:] = here + step * way, pressures
         # The pressures follow the volume as they do in a linear solution.
         batches.volume_rates[:], batches.gaps[:] = rates, 0.0
-        batches.follow(step * way, tissue._settings[0])
+        tissue.tissue.follow(step * way)
         return forces(tissue)
 
     h = 1e-7

@@ -81,7 +81,7 @@ class Experiment:
                              field="slip")
         object.__setattr__(self, "slip", slip if self.friction == "bonded" else None)
         place = () if self.approach is None else (self.approach.offset,)
-        if self.protocol.depth >= (thickness := self.specimen.thickness(*place)):
+        if self.protocol.depth >= (thickness := self.specimen.depth_at(*place)):
             raise InputError(f"{self.protocol.depth * 1e3:g} mm is deeper than the specimen is high "
                              f"({thickness * 1e3:g} mm)", field="protocol")
         if (self.adhesion or self.contact_laws) and self.friction == "bonded":

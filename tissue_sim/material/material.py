@@ -98,6 +98,7 @@ class Material:
             long-term.
         softening: on first load.
         layers: from the top face down.
+        regions: name of a region of the specimen's mesh -> what is there instead; only a solid in space has any.
         poroelasticity: drainage, with a time of each test's own.
         puncture: under a needle.
         effects: what was added beside these, by name; see `tissue_sim.material.effect`. A sequence of effects is
@@ -119,8 +120,14 @@ class Material:
     poroelasticity: Poroelasticity | None = None
     puncture: Puncture | None = None
     effects: Mapping[str, TissueEffect] = field(default_factory=dict)
+    regions: Mapping[str, Material] = field(default_factory=dict)
 
     def __post_init__(self):
+        object.__setattr__(self, "regions", read_only(dict(self.regions)))
+        for name, own in self.regions.items():
+            if own.layers or own.regions or own.puncture is not None:
+                raise InputError("a region has no layers, no regions and no puncture of its own; leave them out",
+                                 field=f"regions.{name}")
         object.__setattr__(self, "effects", read_only(_by_name(self.effects)))
         object.__setattr__(self, "parameters", read_only(self.energy_law.as_mapping(self.parameters)))
         object.__setattr__(self, "layers", tuple(self.layers))
@@ -149,13 +156,15 @@ class Material:
     def ages(self) -> bool:
         """Whether its force depends on time."""
         return (self.viscoelastic is not None or self.poroelasticity is not None
-                or any(effect.ages for effect in self.effects.values()))
+                or any(effect.ages for effect in self.effects.values())
+                or any(own.ages for own in self.regions.values()))
 
     @property
     def remembers(self) -> bool:
         """Whether its force depends on how the tool came to where it is."""
         return (self.ages or self.softening is not None
-                or any(effect.remembers for effect in self.effects.values()))
+                or any(effect.remembers for effect in self.effects.values())
+                or any(own.remembers for own in self.regions.values()))
 
     def reduced_effects(self, *, plate: bool) -> tuple[ReducedEffect, ...]:
         """The effects in reduced form that act under a plate, or else under a needle."""

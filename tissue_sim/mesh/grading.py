@@ -10,6 +10,8 @@ from tissue_sim.errors import InputError
 from tissue_sim.mesh.axisymmetric import growing_line, with_lines
 from tissue_sim.mesh.hexahedra import Hexahedron
 
+#: Radius of the circle that takes a needle's place under a plate, over the distance from the axis to the side.
+PLATE_RING = 0.6
 #: Share of the tool's radius to which the square core of an O-grid reaches.
 CORE = 0.5
 

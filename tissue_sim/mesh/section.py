@@ -47,31 +47,34 @@ class Section:
         self.add(lambda s, t: np.stack([_between(x, s), _between(y, t)], axis=-1),
                  np.linspace(0, 1, x.size), np.linspace(0, 1, y.size))
 
-    def add_disc(self, centre: Place, radius: float, rings: np.ndarray, around: int) -> None:
+    def add_disc(self, centre: Place, radius: float, rings: np.ndarray, around: int,
+                 through: Callable[[np.ndarray], np.ndarray] = lambda places: places) -> None:
         """Add a square with round sides and rings about it.
 
         Args:
             centre, radius: of the disc, m.
             rings: radii from that of the square's end, ascending, to 1, over that of the disc.
             around: elements along a quarter.
+            through: what becomes of places, shape (..., 2).
         """
         core, origin, line = rings[0] * radius, np.asarray(centre), np.linspace(0, 1, around + 1)
 
         def square(s: np.ndarray, t: np.ndarray) -> np.ndarray:
             # Even angles along the sides of the square.
-            return origin + core * _rounded_square(*(np.sqrt(2.0) * np.sin(0.25 * np.pi * (2.0 * each - 1.0))
-                                                     for each in (s, t)))
+            return through(origin + core * _rounded_square(*(
+                np.sqrt(2.0) * np.sin(0.25 * np.pi * (2.0 * each - 1.0)) for each in (s, t))))
 
         self.add(square, line, line)
         for quarter in range(4):
             self.add_ring(_side_of_square(quarter, core, origin), arc(quarter, radius, centre),
-                          (rings - rings[0]) / (1.0 - rings[0]), around)
+                          (rings - rings[0]) / (1.0 - rings[0]), around, through)
 
-    def add_ring(self, near: Curve, far: Curve, shares: np.ndarray, around: int) -> None:
+    def add_ring(self, near: Curve, far: Curve, shares: np.ndarray, around: int,
+                 through: Callable[[np.ndarray], np.ndarray] = lambda places: places) -> None:
         """Add the elements between two curves, at these shares of the way from one to the other."""
         def place(s: np.ndarray, t: np.ndarray) -> np.ndarray:
             share = s[..., None]
-            return (1.0 - share) * near(t) + share * far(t)
+            return through((1.0 - share) * near(t) + share * far(t))
 
         self.add(place, shares, np.linspace(0, 1, around + 1))
 

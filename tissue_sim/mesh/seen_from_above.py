@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+#: Heights that differ by less than this share of a body's own are one.
+_FLAT = 1e-6
+
 
 class SeenFromAbove:
     """The top of a body and all of its surface.
@@ -11,10 +14,15 @@ class SeenFromAbove:
     Args:
         points: corners, m, shape (n, 3).
         top: sides of the top, as numbers of their corners going round, shape (m, corners).
-        surface: all sides, the same.
+        base: those of the base; surface: all of them.
+
+    Attributes:
+        is_flat: whether top and base are horizontal planes, and the base the lower one.
     """
 
-    def __init__(self, points: np.ndarray, top: np.ndarray, surface: np.ndarray):
+    def __init__(self, points: np.ndarray, top: np.ndarray, base: np.ndarray, surface: np.ndarray):
+        slack = _FLAT * float(np.ptp(points[:, 2]))
+        self.is_flat = bool(np.ptp(points[top, 2]) <= slack and points[base, 2].max() <= points[:, 2].min() + slack)
         self._points = points
         self._top, self._surface = (_triangles(sides) for sides in (top, surface))
         edges = np.stack([top, np.roll(top, -1, axis=1)], axis=-1).reshape(-1, 2)
@@ -30,7 +38,7 @@ class SeenFromAbove:
         distance = float(np.linalg.norm(a + share[:, None] * way - place, axis=1).min())
         return distance if self._heights(self._top, x, y).size else -distance
 
-    def thickness(self, x: float, y: float) -> float:
+    def depth_at(self, x: float, y: float) -> float:
         """From the highest to the lowest place of the surface on a vertical, m; 0 beside the body."""
         heights = self._heights(self._surface, x, y)
         return float(np.ptp(heights)) if heights.size else 0.0

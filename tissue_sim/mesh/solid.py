@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.mesh.grading import CORE, Grading
+from tissue_sim.mesh.grading import CORE, PLATE_RING, Grading
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
 from tissue_sim.mesh.section import Section, arc
 from tissue_sim.mesh.solid_element import SolidElement
@@ -17,8 +17,8 @@ from tissue_sim.mesh.tetrahedra import TET8P0, TET15P1
 #: Elements of the solid by their names.
 SOLID_ELEMENTS: dict[str, SolidElement] = {element.name: element for element in (HEX27P1, HEX8P0, TET15P1, TET8P0)}
 
-#: Where the ring of a cylinder between plates lies, in radii, and how its elements grow away from it.
-_PLATE_RING, _PLATE_GROWTH = 0.6, 1.3
+#: How elements of a cylinder between plates grow away from the circle in it.
+_PLATE_GROWTH = 1.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,9 +31,10 @@ class SolidMesh:
         connectivity: node numbers in the element's order, shape (elements, nodes of the element).
         sets: named node numbers, sorted: ``base``, ``top``, ``side``; where a needle comes down also ``face``, what is
             under its flat face, and ``free``, the rest of the top, both with the nodes at the edge.
+        regions: named element numbers, no element in two; what may have a material of its own.
+        depths: of the middles of the elements below the top, m, shape (elements,); None: along z.
         faces: element sides on the surface, by the names ``base``, ``top`` and ``side``, as node numbers, shape (m,
             nodes of a side); see `SolidElement.faces`.
-        regions: named element numbers, no element in two; what may have a material of its own.
     """
 
     element: SolidElement
@@ -42,12 +43,30 @@ class SolidMesh:
     sets: dict[str, np.ndarray] = field(default_factory=dict)
     faces: dict[str, np.ndarray] = field(default_factory=dict)
     regions: dict[str, np.ndarray] = field(default_factory=dict)
+    depths: np.ndarray | None = None
+
+    def stretched(self, factor: float) -> SolidMesh:
+        """The same mesh, this many times as high."""
+        return replace(self, nodes=self.nodes * [1.0, 1.0, factor],
+                       depths=None if self.depths is None else factor * self.depths)
+
+    @property
+    def element_depths(self) -> np.ndarray:
+        """How deep the middle of each element is below the top, m, shape (elements,)."""
+        if self.depths is not None:
+            return self.depths
+        return -self.nodes[self.connectivity, 2].mean(axis=1)
 
     @property
     def node_areas(self) -> np.ndarray:
         """Of the surface that each node stands for, m2, shape (n,)."""
+        return self.areas(*self.faces)
+
+    def areas(self, *names: str) -> np.ndarray:
+        """Of the named parts of the surface that each node stands for, m2, shape (n,)."""
         areas = np.zeros(len(self.nodes))
-        for faces in self.faces.values():
+        for name in names:
+            faces = self.faces[name]
             corners = self.nodes[faces[:, self.element.face_corners]]
             area = 0.5 * np.linalg.norm(np.cross(corners, np.roll(corners, -1, axis=1)).sum(axis=1), axis=1)
             np.add.at(areas, faces, area[:, None] * self.element.face_shares)
@@ -96,7 +115,8 @@ def cylinder_solid(radius: float, height: float, element: Hexahedron, *, around:
 
 
 def needle_solid(radius: float, height: float, face_radius: float, element: Hexahedron, *, smallest: float,
-                 growth: float, largest: float, around: int, centre: tuple[float, float] = (0.0, 0.0)) -> SolidMesh:
+                 growth: float, largest: float, around: int, centre: tuple[float, float] = (0.0, 0.0),
+                 interfaces: Sequence[float] | np.ndarray = ()) -> SolidMesh:
     """A cylinder under a flat-faced needle, fine towards the edge of the face.
 
     Args:
@@ -105,9 +125,10 @@ def needle_solid(radius: float, height: float, face_radius: float, element: Hexa
         smallest, growth, largest: of the intervals that lead away from the edge, see `growing_line`.
         around: elements along a quarter of the edge.
         centre: of the face, m.
+        interfaces: depths at which element boundaries lie, ascending, m.
     """
-    return graded_cylinder(radius, height,
-                           Grading(element, smallest, growth, largest, around, radius=face_radius, centre=centre))
+    return graded_cylinder(radius, height, Grading(element, smallest, growth, largest, around, radius=face_radius,
+                                                   centre=centre, interfaces=tuple(interfaces)))
 
 
 def graded_cylinder(radius: float, height: float, grading: Grading) -> SolidMesh:
@@ -118,7 +139,7 @@ def graded_cylinder(radius: float, height: float, grading: Grading) -> SolidMesh
     """
     face = grading.radius
     if face is None:
-        face, share = _PLATE_RING * radius, _PLATE_RING
+        face, share = PLATE_RING * radius, PLATE_RING
         grading = replace(grading, growth=_PLATE_GROWTH, smallest=0.6 * share * grading.smallest,
                           largest=0.3 * share * grading.largest)
     outward, z = grading.line(radius - face), -grading.line(height)[::-1]

@@ -44,7 +44,8 @@ class MeshSpecimen(Specimen):
 
     def __post_init__(self):
         super().__post_init__()
-        _ = self._seen
+        # Of most shapes a property of the class.
+        object.__setattr__(self, "is_flat", self._seen.is_flat)
 
     @cached_property
     def _mesh(self) -> FileMesh:
@@ -61,10 +62,10 @@ class MeshSpecimen(Specimen):
 
         mesh = self._mesh
         try:
-            _, met = base_and_top(mesh, self.mesh_base, self.mesh_top)
+            held, met = base_and_top(mesh, self.mesh_base, self.mesh_top)
         except InputError as error:
             raise error.located(file=self.mesh_file) from None
-        return SeenFromAbove(mesh.points - origin(mesh, met), mesh.sides[met], mesh.sides)
+        return SeenFromAbove(mesh.points - origin(mesh, met), mesh.sides[met], mesh.sides[held], mesh.sides)
 
     @property
     def height(self) -> float:
@@ -84,8 +85,8 @@ class MeshSpecimen(Specimen):
     def outer_radius(self) -> float:
         return self._seen.outer_radius
 
-    def thickness(self, x: float = 0.0, y: float = 0.0) -> float:
-        return self._seen.thickness(x, y)
+    def depth_at(self, x: float = 0.0, y: float = 0.0) -> float:
+        return self._seen.depth_at(x, y)
 
     def solid_mesh(self, grading: Grading) -> SolidMesh:
         """The file's own elements, raised to the order of those that the grading asks for; their sizes are the file's.

@@ -51,8 +51,10 @@ class Specimen(metaclass=_ByShape):
     dataclass with the sizes of its shape as fields, m.
 
     Attributes:
-        shape: name of the shape: ``"cylinder"``, ``"block"``, ``"mesh"``; a package may add others.
+        shape: name of the shape: ``"cylinder"``, ``"block"``, ``"ellipsoid_shell"``,
+            ``"mesh"``; a package may add others.
         is_prism: whether all cross-sections are alike, so that one between plates that slip deforms homogeneously.
+        is_flat: whether top and base are planes.
         name: for people and campaign files.
         density: kg/m3, or None where nobody said.
         gravity: m/s2, along z and towards the base; 0 leaves self-weight out.
@@ -65,6 +67,7 @@ class Specimen(metaclass=_ByShape):
 
     shape: ClassVar[str]
     is_prism: ClassVar[bool] = True
+    is_flat: ClassVar[bool] = True
     name: str = "specimen"
     density: float | None = parameter("rho", "kg/m3", key="density_kg_m3", bounds=(1.0, 1e5), default=None)
     gravity: float = parameter("g0", "m/s2", key="gravity_m_s2", bounds=(0.0, 100.0), absent=0.0, default=0.0)
@@ -128,7 +131,7 @@ class Specimen(metaclass=_ByShape):
         """Of the circle about the axis that it fits in, seen from above, m."""
         raise NotImplementedError
 
-    def thickness(self, x: float = 0.0, y: float = 0.0) -> float:
+    def depth_at(self, x: float = 0.0, y: float = 0.0) -> float:
         """How much of it is under a place, along the vertical, m."""
         return self.height
 
@@ -152,6 +155,7 @@ def _words(name: str) -> str:
 #: Shape -> its class.
 SPECIMENS: Registry[type[Specimen]] = Registry("specimen shape", "tissue_sim.specimens", {
     "cylinder": "tissue_sim.specimen.cylinder:Cylinder", "block": "tissue_sim.specimen.block:Block",
+    "ellipsoid_shell": "tissue_sim.specimen.ellipsoid_shell:EllipsoidShell",
     "mesh": "tissue_sim.specimen.mesh:MeshSpecimen"},
     accepts=lambda kind: isinstance(kind, type) and issubclass(kind, Specimen) and is_dataclass(kind),
     expected="a frozen dataclass derived from Specimen", named_by="shape")

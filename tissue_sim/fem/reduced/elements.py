@@ -38,7 +38,7 @@ class SampledElements:
         used, local = np.unique(connectivity, return_inverse=True)
         self._element = mesh.element
         part = SolidMesh(mesh.element, mesh.nodes[used], local.reshape(connectivity.shape))
-        self._batches = batches = ElementBatches(part, shares)
+        self._batches = batches = ElementBatches(part, shares=shares)
         self._settings, self._least = np.zeros(SETTINGS), np.zeros(1)
         self.modes = basis.shape[1]
         # The kernel takes two at a time: one that moves nothing makes them even.
@@ -88,7 +88,7 @@ class SampledElements:
         memory.set_material(material.relaxation(self._contact_radius), material.softening,
                             material.instantaneous_factor)
         self._settings[KAPPA], self._settings[REMEMBERS] = bulk, memory.works
-        named = self._batches.arrays() | {
+        named = self._batches.arrays(slice(0, batches.batches)) | {
             "settings": self._settings, "least": self._least, "amplitudes": self._amplitudes, "change": self._change,
             "basis": self._basis, "x": self._local, "dofs": self._dofs, "coefficients": self._coefficients,
             "past": memory.past, "inherited": memory.inherited, "largest": memory.largest,

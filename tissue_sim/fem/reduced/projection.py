@@ -9,7 +9,7 @@ from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.solid import SOLID_ELEMENTS
 
 #: Places in `settings` beside those of the elements: whether the pressures follow a change of the amplitudes.
-FOLLOWS, SETTINGS = 3, 4
+FOLLOWS, SETTINGS = 4, 5
 
 
 @cache
@@ -23,7 +23,7 @@ def projection_kernel(element_name: str, energy: KernelEnergy):
     element = SOLID_ELEMENTS[element_name]
     nodes, pressure_modes = element.nodes, element.pressure_modes
     freedoms = 3 * nodes
-    integrate, stiffen, _ = element_functions(element_name, energy)
+    integrate, stiffen = element_functions(element_name, energy)
     vec = ti.types.vector(LANES, ti.f64)
     row = ti.Vector.field(LANES, ti.f64, shape=2 * freedoms)
     real1, real2, real3 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2, 3))

@@ -55,7 +55,7 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     holds = experiment.friction == "bonded"
     strokes, modes = strokes or STROKES[holds], modes or MODES[holds]
     tell: Callable[..., None] = progress or (lambda *_, **__: None)
-    mesh = training.training_mesh(model, resolution)
+    mesh = training.training_mesh(model, box, resolution)
     training.check(model, mesh)
     solver = training.whole_solver(model, mesh)
     store = _Store(folder, f"{model!r} {box!r} {resolution} {len(mesh.nodes)}")

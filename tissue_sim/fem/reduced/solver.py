@@ -13,9 +13,9 @@ from tissue_sim.fem.reduced.contact import LayerContact
 from tissue_sim.fem.reduced.elements import SampledElements
 from tissue_sim.fem.reduced.model import ReducedModel
 from tissue_sim.fem.solid.contact import Frame, turned_with
-from tissue_sim.fem.solid.discretisation import contact_bodies
-from tissue_sim.fem.solid.solver import bulk_of
+from tissue_sim.fem.solid.discretisation import tool_contact
 from tissue_sim.fem.solid.surface import SolidSurface
+from tissue_sim.fem.solid.tissue import bulk_modulus
 from tissue_sim.fem.solver import Fields, Solver, Step, StepStatus
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
@@ -33,8 +33,8 @@ _DESCENT, _MOST_HALVINGS = 0.1, 5
 #: anew while the unbalanced forces shrink to this share each time.
 _GROUPS, _FAST = 8, 0.2
 #: Bulk modulus at most, over mu0: what is added up of modes changes its volume a little, and a stiffer bulk makes that
-#: resist. What the tissue does hardly depends on it from here on (0.1 % of a punch's force).
-STIFFEST_BULK = 1000.0
+#: resist. What the tissue does hardly depends on it from here on (a quarter of a per cent of a punch's force).
+STIFFEST_BULK = 300.0
 #: Smallest J of an element that is not about to turn inside out.
 _LEAST = 0.02
 
@@ -65,7 +65,7 @@ class ReducedSolver(Solver):
         self.mesh, self.reduced = mesh, reduced
         self._start = self._pose = experiment.tool_pose(0.0)
         bonded = mesh.sets["face"] if reduced.lifting else np.zeros(0, dtype=np.intp)
-        bodies, self.datum = contact_bodies(experiment, mesh, bonded, self._start)
+        bodies, self.datum = tool_contact(experiment, mesh, bonded)
         self.elements = SampledElements(mesh, reduced.basis, reduced.elements, reduced.shares, groups=_GROUPS,
                                         contact_radius=experiment.contact_radius)
         self._reach = experiment.contact_radius
@@ -257,8 +257,8 @@ class ReducedSolver(Solver):
 
 
 def reduced_bulk(material: Material, mesh: SolidMesh) -> float:
-    """Bulk modulus with which a reduced solid is computed, Pa; errors as `bulk_of`."""
-    return min(bulk_of(material, mesh), STIFFEST_BULK * material.mu0)
+    """Bulk modulus with which a reduced solid is computed, Pa; errors as `bulk_modulus`."""
+    return min(bulk_modulus(material, mesh), STIFFEST_BULK * material.mu0)
 
 
 def make_solver(model: Model, *, resolution: str = "realtime", mesh: SolidMesh | ReducedModel | None = None,

@@ -235,6 +235,7 @@ def with_report(reduced: ReducedModel, **more: float) -> ReducedModel:
     return replace(reduced, report={**reduced.report, **more})
 
 
-def training_mesh(model: Model, resolution: str) -> SolidMesh:
-    """The mesh of a named resolution."""
-    return build_mesh(model.experiment, resolution)
+def training_mesh(model: Model, box: PoseBox, resolution: str) -> SolidMesh:
+    """The mesh of a named resolution, fine wherever the tool can touch."""
+    experiment = model.experiment
+    return build_mesh(experiment, resolution, beside=0.0 if experiment.friction == "bonded" else box.sideways)

@@ -3,7 +3,7 @@
 from functools import cache
 
 from tissue_sim.fem.solid.batches import LANES
-from tissue_sim.fem.solid.element import KAPPA, REMEMBERS, TANGENT, element_functions
+from tissue_sim.fem.solid.element import ADDS, KAPPA, REMEMBERS, TANGENT, element_functions
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.solid import SOLID_ELEMENTS
@@ -16,7 +16,7 @@ def assembly_kernel(element_name: str, energy: KernelEnergy):
     ti = initialise()
     nodes = SOLID_ELEMENTS[element_name].nodes
     pairs = nodes * (nodes + 1) // 2
-    integrate, stiffen, _ = element_functions(element_name, energy)
+    integrate, stiffen = element_functions(element_name, energy)
     vec = ti.types.vector(LANES, ti.f64)
     real1, real2, real3 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2, 3))
     int2 = ti.types.ndarray(ti.i32, ndim=2)
@@ -32,9 +32,10 @@ def assembly_kernel(element_name: str, energy: KernelEnergy):
         ti.loop_config(serialize=True)
         for _ in range(1):
             kappa, tangent, remembers = settings[KAPPA], settings[TANGENT], settings[REMEMBERS]
-            for i in range(residual.shape[0]):
-                residual[i] = 0.0
-            if tangent > 0.0:
+            if settings[ADDS] == 0.0:
+                for i in range(residual.shape[0]):
+                    residual[i] = 0.0
+            if tangent > 0.0 and settings[ADDS] == 0.0:
                 for i in range(data.shape[0]):
                     data[i] = 0.0
             least[0] = 1e30

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from tissue_sim.errors import InputError
@@ -12,13 +14,17 @@ LANES = 4
 
 
 class ElementBatches:
-    """Lane l of batch b is element LANES b + l; lanes that are left over repeat the last element and write nowhere.
+    """Elements of a group stand in lanes of batches of their own; lanes that are left over repeat the group's last
+    element and write nowhere.
 
     Args:
         mesh: undeformed.
+        groups: numbers of the elements of each group; all elements are in one. None: one group.
         shares: how many times its own volume each element stands for, shape (elements,); None: once.
 
     Attributes:
+        parts: batches of each group. lane_of: place of each element among all lanes, shape (elements,).
+        moduli: that each lane's moduli are times those of the material, shape (batches, LANES).
         weights: volumes of the quadrature points, m3, shape (elements, q).
         volumes: that each node stands for, m3, shape (nodes,).
         pressures: amplitudes of the elements' pressure modes, Pa.
@@ -29,7 +35,8 @@ class ElementBatches:
         InputError: an element of no or negative volume.
     """
 
-    def __init__(self, mesh: SolidMesh, shares: np.ndarray | None = None):
+    def __init__(self, mesh: SolidMesh, groups: Sequence[np.ndarray] | None = None,
+                 shares: np.ndarray | None = None):
         element = mesh.element
         count, nodes = mesh.connectivity.shape
         self._modes = element.pressure_modes
@@ -46,9 +53,18 @@ class ElementBatches:
         gradients = np.einsum("qaj,eqji->eqai", slopes, np.linalg.inv(jacobian))
         self.volumes = np.bincount(mesh.connectivity.ravel(), np.einsum("eq,qa->ea", self.weights, values).ravel(),
                                    minlength=len(mesh.nodes))
-        numbers = np.arange(-(-count // LANES) * LANES).reshape(-1, LANES)
-        self._elements, self._real = np.minimum(numbers, count - 1).astype(np.int32), numbers < count
-        self.count, self.batches = count, len(numbers)
+        groups = [np.arange(count)] if groups is None else groups
+        lanes = [np.arange(-(-len(group) // LANES) * LANES).reshape(-1, LANES) for group in groups]
+        self._local = np.concatenate([np.minimum(each, len(group) - 1) for each, group in zip(
+            lanes, groups, strict=True)]).astype(np.int32)
+        self._real = np.concatenate([each < len(group) for each, group in zip(lanes, groups, strict=True)])
+        ends = np.cumsum([len(each) for each in lanes]).tolist()
+        self.parts = tuple(slice(end - len(each), end) for each, end in zip(lanes, ends, strict=True))
+        self._elements = np.concatenate([np.asarray(group)[self._local[part]] for group, part in zip(
+            groups, self.parts, strict=True)]).astype(np.int32)
+        self.lane_of = np.zeros(count, dtype=np.intp)
+        self.lane_of[self._elements[self._real]] = np.flatnonzero(self._real)
+        self.count, self.batches = count, len(self._elements)
         self.moduli = np.ones((self.batches, LANES))
         self.pressures, self.gaps = np.zeros((2, self.batches * self._modes, LANES))
         self.volume_rates = np.zeros((3 * self.batches * self._modes * nodes, LANES))
@@ -56,8 +72,8 @@ class ElementBatches:
         self._forces = np.zeros((3 * self.batches * nodes, LANES))
         self._dofs = 3 * mesh.connectivity.astype(np.int32)
         own = (self._dofs[:, :, None] + np.arange(3, dtype=np.int32)).reshape(count, -1)
-        lanes = np.where(self._real[..., None], own[self._elements], self.residual.size - 1)
-        self._equations = np.ascontiguousarray(np.moveaxis(lanes, 1, -1).reshape(-1, LANES), dtype=np.int32)
+        equations = np.where(self._real[..., None], own[self._elements], self.residual.size - 1)
+        self._equations = np.ascontiguousarray(np.moveaxis(equations, 1, -1).reshape(-1, LANES), dtype=np.int32)
         self._gradients = [self._lanes(gradients[..., i]) for i in range(3)]
         self._weights, self._mode_values = self._lanes(self.weights), self._lanes(self._pressure_modes(X, values))
         self._number(mesh.connectivity, len(mesh.nodes))
@@ -116,31 +132,44 @@ class ElementBatches:
         lanes = np.where(self._real[..., None], places[self._elements], nobody)
         return np.ascontiguousarray(np.moveaxis(lanes, 1, -1).reshape(self.batches, -1), dtype=np.int32)
 
-    def arrays(self) -> dict[str, np.ndarray]:
-        """By their names in the kernel."""
+    def arrays(self, part: slice) -> dict[str, np.ndarray]:
+        """Those of a group's batches, and what all share, by their names in the kernel; ``elements`` are numbers in the
+        group."""
         dofs = np.ascontiguousarray(np.moveaxis(self._dofs[self._elements], 1, -1).reshape(-1, LANES))
         named = dict(zip(("gradient_x", "gradient_y", "gradient_z"), self._gradients, strict=True))
-        return named | {
-            "elements": self._elements, "pressures": self.pressures, "dofs": dofs, "equations": self._equations,
-            "weights": self._weights,
-            "mode_values": self._mode_values, "moduli": self.moduli.reshape(-1, LANES),
-            "volume_rates": self.volume_rates, "gaps": self.gaps, "forces": self._forces,
-            "stiffness": self._stiffness, "scattered": self._stiffness.reshape(-1), "places": self._places,
-            "mirrored": self._mirrored, "residual": self.residual, "data": self._data}
+        named |= {"elements": self._local, "pressures": self.pressures, "dofs": dofs, "equations": self._equations,
+                  "weights": self._weights, "mode_values": self._mode_values, "moduli": self.moduli,
+                  "volume_rates": self.volume_rates, "gaps": self.gaps,
+                  "forces": self._forces, "places": self._places,
+                  "mirrored": self._mirrored}
+        rows = {name: len(array) // self.batches for name, array in named.items()}
+        return {name: array[rows[name] * part.start : rows[name] * part.stop] for name, array in named.items()} | {
+            "stiffness": self._stiffness, "scattered": self._stiffness.reshape(-1), "residual": self.residual,
+            "data": self._data}
 
     @property
     def element_forces(self) -> np.ndarray:
         """Of each element on its freedoms, N, shape (elements, freedoms of an element), as the kernel left them."""
-        by_batch = np.moveaxis(self._forces.reshape(self.batches, -1, LANES), 1, -1)
-        return by_batch.reshape(self.batches * LANES, -1)[: self.count].copy()
+        lanes = np.moveaxis(self._forces.reshape(self.batches, -1, LANES), 1, -1)
+        return lanes.reshape(self.batches * LANES, -1)[self.lane_of]
 
-    def follow(self, motion: np.ndarray, kappa: float) -> None:
-        """Let the pressures follow a linear solution, in which the freedoms moved so, shape (freedoms,), m."""
+    def set_moduli(self, ratios: np.ndarray) -> None:
+        """Of each element's moduli to those of its material, shape (elements,)."""
+        self.moduli[:] = ratios[self._elements]
+
+    def by_element(self, amplitudes: np.ndarray) -> np.ndarray:
+        """Amplitudes of the pressure modes as they stand in the lanes, by element, shape (elements, modes)."""
+        lanes = np.moveaxis(amplitudes.reshape(self.batches, self._modes, LANES), 1, -1)
+        return lanes.reshape(-1, self._modes)[self.lane_of]
+
+    def follow(self, motion: np.ndarray, kappa: np.ndarray | float) -> None:
+        """Let the pressures follow a linear solution, in which the freedoms moved so, shape (freedoms,), m; `kappa` is
+        the bulk modulus, or those of the batches, Pa."""
         nodes = self._dofs.shape[1]
         moved = motion[self._equations_of_nodes].reshape(self.batches, 1, 3 * nodes, LANES)
         rates = self.volume_rates.reshape(self.batches, self._modes, 3 * nodes, LANES)
         change = self.gaps.reshape(self.batches, self._modes, LANES) + (rates * moved).sum(axis=2)
-        self.pressures += (kappa * self.moduli[:, None] * change).reshape(-1, LANES)
+        self.pressures += ((np.reshape(kappa, (-1, 1)) * self.moduli)[:, None] * change).reshape(-1, LANES)
 
     @property
     def _equations_of_nodes(self) -> np.ndarray:

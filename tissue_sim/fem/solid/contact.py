@@ -193,21 +193,34 @@ class ContactNodes:
         """Springs for tissue of this shear modulus, Pa."""
         self.springs[:] = STIFFNESS * modulus * np.sqrt(np.maximum(self.areas, 1e-3 * self.areas.max(initial=0.0)))
 
-    def bring_down(self, start: Pose, datum: float) -> None:
-        """The tool stands where it first touches; bind what meets a body with friction there. `datum` is the height of
-        the scene's origin in the frame of the mesh, m."""
+    def bring_down(self, start: Pose, datum: float, displacement: np.ndarray,
+                   settled: ContactNodes | None = None) -> None:
+        """The tool stands where it first touches; bind what meets a body with friction there.
+
+        Args:
+            start: of the tool.
+            datum: height of the scene's origin in the frame of the mesh, m.
+            displacement: of the nodes of the mesh, m, shape (nodes, 3).
+            settled: the contact with what rests in that state; None: nothing has moved yet.
+        """
         self._first = Frame(start, datum)
         for body, own in zip(self.bodies, self._of_body, strict=True):
-            at = self._first.into(self.places[own]) if body.moves else self.places[own]
-            touches = own[nearest(body, at, pressed_in=True).gap <= self._slack]
-            self.bound[touches] = HELD if body.tied else TOUCHED
-            self.anchors[touches] = 0.0
-        self._first_bonds = self.bound.copy(), self.anchors.copy()
+            places, moved = self.places[own], self.places[own] + displacement[self.nodes[own]]
+            if body.moves:
+                places, moved = self._first.into(places), self._first.into(moved)
+            touches = nearest(body, moved, pressed_in=True).gap <= self._slack
+            self.bound[own[touches]] = HELD if body.tied else TOUCHED
+            self.anchors[own[touches]] = (moved - places)[touches]
+        if settled is not None:
+            _, here, there = np.intersect1d(np.where(self.moves, -1, self.nodes), settled.nodes, return_indices=True)
+            for array, left in zip(self.kept, settled.kept, strict=True):
+                array[here] = left[there]
+        self._first_bonds = tuple(array.copy() for array in self.kept)
 
     def forget(self) -> None:
-        """Bonds as they were at the first touch, and no force."""
-        self.bound[:], self.anchors[:] = self._first_bonds
-        self.slipped[:], self.ways_before[:], self.forces[:] = False, 0.0, 0.0
+        """Bonds and forces as they were at the first touch."""
+        for array, first in zip(self.kept, self._first_bonds, strict=True):
+            array[:] = first
 
     def begin(self) -> None:
         """Before a step: bonds as they are at the last equilibrium."""

@@ -12,7 +12,10 @@ from tissue_sim.experiment.tools.outline import Profile
 from tissue_sim.experiment.tools.plate import PLATE_RADIUS
 from tissue_sim.fem.solid.contact import STICK, Body, Frame
 from tissue_sim.fem.solid.contact import nearest as nearest_surface
+from tissue_sim.fem.solid.settling import settle
 from tissue_sim.fem.solid.solver import SolidSolver
+from tissue_sim.fem.solid.tissue import element_layers
+from tissue_sim.material.layer import Layer
 from tissue_sim.mesh.grading import Grading
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
 from tissue_sim.mesh.solid import SolidMesh
@@ -23,6 +26,8 @@ from tissue_sim.pose import Pose
 _NEEDLE_TOLERANCE, _PLATE_TOLERANCE = 1e-4, 1e-7
 #: Elements far from a needle need not be smaller than this share of the specimen.
 _LEAST_LARGEST = 0.17
+#: Steps of a tool on its way down to the tissue.
+_MOST_APPROACHES = 1000
 
 
 class Resolution(NamedTuple):
@@ -32,6 +37,7 @@ class Resolution(NamedTuple):
         element: element type.
         smallest, growth, largest: of the intervals that lead away from the edge of a tool's face, in its radii.
         around: elements along a quarter of the edge.
+        layer_elements: fewest in a layer of the material.
     """
 
     element: Hexahedron
@@ -39,12 +45,13 @@ class Resolution(NamedTuple):
     growth: float
     largest: float
     around: int
+    layer_elements: int = 1
 
 
 RESOLUTIONS = {
     "realtime": Resolution(HEX8P0, 0.2, 1.8, 1.9, 4),
     "fast": Resolution(HEX27P1, 0.25, 1.8, 1.9, 2),
-    "accurate": Resolution(HEX27P1, 0.12, 1.6, 1.2, 4),
+    "accurate": Resolution(HEX27P1, 0.12, 1.6, 1.2, 4, layer_elements=2),
 }
 _FIXED = {"bonded": "xyz", "frictionless": "z"}
 
@@ -62,24 +69,54 @@ def make_solver(model: Model, *, resolution: str = "fast", mesh: SolidMesh | Non
     experiment = model.experiment
     _require(experiment, topology)
     if mesh is None:
-        mesh = build_mesh(experiment, resolution)
+        mesh = build_mesh(experiment, resolution, model.material.layers)
+    layers, weight, settled = element_layers(mesh, model.material.layers), experiment.specimen.specific_weight, None
+    if weight:
+        settled = settle(lambda moulded: _standing(model, moulded, layers), mesh, experiment.specimen)
+        mesh = settled.mesh
     tool = experiment.tool
     bonded = mesh.sets["top" if tool.is_plate else "face"] if experiment.friction == "bonded" else np.zeros(0, int)
     start = experiment.tool_pose(0.0)
-    bodies, datum = contact_bodies(experiment, mesh, bonded, start)
+    bodies = [*_resting(experiment, mesh), *_moving(experiment, mesh, bonded)]
     tolerance = (_PLATE_TOLERANCE * experiment.specimen.margin() if tool.is_plate
                  else _NEEDLE_TOLERANCE * tool.require_radius())
-    fixed = {"base": _FIXED[experiment.base_interface]} if experiment.base_interface in _FIXED else {}
-    return SolidSolver(mesh, model.material, fixed, bonded, bodies=bodies, tolerance=tolerance, start=start,
-                       datum=datum, contact_radius=experiment.contact_radius,
-                       pins=_pins(experiment, mesh))
+    top = mesh.nodes[mesh.sets["top"]]
+    if settled is not None:
+        top = top + settled.x.reshape(-1, 3)[mesh.sets["top"]]
+    datum = _touching_height(top, bodies, start, float(np.ptp(mesh.nodes[:, 2])))
+    return SolidSolver(mesh, model.material, _fixed(experiment), bonded, bodies=bodies, tolerance=tolerance,
+                       start=start, datum=datum, contact_radius=experiment.contact_radius,
+                       pins=_pins(experiment, mesh), element_layers=layers, specific_weight=weight, settled=settled,
+                       lift=_lift(mesh, top, datum) if weight and tool.is_plate else None)
 
 
-def contact_bodies(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray, start: Pose) -> tuple[list[Body], float]:
-    """What the surface of a mesh may meet, and the height of the scene's origin where the tool at `start` touches it, m;
-    `bonded` are the nodes that the tool holds."""
-    bodies = _bodies(experiment, mesh, bonded)
-    return bodies, _touching_height(mesh, bodies, start)
+def _lift(mesh: SolidMesh, top: np.ndarray, datum: float) -> np.ndarray:
+    """How much of the places of the nodes a plate does not mind: it meets a top that has settled unevenly, places
+    `top`, all at once, as if it had been cut level as it stands."""
+    from scipy.spatial import cKDTree
+
+    _, beside = cKDTree(mesh.nodes[mesh.sets["top"], :2]).query(mesh.nodes[:, :2])
+    return (top[:, 2] - datum)[beside]
+
+
+def _fixed(experiment: Experiment) -> dict[str, str]:
+    return {"base": _FIXED[experiment.base_interface]} if experiment.base_interface in _FIXED else {}
+
+
+def _standing(model: Model, mesh: SolidMesh, layers: np.ndarray) -> SolidSolver:
+    """The specimen on its base, without a tool."""
+    experiment, pins = model.experiment, []
+    if experiment.base_interface not in ("bonded", "stick"):
+        # Three pins that carry nothing: weight has no part along the base.
+        base = mesh.sets["base"]
+        place = mesh.nodes[base, :2] - mesh.nodes[base, :2].mean(axis=0)
+        middle = int(np.argmin(np.hypot(*place.T)))
+        beside = int(np.argmax(place[:, 0] - np.abs(place[:, 1] - place[middle, 1])))
+        pins = [(int(base[middle]), "xy"), (int(base[beside]), "y")]
+    return SolidSolver(mesh, model.material, _fixed(experiment), np.zeros(0, int),
+                       bodies=_resting(experiment, mesh), start=experiment.tool_pose(0.0), pins=pins,
+                       tolerance=_PLATE_TOLERANCE * experiment.specimen.margin(),
+                       contact_radius=experiment.contact_radius, element_layers=layers)
 
 
 def _pins(experiment: Experiment, mesh: SolidMesh) -> list[tuple[int, str]]:
@@ -100,34 +137,41 @@ def _require(experiment: Experiment, topology: Model | None) -> None:
     if topology is not None:
         raise InputError("the solid in space cannot move the mesh of another model yet; leave the topology out",
                          field="topology")
-    if experiment.specimen.specific_weight:
-        raise InputError("the solid in space takes no self-weight yet; leave gravity out, or use the axisymmetric "
-                         "solver", field="specimen.gravity")
+    if not experiment.specimen.is_flat:
+        shape = experiment.specimen.shape
+        if experiment.base_interface != "bonded":
+            raise InputError(f"the base of a {shape} is curved, and held; use 'bonded'", field="friction_base")
+        if experiment.tool.is_plate and experiment.friction == "bonded":
+            raise InputError(f"a plate cannot be bonded to the curved top of a {shape}; use 'stick', 'frictionless' or "
+                             "a coefficient of friction", field="friction")
     if experiment.acting_laws:
         raise InputError("the solid in space takes no adhesion or other laws of contact yet; leave them out",
                          field="contact_laws")
 
 
-def build_mesh(experiment: Experiment, resolution: str = "fast") -> SolidMesh:
-    """The mesh that a named resolution stands for.
+def build_mesh(experiment: Experiment, resolution: str = "fast", layers: tuple[Layer, ...] = (),
+               beside: float = 0.0) -> SolidMesh:
+    """The mesh that a named resolution stands for; element boundaries lie on the interfaces of layers. It is as fine as
+    under the tool to a distance from it, `beside`, m.
 
     Raises:
-        InputError: unknown resolution.
+        InputError: unknown resolution, or layers thicker than the specimen is high.
     """
     chosen = RESOLUTIONS.get(resolution)
     if chosen is None:
         raise InputError(f"unknown resolution {resolution!r}{nearest(resolution, RESOLUTIONS)}", field="resolution")
     specimen, tool = experiment.specimen, experiment.tool
-    size = specimen.margin()
+    size, interfaces = specimen.margin(), tuple(np.cumsum([layer.thickness for layer in layers]).tolist())
     if tool.is_plate:
         return specimen.solid_mesh(Grading(chosen.element, chosen.smallest * size, chosen.growth,
-                                           chosen.largest * size, chosen.around))
-    radius = tool.face_radius or experiment.contact_radius
+                                           chosen.largest * size, chosen.around, interfaces=interfaces,
+                                           least=chosen.layer_elements))
+    radius = (tool.face_radius or experiment.contact_radius) + beside
     least = _LEAST_LARGEST * max(size, specimen.height)
     offset = 0.0 if experiment.approach is None else experiment.approach.offset
     return specimen.solid_mesh(Grading(chosen.element, chosen.smallest * radius, chosen.growth,
                                        max(chosen.largest * radius, least), chosen.around, radius=radius,
-                                       centre=(offset, 0.0)))
+                                       centre=(offset, 0.0), interfaces=interfaces, least=chosen.layer_elements))
 
 
 def _coefficient(interface: str | float) -> float:
@@ -137,52 +181,80 @@ def _coefficient(interface: str | float) -> float:
     return {"bonded": STICK, "stick": STICK, "frictionless": 0.0}[interface]
 
 
-def _bodies(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray) -> list[Body]:
-    """Who may meet whom: the base and the lower half of the side, the tool and the rest."""
-    tool, bottom = experiment.tool, float(mesh.nodes[:, 2].min())
+def _resting(experiment: Experiment, mesh: SolidMesh) -> list[Body]:
+    """What the base and the lower half of the side may meet."""
+    bottom = float(mesh.nodes[:, 2].min())
     plane = Profile(np.array([[PLATE_RADIUS, bottom], [0.0, bottom]]), 0.0, 1)
     mu = _coefficient(experiment.base_interface)
-    side = np.setdiff1d(mesh.sets["side"], np.concatenate([mesh.sets["base"], mesh.sets["top"]]))
-    low = mesh.nodes[side, 2] < 0.5 * bottom
-    bodies = []
+    side = _side(mesh)
+    bodies = [Body(plane, side[mesh.nodes[side, 2] < 0.5 * bottom], (mu, mu), moves=False)]
     if experiment.base_interface not in _FIXED:
-        bodies.append(Body(plane, mesh.sets["base"], (mu, mu), moves=False, tied=mu == STICK, stays=True))
-    bodies.append(Body(plane, side[low], (mu, mu), moves=False))
-    mu = _coefficient(experiment.friction)
+        bodies.insert(0, Body(plane, mesh.sets["base"], (mu, mu), moves=False, tied=mu == STICK, stays=True))
+    return bodies
+
+
+def _moving(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray) -> list[Body]:
+    """The tool, and who may meet it."""
+    tool, mu = experiment.tool, _coefficient(experiment.friction)
     free = np.setdiff1d(mesh.sets["top"], bonded)
     if tool.is_plate:
-        return [*bodies, Body(tool.profile, np.concatenate([free, side[~low]]), (mu, mu))]
+        side = _side(mesh)
+        high = side[mesh.nodes[side, 2] >= 0.5 * float(mesh.nodes[:, 2].min())]
+        return [Body(tool.profile, np.concatenate([free, high]), (mu, mu))]
     wall = _coefficient(experiment.friction_wall)
     if tool.face_radius == 0:
-        return [*bodies, Body(tool.profile, free, (mu, wall))]
+        return [Body(tool.profile, free, (mu, wall))]
     upright = experiment.approach is None or not experiment.approach.angle
     under = np.intersect1d(mesh.sets["face"], free)
     beside = np.setdiff1d(free, under)
     if experiment.friction == "bonded":
-        return [*bodies, Body(tool.profile, beside, (mu, wall), first_line=1, closed=upright)]
+        return [Body(tool.profile, beside, (mu, wall), first_line=1, closed=upright)]
     # Tissue beside a sharp edge cannot come under the face without slip.
     first = 0 if tool.edge_radius else 1
-    return [*bodies, Body(tool.profile, under, (mu, wall), tied=mu == STICK),
+    return [Body(tool.profile, under, (mu, wall), tied=mu == STICK),
             Body(tool.profile, beside, (mu, wall), first_line=first, closed=upright)]
 
 
-def _touching_height(mesh: SolidMesh, bodies: list[Body], start: Pose) -> float:
-    """Height of the scene's origin in the frame of the mesh where the tool first touches, m."""
+def tool_contact(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray) -> tuple[list[Body], float]:
+    """The tool with the nodes that may meet it, and the height of the scene's origin in the frame of the undeformed mesh
+    where it first touches, m; `bonded` are the nodes that it holds."""
+    bodies, start = _moving(experiment, mesh, bonded), experiment.tool_pose(0.0)
+    return bodies, _touching_height(mesh.nodes[mesh.sets["top"]], bodies, start, float(np.ptp(mesh.nodes[:, 2])))
+
+
+def _side(mesh: SolidMesh) -> np.ndarray:
+    """Nodes of the side that neither base nor top has."""
+    return np.setdiff1d(mesh.sets["side"], np.concatenate([mesh.sets["base"], mesh.sets["top"]]))
+
+
+def _touching_height(top: np.ndarray, bodies: list[Body], start: Pose, scale: float) -> float:
+    """Height of the scene's origin in the frame of the mesh where the tool first touches the top, m.
+
+    Args:
+        top: where its nodes are, m, shape (n, 3). bodies: the tool and others. start: of the tool. scale: height, m.
+    """
     moving = [body for body in bodies if body.moves]
     if not moving:
         return 0.0
-    top = mesh.nodes[mesh.sets["top"]]
 
     def clearance(datum: float) -> float:
         at = Frame(start, datum).into(top)
         return min(float(nearest_surface(body, at, pressed_in=False).gap.min()) for body in moving)
 
-    scale = float(np.ptp(mesh.nodes[:, 2]))
     if abs(clearance(0.0)) < 1e-12 * scale:
         return 0.0
     from scipy.optimize import brentq
 
-    high, step = scale, 1e-6 * scale
+    # A tool that comes down by no more than its distance from the tissue does not pass it.
+    high = scale + float(top[:, 2].max())
+    for _ in range(_MOST_APPROACHES):
+        distance = clearance(high)
+        if distance < 1e-5 * scale:
+            break
+        high -= distance
+    if clearance(high) <= 0.0:  # to rounding
+        return high
+    step = 2e-5 * scale
     while clearance(high - step) > 0.0:
         step *= 2.0
     return brentq(clearance, high - step, high, xtol=1e-15)

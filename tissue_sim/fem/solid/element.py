@@ -16,8 +16,9 @@ from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.solid import SOLID_ELEMENTS
 
-#: Places in `settings`: bulk modulus, Pa; whether the tangent is wanted; whether the tissue remembers.
-KAPPA, TANGENT, REMEMBERS = range(3)
+#: Places in `settings` of kernels: bulk modulus, Pa; whether the tangent is wanted; whether the tissue remembers; whether
+#: forces and stiffness are added to what other elements have left.
+KAPPA, TANGENT, REMEMBERS, ADDS = range(4)
 #: Most nodes, points and pressure modes of an element.
 _NODES, _POINTS, _MODES = 27, 27, 4
 #: Where things of the batch that is worked on stand in the scratch field: motion of nodes, pressure amplitudes, gaps,
@@ -35,12 +36,10 @@ def _scratch():
 
 
 class ElementFunctions(NamedTuple):
-    """Taichi functions of a batch: `integrate` gives its forces, `stiffen` its stiffness; `scratch` is the field between
-    them."""
+    """Taichi functions of a batch: `integrate` gives its forces, `stiffen` its stiffness after that."""
 
     integrate: Any
     stiffen: Any
-    scratch: Any
 
 
 @cache
@@ -204,4 +203,4 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
                 for n in ti.static(range(9)):
                     stiffness[at_pair + n] = K[n]
 
-    return ElementFunctions(integrate, stiffen, s)
+    return ElementFunctions(integrate, stiffen)

@@ -8,20 +8,14 @@ from typing import Any, cast
 
 import numpy as np
 
-from tissue_sim.errors import InputError
 from tissue_sim.fem.history import Memory
 from tissue_sim.fem.linear.sparse import Factor, SparseSolver
-from tissue_sim.fem.solid.assembly import assembly_kernel
-from tissue_sim.fem.solid.batches import ElementBatches
 from tissue_sim.fem.solid.contact import ALL, Body, ContactNodes, Frame, Look, turned_with
-from tissue_sim.fem.solid.element import KAPPA, REMEMBERS, TANGENT
 from tissue_sim.fem.solid.free_part import FreePart
 from tissue_sim.fem.solid.surface import SolidSurface
+from tissue_sim.fem.solid.tissue import Tissue
 from tissue_sim.fem.solver import Fields, Neighbours, Solver, Step, StepStatus
-from tissue_sim.fem.taichi.launch import BoundKernel
-from tissue_sim.fem.taichi.runtime import LOCK
-from tissue_sim.material.effect import PointEffect
-from tissue_sim.material.material import BULK_RATIOS, Material, incompressible_ratio
+from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.pose import Pose, Screw
 from tissue_sim.tool_force import Matrix
@@ -68,6 +62,11 @@ class SolidSolver(Solver):
         start: of the tool, where it first touches, in the frame of the scene.
         datum: height of that frame's origin in that of the mesh, m.
         contact_radius: m; how fast the pores drain, see `Material.relaxation`.
+        element_layers: see `Tissue`.
+        specific_weight: density times gravity, N/m3, towards -z.
+        settled: a solver on the same mesh without a tool, whose last state is the one in which the tool touches; None:
+            the undeformed mesh.
+        lift: how much higher nodes stand than what meets the tool is taken to, m, shape (nodes,); None: nothing.
 
     Raises:
         InputError: what it does not take of a material, or a bulk ratio outside `BULK_RATIOS`.
@@ -78,10 +77,15 @@ class SolidSolver(Solver):
 
     def __init__(self, mesh: SolidMesh, material: Material, fixed: dict[str, str], bonded: np.ndarray, *,
                  bodies: Sequence[Body] = (), tolerance: float = 0.0, start: Pose, datum: float = 0.0,
-                 contact_radius: float = 1.0, pins: Sequence[tuple[int, str]] = ()):
+                 contact_radius: float = 1.0, pins: Sequence[tuple[int, str]] = (),
+                 element_layers: np.ndarray | None = None, specific_weight: float = 0.0,
+                 settled: SolidSolver | None = None, lift: np.ndarray | None = None):
         self.mesh, self.datum, self._tolerance = mesh, datum, tolerance
-        self.batches = ElementBatches(mesh)
         self.x = np.zeros(3 * len(mesh.nodes))
+        self.tissue = Tissue(mesh, self.x, contact_radius, element_layers)
+        self.batches, self.tissue.specific_weight = self.tissue.batches, specific_weight
+        if settled is not None:
+            self.x[:], self.batches.pressures[:] = settled.x, settled.batches.pressures
         self._start = self._pose = start
         freedoms = np.arange(self.x.size).reshape(-1, 3)
         stays = np.zeros_like(freedoms, dtype=bool)
@@ -97,48 +101,38 @@ class SolidSolver(Solver):
         self._reacting = np.flatnonzero(stays | moved)
         self._moved = freedoms[self._bonded].ravel()
         # Where what is bonded stands in the tool's frame.
-        self._held_at = Frame(start, datum).into(mesh.nodes[self._bonded])
+        self._held_at = Frame(start, datum).into(self._places_of(self._bonded))
         self.contact = ContactNodes(bodies, mesh.nodes, mesh.node_areas)
-        self.contact.bring_down(start, datum)
+        if lift is not None:
+            self.contact.places[self.contact.moves, 2] -= lift[self.contact.nodes[self.contact.moves]]
+        self.contact.bring_down(start, datum, self.x.reshape(-1, 3), None if settled is None else settled.contact)
         self._sparse = SparseSolver()
         self._matrix = FreePart(self.batches.matrix, self._free, freedoms[self.contact.nodes])
-        self._settings, self._least = np.zeros(3), np.zeros(1)
-        self.memory, self._contact_radius = Memory(self.batches.weights.shape, 6), contact_radius
-        self._coefficients, self._kernel = np.zeros(0), cast("Any", None)
-        self._largest_force, self._asked, self._modulus = 0.0, False, 0.0
-        self._committed = self.x.copy(), self.batches.pressures.copy(), self.contact.forces.copy()
+        self._largest_force, self._asked, self._modulus, self._least = 0.0, False, 0.0, 0.0
+        self._committed, self._rest = (tuple(array.copy() for array in self._state) for _ in range(2))
         #: Of the tool where the state that is worked on belongs to it.
         self._here = Frame(start, datum)
         self.set_material(material)
+        if settled is not None:
+            for array, left in zip(self.tissue.kept, settled.tissue.kept, strict=True):
+                array[:] = left
 
     def set_material(self, material: Material) -> None:
         """Change parameters, bulk response or law; the state is kept. See `Solver.set_material`."""
-        bulk = bulk_of(material, self.mesh)
-        energy = material.energy_law.kernel_energy
-        coefficients = material.energy_law.kernel_coefficients(material.parameters)
         before: float = self._modulus or material.mu0
-        self.material, self._modulus, self._settings[KAPPA] = material, material.mu0, bulk
-        if coefficients.size == self._coefficients.size:
-            self._coefficients[:] = coefficients
-        else:
-            self._coefficients = np.array(coefficients)
-        memory = self.memory
-        memory.set_material(material.relaxation(self._contact_radius), material.softening,
-                            material.instantaneous_factor)
-        self._settings[REMEMBERS] = memory.works
-        with LOCK:
-            kernel = assembly_kernel(self.mesh.element.name, energy)
-            arrays = {"settings": self._settings, "least": self._least, "x": self.x,
-                      "coefficients": self._coefficients, "past": memory.past, "inherited": memory.inherited,
-                      "largest": memory.largest, "stresses": memory.stresses, "energies": memory.energies,
-                      **self.batches.arrays()}
-            self._kernel = BoundKernel(kernel, arrays)
+        self.tissue.set_material(material)
+        self.material, self._modulus = material, material.mu0
         # Where all moduli change alike, the tissue stays where it is and its forces follow them.
-        for array in (*self._committed[1:], self.batches.pressures, self.contact.forces):
+        for array in (*self._committed[1:], *self._rest[1:], self.batches.pressures, self.contact.forces):
             array *= material.mu0 / before
         self.contact.set_stiffness(material.mu0)
         top = self.mesh.nodes[self.mesh.sets["top"]]
         self._floor = 1e-6 * material.mu0 * float(np.prod(np.ptp(top[:, :2], axis=0)))
+
+    @property
+    def memory(self) -> Memory:
+        """See `Tissue.memory`."""
+        return self.tissue.memory
 
     @property
     def pose(self) -> Pose:
@@ -154,14 +148,14 @@ class SolidSolver(Solver):
              own_stiffness: bool = True) -> Step:
         """Move the tool to a pose and find equilibrium; see `Solver.step`. There is no mass, and no predictor
         but the linear solution for the tool's way."""
-        self.memory.prepare(dt)
+        self.tissue.prepare(dt)
         frame = Frame(pose, self.datum)
         if not resumes:
             self._go_back()
         outcome = self._iterate(frame, tolerance, max_iterations)
         if outcome.status is StepStatus.CONVERGED:
             self.contact.commit()
-            self.memory.commit()
+            self.tissue.commit()
             self._committed = self.x.copy(), self.batches.pressures.copy(), self.contact.forces.copy()
             self._pose = pose
             self._largest_force = max(self._largest_force, float(np.linalg.norm(outcome.wrench[:3])))
@@ -189,7 +183,7 @@ class SolidSolver(Solver):
         factor: Factor | None = None
         while True:
             self._assemble()
-            if self._least[0] <= 0.0 and before is not None and halvings < _HALVINGS:
+            if self._least <= 0.0 and before is not None and halvings < _HALVINGS:
                 halvings += 1
                 for array, earlier in zip(self._state, before, strict=True):
                     array[:] = 0.5 * (array + earlier)
@@ -203,7 +197,7 @@ class SolidSolver(Solver):
             balanced = float(np.hypot(np.linalg.norm(residual[self._reacting]), np.linalg.norm(contact.forces)))
             ratio = unbalanced / max(balanced, floor)
             status = None
-            if not self._least[0] > 0.0 or self._least[0] >= 1e30:
+            if not self._least > 0.0 or self._least >= 1e30:
                 status = StepStatus.INVERTED
             elif not np.isfinite(ratio):
                 status = StepStatus.DIVERGED
@@ -247,7 +241,7 @@ class SolidSolver(Solver):
             before = tuple(array.copy() for array in self._state)
             motion[self._free] = -factor.solve(right[self._free])
             x += motion
-            batches.follow(motion, self._settings[KAPPA])
+            self.tissue.follow(motion)
             contact.follow(motion.reshape(-1, 3)[contact.nodes] + apart)
             self._here = frame
             iterations += 1
@@ -287,16 +281,9 @@ class SolidSolver(Solver):
         return answer
 
     def element_forces(self, displacement: np.ndarray, bulk: float) -> np.ndarray:
-        """Of each element on its nodes at a displacement, N, shape (elements, freedoms of an element).
-
-        Args:
-            displacement: of all freedoms, m. bulk: modulus, Pa.
-        """
-        own = self._settings[KAPPA]
-        self.x[:], self.batches.pressures[:], self._settings[KAPPA] = displacement, 0.0, bulk
-        self._assemble()
-        forces = self.batches.element_forces
-        self._settings[KAPPA] = own
+        """See `Tissue.element_forces`; at a displacement of all freedoms, m."""
+        self.x[:] = displacement
+        forces = self.tissue.element_forces(bulk)
         self._go_back()
         return forces
 
@@ -310,9 +297,7 @@ class SolidSolver(Solver):
         return self.mesh.nodes[nodes] + self.x.reshape(-1, 3)[nodes]
 
     def _assemble(self) -> None:
-        self._settings[TANGENT] = 1.0
-        with LOCK:
-            self._kernel()
+        self._least = self.tissue.assemble()
 
     def _answer(self, status: StepStatus, iterations: int, ratio: float, look: Look, residual: np.ndarray, frame: Frame,
                 stiffness: np.ndarray | None) -> Step:
@@ -361,8 +346,8 @@ class SolidSolver(Solver):
 
     def lift_off(self) -> None:
         """Take the tool away at once; see `Solver.lift_off`."""
-        for array in self._committed:
-            array[:] = 0.0
+        for array, rest in zip(self._committed, self._rest, strict=True):
+            array[:] = rest
         self.contact.forget()
         self._pose = self._start
         self._go_back()
@@ -379,14 +364,21 @@ class SolidSolver(Solver):
 
     @property
     def _kept(self) -> tuple[np.ndarray, ...]:
-        return (*self._committed, *self.contact.kept, *self.memory.kept)
+        return (*self._committed, *self.contact.kept, *self.tissue.kept)
+
+    def rest_here(self) -> None:
+        """Let the committed state be the one without a tool."""
+        self._rest = tuple(array.copy() for array in self._committed)
+
+    @property
+    def sag(self) -> float:
+        """How much lower the top stands, on the mean of its area, than it was moulded when the tool touches, m."""
+        return -float(np.average(self._rest[0][2::3], weights=self.mesh.areas("top")))
 
     def sample(self) -> Sample:
         """What `fields` needs of the last committed state."""
         x, pressures, _ = self._committed
-        modes = self.mesh.element.pressure_modes
-        by_element = np.moveaxis(pressures.reshape(self.batches.batches, modes, -1), 1, -1).reshape(-1, modes)
-        return Sample(x.reshape(-1, 3).copy(), by_element[: self.batches.count].copy())
+        return Sample(x.reshape(-1, 3).copy(), self.batches.by_element(pressures))
 
     def fields(self, samples: Sequence[Sample]) -> Fields | None:
         """There are none in space yet."""
@@ -404,26 +396,7 @@ class SolidSolver(Solver):
             report |= {"penetration_mm": 0.0, "penetration_tolerance_mm": self._tolerance * 1e3}
             if self.contact.has_friction:
                 report["slipping_points"] = 0
+        if self.tissue.specific_weight:
+            report["self_weight"] = {"sag_mm": self.sag * 1e3, "moulded_height_mm": float(np.ptp(
+                self.mesh.nodes[:, 2])) * 1e3}
         return report
-
-
-def bulk_of(material: Material, mesh: SolidMesh) -> float:
-    """Bulk modulus with which a solid is computed, Pa.
-
-    Raises:
-        InputError: what a solid does not take of a material, or a bulk ratio outside `BULK_RATIOS`.
-    """
-    if any(isinstance(effect, PointEffect) for effect in material.effects.values()):
-        raise InputError("the solid in space takes no added effects of the tissue yet; leave them out, or use the "
-                         "axisymmetric solver", field="material.effects")
-    if material.layers:
-        raise InputError("the solid in space takes no layers yet; leave them out", field="material.layers")
-    bulk = material.bulk_modulus
-    if np.isinf(bulk):
-        height = float(np.ptp(mesh.nodes[:, 2]))
-        bulk = incompressible_ratio(0.5 * float(np.ptp(mesh.nodes[:, 0])), height) * material.mu0
-    low, high = BULK_RATIOS
-    if not low <= bulk / material.mu0 <= high:
-        raise InputError(f"K/mu0 is {bulk / material.mu0:g}; the finite elements are checked from {low:g} to "
-                         f"{high:g}", field="bulk")
-    return bulk

@@ -1,0 +1,178 @@
+"""The elements of a solid with their materials: forces, stiffness, weight, and what they remember."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tissue_sim.errors import InputError, nearest
+from tissue_sim.fem.history import Memory
+from tissue_sim.fem.solid.assembly import assembly_kernel
+from tissue_sim.fem.solid.batches import ElementBatches
+from tissue_sim.fem.solid.element import ADDS, KAPPA, REMEMBERS, TANGENT
+from tissue_sim.fem.taichi.launch import BoundKernel
+from tissue_sim.fem.taichi.runtime import LOCK
+from tissue_sim.material.effect import PointEffect
+from tissue_sim.material.layer import Layer
+from tissue_sim.material.material import BULK_RATIOS, Material, incompressible_ratio
+from tissue_sim.mesh.solid import SolidMesh
+
+
+class _Region:
+    """Elements of one material: their memory, and the kernel that works on them."""
+
+    def __init__(self, name: str, elements: np.ndarray, points: int):
+        self.name, self.elements = name, elements
+        self.memory = Memory((elements.size, points), 6)
+        self.settings, self.least = np.zeros(4), np.zeros(1)
+        self.coefficients = np.zeros(0)
+        self.kernel: BoundKernel
+
+
+class Tissue:
+    """All elements; each region of the mesh may have a material of its own.
+
+    Args:
+        mesh: undeformed.
+        x: displacements that are worked on, m, shape (freedoms,).
+        contact_radius: m; how fast the pores drain, see `Material.relaxation`.
+        element_layers: number of the material's layer of each element, shape (elements,); that after the last one
+            stands for none. None: of none.
+
+    Attributes:
+        batches: forces, pressures and the matrix of the elements.
+        bulk_moduli: of the batches, Pa, shape (batches,).
+        specific_weight: density times gravity, N/m3, towards -z.
+        material: that of the elements in no region.
+    """
+
+    def __init__(self, mesh: SolidMesh, x: np.ndarray, contact_radius: float,
+                 element_layers: np.ndarray | None = None):
+        count = len(mesh.connectivity)
+        taken = np.concatenate([np.zeros(0, dtype=np.intp), *mesh.regions.values()])
+        if np.unique(taken).size != taken.size:
+            raise InputError("an element lies in two regions of the mesh; give it to one of them", field="mesh.regions")
+        groups = {"": np.setdiff1d(np.arange(count), taken), **mesh.regions}
+        named = {name: np.asarray(elements, dtype=np.intp) for name, elements in groups.items() if len(elements)}
+        self.batches = ElementBatches(mesh, tuple(named.values()))
+        points = self.batches.weights.shape[1]
+        self._regions = tuple(_Region(name, elements, points) for name, elements in named.items())
+        self._mesh, self._x, self._contact_radius = mesh, x, contact_radius
+        self._layers = np.zeros(count, dtype=np.intp) if element_layers is None else element_layers
+        self.bulk_moduli = np.zeros(self.batches.batches)
+        self.specific_weight = 0.0
+
+    @property
+    def memory(self) -> Memory:
+        """Of the elements of the first region: of all where there is one."""
+        return self._regions[0].memory
+
+    def set_material(self, material: Material) -> None:
+        """Change parameters, bulk responses or laws.
+
+        Raises:
+            InputError: what is not taken of a material, a region that the mesh does not have, or a bulk ratio outside
+                `BULK_RATIOS`; nothing is changed.
+        """
+        for name in material.regions:
+            if name not in self._mesh.regions:
+                raise InputError(f"the mesh has no region {name!r}{nearest(name, self._mesh.regions)}",
+                                 field="material.regions")
+        materials = [material.regions.get(region.name, material) for region in self._regions]
+        bulks = [bulk_modulus(each, self._mesh) for each in materials]
+        self.material = material
+        ratios = np.array([*(layer.ratio for layer in material.layers), 1.0])
+        self.batches.set_moduli(ratios[np.minimum(self._layers, ratios.size - 1)])
+        for region, own, bulk, part in zip(self._regions, materials, bulks, self.batches.parts, strict=True):
+            coefficients = own.energy_law.kernel_coefficients(own.parameters)
+            if coefficients.size == region.coefficients.size:
+                region.coefficients[:] = coefficients
+            else:
+                region.coefficients = np.array(coefficients)
+            memory = region.memory
+            memory.set_material(own.relaxation(self._contact_radius), own.softening, own.instantaneous_factor)
+            region.settings[KAPPA], region.settings[REMEMBERS] = bulk, memory.works
+            region.settings[ADDS] = region is not self._regions[0]
+            self.bulk_moduli[part] = bulk
+            with LOCK:
+                kernel = assembly_kernel(self._mesh.element.name, own.energy_law.kernel_energy)
+                region.kernel = BoundKernel(kernel, {
+                    "settings": region.settings, "least": region.least, "x": self._x,
+                    "coefficients": region.coefficients, "past": memory.past, "inherited": memory.inherited,
+                    "largest": memory.largest, "stresses": memory.stresses, "energies": memory.energies,
+                    **self.batches.arrays(part)})
+
+    def assemble(self) -> float:
+        """Forces and stiffness of the state as it is; returns the smallest J."""
+        with LOCK:
+            for region in self._regions:
+                region.settings[TANGENT] = 1.0
+                region.kernel()
+        if self.specific_weight:
+            self.batches.residual[2:-1:3] += self.specific_weight * self.batches.volumes
+        return min(float(region.least[0]) for region in self._regions)
+
+    def element_forces(self, bulk: float) -> np.ndarray:
+        """Of each element on its nodes at the displacements as they are, without the weight and with the pressures that
+        this bulk modulus, Pa, gives, N, shape (elements, freedoms of an element)."""
+        self.batches.pressures[:] = 0.0
+        kept = [float(region.settings[KAPPA]) for region in self._regions]
+        for region in self._regions:
+            region.settings[KAPPA] = bulk
+        self.assemble()
+        for region, own in zip(self._regions, kept, strict=True):
+            region.settings[KAPPA] = own
+        return self.batches.element_forces
+
+    def follow(self, motion: np.ndarray) -> None:
+        """Let the pressures follow a linear solution, in which the freedoms moved so, shape (freedoms,), m."""
+        self.batches.follow(motion, self.bulk_moduli)
+
+    def prepare(self, dt: float) -> None:
+        """Before a step; see `Memory.prepare`."""
+        for region in self._regions:
+            region.memory.prepare(dt)
+
+    def commit(self) -> None:
+        """After a step that converged."""
+        for region in self._regions:
+            region.memory.commit()
+
+    @property
+    def kept(self) -> tuple[np.ndarray, ...]:
+        """All that the memory of a committed step is; to go back there, fill them with what they were."""
+        return tuple(array for region in self._regions for array in region.memory.kept)
+
+    def stresses(self) -> np.ndarray | None:
+        """Isochoric second Piola stress of the last committed step where some of the tissue remembers, Pa, shape
+        (elements, q, 6); None where none does."""
+        if not any(region.memory.works for region in self._regions):
+            return None
+        found = np.zeros((*self.batches.weights.shape, 6))
+        for region in self._regions:
+            found[region.elements] = region.memory.total()
+        return found
+
+
+def element_layers(mesh: SolidMesh, layers: tuple[Layer, ...]) -> np.ndarray:
+    """Number of the layer in which the middle of each element lies, that after the last for none, shape (elements,)."""
+    return np.searchsorted(np.cumsum([layer.thickness for layer in layers]), mesh.element_depths)
+
+
+def bulk_modulus(material: Material, mesh: SolidMesh) -> float:
+    """Bulk modulus with which a material is computed on a mesh, Pa.
+
+    Raises:
+        InputError: added effects at the points, or a bulk ratio outside `BULK_RATIOS`.
+    """
+    if any(isinstance(effect, PointEffect) for effect in material.effects.values()):
+        raise InputError("the solid in space takes no added effects of the tissue yet; leave them out, or use the "
+                         "axisymmetric solver", field="material.effects")
+    bulk = material.bulk_modulus
+    if np.isinf(bulk):
+        wide, _, high = np.ptp(mesh.nodes, axis=0).tolist()
+        bulk = incompressible_ratio(0.5 * wide, high) * material.mu0
+    low, most = BULK_RATIOS
+    if not low <= bulk / material.mu0 <= most:
+        raise InputError(f"K/mu0 is {bulk / material.mu0:g}; the finite elements are checked from {low:g} to "
+                         f"{most:g}", field="bulk")
+    return bulk

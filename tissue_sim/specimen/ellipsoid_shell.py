@@ -1,0 +1,74 @@
+"""Half a shell between two ellipsoids, such as the tissue of a brain over a stiffer core."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from tissue_sim.errors import InputError
+from tissue_sim.parameters import parameter
+from tissue_sim.specimen.specimen import Specimen
+
+if TYPE_CHECKING:
+    from tissue_sim.mesh.grading import Grading
+    from tissue_sim.mesh.solid import SolidMesh
+
+
+def _size(symbol: str, key: str) -> Any:
+    return parameter(symbol, "m", key=key, factor=1e-3, bounds=(1e-4, 1.0), shapes_mesh=True)
+
+
+@dataclass(frozen=True)
+class EllipsoidShell(Specimen):
+    """The upper half of a shell of soft tissue; its inner surface is held by a rigid core, its rim is free.
+
+    Attributes:
+        semi_axis_x, semi_axis_y, semi_axis_z: of the outer surface, m; its apex is the origin.
+        thickness: along the axes, m; the inner surface has semi-axes that are shorter by it.
+
+    Raises:
+        InputError: a thickness that leaves no core.
+    """
+
+    shape = "ellipsoid_shell"
+    is_prism = False
+    is_flat = False
+    semi_axis_x: float = _size("a_x", "semi_axis_x_mm")
+    semi_axis_y: float = _size("a_y", "semi_axis_y_mm")
+    semi_axis_z: float = _size("a_z", "semi_axis_z_mm")
+    thickness: float = _size("t", "thickness_mm")
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.thickness >= min(self.semi_axes):
+            raise InputError(f"a shell of {self.thickness * 1e3:g} mm leaves no core in an ellipsoid whose shortest "
+                             f"semi-axis is {min(self.semi_axes) * 1e3:g} mm; give less", field="specimen.thickness")
+
+    @property
+    def semi_axes(self) -> tuple[float, float, float]:
+        """Of the outer surface along x, y and z, m."""
+        return self.semi_axis_x, self.semi_axis_y, self.semi_axis_z
+
+    @property
+    def height(self) -> float:
+        return self.semi_axis_z
+
+    def margin(self, x: float = 0.0, y: float = 0.0) -> float:
+        # At least so far: the ellipse through the place, and the rim, which is like it.
+        return (1.0 - math.hypot(x / self.semi_axis_x, y / self.semi_axis_y)) * min(self.semi_axis_x, self.semi_axis_y)
+
+    @property
+    def outer_radius(self) -> float:
+        return max(self.semi_axis_x, self.semi_axis_y)
+
+    def depth_at(self, x: float = 0.0, y: float = 0.0) -> float:
+        outer, inner = (
+            c * math.sqrt(max(0.0, 1.0 - (x / a) ** 2 - (y / b) ** 2)) for a, b, c in (
+                self.semi_axes, tuple(axis - self.thickness for axis in self.semi_axes)))
+        return outer - inner
+
+    def solid_mesh(self, grading: Grading) -> SolidMesh:
+        from tissue_sim.mesh.ellipsoid_shell import ellipsoid_shell
+
+        return ellipsoid_shell(self.semi_axes, self.thickness, grading)
