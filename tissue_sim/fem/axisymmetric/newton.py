@@ -52,7 +52,8 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
     block1, block3 = (ti.types.ndarray(dtype=block, ndim=n) for n in (1, 3))
     mirror, cholesky, lu = band_matrix.mirror_function(), cholesky_functions(), lu_functions()
     contact = contact_kernels.functions(slips, laws)
-    converged, inverted, indefinite, slow, diverged = (float(status) for status in StepStatus)
+    converged, inverted, indefinite, slow, diverged = (float(status) for status in (
+        StepStatus.CONVERGED, StepStatus.INVERTED, StepStatus.INDEFINITE, StepStatus.SLOW, StepStatus.DIVERGED))
 
     # Throughout, `a = a + b` on arrays: `a += b` is an atomic operation in Taichi, four times slower here.
 

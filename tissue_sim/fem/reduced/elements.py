@@ -88,7 +88,7 @@ class SampledElements:
         memory.set_material(material.relaxation(self._contact_radius), material.softening,
                             material.instantaneous_factor)
         self._settings[KAPPA], self._settings[REMEMBERS] = bulk, memory.works
-        named = self._batches.arrays(slice(0, batches.batches)) | {
+        named = self._batches.arrays(self._batches.parts[0]) | {
             "settings": self._settings, "least": self._least, "amplitudes": self._amplitudes, "change": self._change,
             "basis": self._basis, "x": self._local, "dofs": self._dofs, "coefficients": self._coefficients,
             "past": memory.past, "inherited": memory.inherited, "largest": memory.largest,

@@ -156,6 +156,7 @@ def sample_elements(solver: SolidSolver, basis: np.ndarray, lifting: int, states
     strong = np.flatnonzero(forces >= _LEAST_FORCE * forces.max())
     looked_at = strong[np.linspace(0, strong.size - 1, min(_LOOKED_AT, strong.size)).astype(int)]
     scale = np.linalg.norm(basis, axis=0)
+    scale[scale < 1e-12 * scale.max()] = 1.0  # a flat face has no height that a rotation could move
     bulk = reduced_bulk(solver.material, mesh)
     rows = (basis / scale).reshape(-1, 3, basis.shape[1])[mesh.connectivity].reshape(
         len(mesh.connectivity), -1, basis.shape[1])
