@@ -9,9 +9,9 @@ from calibration.campaign.checks import require_positive
 from calibration.campaign.schema import PRISM, CampaignTable, SpecimenTable, TestTable
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.kinds.kind import KINDS
-from tissue_sim.specimen import STANDARD_GRAVITY, Specimen, specimen_sizes
+from tissue_sim.specimen import STANDARD_GRAVITY, Specimen
 from tissue_sim.specimen.cylinder import Cylinder
-from tissue_sim.specimen.specimen import specimen_of_keys
+from tissue_sim.specimen.specimen import sizes_of, specimen_of_keys
 
 
 def read_specimens(table: CampaignTable) -> dict[str, Specimen]:
@@ -41,10 +41,10 @@ def _specimen(entry: SpecimenTable, name: str, field: str) -> Specimen:
         raise InputError("gravity = true needs the density of the specimen; give density_kg_m3",
                          field=f"{field}.density_kg_m3")
     shape, stated = entry.shape, dict(entry.sizes)
-    known = specimen_sizes()
-    has = ["area_mm2", "height_mm"] if shape == PRISM else [key for key, size in known.items() if shape in size.shapes]
+    known = {} if shape == PRISM else sizes_of(shape)
+    has = ["area_mm2", "height_mm"] if shape == PRISM else list(known)
     given = stated | ({} if entry.area_mm2 is None else {"area_mm2": entry.area_mm2})
-    needs = [key for key in has if key not in known or known[key].declaration.absent is None]
+    needs = [key for key in has if key not in known or known[key].absent is None]
     if lacks := [key for key in needs if key not in given]:
         raise InputError(f"a {shape} needs {lacks[0]}, which is missing", field=f"{field}.{lacks[0]}")
     if others := [key for key in given if key not in has]:

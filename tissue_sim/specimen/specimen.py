@@ -190,6 +190,12 @@ def specimen_sizes() -> dict[str, Size]:
     return found
 
 
+def sizes_of(shape: str) -> dict[str, Declaration]:
+    """Key in files -> what it is, of the sizes of a shape, in order."""
+    return {what.key: what for name, what in declared(SPECIMENS.find(shape, "specimen.shape")).items()
+            if name not in _COMMON}
+
+
 def specimen_of_keys(shape: str, stated: Mapping[str, float], **common: Any) -> Specimen:
     """A specimen of a shape from sizes by their keys of `specimen_sizes`, in the units of files, and from what all
     shapes have, in SI.
