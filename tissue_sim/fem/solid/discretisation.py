@@ -239,11 +239,8 @@ def _touching_height(top: np.ndarray, bodies: list[Body], start: Pose, scale: fl
     # A tool that comes down by no more than its distance from the tissue does not pass it.
     high = scale + float(top[:, 2].max())
     for _ in range(_MOST_APPROACHES):
-        distance = clearance(high)
-        if distance < 1e-5 * scale:
-            break
-        high -= distance
-    step = 2e-5 * scale
-    while clearance(high - step) > 0.0:
-        step *= 2.0
-    return brentq(clearance, high - step, high, xtol=1e-15)
+        low = high - max(clearance(high), 1e-5 * scale)
+        if clearance(low) <= 0.0:
+            return brentq(clearance, low, high, xtol=1e-15)
+        high = low
+    raise InputError("the tool comes down beside the specimen; move it", field="approach")
