@@ -11,7 +11,7 @@ from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.specimen import STANDARD_GRAVITY, Specimen
 from tissue_sim.specimen.cylinder import Cylinder
-from tissue_sim.specimen.specimen import sizes_of, specimen_of_keys
+from tissue_sim.specimen.specimen import sizes_of, specimen_of_keys, with_article
 
 
 def read_specimens(table: CampaignTable) -> dict[str, Specimen]:
@@ -46,9 +46,10 @@ def _specimen(entry: SpecimenTable, name: str, field: str) -> Specimen:
     given = stated | ({} if entry.area_mm2 is None else {"area_mm2": entry.area_mm2})
     needs = [key for key in has if key not in known or known[key].absent is None]
     if lacks := [key for key in needs if key not in given]:
-        raise InputError(f"a {shape} needs {lacks[0]}, which is missing", field=f"{field}.{lacks[0]}")
+        raise InputError(f"{with_article(shape)} needs {lacks[0]}, which is missing", field=f"{field}.{lacks[0]}")
     if others := [key for key in given if key not in has]:
-        raise InputError(f"a {shape} has {has[0]}, not {others[0]}; leave it out", field=f"{field}.{others[0]}")
+        raise InputError(f"{with_article(shape)} has {has[0]}, not {others[0]}; leave it out",
+                         field=f"{field}.{others[0]}")
     if shape == PRISM:
         # Homogeneous tests know a specimen by its cross-section and height only.
         area = given.pop("area_mm2")
@@ -86,11 +87,11 @@ def find_specimen(entry: TestTable, specimens: Mapping[str, Specimen], table: Ca
     if found is None:
         return None
     shape = table.specimen[list(specimens).index(found.name)].shape
+    what = f"{found.name!r} is {with_article(shape)}"
     simulated = kind.closed_form is None or (table.fit.method != "analytical" and not kind.gripped and shape != PRISM)
     if simulated and (shape == PRISM or not isinstance(found, Cylinder)):
-        raise InputError(f"{entry.kind} is simulated on a cylinder, and {found.name!r} is a {shape}; use shape = "
-                         "'cylinder' with radius_mm", field=f"{field}.specimen")
-    if not found.is_prism:
-        raise InputError(f"{found.name!r} is a {shape}, which has not one cross-section, and so no closed form",
+        raise InputError(f"{entry.kind} is simulated on a cylinder, and {what}; use shape = 'cylinder' with radius_mm",
                          field=f"{field}.specimen")
+    if not found.is_prism:
+        raise InputError(f"{what}, which has not one cross-section, and so no closed form", field=f"{field}.specimen")
     return found

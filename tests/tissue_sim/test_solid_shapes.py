@@ -140,7 +140,7 @@ def test_a_shell_that_moves_as_a_whole_feels_nothing():
 
 
 @pytest.mark.parametrize(("changes", "field", "words"), [
-    ({"friction_base": "frictionless"}, "friction_base", "the base of a ellipsoid_shell is curved"),
+    ({"friction_base": "frictionless"}, "friction_base", "the base of an ellipsoid shell is curved"),
     ({"tool": ts.Tool("plate"), "friction": "bonded"}, "friction", "a plate cannot be bonded to the curved top")])
 def test_what_a_curved_surface_cannot_be(changes, field, words):
     stated = {"tool": ts.Tool("round", 4e-3), "friction": "stick", "friction_base": "bonded"} | changes
