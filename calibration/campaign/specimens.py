@@ -9,7 +9,7 @@ from calibration.campaign.checks import require_positive
 from calibration.campaign.schema import PRISM, CampaignTable, SpecimenTable, TestTable
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.kinds.kind import KINDS
-from tissue_sim.specimen import STANDARD_GRAVITY, Specimen
+from tissue_sim.specimen import SPECIMENS, STANDARD_GRAVITY, Specimen
 from tissue_sim.specimen.cylinder import Cylinder
 from tissue_sim.specimen.specimen import sizes_of, specimen_of_keys, with_article
 
@@ -42,6 +42,9 @@ def _specimen(entry: SpecimenTable, name: str, field: str) -> Specimen:
                          field=f"{field}.density_kg_m3")
     shape, stated = entry.shape, dict(entry.sizes)
     known = {} if shape == PRISM else sizes_of(shape)
+    if shape in SPECIMENS and SPECIMENS[shape].from_file:
+        raise InputError(f"{with_article(shape)} from a file takes no part in a campaign, whose tests are simulated on "
+                         "cylinders; use shape = 'cylinder'", field=f"{field}.shape")
     has = ["area_mm2", "height_mm"] if shape == PRISM else list(known)
     given = stated | ({} if entry.area_mm2 is None else {"area_mm2": entry.area_mm2})
     needs = [key for key in has if key not in known or known[key].absent is None]

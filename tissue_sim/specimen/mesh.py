@@ -37,6 +37,7 @@ class MeshSpecimen(Specimen):
 
     shape = "mesh"
     is_prism = False
+    from_file = True
     mesh_file: str | Path
     mesh_unit: str = "mm"
     mesh_base: str | None = None

@@ -56,6 +56,7 @@ class Specimen(metaclass=_ByShape):
             ``"mesh"``; a package may add others.
         is_prism: whether all cross-sections are alike, so that one between plates that slip deforms homogeneously.
         is_flat: whether top and base are planes.
+        from_file: whether shape and sizes come from a file.
         name: for people and campaign files.
         density: kg/m3, or None where nobody said.
         gravity: m/s2, along z and towards the base; 0 leaves self-weight out.
@@ -69,6 +70,7 @@ class Specimen(metaclass=_ByShape):
     shape: ClassVar[str]
     is_prism: ClassVar[bool] = True
     is_flat: ClassVar[bool] = True
+    from_file: ClassVar[bool] = False
     name: str = "specimen"
     density: float | None = parameter("rho", "kg/m3", key="density_kg_m3", bounds=(1.0, 1e5), default=None)
     gravity: float = parameter("g0", "m/s2", key="gravity_m_s2", bounds=(0.0, 100.0), absent=0.0, default=0.0)
