@@ -78,6 +78,7 @@ from tissue_sim.snapshot import Snapshot as Snapshot
 from tissue_sim.specimen.block import Block as Block
 from tissue_sim.specimen.cylinder import Cylinder as Cylinder
 from tissue_sim.specimen.ellipsoid_shell import EllipsoidShell as EllipsoidShell
+from tissue_sim.specimen.mesh import MeshSpecimen as MeshSpecimen
 from tissue_sim.specimen.specimen import SPECIMENS as SPECIMENS
 from tissue_sim.specimen.specimen import Specimen as Specimen
 from tissue_sim.tool_force import ForceStatus as ForceStatus

@@ -9,9 +9,9 @@ from calibration.campaign.checks import require_positive
 from calibration.campaign.schema import PRISM, CampaignTable, SpecimenTable, TestTable
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.kinds.kind import KINDS
-from tissue_sim.specimen import STANDARD_GRAVITY, Specimen, specimen_sizes
+from tissue_sim.specimen import SPECIMENS, STANDARD_GRAVITY, Specimen
 from tissue_sim.specimen.cylinder import Cylinder
-from tissue_sim.specimen.specimen import specimen_of_keys
+from tissue_sim.specimen.specimen import sizes_of, specimen_of_keys, with_article
 
 
 def read_specimens(table: CampaignTable) -> dict[str, Specimen]:
@@ -41,14 +41,18 @@ def _specimen(entry: SpecimenTable, name: str, field: str) -> Specimen:
         raise InputError("gravity = true needs the density of the specimen; give density_kg_m3",
                          field=f"{field}.density_kg_m3")
     shape, stated = entry.shape, dict(entry.sizes)
-    known = specimen_sizes()
-    has = ["area_mm2", "height_mm"] if shape == PRISM else [key for key, size in known.items() if shape in size.shapes]
+    known = {} if shape == PRISM else sizes_of(shape)
+    if shape in SPECIMENS and SPECIMENS[shape].from_file:
+        raise InputError(f"{with_article(shape)} from a file takes no part in a campaign, whose tests are simulated on "
+                         "cylinders; use shape = 'cylinder'", field=f"{field}.shape")
+    has = ["area_mm2", "height_mm"] if shape == PRISM else list(known)
     given = stated | ({} if entry.area_mm2 is None else {"area_mm2": entry.area_mm2})
-    needs = [key for key in has if key not in known or known[key].declaration.absent is None]
+    needs = [key for key in has if key not in known or known[key].absent is None]
     if lacks := [key for key in needs if key not in given]:
-        raise InputError(f"a {shape} needs {lacks[0]}, which is missing", field=f"{field}.{lacks[0]}")
+        raise InputError(f"{with_article(shape)} needs {lacks[0]}, which is missing", field=f"{field}.{lacks[0]}")
     if others := [key for key in given if key not in has]:
-        raise InputError(f"a {shape} has {has[0]}, not {others[0]}; leave it out", field=f"{field}.{others[0]}")
+        raise InputError(f"{with_article(shape)} has {has[0]}, not {others[0]}; leave it out",
+                         field=f"{field}.{others[0]}")
     if shape == PRISM:
         # Homogeneous tests know a specimen by its cross-section and height only.
         area = given.pop("area_mm2")
@@ -86,11 +90,11 @@ def find_specimen(entry: TestTable, specimens: Mapping[str, Specimen], table: Ca
     if found is None:
         return None
     shape = table.specimen[list(specimens).index(found.name)].shape
+    what = f"{found.name!r} is {with_article(shape)}"
     simulated = kind.closed_form is None or (table.fit.method != "analytical" and not kind.gripped and shape != PRISM)
     if simulated and (shape == PRISM or not isinstance(found, Cylinder)):
-        raise InputError(f"{entry.kind} is simulated on a cylinder, and {found.name!r} is a {shape}; use shape = "
-                         "'cylinder' with radius_mm", field=f"{field}.specimen")
-    if not found.is_prism:
-        raise InputError(f"{found.name!r} is a {shape}, which has not one cross-section, and so no closed form",
+        raise InputError(f"{entry.kind} is simulated on a cylinder, and {what}; use shape = 'cylinder' with radius_mm",
                          field=f"{field}.specimen")
+    if not found.is_prism:
+        raise InputError(f"{what}, which has not one cross-section, and so no closed form", field=f"{field}.specimen")
     return found

@@ -171,6 +171,9 @@ def shear_stress_history(material: Material, time, shear, contact_radius: float 
 def stress_history(mode: str, material: Material, time, strain, contact_radius: float | None) -> np.ndarray:
     """Nominal stress of a mode of `HomogeneousHistory`; arguments and errors as `nominal_stress_history`."""
     history = HomogeneousHistory(mode, time, strain)
+    if material.regions:
+        raise InputError("a specimen with regions does not deform homogeneously; use the finite elements",
+                         field="regions")
     if material.layers:
         raise InputError("a layered specimen does not deform homogeneously; use the finite elements", field="layers")
     if added := [name for name, effect in material.effects.items() if isinstance(effect, PointEffect)]:

@@ -93,6 +93,9 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
         Raises:
             InputError: a value that the schema refuses, by its dotted field path.
         """
+        if material.regions:
+            raise InputError("a file holds one material, and this one has regions of others; write each to a file of "
+                             "its own", field="regions")
         law, known = material.energy_law, _with_errors(material)
         errors = {name: float(error) for name, error in (standard_errors or {}).items()}
         for name in (*errors, *others):

@@ -125,8 +125,8 @@ class Material:
     def __post_init__(self):
         object.__setattr__(self, "regions", read_only(dict(self.regions)))
         for name, own in self.regions.items():
-            if own.layers or own.regions or own.puncture is not None:
-                raise InputError("a region has no layers, no regions and no puncture of its own; leave them out",
+            if own.layers or own.regions or own.effects or own.puncture is not None:
+                raise InputError("a region has no layers, regions, effects or puncture of its own; leave them out",
                                  field=f"regions.{name}")
         object.__setattr__(self, "effects", read_only(_by_name(self.effects)))
         object.__setattr__(self, "parameters", read_only(self.energy_law.as_mapping(self.parameters)))

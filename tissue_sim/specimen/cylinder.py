@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from tissue_sim.errors import InputError
 from tissue_sim.parameters import parameter
-from tissue_sim.specimen.specimen import Specimen
+from tissue_sim.specimen.specimen import Specimen, with_article
 
 if TYPE_CHECKING:
     from tissue_sim.mesh.grading import Grading
@@ -54,6 +54,6 @@ def require_cylinder(specimen: Specimen, who: str, instead: str = 'take the solv
         InputError: it is none.
     """
     if not isinstance(specimen, Cylinder):
-        raise InputError(f"{who} takes cylinders only, and the specimen is a {specimen.shape}; {instead}",
+        raise InputError(f"{who} takes cylinders only, and the specimen is {with_article(specimen.shape)}; {instead}",
                          field="specimen.shape")
     return specimen

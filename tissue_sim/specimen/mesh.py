@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tissue_sim.errors import InputError
-from tissue_sim.mesh.seen_from_above import SeenFromAbove
 from tissue_sim.specimen.specimen import Specimen
 
 if TYPE_CHECKING:
     from tissue_sim.mesh.grading import Grading
+    from tissue_sim.mesh.seen_from_above import SeenFromAbove
     from tissue_sim.mesh.solid import SolidMesh
     from tissue_sim.mesh.solid_file import FileMesh
 
@@ -37,6 +37,7 @@ class MeshSpecimen(Specimen):
 
     shape = "mesh"
     is_prism = False
+    from_file = True
     mesh_file: str | Path
     mesh_unit: str = "mm"
     mesh_base: str | None = None
@@ -58,6 +59,7 @@ class MeshSpecimen(Specimen):
 
     @cached_property
     def _seen(self) -> SeenFromAbove:
+        from tissue_sim.mesh.seen_from_above import SeenFromAbove
         from tissue_sim.mesh.solid_file import base_and_top, origin
 
         mesh = self._mesh

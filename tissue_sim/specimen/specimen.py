@@ -34,12 +34,13 @@ class _ByShape(type):
         entries = {entry.name: entry for entry in sorted(fields(kind), key=lambda entry: entry.name in _COMMON)}
         unknown = [name for name in named if name not in entries]
         if unknown or len(values) > len(entries):
-            raise InputError(f"a {kind.shape} has no {_words(unknown[0]) if unknown else 'more sizes'}; leave it out",
+            what = _words(unknown[0]) if unknown else "more sizes"
+            raise InputError(f"{with_article(kind.shape)} has no {what}; leave it out",
                              field=f"specimen.{unknown[0] if unknown else 'shape'}")
         named |= zip(entries, values, strict=False)
         for name, entry in entries.items():
             if entry.default is entry.default_factory is MISSING and named.get(name) is None:
-                raise InputError(f"a {kind.shape} needs a {_words(name)}", field=f"specimen.{name}")
+                raise InputError(f"{with_article(kind.shape)} needs {with_article(name)}", field=f"specimen.{name}")
         return type.__call__(kind, **named)
 
 
@@ -55,6 +56,7 @@ class Specimen(metaclass=_ByShape):
             ``"mesh"``; a package may add others.
         is_prism: whether all cross-sections are alike, so that one between plates that slip deforms homogeneously.
         is_flat: whether top and base are planes.
+        from_file: whether shape and sizes come from a file.
         name: for people and campaign files.
         density: kg/m3, or None where nobody said.
         gravity: m/s2, along z and towards the base; 0 leaves self-weight out.
@@ -68,6 +70,7 @@ class Specimen(metaclass=_ByShape):
     shape: ClassVar[str]
     is_prism: ClassVar[bool] = True
     is_flat: ClassVar[bool] = True
+    from_file: ClassVar[bool] = False
     name: str = "specimen"
     density: float | None = parameter("rho", "kg/m3", key="density_kg_m3", bounds=(1.0, 1e5), default=None)
     gravity: float = parameter("g0", "m/s2", key="gravity_m_s2", bounds=(0.0, 100.0), absent=0.0, default=0.0)
@@ -107,8 +110,8 @@ class Specimen(metaclass=_ByShape):
         Raises:
             InputError: it is none.
         """
-        raise InputError(f"a {self.shape} has not one cross-section, and no closed form; simulate it with the solver "
-                         "\"solid\" (--solid)", field="specimen.shape")
+        raise InputError(f"{with_article(self.shape)} has not one cross-section, and no closed form; simulate it with "
+                         "the solver \"solid\" (--solid)", field="specimen.shape")
 
     @property
     def sizes(self) -> dict[str, float]:
@@ -152,6 +155,11 @@ def _words(name: str) -> str:
     return name.replace("_", " ")
 
 
+def with_article(name: str) -> str:
+    """A shape or a size in words: ``an ellipsoid shell``."""
+    return f"{'an' if name[0] in 'aeiou' else 'a'} {_words(name)}"
+
+
 #: Shape -> its class.
 SPECIMENS: Registry[type[Specimen]] = Registry("specimen shape", "tissue_sim.specimens", {
     "cylinder": "tissue_sim.specimen.cylinder:Cylinder", "block": "tissue_sim.specimen.block:Block",
@@ -190,6 +198,12 @@ def specimen_sizes() -> dict[str, Size]:
                                  "them has to take another key", field="tissue_sim.specimens")
             found[what.key] = first._replace(shapes=(*first.shapes, shape))
     return found
+
+
+def sizes_of(shape: str) -> dict[str, Declaration]:
+    """Key in files -> what it is, of the sizes of a shape, in order."""
+    return {what.key: what for name, what in declared(SPECIMENS.find(shape, "specimen.shape")).items()
+            if name not in _COMMON}
 
 
 def specimen_of_keys(shape: str, stated: Mapping[str, float], **common: Any) -> Specimen:

@@ -120,6 +120,9 @@ def make_solver(model: Model, *, resolution: str = "fast", mesh: Mesh | None = N
     if model.experiment.approach is not None:
         raise InputError("an axisymmetric solid takes a tool on its axis only; take the solver \"solid\" (--solid)",
                          field="approach")
+    if model.material.regions:
+        raise InputError("an axisymmetric solid has no regions; take the solver \"solid\" (--solid)",
+                         field="material.regions")
     meshed = model if topology is None else topology
     if mesh is None:
         mesh = build_mesh(meshed.experiment, resolution, layers=meshed.material.layers)

@@ -21,6 +21,7 @@ from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose
+from tissue_sim.specimen.specimen import with_article
 
 #: How far a node may violate a contact condition, in radii of the tool, and of the specimen between plates.
 _NEEDLE_TOLERANCE, _PLATE_TOLERANCE = 1e-4, 1e-7
@@ -138,11 +139,11 @@ def _require(experiment: Experiment, topology: Model | None) -> None:
         raise InputError("the solid in space cannot move the mesh of another model yet; leave the topology out",
                          field="topology")
     if not experiment.specimen.is_flat:
-        shape = experiment.specimen.shape
+        shape = with_article(experiment.specimen.shape)
         if experiment.base_interface != "bonded":
-            raise InputError(f"the base of a {shape} is curved, and held; use 'bonded'", field="friction_base")
+            raise InputError(f"the base of {shape} is curved, and held; use 'bonded'", field="friction_base")
         if experiment.tool.is_plate and experiment.friction == "bonded":
-            raise InputError(f"a plate cannot be bonded to the curved top of a {shape}; use 'stick', 'frictionless' or "
+            raise InputError(f"a plate cannot be bonded to the curved top of {shape}; use 'stick', 'frictionless' or "
                              "a coefficient of friction", field="friction")
     if experiment.acting_laws:
         raise InputError("the solid in space takes no adhesion or other laws of contact yet; leave them out",
@@ -248,13 +249,8 @@ def _touching_height(top: np.ndarray, bodies: list[Body], start: Pose, scale: fl
     # A tool that comes down by no more than its distance from the tissue does not pass it.
     high = scale + float(top[:, 2].max())
     for _ in range(_MOST_APPROACHES):
-        distance = clearance(high)
-        if distance < 1e-5 * scale:
-            break
-        high -= distance
-    if clearance(high) <= 0.0:  # to rounding
-        return high
-    step = 2e-5 * scale
-    while clearance(high - step) > 0.0:
-        step *= 2.0
-    return brentq(clearance, high - step, high, xtol=1e-15)
+        low = high - max(clearance(high), 1e-5 * scale)
+        if clearance(low) <= 0.0:
+            return brentq(clearance, low, high, xtol=1e-15)
+        high = low
+    raise InputError("the tool comes down beside the specimen; move it", field="approach")
