@@ -14,6 +14,7 @@ from tissue_sim.fem.solid.contact import STICK, Body, Frame
 from tissue_sim.fem.solid.contact import nearest as nearest_surface
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
+from tissue_sim.mesh.moved_solid import RingedCylinder, moved_solid
 from tissue_sim.mesh.solid import SolidMesh, needle_solid
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose
@@ -54,12 +55,14 @@ def make_solver(model: Model, *, resolution: str = "fast", mesh: SolidMesh | Non
         model: experiment and material.
         resolution: a key of `RESOLUTIONS`.
         mesh: a mesh of your own instead.
-        topology: not known here.
+        topology: a model whose mesh is taken, or of which `mesh` is one, and moved to the geometry of this one.
     """
     experiment = model.experiment
-    _require(experiment, topology)
+    _require(experiment)
     if mesh is None:
-        mesh = build_mesh(experiment, resolution)
+        mesh = build_mesh((topology or model).experiment, resolution)
+    if topology is not None:
+        mesh = moved_solid(mesh, _ringed(topology.experiment), _ringed(experiment))
     tool = experiment.tool
     bonded = mesh.sets["top" if tool.is_plate else "face"] if experiment.friction == "bonded" else np.zeros(0, int)
     start = experiment.tool_pose(0.0)
@@ -86,10 +89,7 @@ def _pins(experiment: Experiment, mesh: SolidMesh) -> list[tuple[int, str]]:
     return [(int(middle), "xy"), (int(beside), "y")]
 
 
-def _require(experiment: Experiment, topology: Model | None) -> None:
-    if topology is not None:
-        raise InputError("the solid in space cannot move the mesh of another model yet; leave the topology out",
-                         field="topology")
+def _require(experiment: Experiment) -> None:
     if experiment.specimen.specific_weight:
         raise InputError("the solid in space takes no self-weight yet; leave gravity out, or use the axisymmetric "
                          "solver", field="specimen.gravity")
@@ -108,17 +108,25 @@ def build_mesh(experiment: Experiment, resolution: str = "fast") -> SolidMesh:
     if chosen is None:
         raise InputError(f"unknown resolution {resolution!r}{nearest(resolution, RESOLUTIONS)}", field="resolution")
     specimen, tool = experiment.specimen, experiment.tool
+    _, _, radius, centre = _ringed(experiment)
     if tool.is_plate:
-        ring = 0.6 * specimen.radius
-        return needle_solid(specimen.radius, specimen.height, ring, chosen.element, growth=1.3,
-                            smallest=0.6 * chosen.smallest * ring, largest=0.3 * chosen.largest * ring,
+        return needle_solid(specimen.radius, specimen.height, radius, chosen.element, growth=1.3,
+                            smallest=0.6 * chosen.smallest * radius, largest=0.3 * chosen.largest * radius,
                             around=chosen.around)
-    radius = tool.face_radius or experiment.contact_radius
     least = 0.17 * max(specimen.radius, specimen.height)
-    offset = 0.0 if experiment.approach is None else experiment.approach.offset
     return needle_solid(specimen.radius, specimen.height, radius, chosen.element, smallest=chosen.smallest * radius,
                         growth=chosen.growth, largest=max(chosen.largest * radius, least), around=chosen.around,
-                        centre=(offset, 0.0))
+                        centre=centre)
+
+
+def _ringed(experiment: Experiment) -> RingedCylinder:
+    """What the rings of the mesh lie about."""
+    specimen, tool = experiment.specimen, experiment.tool
+    if tool.is_plate:
+        return RingedCylinder(specimen.radius, specimen.height, 0.6 * specimen.radius, (0.0, 0.0))
+    offset = 0.0 if experiment.approach is None else experiment.approach.offset
+    return RingedCylinder(specimen.radius, specimen.height, tool.face_radius or experiment.contact_radius,
+                          (offset, 0.0))
 
 
 def _coefficient(interface: str | float) -> float:

@@ -9,12 +9,13 @@ from typing import Any, cast
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.fem.history import Memory
+from tissue_sim.fem.history import INSTANT, Memory
 from tissue_sim.fem.linear.sparse import Factor, factorise
 from tissue_sim.fem.solid.assembly import KAPPA, REMEMBERS, TANGENT, assembly_kernel
 from tissue_sim.fem.solid.batches import ElementBatches
 from tissue_sim.fem.solid.contact import ALL, Body, ContactNodes, Frame, Look
 from tissue_sim.fem.solid.free_part import FreePart
+from tissue_sim.fem.solid.sensitivity import SolidParts, SolidSensitivity
 from tissue_sim.fem.solid.surface import SolidSurface
 from tissue_sim.fem.solver import Fields, Neighbours, Solver, Step, StepStatus
 from tissue_sim.fem.taichi.launch import BoundKernel
@@ -105,6 +106,7 @@ class SolidSolver(Solver):
         self._coefficients, self._kernel = np.zeros(0), cast("Any", None)
         self._largest_force, self._asked, self._modulus = 0.0, False, 0.0
         self._committed = self.x.copy(), self.batches.pressures.copy(), self.contact.forces.copy()
+        self._derivatives: SolidSensitivity | None = None
         #: Of the tool where the state that is worked on belongs to it.
         self._here = Frame(start, datum)
         self.set_material(material)
@@ -221,6 +223,11 @@ class SolidSolver(Solver):
                 if contact.release():
                     changeable, first_ratio = ALL, None
                     continue
+                if self._derivatives is not None:
+                    # They are those of this step, whose bonds are the earlier ones.
+                    contact.look(displacement, frame, 0, 0.0, 1.0, _FRICTION_FLOOR * floor, self._tolerance)
+                    self._derivatives.advance()
+                    self._assemble()
                 contact.hold()
                 status = StepStatus.CONVERGED
                 if self._asked:
@@ -279,8 +286,8 @@ class SolidSolver(Solver):
         nodes = self.contact.nodes
         return self.mesh.nodes[nodes] + self.x.reshape(-1, 3)[nodes]
 
-    def _assemble(self) -> None:
-        self._settings[TANGENT] = 1.0
+    def _assemble(self, tangent: bool = True) -> None:
+        self._settings[TANGENT] = tangent
         with LOCK:
             self._kernel()
 
@@ -325,9 +332,30 @@ class SolidSolver(Solver):
     def _places_of(self, nodes: np.ndarray) -> np.ndarray:
         return self.mesh.nodes[nodes] + self.x.reshape(-1, 3)[nodes]
 
-    def differentiate(self, neighbours: Neighbours) -> None:
-        """There are no exact derivatives in space yet."""
-        return
+    def differentiate(self, neighbours: Neighbours) -> SolidSensitivity:
+        """Carry exact derivatives along from now on; see `Solver.differentiate`."""
+        here = self.material
+        inputs = self._settings[KAPPA : KAPPA + 1], self._coefficients, self.batches.moduli
+
+        def of(material: Material) -> list[np.ndarray]:
+            self.set_material(material)
+            return [array.copy() for array in (*inputs, self.memory.past)]
+
+        try:
+            sides = [(of(more), of(less)) for more, less, _ in neighbours]
+        finally:
+            self.set_material(here)
+        widths = np.array([width for *_, width in neighbours])
+        rates = [[(a - b) / width for a, b in zip(*both, strict=True)]
+                 for both, width in zip(sides, widths, strict=True)]
+        relaxations = [(more.relaxation(self._contact_radius), less.relaxation(self._contact_radius))
+                       for more, less, _ in neighbours]
+        parts = SolidParts(self.x, self._free, self._moved, self.batches, self.contact, self.memory, self._matrix,
+                           inputs, self._assemble)
+        past = np.array([rate[-1] for rate in rates]).reshape(-1, self.memory.past.size)
+        past[:, INSTANT] = 0.0
+        self._derivatives = SolidSensitivity(parts, [rate[:-1] for rate in rates], past, relaxations, widths)
+        return self._derivatives
 
     def lift_off(self) -> None:
         """Take the tool away at once; see `Solver.lift_off`."""
