@@ -152,6 +152,8 @@ class SolidSensitivity:
         parts, contact = self._parts, self._parts.contact
         state, m = contact.state, rates.shape[1]
         motion, forces = np.zeros_like(rates), np.zeros((contact.nodes.size, 3, m))
+        if not m:
+            return motion, forces
         parts.matrix.add(contact.rates)
         factor = factorise(parts.matrix.free, symmetric=not state.slides.any())
         # Where the constraints drive the motion, and where the tissue does.
