@@ -25,7 +25,7 @@ from tissue_sim.mesh.hexahedra import HEX27P1
 TRUE = {"C10": 1404.9, "C20": 699.4}
 SPECIMEN, RADIUS, SPEED, NOISE, REPLICATES, SAMPLES = (0.040, 0.070), 8e-3, 0.248e-3, 0.02, 3, 201
 #: Between the two meshes of a fit, about 4,000 and 12,000 freedoms, and what is affordable.
-FINER = Resolution(HEX27P1, 0.18, 1.7, 1.6, 3)
+FINER = Resolution(HEX27P1, 0.2, 1.9, 2.2, 3)
 CAMPAIGN = """
 [[specimen]]
 radius_mm = 40.0
@@ -54,14 +54,14 @@ zero_jitter_N = 0.0
 
 def recordings(depth: float, approach: ts.Approach, resolution: str) -> tuple[list[ts.Recording], int]:
     """Noisy replicates of the needle's way, and how many freedoms they are from."""
-    protocol = ts.Protocol.ramp(depth, 13)
+    protocol = ts.Protocol.ramp(depth, 9)
     experiment = ts.KINDS["needle_indentation"].experiment(
         specimen=ts.Specimen(*SPECIMEN), protocol=protocol, tool=ts.Tool("flat", radius=RADIUS), approach=approach)
     model = ts.Model(experiment, ts.Material("reduced_polynomial_2", TRUE, ts.Bulk("bulk_ratio", 1e4)))
     mesh = make_solver(model, resolution=resolution).mesh
     true = ts.simulate(model, solver="solid", mesh=mesh)
     displacement = np.linspace(0.0, depth, SAMPLES)
-    curve = np.polynomial.Polynomial.fit(true.displacement, true.force, 8)
+    curve = np.polynomial.Polynomial.fit(true.displacement, true.force, 6)
     missed = abs(curve(true.displacement) - true.force).max()
     print(f"force at the end {true.force[-1]:.3f} N; between the samples to {missed:.0e} N", file=sys.stderr, flush=True)
     force = curve(displacement)

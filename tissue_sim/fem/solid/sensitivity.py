@@ -86,21 +86,23 @@ class SolidSensitivity:
 
     def advance(self) -> None:
         """At an equilibrium whose contact was looked at with the bonds of the step, before it binds anew and anything
-        is committed. The matrix is that of the tissue, without the rates of contact."""
+        is committed. The matrix is that of the tissue, and gets the rates of contact."""
         parts, m = self._parts, self._widths.size
+        state = parts.contact.state
+        self._changed |= not np.array_equal(state.kinds, self._kinds)
+        self._kinds = state.kinds
+        if not m:
+            return
         inherited, decays, gains = self._inherited_rates()
         rates = np.empty((parts.x.size, m))
         for k in range(m):
             rates[:, k] = self._difference(k, inherited[k], None)[0]
         motion, forces = self._solve(rates)
-        state = parts.contact.state
         held = -(rates + self._product(motion))[parts.moved].reshape(-1, 3, m)
         self.vector[:] = held.sum(axis=0).T + forces[parts.contact.moves].sum(axis=0).T
         if parts.memory.works:
             self._remember(motion, inherited, decays, gains)
         self._anchors = state.anchor_rates(self._at_contact(motion), self._anchors)
-        self._changed |= not np.array_equal(state.kinds, self._kinds)
-        self._kinds = state.kinds
 
     def _inherited_rates(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Of what is left of earlier stresses, nothing moving now, shape (m, elements, q, 6), and of decay and gain of
@@ -125,24 +127,24 @@ class SolidSensitivity:
 
     def _difference(self, k: int, inherited: np.ndarray, motion: np.ndarray | None) -> list[np.ndarray]:
         """Rates with parameter k of the forces, shape (freedoms,), and of stresses and energies of the law at the
-        points; without motion at a fixed place. The state is as it was after it, but for these three."""
+        points; without motion at a fixed place. All of these are as they were afterwards."""
         parts, memory = self._parts, self._parts.memory
         arrays = [*parts.inputs, memory.past, parts.x]
         rates = [*self._input_rates[k], self._past_rates[k], np.zeros_like(parts.x) if motion is None else motion]
         if memory.works:
             arrays += [memory.inherited, memory.largest]
             rates += [inherited, self._largest[k]]
-        here = [array.copy() for array in arrays]
-        results = parts.batches.residual, memory.stresses, memory.energies
+        results = [parts.batches.residual, memory.stresses, memory.energies]
+        here = [array.copy() for array in arrays + results]
         found = []
         try:
             for step in (self._half[k], -self._half[k]):
-                for array, value, rate in zip(arrays, here, rates, strict=True):
+                for array, value, rate in zip(arrays, here, rates, strict=False):
                     array[:] = value + step * rate
                 parts.assemble(False)
                 found.append([result.copy() for result in results])
         finally:
-            for array, value in zip(arrays, here, strict=True):
+            for array, value in zip(arrays + results, here, strict=True):
                 array[:] = value
         forces, *others = [(more - less) / (2.0 * self._half[k]) for more, less in zip(*found, strict=True)]
         return [forces[:-1], *others]
@@ -152,8 +154,6 @@ class SolidSensitivity:
         parts, contact = self._parts, self._parts.contact
         state, m = contact.state, rates.shape[1]
         motion, forces = np.zeros_like(rates), np.zeros((contact.nodes.size, 3, m))
-        if not m:
-            return motion, forces
         parts.matrix.add(contact.rates)
         factor = factorise(parts.matrix.free, symmetric=not state.slides.any())
         # Where the constraints drive the motion, and where the tissue does.
@@ -190,7 +190,6 @@ class SolidSensitivity:
     def _remember(self, motion: np.ndarray, inherited: np.ndarray, decays: np.ndarray, gains: np.ndarray) -> None:
         """What the memory makes of it when the step is committed."""
         memory = self._parts.memory
-        stresses, energies = memory.stresses.copy(), memory.energies.copy()
         for k in range(motion.shape[1]):
             _, stress, energy = self._difference(k, inherited[k], motion[:, k])
             if len(memory.internal):
@@ -198,6 +197,6 @@ class SolidSensitivity:
                 wide = (slice(None), None, None, None)
                 self._internal[k] = (decay[wide] * self._internal[k] + decays[k][wide] * memory.internal
                                      + gain[wide] * (stress - self._before[k])
-                                     + gains[k][wide] * (stresses - memory.before))
+                                     + gains[k][wide] * (memory.stresses - memory.before))
             self._before[k] = stress
-            self._largest[k] = np.where(energies > memory.largest, energy, self._largest[k])
+            self._largest[k] = np.where(memory.energies > memory.largest, energy, self._largest[k])

@@ -227,7 +227,8 @@ class SolidSolver(Solver):
                     # They are those of this step, whose bonds are the earlier ones.
                     contact.look(displacement, frame, 0, 0.0, 1.0, _FRICTION_FLOOR * floor, self._tolerance)
                     self._derivatives.advance()
-                    self._assemble()
+                    if self._asked:
+                        self._assemble()
                 contact.hold()
                 status = StepStatus.CONVERGED
                 if self._asked:
