@@ -2,14 +2,14 @@
 
     python benchmarks/solid_checks.py [dragged] [turned] [friction] [mindlin] [--fine] [--json]
 
-- `dragged`: one mesh with its circle on the axis; a needle that holds its face is pressed in there and dragged aside, to
-  places that are turned about the axis by angles that are no symmetries of the mesh. The force must stay the same, and
-  its lateral part point along the radius.
+- `dragged`: one mesh with its circle on the axis; a needle that holds its face is pressed in there and dragged aside,
+  to places that are turned about the axis by angles that are no symmetries of the mesh. The force must stay the same,
+  and its lateral part point along the radius.
 - `turned`: one mesh with its rings about the axis, fine as far as the tool comes; a ball without friction is pressed in
   10 mm off the axis, at places turned in the same way. Here contact begins at other nodes in each of them.
 - `friction`: a ball with friction on the axis against the axisymmetric solver, accurate meshes.
-- `mindlin`: a ball pressed on a large body and pushed sideways: Hertz, Cattaneo and Mindlin (Johnson, Contact Mechanics,
-  1985, equations 4.22, 4.23, 7.42; with nu = 1/2 normal and tangential do not act on each other), gross sliding.
+- `mindlin`: a ball pressed on a large body and pushed sideways: Hertz, Cattaneo and Mindlin (Johnson, Contact
+  Mechanics, 1985, sections 4.2 and 7.2; with nu = 1/2 normal and tangential do not act on each other), gross sliding.
 """
 
 from __future__ import annotations

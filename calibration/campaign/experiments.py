@@ -91,7 +91,8 @@ def read_solver(entry: TestTable, place: str) -> str:
         InputError: there is none of that name.
     """
     name = entry.solver or "axisymmetric"
-    SOLVERS.find(name, f"{place}.solver")
+    if name not in SOLVERS:
+        raise InputError(f"unknown solver {name!r}{nearest(name, SOLVERS)}", field=f"{place}.solver")
     return name
 
 

@@ -1,4 +1,4 @@
-"""Exact derivatives of the solid's force against central differences of whole simulations, and the force along a way."""
+"""Exact derivatives of the solid's force against central differences of whole simulations; the force along a way."""
 
 import math
 

@@ -128,8 +128,8 @@ class Experiment:
         return Pose.at_depth(displacement) if self.approach is None else self.approach.pose(displacement)
 
     def resistance(self, wrench: Screw) -> float:
-        """What a load cell on the tool's stage feels of a force on the tool, N: its share against the tool's way, upright
-        that along z."""
+        """What a load cell on the tool's stage feels of a force on the tool, N: its share against the tool's way, that
+        along z of an upright one."""
         return wrench[2] if self.approach is None else self.approach.resistance(wrench)
 
     @property

@@ -150,7 +150,7 @@ class SolidSensitivity:
         return [forces[:-1], *others]
 
     def _solve(self, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How the tissue moves, m per unit, shape (freedoms, m), and how the forces of its contact change, (n, 3, m)."""
+        """How the tissue moves, m per unit, shape (freedoms, m), and how forces of its contact change, (n, 3, m)."""
         parts, contact = self._parts, self._parts.contact
         state, m = contact.state, rates.shape[1]
         motion, forces = np.zeros_like(rates), np.zeros((contact.nodes.size, 3, m))
