@@ -68,16 +68,12 @@ class SolidSensitivity:
         self._widths, m = widths, widths.size
         memory, n = parts.memory, parts.contact.nodes.size
         self.vector = np.zeros((m, 3))
+        self.force = self.vector[:, 2]
         self._anchors = np.zeros((n, 3, m))
         shape = (m, *memory.stresses.shape) if memory.works else (m, 0)
         self._before, self._largest = np.zeros(shape), np.zeros(shape[:-1])
         self._internal = np.zeros((m, *memory.internal.shape))
         self._kinds, self._changed = np.zeros((4, n), dtype=bool), False
-
-    @property
-    def force(self) -> np.ndarray:
-        """Of the force along z, N per unit, shape (m,)."""
-        return self.vector[:, 2]
 
     def pop_changed(self) -> bool:
         """Whether since the last call the contact changed; see `tissue_sim.fem.solver.Derivatives`."""
@@ -156,24 +152,25 @@ class SolidSensitivity:
         motion, forces = np.zeros_like(rates), np.zeros((contact.nodes.size, 3, m))
         parts.matrix.add(contact.rates)
         factor = factorise(parts.matrix.free, symmetric=not state.slides.any())
-        # Where the constraints drive the motion, and where the tissue does.
-        size = np.zeros(m)
-        for _ in range(_SOLUTIONS if factor is not None else 0):
+        if factor is None:
+            return np.full_like(motion, np.nan), np.full_like(forces, np.nan)
+        # Measured by forces of tissue and contact; those of the springs that hold the contact are larger by far.
+        size = np.linalg.norm(rates, axis=0)
+        for _ in range(_SOLUTIONS):
             found, missing = state.force_rates(self._at_contact(motion), self._anchors, forces)
             right = rates + self._product(motion)
             np.add.at(right.reshape(-1, 3, m), contact.nodes, found + missing)
             left = np.linalg.norm(right[parts.free], axis=0)
-            size = np.maximum(size, np.maximum(left, np.linalg.norm(rates, axis=0)))
+            size = np.maximum(size, np.linalg.norm(found.reshape(-1, m), axis=0))
             if (left <= _LEFT * size).all():
                 return motion, found
             change = np.zeros_like(motion)
             change[parts.free] = -factor.solve(np.asfortranarray(right[parts.free])).reshape(-1, m)
             motion += change
             forces = found + missing + contact.rates @ self._at_contact(change)
-        found, missing = state.force_rates(self._at_contact(motion), self._anchors, forces)
-        if not factor or not (left <= _ENOUGH * size).all():
-            found = np.full_like(found, np.nan)
-            motion = np.full_like(motion, np.nan)
+        found, _ = state.force_rates(self._at_contact(motion), self._anchors, forces)
+        if not (left <= _ENOUGH * size).all():
+            return np.full_like(motion, np.nan), np.full_like(found, np.nan)
         return motion, found
 
     def _product(self, motion: np.ndarray) -> np.ndarray:
