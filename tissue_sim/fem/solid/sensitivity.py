@@ -18,6 +18,8 @@ from tissue_sim.fem.linear.sparse import factorise
 from tissue_sim.fem.solid.batches import ElementBatches
 from tissue_sim.fem.solid.contact import ContactNodes
 from tissue_sim.fem.solid.free_part import FreePart
+from tissue_sim.fem.solver import Neighbours
+from tissue_sim.material.material import Material
 from tissue_sim.material.viscoelasticity import Prony
 
 #: Half width of the differences, in those of the neighbours, which are a millionth of the parameter apart.
@@ -74,6 +76,32 @@ class SolidSensitivity:
         self._before, self._largest = np.zeros(shape), np.zeros(shape[:-1])
         self._internal = np.zeros((m, *memory.internal.shape))
         self._kinds, self._changed = np.zeros((4, n), dtype=bool), False
+
+    @classmethod
+    def of(cls, parts: SolidParts, neighbours: Neighbours, here: Material, set_material: Callable[[Material], None],
+           contact_radius: float) -> SolidSensitivity:
+        """With what the solver's `set_material` makes of the neighbours of its material, which it has again afterwards.
+
+        Args:
+            parts: of a solver before its first step. neighbours: see `tissue_sim.fem.solver.Neighbours`.
+            here: its material. contact_radius: m; how fast the pores drain.
+        """
+        def inputs(material: Material) -> list[np.ndarray]:
+            set_material(material)
+            return [array.copy() for array in (*parts.inputs, parts.memory.past)]
+
+        try:
+            sides = [(inputs(more), inputs(less)) for more, less, _ in neighbours]
+        finally:
+            set_material(here)
+        widths = np.array([width for *_, width in neighbours])
+        rates = [[(a - b) / width for a, b in zip(*both, strict=True)]
+                 for both, width in zip(sides, widths, strict=True)]
+        relaxations = [(more.relaxation(contact_radius), less.relaxation(contact_radius))
+                       for more, less, _ in neighbours]
+        past = np.array([rate[-1] for rate in rates]).reshape(-1, parts.memory.past.size)
+        past[:, INSTANT] = 0.0
+        return cls(parts, [rate[:-1] for rate in rates], past, relaxations, widths)
 
     def pop_changed(self) -> bool:
         """Whether since the last call the contact changed; see `tissue_sim.fem.solver.Derivatives`."""

@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.fem.history import INSTANT, Memory
+from tissue_sim.fem.history import Memory
 from tissue_sim.fem.linear.sparse import Factor, factorise
 from tissue_sim.fem.solid.assembly import KAPPA, REMEMBERS, TANGENT, assembly_kernel
 from tissue_sim.fem.solid.batches import ElementBatches
@@ -335,27 +335,11 @@ class SolidSolver(Solver):
 
     def differentiate(self, neighbours: Neighbours) -> SolidSensitivity:
         """Carry exact derivatives along from now on; see `Solver.differentiate`."""
-        here = self.material
         inputs = self._settings[KAPPA : KAPPA + 1], self._coefficients, self.batches.moduli
-
-        def of(material: Material) -> list[np.ndarray]:
-            self.set_material(material)
-            return [array.copy() for array in (*inputs, self.memory.past)]
-
-        try:
-            sides = [(of(more), of(less)) for more, less, _ in neighbours]
-        finally:
-            self.set_material(here)
-        widths = np.array([width for *_, width in neighbours])
-        rates = [[(a - b) / width for a, b in zip(*both, strict=True)]
-                 for both, width in zip(sides, widths, strict=True)]
-        relaxations = [(more.relaxation(self._contact_radius), less.relaxation(self._contact_radius))
-                       for more, less, _ in neighbours]
         parts = SolidParts(self.x, self._free, self._moved, self.batches, self.contact, self.memory, self._matrix,
                            inputs, self._assemble)
-        past = np.array([rate[-1] for rate in rates]).reshape(-1, self.memory.past.size)
-        past[:, INSTANT] = 0.0
-        self._derivatives = SolidSensitivity(parts, [rate[:-1] for rate in rates], past, relaxations, widths)
+        self._derivatives = SolidSensitivity.of(parts, neighbours, self.material, self.set_material,
+                                                self._contact_radius)
         return self._derivatives
 
     def lift_off(self) -> None:
