@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import ConvergenceError, InputError
-from tissue_sim.fem.solver import Derivatives, Solver
+from tissue_sim.experiment.approach import Approach
+from tissue_sim.fem.solver import Derivatives, Solver, SpatialDerivatives
 from tissue_sim.material.effect import ReducedEffect, TissueEffect
 from tissue_sim.model import Model
 from tissue_sim.parameters import Parameter, find_parameters, parameters, with_values
@@ -70,7 +71,8 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
     own = {f"material.{path}" for path in of_material}
     exact = np.array([parameter.path in own and _exact(model, parameter) for parameter in asked], dtype=bool)
     options = {"resolution": resolution, "mesh": mesh, "solver": solver, "topology": topology or model}
-    watch = _Watch([_pair(model, parameter) for parameter, one in zip(asked, exact, strict=True) if one])
+    watch = _Watch([_pair(model, parameter) for parameter, one in zip(asked, exact, strict=True) if one],
+                   model.experiment.approach)
     recording = simulate(model, watch=watch, **options)
     exact &= watch.exact
     values = np.zeros((len(watch.rates), len(names)))
@@ -87,8 +89,8 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
 class _Watch:
     """Follows a solver through a test."""
 
-    def __init__(self, pairs: list):
-        self._pairs = pairs
+    def __init__(self, pairs: list, approach: Approach | None):
+        self._pairs, self._approach = pairs, approach
         self._derivatives: Derivatives | None = None
         self.rates: list[np.ndarray] = []
         self.kinks: list[bool] = []
@@ -98,11 +100,16 @@ class _Watch:
         return self._derivatives is not None
 
     def begin(self, solver: Solver) -> None:
-        self._derivatives = solver.differentiate(self._pairs)
+        derivatives = solver.differentiate(self._pairs)
+        along_z = self._approach is None
+        self._derivatives = derivatives if along_z or isinstance(derivatives, SpatialDerivatives) else None
 
     def sample(self, solver: Solver, factor: float) -> None:
         derivatives = self._derivatives
-        self.rates.append(np.zeros(0) if derivatives is None else factor * derivatives.force)
+        force = np.zeros(0) if derivatives is None else derivatives.force
+        if self._approach is not None and isinstance(derivatives, SpatialDerivatives):
+            force = derivatives.vector @ self._approach.against
+        self.rates.append(factor * force)
         self.kinks.append(derivatives is not None and derivatives.pop_changed())
 
 

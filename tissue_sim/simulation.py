@@ -63,8 +63,10 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
             nodes moved, so that a change of geometry does not change the elements.
 
     Returns:
-        Recording at the times of the protocol, with its labels, as the model's rig reports it; where the wrench on the
-        tool is more than a force along z, with the channels Fx to Tz. ``metadata["solver"]`` holds status, message,
+        Recording at the times of the protocol, with its labels, as the model's rig reports it. Its displacement counts
+        along the tool's way, and its force is the share against that way, as a load cell on the tool's stage feels it;
+        where the wrench on the tool is more than a force along z, there are also the channels Fx to Tz in the frame of
+        the scene. ``metadata["solver"]`` holds status, message,
         warnings, newton_iterations (linear solves), cuts, residual (the largest), dissipated_J (by a drag, where the
         tissue was let creep to its next equilibrium), wall_s, element, mesh and resolution;
         with contact also penetration_mm (the largest violation of a contact condition) and penetration_tolerance_mm;
@@ -103,7 +105,8 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
         done, wrench = len(wrenches), np.array(wrenches).reshape(-1, 6)
         solved = {"status": status, "message": message, "warnings": [], **report,
                   "wall_s": time.perf_counter() - started}
-        channels = {"time": protocol.time[:done], "displacement": protocol.displacement[:done], "force": wrench[:, 2]}
+        channels = {"time": protocol.time[:done], "displacement": protocol.displacement[:done],
+                    "force": np.array([model.experiment.resistance(one) for one in wrenches])}
         if wrench[:, [0, 1, 3, 4, 5]].any():
             channels |= zip(_WRENCH, wrench.T, strict=True)
         true = Recording(channels, labels={name: values[:done] for name, values in protocol.labels.items()},
@@ -203,7 +206,7 @@ class _Drive:
         """The tool has come to a sample with this wrench, dt s after the one before; returns what is left of it."""
         share = self._reduced.go(self._solver.pose.depth, dt)
         wrench = scaled(share, wrench)
-        self._train.note(self.travel, wrench[2])
+        self._train.note(self.travel, self._experiment.resistance(wrench))
         return wrench
 
     def to(self, place: float, dt: float) -> Iterator[Step]:
@@ -234,7 +237,7 @@ class _Drive:
             if step.status is not StepStatus.CONVERGED:
                 return
             share = self._reduced.share(solver.pose.depth, dt)
-            excess = depth + train.compliance * share * step.force - place
+            excess = depth + train.compliance * share * self._experiment.resistance(step.wrench) - place
             if abs(excess) <= _PLACED * max(abs(place), abs(depth), 1e-6):
                 return
             # The secant; where tissue softens as it goes the load train still gives way by at least its own travel.

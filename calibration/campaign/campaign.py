@@ -20,7 +20,7 @@ from calibration.campaign.checks import (
     read_columns_key,
     require_positive,
 )
-from calibration.campaign.experiments import read_experiment, read_rig
+from calibration.campaign.experiments import read_experiment, read_rig, read_solver
 from calibration.campaign.parameters import (
     PER_SPECIMEN,
     Named,
@@ -73,13 +73,12 @@ class Test:
         recordings: files, sorted, at least one.
         reading: how to read them, the options of `tissue_sim.read_recordings`.
         max_strain: fitted window of the nominal strain (shear strain for shear), or None for everything.
-        hold_out: predicted, not fitted.
-        place: where it stands in the campaign file, such as ``test[0]``.
+        hold_out: predicted, not fitted. place: where it stands in the campaign file, such as ``test[0]``.
         experiment: everything but the motion, which is a short one here; None of a gripped specimen.
         rig: what stands between the tissue and the recordings; without noise and resolution.
         contact: displacement at which it touches, m; ``"recorded"``: the recording's own zero; ``"find"``: found.
         failure: what becomes of a recording from its failure on: ``"cut"``, ``"keep"`` or ``"refuse"``.
-        protocol: its motion, where it is planned and has no recordings.
+        protocol: its motion, where it is planned and has no recordings. solver: name of what simulates it.
     """
 
     name: str
@@ -95,6 +94,7 @@ class Test:
     contact: float | Literal["recorded", "find"] = "recorded"
     failure: Literal["cut", "keep", "refuse"] = "cut"
     protocol: str | None = None
+    solver: str = "axisymmetric"
 
 
 @dataclass(frozen=True)
@@ -244,16 +244,16 @@ def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path
             if getattr(entry, key) and entry.columns is None:
                 raise InputError(f"{key} is for files whose columns are named; give columns too, or leave it out",
                                  field=f"{field}.{key}")
-        columns = read_columns_key(entry, field)
-        if entry.delimiter is not None:
+        if entry.delimiter:
             check_delimiter(entry.delimiter, f"{field}.delimiter")
         specimen = find_specimen(entry, specimens, table, field)
         tests[name] = Test(
             name, kind, specimen, () if entry.protocol is not None and not entry.recordings else
             find_recordings(entry.recordings, folder, f"{field}.recordings"),
-            _reading(entry, columns), entry.max_strain, entry.hold_out, field,
+            _reading(entry, read_columns_key(entry, field)), entry.max_strain, entry.hold_out, field,
             read_experiment(entry, specimen, folder, field), read_rig(entry, folder, field),
-            entry.contact if isinstance(entry.contact, str) else 1e-3 * entry.contact, entry.failure, entry.protocol)
+            entry.contact if isinstance(entry.contact, str) else 1e-3 * entry.contact, entry.failure, entry.protocol,
+            read_solver(entry, field))
     if all(test.hold_out for test in tests.values()):
         raise InputError("every test is held out, so there is nothing to fit; set hold_out = false on one",
                          field="test[0].hold_out")

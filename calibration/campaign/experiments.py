@@ -6,6 +6,7 @@ from pathlib import Path
 
 from calibration.campaign.schema import TestTable
 from tissue_sim.errors import InputError, nearest
+from tissue_sim.experiment.approach import Approach
 from tissue_sim.experiment.contact_law import CONTACT_LAWS
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.interfaces import AS_TOOL, INTERFACES
@@ -19,6 +20,7 @@ from tissue_sim.experiment.tools.tool import (
     sizes_of_keys,
     tool_sizes,
 )
+from tissue_sim.fem.solver import SOLVERS
 from tissue_sim.parameters import declared, from_keys
 from tissue_sim.rig.file import load_rig
 from tissue_sim.rig.rig import Rig
@@ -26,7 +28,11 @@ from tissue_sim.specimen import Specimen
 
 #: Field of an experiment or a tool -> key of the campaign, beside those of the sizes of tools.
 _KEYS = {"tool": "tool", "tool.profile_file": "tool", "friction": "friction", "friction_base": "friction_base",
-         "friction_wall": "friction_wall", "tilt": "tilt_mm", "slip": "slip"}
+         "friction_wall": "friction_wall", "tilt": "tilt_mm", "slip": "slip", "approach.offset": "offset_mm",
+         "approach.angle": "tilt_deg"}
+#: Keys of a tool's way that is not down the axis, see `Approach`, and of what else only a tool has.
+_APPROACH = ("offset_mm", "tilt_deg")
+_OF_TOOL = ("contact_laws", "tilt_mm", "slip", *_APPROACH, "solver", "rig")
 
 
 def read_experiment(entry: TestTable, specimen: Specimen | None, folder: Path, place: str) -> Experiment | None:
@@ -41,7 +47,7 @@ def read_experiment(entry: TestTable, specimen: Specimen | None, folder: Path, p
     """
     kind = KINDS[entry.kind]
     if kind.gripped:
-        for key in (*entry.tool_sizes, *kind.faces, "contact_laws", "tilt_mm", "slip", "rig"):
+        for key in (*entry.tool_sizes, *kind.faces, *_OF_TOOL):
             face = kind.faces.get(key)
             if getattr(entry, key) not in (None, face.usual if face is not None and face.fixed else None):
                 raise InputError(f"a test of kind {entry.kind!r} is gripped on both sides and has none; leave it out",
@@ -56,13 +62,38 @@ def read_experiment(entry: TestTable, specimen: Specimen | None, folder: Path, p
     try:
         return kind.experiment(specimen=specimen, protocol=Protocol.ramp(1e-3 * specimen.height, 2),
                                tool=_tool(entry, kind, folder, place), contact_laws=laws,
-                               tilt=1e-3 * (entry.tilt_mm or 0.0), slip=entry.slip, **interfaces)
+                               tilt=1e-3 * (entry.tilt_mm or 0.0), slip=entry.slip,
+                               approach=_approach(entry, place), **interfaces)
     except InputError as error:
         keys = _KEYS | {f"tool.{name}": key for key, (_, name, _) in tool_sizes().items()}
         if error.field not in keys:
             raise
         raise InputError(error.problem.replace("give the tool an edge radius", "give edge_radius_mm"),
                          field=f"{place}.{keys[error.field]}") from None
+
+
+def _approach(entry: TestTable, place: str) -> Approach | None:
+    stated = {key: value for key in _APPROACH if (value := getattr(entry, key)) is not None}
+    for key in stated:
+        if KINDS[entry.kind].require_tool().is_plate:
+            raise InputError("a plate covers the whole top and comes down its axis; leave it out",
+                             field=f"{place}.{key}")
+        if entry.solver is None:
+            raise InputError("a needle off the axis or at an angle is simulated in space; give solver = 'solid' too",
+                             field=f"{place}.{key}")
+    return from_keys(Approach, stated, place) if stated else None
+
+
+def read_solver(entry: TestTable, place: str) -> str:
+    """Name of the solver of a test.
+
+    Raises:
+        InputError: there is none of that name.
+    """
+    name = entry.solver or "axisymmetric"
+    if name not in SOLVERS:
+        raise InputError(f"unknown solver {name!r}{nearest(name, SOLVERS)}", field=f"{place}.solver")
+    return name
 
 
 def _interface(entry: TestTable, kind: TestKind, key: str, place: str) -> str | float | None:

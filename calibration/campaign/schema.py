@@ -67,6 +67,9 @@ class TestTable(_Table, frozen=True, kw_only=True):
     friction_wall: str | float | None = None
     contact_laws: dict[str, dict[str, float]] | None = None
     tilt_mm: float | None = None
+    offset_mm: float | None = None
+    tilt_deg: float | None = None
+    solver: str | None = None
     slip: float | None = None
     speed_mm_s: float | None = None
     protocol: str | None = None

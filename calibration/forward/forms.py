@@ -12,6 +12,7 @@ from calibration.campaign.measured import MeasuredCurve, remembers
 from calibration.forward.closed import ClosedTest
 from calibration.forward.column import ColumnTest
 from calibration.forward.contract import ForwardTest
+from calibration.forward.meshes import meshes_of
 from calibration.forward.motion import Loading, Timed
 from calibration.forward.simulated import SimulatedTest
 from calibration.forward.solves import content_key
@@ -39,7 +40,7 @@ def build_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSetting
     if test.experiment is None or curves[0].stressed:
         return closed_test(test, curves)
     layered = bool(material.layers)
-    mesh = content_key(replace(test.experiment, protocol=_ANY_MOTION))
+    mesh = content_key(replace(test.experiment, protocol=_ANY_MOTION), test.solver)
     one_way = all(set(curve.segment.tolist()) == {"ramp"} for curve in curves if curve.segment is not None)
     timed = settings.whole and all(curve.time is not None for curve in curves)
     if timed or material.ages or (remembers(test, material) and not one_way):
@@ -52,7 +53,7 @@ def build_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSetting
                 motions.append(motion)
             motion_of.append(same[0] if same else len(motions) - 1)
         return SimulatedTest(test.name, test.experiment, test.rig, tuple(motions), tuple(motion_of), curves, layered,
-                             mesh=mesh)
+                             mesh=mesh, solver=test.solver)
     deepest = max(curve.displacement.max() for curve in curves)
     height = test.experiment.specimen.height
     depth = min(deepest + max(_MARGIN * contact, _LEAST_MARGIN * deepest), 0.999 * height)
@@ -60,7 +61,8 @@ def build_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSetting
     tool = test.experiment.tool
     smooth = tool.is_plate or (tool.sharp_edge and not test.experiment.depends_on_way)
     way = Loading.to(float(depth), max(speed, 1e-9), smooth=smooth, strain=float(depth / height))
-    return SimulatedTest(test.name, test.experiment, test.rig, (way,), (0,) * len(curves), curves, layered, mesh=mesh)
+    return SimulatedTest(test.name, test.experiment, test.rig, (way,), (0,) * len(curves), curves, layered, mesh=mesh,
+                         solver=test.solver)
 
 
 def closed_test(test: Test, curves: Sequence[MeasuredCurve]) -> ClosedTest:
@@ -84,4 +86,4 @@ def remainder(test: ForwardTest, of: Mapping[str, float]) -> float:
     if test.homogeneous or not isinstance(test, SimulatedTest):
         return 0.0
     shape = test.experiment.tool.shape
-    return of[shape if shape in of else "other"]
+    return meshes_of(test.solver).remainder * of[shape if shape in of else "other"]

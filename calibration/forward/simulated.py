@@ -12,6 +12,7 @@ import numpy as np
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace, Unknown
 from calibration.forward.contract import InfeasibleError, Reached
+from calibration.forward.meshes import meshes_of
 from calibration.forward.motion import Course, Loading, Timed, spline
 from calibration.forward.placed import PlaceCurve, PlacedCourse, at_stage, is_of_course, leaves, loading_to, needs_way
 from calibration.forward.reading import Left, Reading, SimulatedAnswer
@@ -46,6 +47,7 @@ class SimulatedTest:
         placed_correction: the same at the knots of one loading: their depth, m, and the force, N, shapes (k,).
         mesh: what it is known by; tests whose meshes have one name have one error of it. Empty: it has its own.
         along: whether the whole motion is simulated even where the force depends on the tool's place alone.
+        solver: name of what simulates it.
     """
 
     name: str
@@ -59,6 +61,7 @@ class SimulatedTest:
     placed_correction: tuple[np.ndarray, np.ndarray] | None = None
     mesh: str = ""
     along: bool = False
+    solver: str = "axisymmetric"
 
     #: What it is where it is homogeneous.
     closed_form: ClassVar[ClosedForm] = UNIAXIAL
@@ -270,10 +273,11 @@ class SimulatedTest:
             place: each.path for place, each in enumerate(space.varied)
             if each.acts_in(self.name, recording) and not self._reads(each, values) and not left.owns(each.path)
             and not (rigid and is_of_course(each.path))}
-        key = content_key(model, topology, list(acting.values()), resolution)
+        named = getattr(meshes_of(self.solver), resolution)
+        key = content_key(model, topology, list(acting.values()), named, self.solver)
         curve = solves.find(key)
         if curve is None:
-            curve = simulate_curve(model, topology, list(acting.values()), resolution)
+            curve = simulate_curve(model, topology, list(acting.values()), named, self.solver)
             solves.counts[self.name, resolution] += 1
             solves.keep(key, curve)
         if curve.problem:
@@ -376,10 +380,11 @@ class SimulatedTest:
         experiment = replace(self.experiment, protocol=Protocol.ramp(deepest, points))
         try:
             model = space.model(values, experiment, self.rig, test=self.name)
-            fields = simulate(replace(model, rig=Rig()), fields=True).fields
+            fields = simulate(replace(model, rig=Rig()), resolution=meshes_of(self.solver).fast, fields=True,
+                              solver=self.solver).fields
         except (ConvergenceError, InputError):
-            return _of_volume(1 - deepest / self.specimen.height, 1.0)
-        return _of_volume(*fields.stretch_range())
+            fields = None
+        return _of_volume(*((1 - deepest / self.specimen.height, 1.0) if fields is None else fields.stretch_range()))
 
     def _experiment(self, motion: Loading | Timed) -> Experiment:
         return replace(self.experiment, protocol=motion.protocol)

@@ -95,19 +95,21 @@ class Solves:
             self.keep(key, curve)
 
 
-def simulate_curve(model: Model, topology: Model | None, names: Sequence[str], resolution: str) -> SimulatedCurve:
+def simulate_curve(model: Model, topology: Model | None, names: Sequence[str], resolution: str,
+                   solver: str = "axisymmetric") -> SimulatedCurve:
     """A simulation with the derivatives of these parameters; what does not get through says why.
 
     Args:
-        model, topology, resolution: as `tissue_sim.simulation.simulate`. names: paths of parameters.
+        model, topology, resolution, solver: as `tissue_sim.simulation.simulate`. names: paths of parameters.
     """
     began = time.process_time()
     try:
         if names:
-            answer = sensitivities(model, names, resolution=resolution, topology=topology)
+            answer = sensitivities(model, names, resolution=resolution, topology=topology, solver=solver)
             force, rates, exact = answer.recording.force, answer.values, answer.exact.tolist()
         else:
-            force, rates = simulate(model, resolution=resolution, topology=topology).force, np.zeros((0, 0))
+            force = simulate(model, resolution=resolution, topology=topology, solver=solver).force
+            rates = np.zeros((0, 0))
             exact = []
     except (ConvergenceError, InputError) as error:
         return SimulatedCurve([], [], str(error), time.process_time() - began)

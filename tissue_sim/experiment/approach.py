@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from tissue_sim.errors import InputError
 from tissue_sim.parameters import parameter
-from tissue_sim.pose import Pose
+from tissue_sim.pose import Pose, Screw, Vector
 
 
 @dataclass(frozen=True)
@@ -41,3 +41,12 @@ class Approach:
         half = 0.5 * self.angle
         return Pose((self.offset + sine * displacement, 0.0, -cosine * displacement),
                     (math.cos(half), 0.0, -math.sin(half), 0.0))
+
+    @property
+    def against(self) -> Vector:
+        """Unit vector against the tool's way, in the frame of the scene."""
+        return -math.sin(self.angle), 0.0, math.cos(self.angle)
+
+    def resistance(self, wrench: Screw) -> float:
+        """Share of a force on the tool against its way, N."""
+        return sum(one * other for one, other in zip(self.against, wrench, strict=False))

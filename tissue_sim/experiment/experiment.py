@@ -17,7 +17,7 @@ from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.parameters import parameter
-from tissue_sim.pose import Pose
+from tissue_sim.pose import Pose, Screw
 from tissue_sim.specimen import Specimen
 
 
@@ -126,6 +126,11 @@ class Experiment:
     def tool_pose(self, displacement: float) -> Pose:
         """Where the tool is when the protocol says this displacement, m."""
         return Pose.at_depth(displacement) if self.approach is None else self.approach.pose(displacement)
+
+    def resistance(self, wrench: Screw) -> float:
+        """What a load cell on the tool's stage feels of a force on the tool, N: its share against the tool's way, that
+        along z of an upright one."""
+        return wrench[2] if self.approach is None else self.approach.resistance(wrench)
 
     @property
     def base_interface(self) -> str | float:

@@ -174,6 +174,17 @@ class Derivatives(Protocol):
         """Whether since the last call the contact changed, so that the force has a kink in the parameters."""
 
 
+@runtime_checkable
+class SpatialDerivatives(Derivatives, Protocol):
+    """Those of a solver that knows the force in space.
+
+    Attributes:
+        vector: of the force on the tool in the frame of the scene, N per unit, shape (parameters, 3).
+    """
+
+    vector: np.ndarray
+
+
 #: For each parameter the material with a little more and with a little less of it, and the difference.
 Neighbours = Sequence[tuple[Material, Material, float]]
 

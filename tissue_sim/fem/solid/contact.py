@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissue_sim.experiment.tools.outline import Profile
+from tissue_sim.fem.solid.contact_state import ContactState
 from tissue_sim.pose import Pose
 
 #: Stiffness of the springs that eliminate contact forces, in units of mu0 over the length of what a node stands for:
@@ -154,7 +155,10 @@ class ContactNodes:
         forces: on the bodies, N, in the frame of the mesh, shape (n, 3).
         rates: of the forces with the motion of the nodes against their bodies, N/m, shape (n, 3, 3); missing: what
             their constraints still miss, N, shape (n, 3).
+        state: what each does where it was looked at last.
     """
+
+    state: ContactState
 
     def __init__(self, bodies: Sequence[Body], places: np.ndarray, areas: np.ndarray):
         taken: dict[bool, set[int]] = {True: set(), False: set()}
@@ -332,6 +336,8 @@ class ContactNodes:
         self._met[:] = np.where(touches & (mu < 0.0) & pressed, HELD, np.where(touches & (mu > 0.0), TOUCHED, FREE))
         keeps = sticks | (touches & ~pressed & (self.held == TOUCHED))
         self._met_at[:] = np.where(keeps[:, None], self.held_at, surface)
+        self.state = ContactState(held, pressed, sticks, sliding, goes, keeps, self._met != FREE, normal, limit, mu,
+                                  springs, HOLD * springs, normals, slip, ways, curved, turn)
         return Look(float(violation), int(sliding.sum()), switched, wanting)
 
     def follow(self, motion: np.ndarray) -> None:

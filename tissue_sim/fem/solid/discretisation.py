@@ -16,11 +16,13 @@ from tissue_sim.fem.solid.settling import settle
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solid.tissue import element_layers
 from tissue_sim.material.layer import Layer
-from tissue_sim.mesh.grading import Grading
+from tissue_sim.mesh.grading import PLATE_RING, Grading
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
+from tissue_sim.mesh.moved_solid import RingedCylinder, moved_solid
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose
+from tissue_sim.specimen.cylinder import Cylinder
 from tissue_sim.specimen.specimen import with_article
 
 #: How far a node may violate a contact condition, in radii of the tool, and of the specimen between plates.
@@ -65,12 +67,18 @@ def make_solver(model: Model, *, resolution: str = "fast", mesh: SolidMesh | Non
         model: experiment and material.
         resolution: a key of `RESOLUTIONS`.
         mesh: a mesh of your own instead.
-        topology: not known here.
+        topology: a model whose mesh is taken, or of which `mesh` is one, and moved to the geometry of this one.
     """
     experiment = model.experiment
-    _require(experiment, topology)
+    _require(experiment)
+    origin = topology or model
     if mesh is None:
-        mesh = build_mesh(experiment, resolution, model.material.layers)
+        mesh = build_mesh(origin.experiment, resolution, origin.material.layers)
+    if topology is not None:
+        if origin.material.layers:
+            raise InputError("the mesh of a solid with layers cannot be moved to another geometry; fit no sizes of it",
+                             field="topology")
+        mesh = moved_solid(mesh, _ringed(topology.experiment), _ringed(experiment))
     layers, weight, settled = element_layers(mesh, model.material.layers), experiment.specimen.specific_weight, None
     if weight:
         settled = settle(lambda moulded: _standing(model, moulded, layers), mesh, experiment.specimen)
@@ -134,10 +142,7 @@ def _pins(experiment: Experiment, mesh: SolidMesh) -> list[tuple[int, str]]:
     return [(int(middle), "xy"), (int(beside), "y")]
 
 
-def _require(experiment: Experiment, topology: Model | None) -> None:
-    if topology is not None:
-        raise InputError("the solid in space cannot move the mesh of another model yet; leave the topology out",
-                         field="topology")
+def _require(experiment: Experiment) -> None:
     if not experiment.specimen.is_flat:
         shape = with_article(experiment.specimen.shape)
         if experiment.base_interface != "bonded":
@@ -173,6 +178,23 @@ def build_mesh(experiment: Experiment, resolution: str = "fast", layers: tuple[L
     return specimen.solid_mesh(Grading(chosen.element, chosen.smallest * radius, chosen.growth,
                                        max(chosen.largest * radius, least), chosen.around, radius=radius,
                                        centre=(offset, 0.0), interfaces=interfaces, least=chosen.layer_elements))
+
+
+def _ringed(experiment: Experiment) -> RingedCylinder:
+    """What the rings of the mesh lie about.
+
+    Raises:
+        InputError: no cylinder.
+    """
+    specimen, tool = experiment.specimen, experiment.tool
+    if not isinstance(specimen, Cylinder):
+        raise InputError(f"the mesh of {with_article(specimen.shape)} cannot be moved to another geometry; fit no sizes "
+                         "of it", field="topology")
+    if tool.is_plate:
+        return RingedCylinder(specimen.radius, specimen.height, PLATE_RING * specimen.radius, (0.0, 0.0))
+    offset = 0.0 if experiment.approach is None else experiment.approach.offset
+    return RingedCylinder(specimen.radius, specimen.height, tool.face_radius or experiment.contact_radius,
+                          (offset, 0.0))
 
 
 def _coefficient(interface: str | float) -> float:

@@ -12,6 +12,7 @@ from tissue_sim.fem.history import Memory
 from tissue_sim.fem.linear.sparse import Factor, SparseSolver
 from tissue_sim.fem.solid.contact import ALL, Body, ContactNodes, Frame, Look, turned_with
 from tissue_sim.fem.solid.free_part import FreePart
+from tissue_sim.fem.solid.sensitivity import SolidParts, SolidSensitivity
 from tissue_sim.fem.solid.surface import SolidSurface
 from tissue_sim.fem.solid.tissue import Tissue
 from tissue_sim.fem.solver import Fields, Neighbours, Solver, Step, StepStatus
@@ -110,6 +111,7 @@ class SolidSolver(Solver):
         self._matrix = FreePart(self.batches.matrix, self._free, freedoms[self.contact.nodes])
         self._largest_force, self._asked, self._modulus, self._least = 0.0, False, 0.0, 0.0
         self._committed, self._rest = (tuple(array.copy() for array in self._state) for _ in range(2))
+        self._derivatives: SolidSensitivity | None = None
         #: Of the tool where the state that is worked on belongs to it.
         self._here = Frame(start, datum)
         self.set_material(material)
@@ -205,6 +207,12 @@ class SolidSolver(Solver):
                 if contact.release():
                     changeable, first_ratio = ALL, None
                     continue
+                if self._derivatives is not None:
+                    # They are those of this step, whose bonds are the earlier ones.
+                    contact.look(displacement, frame, 0, 0.0, 1.0, _FRICTION_FLOOR * floor, self._tolerance)
+                    self._derivatives.advance()
+                    if self._asked:
+                        self._assemble()
                 contact.hold()
                 status = StepStatus.CONVERGED
                 if self._asked:
@@ -296,8 +304,8 @@ class SolidSolver(Solver):
         nodes = self.contact.nodes
         return self.mesh.nodes[nodes] + self.x.reshape(-1, 3)[nodes]
 
-    def _assemble(self) -> None:
-        self._least = self.tissue.assemble()
+    def _assemble(self, tangent: bool = True) -> None:
+        self._least = self.tissue.assemble(tangent)
 
     def _answer(self, status: StepStatus, iterations: int, ratio: float, look: Look, residual: np.ndarray, frame: Frame,
                 stiffness: np.ndarray | None) -> Step:
@@ -340,9 +348,18 @@ class SolidSolver(Solver):
     def _places_of(self, nodes: np.ndarray) -> np.ndarray:
         return self.mesh.nodes[nodes] + self.x.reshape(-1, 3)[nodes]
 
-    def differentiate(self, neighbours: Neighbours) -> None:
-        """There are no exact derivatives in space yet."""
-        return
+    def differentiate(self, neighbours: Neighbours) -> SolidSensitivity | None:
+        """Carry exact derivatives along from now on; see `Solver.differentiate`. There are none of a mesh of several
+        materials, nor of tissue that weighs."""
+        tissue = self.tissue
+        inputs = tissue.inputs
+        if inputs is None or tissue.specific_weight:
+            return None
+        parts = SolidParts(self.x, self._free, self._moved, self.batches, self.contact, self.memory, self._matrix,
+                           inputs, self._assemble)
+        self._derivatives = SolidSensitivity.of(parts, neighbours, self.material, self.set_material,
+                                                tissue.contact_radius)
+        return self._derivatives
 
     def lift_off(self) -> None:
         """Take the tool away at once; see `Solver.lift_off`."""

@@ -56,7 +56,7 @@ class Tissue:
         self.batches = ElementBatches(mesh, tuple(named.values()))
         points = self.batches.weights.shape[1]
         self._regions = tuple(_Region(name, elements, points) for name, elements in named.items())
-        self._mesh, self._x, self._contact_radius = mesh, x, contact_radius
+        self._mesh, self._x, self.contact_radius = mesh, x, contact_radius
         self._layers = np.zeros(count, dtype=np.intp) if element_layers is None else element_layers
         self.bulk_moduli = np.zeros(self.batches.batches)
         self.specific_weight = 0.0
@@ -65,6 +65,14 @@ class Tissue:
     def memory(self) -> Memory:
         """Of the elements of the first region: of all where there is one."""
         return self._regions[0].memory
+
+    @property
+    def inputs(self) -> tuple[np.ndarray, ...] | None:
+        """What a material sets and the forces depend on; None where there are several materials."""
+        if len(self._regions) > 1:
+            return None
+        region = self._regions[0]
+        return region.settings[KAPPA : KAPPA + 1], region.coefficients, self.batches.moduli
 
     def set_material(self, material: Material) -> None:
         """Change parameters, bulk responses or laws.
@@ -89,7 +97,7 @@ class Tissue:
             else:
                 region.coefficients = np.array(coefficients)
             memory = region.memory
-            memory.set_material(own.relaxation(self._contact_radius), own.softening, own.instantaneous_factor)
+            memory.set_material(own.relaxation(self.contact_radius), own.softening, own.instantaneous_factor)
             region.settings[KAPPA], region.settings[REMEMBERS] = bulk, memory.works
             region.settings[ADDS] = region is not self._regions[0]
             self.bulk_moduli[part] = bulk
@@ -101,11 +109,11 @@ class Tissue:
                     "largest": memory.largest, "stresses": memory.stresses, "energies": memory.energies,
                     **self.batches.arrays(part)})
 
-    def assemble(self) -> float:
-        """Forces and stiffness of the state as it is; returns the smallest J."""
+    def assemble(self, tangent: bool = True) -> float:
+        """Forces, and if asked for stiffness, of the state as it is; returns the smallest J."""
         with LOCK:
             for region in self._regions:
-                region.settings[TANGENT] = 1.0
+                region.settings[TANGENT] = tangent
                 region.kernel()
         if self.specific_weight:
             self.batches.residual[2:-1:3] += self.specific_weight * self.batches.volumes

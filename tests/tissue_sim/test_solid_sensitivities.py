@@ -1,0 +1,114 @@
+"""Exact derivatives of the solid's force against central differences of whole simulations; the force along a way."""
+
+import math
+
+import numpy as np
+import pytest
+
+import tissue_sim as ts
+from tissue_sim.fem.solid import discretisation
+from tissue_sim.mesh.hexahedra import HEX8P0
+from tissue_sim.mesh.moved_solid import RingedCylinder, moved_solid
+from tissue_sim.mesh.solid import needle_solid
+from tissue_sim.parameters import parameter_values, with_values
+
+STUDY = {"C10": 1404.9, "C20": 699.4}
+FLAT, BALL, ROUND = (ts.Tool(shape, radius=8e-3) for shape in ("flat", "sphere", "round"))
+OBLIQUE = ts.Approach(5e-3, math.radians(20.0))
+PRONY = ts.Prony((ts.PronyTerm(0.3, 2.0),), "long_term")
+
+
+@pytest.fixture(autouse=True)
+def close_contact(monkeypatch):
+    """Closer than a user needs: what is left of a violation would show in the differences."""
+    monkeypatch.setattr(discretisation, "_NEEDLE_TOLERANCE", 1e-9)
+
+
+def solid_mesh(centre=(0.0, 0.0)):
+    return needle_solid(0.04, 0.05, 8e-3, HEX8P0, smallest=4e-3, growth=2.5, largest=30e-3, around=2, centre=centre)
+
+
+def model(tool=FLAT, friction="bonded", way=(0.0, 1.5, 3.0), approach=None, **of_material):
+    """The way in mm, a sample each second."""
+    material = ts.Material("reduced_polynomial_2", STUDY, ts.Bulk("bulk_ratio", 1e4), **of_material)
+    protocol = ts.Protocol(np.arange(1.0 * len(way)), 1e-3 * np.array(way))
+    return ts.Model(ts.Experiment(ts.Specimen(0.04, 0.05), protocol, tool=tool, friction=friction, approach=approach),
+                    material)
+
+
+def assert_exact(of, names, rel):
+    mesh = solid_mesh((5e-3, 0.0) if of.experiment.approach else (0.0, 0.0))
+    answer = ts.sensitivities(of, names, solver="solid", mesh=mesh)
+    assert answer.exact.all()
+    for k, name in enumerate(names):
+        value, width = parameter_values(of.material)[name], 1e-4
+        more, less = (ts.simulate(ts.Model(of.experiment, with_values(of.material, {name: value * factor})),
+                                  solver="solid", mesh=mesh).force for factor in (1 + width, 1 - width))
+        slope = (more - less) / (2 * width * value)
+        assert abs(slope).max() > 0.0
+        np.testing.assert_allclose(answer.values[:, k], slope, rtol=0, atol=rel * abs(slope).max())
+    return answer
+
+
+@pytest.mark.parametrize(("tool", "friction", "approach"), [
+    (FLAT, "bonded", None), (FLAT, "bonded", OBLIQUE), (BALL, "frictionless", None), (BALL, "stick", None),
+    (ROUND, 0.3, OBLIQUE)], ids=["bonded", "oblique", "ball", "ball that sticks", "oblique with friction"])
+def test_elastic(tool, friction, approach):
+    answer = assert_exact(model(tool, friction, approach=approach), ["C20"], 1e-6)
+    assert answer.kinks.any() == (friction != "bonded")
+
+
+def test_a_law_that_is_linear_in_its_parameters():
+    """With the bulk ratio held the force is homogeneous of degree one in C10 and C20 (Euler), with friction too."""
+    answer = ts.sensitivities(model(ROUND, 0.3, approach=OBLIQUE), ["C10", "C20"], solver="solid",
+                              mesh=solid_mesh((5e-3, 0.0)))
+    np.testing.assert_allclose(answer.values @ list(STUDY.values()), answer.recording.force, rtol=1e-7, atol=1e-12)
+
+
+def test_what_the_tissue_remembers():
+    """Stresses of a Prony term and the largest load of softening depend on the parameters of the steps before."""
+    of = model(way=(0.0, 2.0, 2.0, 1.0), viscoelastic=PRONY, softening=ts.Softening(0.3, 50.0, 0.5))
+    assert_exact(of, ["C10", "viscoelastic.terms[0].g", "viscoelastic.terms[0].tau", "softening.loss"], 1e-6)
+
+
+def test_friction_with_a_past():
+    """Anchors of what sticks and slips move with the parameters."""
+    of = model(ROUND, 0.3, (0.0, 1.0, 2.0, 2.0), viscoelastic=PRONY)
+    assert_exact(of, ["C20", "viscoelastic.terms[0].g"], 1e-6)
+
+
+def test_geometry_moves_the_nodes_of_one_mesh():
+    """So that derivatives by difference do not depend on the width."""
+    slopes = []
+    for width in (1e-2, 1e-4):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("tissue_sim.differentiation.SIMULATION_WIDTH", width)
+            answer = ts.sensitivities(model(approach=OBLIQUE, way=(0.0, 2.0)), ["experiment.tool.radius",
+                                      "experiment.approach.offset", "experiment.approach.angle"], solver="solid",
+                                      mesh=solid_mesh((5e-3, 0.0)))
+        assert not answer.exact.any()
+        slopes.append(answer.values[-1])
+    np.testing.assert_allclose(*slopes, rtol=0.01)
+    assert slopes[0][0] > 0.0
+
+
+def test_a_moved_mesh_has_its_circle_and_its_side():
+    before, after = RingedCylinder(0.04, 0.05, 8e-3, (5e-3, 0.0)), RingedCylinder(0.05, 0.04, 6e-3, (-3e-3, 2e-3))
+    mesh = solid_mesh((5e-3, 0.0))
+    moved = moved_solid(mesh, before, after)
+    edge = np.intersect1d(mesh.sets["face"], mesh.sets["free"])
+    np.testing.assert_allclose(np.hypot(*(moved.nodes[edge, :2] - after.centre).T), 6e-3, rtol=1e-12)
+    corners = np.hypot(*mesh.nodes[:, :2].T) > 0.04 * (1 - 1e-12)
+    assert corners.sum() > 8
+    np.testing.assert_allclose(np.hypot(*moved.nodes[corners, :2].T), 0.05, rtol=1e-12)
+    assert moved.nodes[:, 2].min() == pytest.approx(-0.04)
+    np.testing.assert_allclose(moved_solid(moved, after, before).nodes, mesh.nodes, atol=1e-15)
+
+
+def test_the_force_of_a_recording_is_that_against_the_way():
+    """What a load cell on the stage feels; the work of the stage is that of the wrench."""
+    recording = ts.simulate(model(approach=OBLIQUE), solver="solid", mesh=solid_mesh((5e-3, 0.0)))
+    way = np.array([math.sin(OBLIQUE.angle), 0.0, -math.cos(OBLIQUE.angle)])
+    vector = np.column_stack([recording.channel(name) for name in ("Fx", "Fy", "Fz")])
+    np.testing.assert_allclose(recording.force, -vector @ way, rtol=1e-12, atol=1e-15)
+    assert abs(recording.force[-1] / recording.channel("Fz")[-1] - 1.0) > 0.01
