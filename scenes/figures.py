@@ -13,7 +13,8 @@ from scenes.field_labels import LABELS
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.tools.tool import Tool
-from tissue_sim.fem.axisymmetric.fields import FIELD_UNITS, Fields
+from tissue_sim.fem.axisymmetric.fields import Fields
+from tissue_sim.fem.fields import FIELD_UNITS
 from tissue_sim.mesh import Mesh
 from tissue_sim.model import Model
 from tissue_sim.recording.recording import Recording

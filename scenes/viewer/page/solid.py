@@ -20,7 +20,8 @@ from scenes.viewer.scene import Scene
 from scenes.viewer.tone import seen_colour, surface_colour
 from scenes.viewer.tool_picture import base_plate, contact_picture, force_arrow, scale_bar, tool_mesh
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
-from tissue_sim.fem.axisymmetric.fields import Fields, extrapolate
+from tissue_sim.fem.axisymmetric.fields import Fields
+from tissue_sim.fem.fields import extrapolate
 from tissue_sim.mesh import Mesh
 from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot

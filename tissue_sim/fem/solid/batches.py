@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from tissue_sim.errors import InputError
@@ -61,6 +63,23 @@ class ElementBatches:
     def _lanes(self, values: np.ndarray) -> np.ndarray:
         """Values of the elements, shape (elements, ...), with the lanes last: (batches times the rest, LANES)."""
         return np.ascontiguousarray(np.moveaxis(values[self._elements], 1, -1).reshape(-1, LANES))
+
+    def _of_elements(self, lanes: np.ndarray, *inner: int) -> np.ndarray:
+        """What `_lanes` made, element by element again, shape (elements, *inner)."""
+        return np.moveaxis(lanes.reshape(self.batches, *inner, LANES), -1, 1).reshape(-1, *inner)[: self.count].copy()
+
+    @cached_property
+    def of_points(self) -> tuple[np.ndarray, np.ndarray]:
+        """At the quadrature points: gradients of the shape functions, 1/m, shape (elements, q, nodes, 3), and
+        orthonormal pressure modes, shape (elements, q, modes)."""
+        points, nodes = self.weights.shape[1], self._dofs.shape[1]
+        gradients = np.stack([self._of_elements(each, points, nodes) for each in self._gradients], axis=-1)
+        return gradients, self._of_elements(self._mode_values, points, self._modes)
+
+    @property
+    def element_moduli(self) -> np.ndarray:
+        """In units of the material's, shape (elements,)."""
+        return self._of_elements(self.moduli)
 
     def _pressure_modes(self, X: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Orthonormal, shape (elements, q, modes)."""

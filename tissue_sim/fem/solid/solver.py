@@ -14,9 +14,10 @@ from tissue_sim.fem.linear.sparse import Factor, factorise
 from tissue_sim.fem.solid.assembly import KAPPA, REMEMBERS, TANGENT, assembly_kernel
 from tissue_sim.fem.solid.batches import ElementBatches
 from tissue_sim.fem.solid.contact import ALL, Body, ContactNodes, Frame, Look
+from tissue_sim.fem.solid.fields import SolidFields
 from tissue_sim.fem.solid.free_part import FreePart
 from tissue_sim.fem.solid.surface import SolidSurface
-from tissue_sim.fem.solver import Fields, Neighbours, Solver, Step, StepStatus
+from tissue_sim.fem.solver import Neighbours, Solver, Step, StepStatus
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.material.effect import PointEffect
@@ -39,10 +40,12 @@ _FRICTION_FLOOR = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """A committed state: displacements, m, shape (nodes, 3), and pressure amplitudes, Pa, (elements, modes)."""
+    """A committed state: displacements, m, shape (nodes, 3), pressure amplitudes, Pa, (elements, modes), and the
+    isochoric stresses of its memory where it has one; see `SolidFields`."""
 
     displacement: np.ndarray
     pressures: np.ndarray
+    stresses: np.ndarray | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -356,11 +359,16 @@ class SolidSolver(Solver):
         x, pressures, _ = self._committed
         modes = self.mesh.element.pressure_modes
         by_element = np.moveaxis(pressures.reshape(self.batches.batches, modes, -1), 1, -1).reshape(-1, modes)
-        return Sample(x.reshape(-1, 3).copy(), by_element[: self.batches.count].copy())
+        return Sample(x.reshape(-1, 3).copy(), by_element[: self.batches.count].copy(),
+                      self.memory.total() if self.memory.works else None)
 
-    def fields(self, samples: Sequence[Sample]) -> Fields | None:
-        """There are none in space yet."""
-        return None
+    def fields(self, samples: Sequence[Sample]) -> SolidFields:
+        """Fields of states that `sample` gave."""
+        stresses = [sample.stresses for sample in samples if sample.stresses is not None]
+        return SolidFields(self.mesh, self.material, float(self._settings[KAPPA]),
+                           np.array([sample.displacement for sample in samples]),
+                           np.array([sample.pressures for sample in samples]), *self.batches.of_points,
+                           self.batches.weights, self.batches.element_moduli, np.array(stresses) if stresses else None)
 
     def surface(self) -> SolidSurface:
         """The surface at the last committed state."""
