@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scenes.figures import volume_range
+from scenes.colour_scale import volume_range
 from tissue_sim.errors import InputError
 from tissue_sim.fem.fields import FIELD_UNITS
 

@@ -37,6 +37,7 @@ class SolidFields:
         moduli: of the elements in units of the material's, shape (elements,).
         stresses: isochoric second Piola stress in units of `moduli`, Pa, shape (samples, elements, q, 6: XX, XY, XZ,
             YY, YZ, ZZ), where it depends on the past; else None.
+        datum: height of the scene's origin in the frame of the mesh, m.
     """
 
     mesh: SolidMesh
@@ -49,6 +50,7 @@ class SolidFields:
     weights: np.ndarray
     moduli: np.ndarray
     stresses: np.ndarray | None = None
+    datum: float = 0.0
 
     def arrays(self) -> tuple[np.ndarray, ...]:
         alone = (self.displacements, self.pressures)

@@ -368,7 +368,8 @@ class SolidSolver(Solver):
         return SolidFields(self.mesh, self.material, float(self._settings[KAPPA]),
                            np.array([sample.displacement for sample in samples]),
                            np.array([sample.pressures for sample in samples]), *self.batches.of_points,
-                           self.batches.weights, self.batches.element_moduli, np.array(stresses) if stresses else None)
+                           self.batches.weights, self.batches.element_moduli, np.array(stresses) if stresses else None,
+                           self.datum)
 
     def surface(self) -> SolidSurface:
         """The surface at the last committed state."""
