@@ -179,9 +179,10 @@ class LoopProcess:
         `set_parameters`."""
         self.ask("follow", device=device, anew=anew)
 
-    def aim(self, depth: float) -> None:
-        """Tell a `HandMotion`, or a device that one moves, where to go, m. Raises as `set_parameters`."""
-        self.ask("aim", depth=depth)
+    def aim(self, depth: float, across: tuple[float, float] | None = None) -> None:
+        """Tell a `HandMotion`, or a device that one moves, where to go, m; see `HapticDevice.aim`. Raises as
+        `set_parameters`."""
+        self.ask("aim", depth=depth, across=across)
 
     def set_parameters(self, **values: float) -> None:
         """Change parameters of the tissue between two ticks.
