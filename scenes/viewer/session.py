@@ -21,6 +21,7 @@ from scenes.viewer.live_simulation import SETTINGS, LiveSimulation
 from scenes.viewer.material_files import save_edited
 from scenes.viewer.measurement import gap, motion, typical
 from scenes.viewer.model_curve import ModelCurve
+from scenes.viewer.reach import within_top
 from scenes.viewer.scene import Scene
 from scenes.viewer.trace import Trace
 from tissue_sim.errors import InputError
@@ -65,7 +66,7 @@ class Session:
         self._replayed: tuple | None = None
         #: Grows with every point of the trace, and where the trace starts again.
         self._felt = 0
-        self._motion, self._target = "hand", 0.0
+        self._motion, self._target, self._across = "hand", 0.0, (0.0, 0.0)
         #: Whether somebody's hand is at a device; a motion feels nothing.
         self._hand_feels = False
         #: Whether the material was changed while the simulation was starting, so that it still has the old one.
@@ -120,7 +121,7 @@ class Session:
         elif self._curve.problem:
             message = self._curve.problem
         return Frame(simulation.phase, message, self.scene, simulation.snapshot, simulation.readouts, self._curves,
-                     self._motion, self._target, simulation.surface, self.calibration.state)
+                     self._motion, self._target, simulation.surface, self.calibration.state, self._across)
 
     def run(self, viewer: Viewer, stop: threading.Event, seconds: float | None = None) -> None:
         """Show frames until `stop` is set, or for so many seconds."""
@@ -131,20 +132,32 @@ class Session:
             due = max(due + 1.0 / FRAME_RATE, time.monotonic())
             stop.wait(due - time.monotonic())
 
-    def aim(self, depth: float) -> None:
-        """Let the tool go to a depth, m, as a hand would.
+    def aim(self, depth: float | None = None, across: tuple[float, float] | None = None) -> None:
+        """Let the tool go to a place, as a hand would.
+
+        Args:
+            depth: along its axis, m; None: as deep as it is.
+            across: x and y where its axis meets the height of the touch, m, for tissue in space; no part of the tool
+                leaves the top of the specimen. None: where it is.
 
         Raises:
             InputError: it stands still in a pause, or is not running.
         """
-        if self._simulation.phase is Phase.PAUSED:
+        simulation = self._simulation
+        if simulation.phase is Phase.PAUSED:
             raise InputError("the tool stands still while the motion is paused; press Play to go on, or Reset")
-        depth = min(max(depth, -CLEARANCE), self.scene.deepest)
         if self._motion != "hand":
             # What is known here of the tool's place is a frame old: the tool would jump back.
-            self._simulation.ask("follow", device=HandMotion(None, HAND_SPEED))
-            self._motion, self._target, self._hand_feels = "hand", self._simulation.tool_depth, False
-        self._simulation.ask("aim", depth=depth)
+            simulation.ask("follow", device=HandMotion(None, HAND_SPEED))
+            self._motion, self._target, self._hand_feels = "hand", simulation.tool_depth, False
+            self._across = simulation.tool_across or self._across
+        depth = min(max(self._target if depth is None else depth, -CLEARANCE), self.scene.deepest)
+        if across is None or simulation.snapshot is None or not simulation.snapshot.in_space:
+            simulation.ask("aim", depth=depth)
+        else:
+            across = within_top(self.scene.experiment, simulation.snapshot, across)
+            simulation.ask("aim", depth=depth, across=across)
+            self._across = across
         self._target = depth
 
     def play(self, text: str, speed: float = 5e-3, repeat: bool = False) -> None:
@@ -160,7 +173,7 @@ class Session:
         """
         protocol = ts.Protocol.parse(text, _POINTS, speed)
         self._require_depth(protocol, "protocol")
-        self._follow("protocol", ProtocolMotion(protocol, repeat=repeat))
+        self._follow("protocol", ProtocolMotion(protocol, repeat, self.scene.experiment.approach))
 
     def replay(self, speed: float = 1.0) -> None:
         """Repeat the measured motion, `speed` times as fast.
@@ -172,7 +185,8 @@ class Session:
             raise InputError("nothing was measured in this scene; start the viewer with --measured FILE")
         measured, (recording, _) = motion(self.scene.measurement), typical(self.scene.measurement)
         self._require_depth(measured, "recording")
-        self._follow("recording", ProtocolMotion(ts.Protocol(measured.time / speed, measured.displacement)))
+        self._follow("recording", ProtocolMotion(ts.Protocol(measured.time / speed, measured.displacement),
+                                                 approach=self.scene.experiment.approach))
         if "time" in recording:
             self._replayed = ((recording.time - measured.time[0]) / speed, recording.force)
 
@@ -196,8 +210,8 @@ class Session:
 
     def reset(self) -> None:
         """Lift the tool to the touch, with undeformed tissue."""
-        self._follow("hand", HandMotion(0.0, HAND_SPEED))
-        self._target = 0.0
+        self._follow("hand", self._hand())
+        self._target, self._across = 0.0, self._entrance
 
     def set_parameters(self, values: dict[str, float]) -> None:
         """Change the material while it is felt.
@@ -294,14 +308,24 @@ class Session:
         self._simulation = self._begin()
 
     def _begin(self) -> LiveSimulation:
-        self._motion, self._target, self._hand_feels = "hand", 0.0, False
+        self._motion, self._target, self._across, self._hand_feels = "hand", 0.0, self._entrance, False
         self._forget_trace()
         self._material_is_late = False
         self._device_waits = self._device is not None
-        simulation = LiveSimulation(self.scene.model, HandMotion(0.0, HAND_SPEED), solver=self.scene.solver,
+        simulation = LiveSimulation(self.scene.model, self._hand(), solver=self.scene.solver,
                                     resolution=self._resolution, settings=self._settings)
         self._curve.ask(self._test())
         return simulation
+
+    def _hand(self) -> HandMotion:
+        """At the touch."""
+        return HandMotion(0.0, HAND_SPEED, approach=self.scene.experiment.approach)
+
+    @property
+    def _entrance(self) -> tuple[float, float]:
+        """Where the tool first touches."""
+        x, y, _ = self.scene.experiment.tool_pose(0.0).position
+        return x, y
 
     def _follow(self, kind: str, device: HapticDevice) -> None:
         simulation = self._simulation
@@ -359,7 +383,7 @@ class Session:
 def _superseded(command: str, values: dict[str, Any], later: list[tuple[str, Callable | None, dict[str, Any]]]) -> bool:
     """Whether a later request replaces this one: of those of a hand, and of one slider, only the newest counts."""
     if command == "aim":
-        return any(other == "aim" for other, _, _ in later)
+        return any(other == "aim" and values.keys() <= named.keys() for other, _, named in later)
     return (command == "set_parameters" and bool(later) and later[0][0] == command
             and later[0][2]["values"].keys() == values["values"].keys())
 
