@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,7 @@ class SolidBody:
         sharp: edges of the undeformed body, numbers of points, shape (e, 2).
         at_surface: elements that have a node on the surface, shape (m,).
         for_range: elements that stand for all in the range of the colours, shape (r,).
+        corners: the nodes of the elements, one row for each of their places, shape (nodes of an element, elements).
     """
 
     mesh: Any
@@ -52,6 +54,8 @@ class SolidBody:
     sharp: np.ndarray
     at_surface: np.ndarray
     for_range: np.ndarray
+    corners: np.ndarray
+    _means: dict[int, tuple[np.ndarray, SolidFields]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, mesh: Any) -> SolidBody:
@@ -72,7 +76,7 @@ class SolidBody:
         at_surface = np.flatnonzero(on_surface[mesh.connectivity].any(axis=1))
         count = len(mesh.connectivity)
         return cls(mesh, mesh.connectivity[:, tetrahedra(element)], nodes, numbers, lines[first], sharp, at_surface,
-                   np.arange(0, count, -(-count // MOST_OF_RANGE)))
+                   np.arange(0, count, -(-count // MOST_OF_RANGE)), np.ascontiguousarray(mesh.connectivity.T))
 
     @property
     def size(self) -> float:
@@ -93,7 +97,8 @@ class SolidBody:
             At the nodes that are seen, shape (nodes,); at points that stand for the whole body; and the fields there.
         """
         whole = fields.weights.size <= MOST_POINTS
-        few = fields if whole else fields.part(self.for_range).means()
+        means = fields if whole else self._mean_of(fields)
+        few = fields if whole else means.part(self.for_range)
         at_points = few.at_points(name)
         if name == "displacement":
             return fields.at_nodes(name), at_points, few
@@ -101,13 +106,22 @@ class SolidBody:
             return extrapolate(self.mesh, at_points), at_points, few
         seen = np.zeros(len(self.mesh.connectivity), dtype=bool)
         seen[self.at_surface] = True
-        cut = np.unique(np.concatenate([np.empty(0, int), *self._cut_elements(place, wedge)]))
-        if cut.size:
-            # All that share a node with these, since a node has the mean of its elements.
-            at_cut = np.zeros(len(self.mesh.nodes), dtype=bool)
-            at_cut[self.mesh.connectivity[cut]] = True
-            seen |= at_cut[self.mesh.connectivity].any(axis=1)
-        return fields.part(np.flatnonzero(seen)).means().at_nodes(name), at_points, few
+        at_cut = np.zeros(len(self.mesh.nodes), dtype=bool)
+        for _, _, elements in self._cut(place, wedge):
+            at_cut[self.mesh.connectivity[elements]] = True
+        # All that share a node with these, since a node has the mean of its elements.
+        seen |= _any(at_cut, self.corners)
+        return means.part(np.flatnonzero(seen)).at_nodes(name), at_points, few
+
+    def _mean_of(self, fields: SolidFields) -> SolidFields:
+        """`SolidFields.means`, with what does not change from frame to frame kept."""
+        known = self._means.get(0)
+        if known is None or known[0] is not fields.gradients:
+            known = self._means[0] = fields.gradients, fields.means()
+        if fields.stresses is not None:
+            return fields.means()
+        mean = known[1]
+        return replace(fields, gradients=mean.gradients, pressure_modes=mean.pressure_modes, weights=mean.weights)
 
     def bands(self, place: np.ndarray, values: np.ndarray, levels: np.ndarray, wedge: Wedge) -> list[Surface]:
         """The solid, one surface a band: section faces and outer surface, which share no vertices.
@@ -143,10 +157,8 @@ class SolidBody:
         raised = points + lift * _normals(points, self.triangles)
         on_surface = wedge.into(points)[self.lines]
         lines = [wedge.lines_left(on_surface, raised[self.lines])]
-        local = wedge.into(place)
-        for (heights, along), elements, (_, normal) in zip(
-                wedge.over_faces(local), self._cut_elements(place, wedge), wedge.opening.faces, strict=True):
-            element = self.mesh.element
+        element, local = self.mesh.element, wedge.into(place)
+        for (heights, along, elements), (_, normal) in zip(self._cut(place, wedge), wedge.opening.faces, strict=True):
             sides = self.mesh.connectivity[elements][:, element.faces].reshape(-1, element.faces.shape[1])
             ends = section_lines(surface_triangles(element, sides), heights)
             kept = (ends.carry(along).reshape(-1, 2) >= 0.0).all(axis=1)
@@ -190,22 +202,34 @@ class SolidBody:
             lines.append(wedge.out_of(ends.carry(local).reshape(-1, 2, 3)[kept] + lift * np.append(normal, 0.0)))
         return np.concatenate(lines)
 
-    def _cut_elements(self, place: np.ndarray, wedge: Wedge) -> list[np.ndarray]:
-        """Of each section face the elements that may have a part of it."""
-        cut = []
-        for heights, along in wedge.over_faces(wedge.into(place)):
-            above = (heights > 0.0)[self.mesh.connectivity]
-            cut.append(np.flatnonzero(above.any(axis=1) & ~above.all(axis=1)
-                                      & (along >= 0.0)[self.mesh.connectivity].any(axis=1)))
-        return cut
+    def _cut(self, place: np.ndarray, wedge: Wedge) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Of each section face: heights of the nodes over its plane, how far they are from its edge, and the elements
+        that may have a part of it."""
+        known = wedge.known.get(id(place))
+        if known is None:
+            known = []
+            for heights, along in wedge.over_faces(wedge.into(place)):
+                above = heights > 0.0
+                crossed = _any(above, self.corners) & _any(~above, self.corners) & _any(along >= 0.0, self.corners)
+                known.append((heights, along, np.flatnonzero(crossed)))
+            wedge.known[id(place)] = known
+        return known
 
-    def _faces(self, place: np.ndarray, values: np.ndarray, wedge: Wedge):
+    def _faces(self, place: np.ndarray, values: np.ndarray,
+               wedge: Wedge) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Points, triangles and values of each section face."""
-        local = wedge.into(place)
-        for (heights, along), elements in zip(wedge.over_faces(local), self._cut_elements(place, wedge), strict=True):
+        for heights, along, elements in self._cut(place, wedge):
             crossings, triangles = section(self.cells[elements].reshape(-1, 4), heights)
             edge, _, kept = clip(triangles, crossings.carry(along))
-            yield (edge.extend(crossings.carry(place)), kept, edge.extend(crossings.carry(values)))
+            yield edge.extend(crossings.carry(place)), kept, edge.extend(crossings.carry(values))
+
+
+def _any(of_nodes: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Which elements have a node of which this is true; by rows, which is quicker than by elements."""
+    found = of_nodes[corners[0]]
+    for nodes in corners[1:]:
+        found |= of_nodes[nodes]
+    return found
 
 
 def _smooth_pieces(place: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -22,10 +23,12 @@ class Wedge:
     Attributes:
         opening: in the frame of the tool.
         pose: of the tool.
+        known: what a body has found of itself at this wedge, by the places for which that is.
     """
 
     opening: Opening
     pose: Pose
+    known: dict[int, Any] = field(default_factory=dict)
 
     @cached_property
     def _rotation(self) -> np.ndarray:
@@ -33,7 +36,9 @@ class Wedge:
 
     def into(self, points: np.ndarray) -> np.ndarray:
         """Points of the scene (n, 3) in the frame of the tool, m."""
-        return (points - np.array(self.pose.position)) @ self._rotation
+        x, y, z = (points - np.array(self.pose.position)).T
+        # Not as a product of matrices, whose library wakes other cores for it.
+        return np.stack([x * u + y * v + z * w for u, v, w in self._rotation.T], axis=-1)
 
     def out_of(self, points: np.ndarray) -> np.ndarray:
         """Points of the tool's frame in the scene, shape (..., 3), m."""
@@ -42,7 +47,7 @@ class Wedge:
     def over_faces(self, local: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """Of each section face: how high points of the tool's frame are above its plane, towards the wedge, and how far
         from its edge, m, each of shape (n,)."""
-        size = _ON_CUT * float(np.ptp(local, axis=0).max(initial=0.0))
+        size = _ON_CUT * float(np.abs(local).max(initial=0.0))
         faces = []
         for way, normal in self.opening.faces:
             heights = local[:, :2] @ normal
@@ -77,7 +82,7 @@ class Wedge:
                 parts.append(np.concatenate([each[~cut], np.stack([each[cut, 0], between], axis=1),
                                              np.stack([between, each[cut, 1]], axis=1)]))
             lines, drawn = parts
-        return drawn[~self.removes(lines.mean(axis=1))]
+        return drawn[~self.removes(lines.mean(axis=1)) & (lines[:, 0] != lines[:, 1]).any(axis=1)]
 
     def left_of(self, points: np.ndarray, triangles: np.ndarray,
                 *carried: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:

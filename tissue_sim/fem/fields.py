@@ -27,8 +27,10 @@ def volume_quantile(values: np.ndarray, weights: np.ndarray, share: float) -> fl
 
 
 def extrapolate(mesh: Any, values: np.ndarray) -> np.ndarray:
-    """Values at the quadrature points, shape (elements, q), as nodal averages, shape (nodes,); 0 at nodes of no
-    element."""
-    nodal, nodes = values @ mesh.element.from_quadrature.T, mesh.connectivity.ravel()
+    """Values at the quadrature points, shape (elements, q), or one of each element, shape (elements, 1), as nodal
+    averages, shape (nodes,); 0 at nodes of no element."""
+    nodes = mesh.connectivity.ravel()
+    nodal = (np.repeat(values, mesh.connectivity.shape[1]) if values.shape[1] == 1
+             else values @ mesh.element.from_quadrature.T)
     times = np.bincount(nodes, minlength=len(mesh.nodes))
     return np.bincount(nodes, nodal.ravel(), len(mesh.nodes)) / np.maximum(times, 1)

@@ -114,7 +114,7 @@ class SolidFields:
         if name == "displacement":
             return np.linalg.norm(self._at_points(self.displacement(sample)), axis=-1)
         F = self.deformation_gradient(sample)
-        J = np.linalg.det(F)
+        J = _determinant(F)
         if name == "J":
             return J
         left = F @ F.swapaxes(-1, -2)
@@ -187,10 +187,13 @@ class SolidFields:
         averaged over the elements that share a node; 0 at nodes of no element."""
         if name == "displacement":
             return np.linalg.norm(self.displacement(sample), axis=1)
-        values = self.at_points(name, sample)
-        if values.shape[1] == 1:
-            values = np.broadcast_to(values, (len(values), self.mesh.element.from_quadrature.shape[1]))
-        return extrapolate(self.mesh, values)
+        return extrapolate(self.mesh, self.at_points(name, sample))
+
+
+def _determinant(F: np.ndarray) -> np.ndarray:
+    """Of many small matrices (..., 3, 3); quicker than by factors."""
+    (a, b, c), (d, e, f), (g, h, i) = ([F[..., row, column] for column in range(3)] for row in range(3))
+    return a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)
 
 
 def principal_stretches(left: np.ndarray) -> np.ndarray:
