@@ -36,16 +36,17 @@ _COUNTED = ("time", "compute_time", "iterations", "status")
 SETTINGS = LoopSettings(snapshot_rate=30.0)
 #: The same for tissue whose equilibria take longer than a tick; meanwhile its forces are carried on, and said to be
 #: LATE. Not for a hand at a device.
-PATIENT = replace(SETTINGS, patience=5.0)
-#: Linear solves of a tick of a solver that is slower than a tick.
-_SLOW_SOLVES = 3.0
+PATIENT = replace(SETTINGS, patience=60.0)
+#: Times of a linear solve that a tick of a slow solver gets: for one and what belongs to it, so that the loop listens
+#: between two of them.
+_SLOW_SOLVES = 2.0
 #: N, and N per tick: limits of the rendered force, which no device takes; what is shown is the force of the tissue.
 _LIMITS = 1e3, 1e3
 
 
 class ViewedSimulator(Simulator):
-    """A simulator that somebody looks at: where one linear solve takes longer than its budget, it gets the time of
-    `_SLOW_SOLVES` of them, since a step begun anew at each tick would come to nothing."""
+    """A simulator that somebody looks at: where a linear solve takes longer than its budget, it gets `_SLOW_SOLVES`
+    times as long, since it would do nothing in most ticks."""
 
     def warm_up(self) -> None:
         super().warm_up()
@@ -141,17 +142,19 @@ class LiveSimulation:
         self.phase = Phase.PAUSED if self._paused else Phase.RUNNING
         ticks = self._ring.since(self._number)
         self._number = ticks.number
+        records = ticks.records
         if self._cosine != 1.0:
-            ticks.records["tool_depth"] /= self._cosine
+            records = records.copy()
+            records["tool_depth"] /= self._cosine
         if self._snapshots is not None and self._loop.pattern is not None:
             self._snapshots.pattern = self._loop.pattern
             published = self._snapshots.latest(after=self._published)
             if published is not None:
                 self._published = published.number
                 self._take(published.snapshot)
-        if len(ticks.records):
-            self._read_out(ticks.records)
-        return ticks.records
+        if len(records):
+            self._read_out(records)
+        return records
 
     def ask(self, command: str, **values: Any) -> None:
         """Ask the loop for something and wait until it has done so, some milliseconds.
