@@ -49,6 +49,8 @@ FINE, COARSE, STILL = 48, 32, 96
 _ARROW_STEPS = 60
 #: Steps in what of its direction lies across the axis.
 _ARROW_TURNS = 40
+#: A ray that falls less than this share of its length meets no height that a mouse could mean.
+_LEAST_FALL = 0.1
 #: How a mouse moves the tool of a solid in space, in words for people.
 DRAGS = {"in the picture's plane": "freely", "along its axis": "depth", "sideways": "sideways"}
 #: Forces that an arrow of full length stands for, times powers of ten.
@@ -125,13 +127,14 @@ class Solid:
     def on_drag(self, aim: Callable[[float, tuple[float, float] | None, Reply | None], None]) -> None:
         """Call `aim` with the place to which somebody drags the tool, as `Session.aim` takes it; once a drag with whom
         to tell why not."""
-        grabbed: dict[int, np.ndarray] = {}
+        #: Of each browser: from the tool to where it was grabbed, and how high that was.
+        grabbed: dict[int, tuple[np.ndarray, float]] = {}
         untold: set[int] = set()
 
         async def drag(event) -> None:  # a coroutine: its phases come in order
             client = event.client_id
             if event.phase == "start":
-                grabbed[client] = np.array(event.start_position) - self._tool_frame.position
+                grabbed[client] = (np.array(event.start_position) - self._tool_frame.position, event.start_position[2])
                 untold.add(client)
             if event.phase == "end":
                 grabbed.pop(client, None)
@@ -140,7 +143,11 @@ class Solid:
                 if client in untold:
                     untold.discard(client)
                     reply = answer_to(event)
-                aim(*self._aimed((np.array(event.end_position) - grabbed[client]) / self.scale), reply)
+                held, height = grabbed[client]
+                end = np.array(event.end_position)
+                if self._in_space and DRAGS[self.drag_way] == "sideways":
+                    end = _at_height(event.client.camera.position, end, height)
+                aim(*self._aimed((end - held) / self.scale), reply)
 
         self._tool.on_drag("left")(drag)
 
@@ -336,6 +343,15 @@ def _opening(degrees: float, segments: int, turn: float = 0.0) -> Opening:
 
 def _same(arrays: tuple[np.ndarray, ...], others: tuple[np.ndarray, ...] | None) -> bool:
     return others is not None and len(arrays) == len(others) and all(map(np.array_equal, arrays, others))
+
+
+def _at_height(camera: np.ndarray, seen: np.ndarray, height: float) -> np.ndarray:
+    """Where the ray from a camera through a point comes to a height; the point itself where it hardly does."""
+    ray = seen - camera
+    fall = height - float(camera[2])
+    if abs(ray[2]) < _LEAST_FALL * np.linalg.norm(ray) or fall * ray[2] <= 0.0:
+        return seen
+    return camera + fall / ray[2] * ray
 
 
 def _force(frame: Frame) -> np.ndarray:

@@ -145,7 +145,7 @@ def test_a_hand_goes_along_the_axis_of_its_approach_and_sideways():
     assert path[-1].orientation == approach.pose(0.0).orientation
     hand.aim(5e-3, (2e-3, -4e-3))
     way = np.array([hand.pose(time).position for time in np.arange(1.0, 2.0, 1e-3)])
-    expected = np.array(approach.pose(5e-3).position) + [2e-3 - 12e-3, -4e-3, 0.0]
+    expected = np.array(approach.pose(5e-3).position) + np.array([2e-3 - 12e-3, -4e-3, 0.0])
     np.testing.assert_allclose(way[-1], expected, atol=1e-8)
     assert np.linalg.norm(np.diff(way, axis=0), axis=1).max() == pytest.approx(0.05e-3)
     hand.aim(3e-3)

@@ -60,23 +60,23 @@ def test_the_tool_goes_along_its_axis_and_aside_and_back(session, scene, until):
     assert first.snapshot.skin is None and first.surface is None
     assert first.across == (OFFSET, 0.0)
     np.testing.assert_allclose(first.snapshot.pose.position, (OFFSET, 0.0, 0.0), atol=1e-9)
-    depth, approach = 1.5e-3, scene.experiment.approach
+    depth, approach = 0.6e-3, scene.experiment.approach
     asked(session, "aim", depth=depth)
     frame = until(session.frame, at(approach.pose(depth).position))
     assert frame.snapshot.pose.orientation == approach.pose(depth).orientation
     frame = until(session.frame, lambda frame: frame.readouts.status == "in equilibrium")
     assert frame.readouts.depth == pytest.approx(depth, abs=1e-6), "along the axis, as displacements are"
     # The same way in a simulation: the force of the whole test at that displacement.
-    model = ts.Model(replace(scene.experiment, protocol=ts.Protocol.ramp(depth, 4)), scene.material)
+    model = ts.Model(replace(scene.experiment, protocol=ts.Protocol.ramp(depth, 3)), scene.material)
     expected = ts.simulate(model, solver="solid", mesh=make_coarse_solid(model).mesh)
     assert frame.readouts.force == pytest.approx(expected.force[-1], rel=0.02)
     assert frame.readouts.across[0] == pytest.approx(float(expected.channel("Fx")[-1]), abs=0.02 * expected.force[-1])
     fields = frame.snapshot.fields
     assert fields.at_nodes("displacement").max() > 0.5 * depth
     moved = np.array(frame.snapshot.pose.position)
-    asked(session, "aim", across=(OFFSET - 1e-3, 2e-3))
-    frame = until(session.frame, at(moved + [-1e-3, 2e-3, 0.0]))
-    assert frame.across == pytest.approx((OFFSET - 1e-3, 2e-3)) and frame.target == depth, "as deep as it was"
+    asked(session, "aim", across=(OFFSET - 0.4e-3, 0.5e-3))
+    frame = until(session.frame, at(moved + np.array([-0.4e-3, 0.5e-3, 0.0])))
+    assert frame.across == pytest.approx((OFFSET - 0.4e-3, 0.5e-3)) and frame.target == depth, "as deep as it was"
     frame = until(session.frame, lambda frame: frame.readouts.status == "in equilibrium")
     assert frame.readouts.across[1] < 0.0, "the tissue holds back what is dragged towards +y"
     asked(session, "reset")
@@ -85,8 +85,8 @@ def test_the_tool_goes_along_its_axis_and_aside_and_back(session, scene, until):
 
 
 def test_a_protocol_is_played_along_the_axis_of_the_tool(session, scene, until):
-    asked(session, "play", text="ramp 0.4mm @2mm/s; hold 600s; unload")
-    until(session.frame, at(scene.experiment.approach.pose(0.4e-3).position))
+    asked(session, "play", text="ramp 0.2mm @2mm/s; hold 600s; unload")
+    until(session.frame, at(scene.experiment.approach.pose(0.2e-3).position))
     asked(session, "reset")
 
 
