@@ -63,8 +63,8 @@ def draw_cut(axes, fields: SolidFields, name: str, sample: int, pose: Pose, tool
     middle = 0.5 * (low[0] + high[0])
     axes.fill_between([middle - width, middle + width], low[2], low[2] - plate, color=RIGID, linewidth=0)
     if tool.is_plate:
-        tip = 1e3 * pose.position[2]
-        axes.fill_between([middle - width, middle + width], tip, tip + plate, color=RIGID, linewidth=0)
+        height = 1e3 * pose.position[2]
+        axes.fill_between([middle - width, middle + width], height, height + plate, color=RIGID, linewidth=0)
     else:
         outline = tool_outline(tool, place, pose)
         both = np.concatenate([outline, (outline * [-1.0, 1.0])[::-1]])
@@ -102,7 +102,8 @@ def draw_surface(axes, fields: SolidFields, name: str, sample: int, pose: Pose, 
     if not tool.is_plate:
         lines = lines[~_hidden(lines.mean(axis=1), *bodies[1][:2])]
     thickness = min(0.4, 8.0 / np.sqrt(len(lines) + 1))
-    axes.add_collection(LineCollection(1e3 * _seen(lines)[..., :2], colors="white", linewidths=thickness, alpha=0.55))
+    axes.add_collection(LineCollection(list(1e3 * _seen(lines)[..., :2]), colors="white", linewidths=thickness,
+                                       alpha=0.55))
     axes.set_aspect("equal")
     axes.autoscale_view()
     axes.set_axis_off()
@@ -166,9 +167,9 @@ def finish(axes, across: str) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _in_plane(points: np.ndarray) -> np.ndarray:
-    """Ends of lines, shape (2 k, 3), m, as lines (k, 2, 2), mm."""
-    return 1e3 * points[:, [0, 2]].reshape(-1, 2, 2)
+def _in_plane(points: np.ndarray) -> list[np.ndarray]:
+    """Ends of lines, shape (2 k, 3), m, as k lines (2, 2), mm."""
+    return list(1e3 * points[:, [0, 2]].reshape(-1, 2, 2))
 
 
 def _toward() -> np.ndarray:
@@ -203,7 +204,7 @@ def _paint(axes, bodies: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> Non
     order = np.argsort(points[all_triangles, 2].mean(axis=1))
     x, y = 1e3 * points[:, 0], 1e3 * points[:, 1]
     mesh = TriMesh(Triangulation(x, y, all_triangles[order]))
-    mesh.set_facecolor(np.column_stack([np.concatenate(colours), np.ones(len(x))]))
+    mesh.set_facecolor([(red, green, blue, 1.0) for red, green, blue in np.concatenate(colours).tolist()])
     axes.add_collection(mesh)
     axes.update_datalim(np.column_stack([x, y]))
 

@@ -62,7 +62,7 @@ def test_a_mouse_drags_the_tool_sideways(shown_solid, open_page, reader_of):
         mouse.move(*reader.place((held + share * aside) * UNIT))
     wanted = start[:2] + aside[:2]
     reader.until(lambda: np.array(shown_solid.frame.across) - np.array([math.tan(LEAN) * 2e-3, 0.0]),
-                 lambda place: np.hypot(*(place - wanted)) < 0.2 * np.hypot(*aside))
+                 lambda place: np.hypot(*(place - wanted)) < 0.2 * np.hypot(*aside[:2]))
     mouse.up()
     assert shown_solid.frame.target == pytest.approx(-2e-3, abs=1e-4), "as deep as it was"
     end = reader.until(lambda: np.array(shown_solid.frame.snapshot.pose.position),

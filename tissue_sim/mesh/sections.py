@@ -49,20 +49,20 @@ def section(cells: np.ndarray, heights: np.ndarray) -> tuple[Crossings, np.ndarr
     """
     above = heights[cells] > 0.0
     count = above.sum(axis=1)
-    pairs, corners, first = [], [], 0
+    pairs, corners, before = [], [], 0
     for number, of_nodes in _CORNERS.items():
         cut = np.flatnonzero(count == number)
         order = np.argsort(above[cut], axis=1, kind="stable")
         nodes = np.take_along_axis(cells[cut], order, axis=1)
         ends = nodes[:, np.array(of_nodes)]
-        numbers = first + np.arange(ends.shape[0] * ends.shape[1]).reshape(ends.shape[:2])
+        numbers = before + np.arange(ends.shape[0] * ends.shape[1]).reshape(ends.shape[:2])
         odd = _is_odd(order)
         numbers[odd] = numbers[odd][:, ::-1]
         pairs.append(ends.reshape(-1, 2))
         corners += [numbers[:, [0, k, k + 1]] for k in range(1, len(of_nodes) - 1)]
-        first += numbers.size
-    crossings, number = _crossings(np.concatenate(pairs), heights)
-    return crossings, _real(number[np.concatenate(corners)])
+        before += numbers.size
+    crossings, point = _crossings(np.concatenate(pairs), heights)
+    return crossings, _real(point[np.concatenate(corners)])
 
 
 def section_lines(triangles: np.ndarray, heights: np.ndarray) -> Crossings:

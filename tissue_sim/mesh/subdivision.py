@@ -16,7 +16,10 @@ _FLAT = 1e-9
 
 
 class DivisibleElement(Protocol):
-    """What is asked of an element in space; it must be hashable."""
+    """What is asked of an element in space."""
+
+    def __hash__(self) -> int:
+        """It is divided once."""
 
     @property
     def reference_nodes(self) -> np.ndarray:
@@ -72,7 +75,7 @@ def side_edges(element: DivisibleElement) -> np.ndarray:
     triangles = side_triangles(element)
     edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     different, times = np.unique(edges, axis=0, return_counts=True)
-    around = different[times == 1]
+    around: np.ndarray = different[times == 1]
     around.flags.writeable = False
     return around
 
@@ -87,7 +90,7 @@ def surface_triangles(element: DivisibleElement, sides: np.ndarray) -> np.ndarra
     Returns:
         Node numbers, shape (m k, 3), the triangles of a side behind each other.
     """
-    return sides[:, side_triangles(element)].reshape(-1, 3)
+    return np.take(sides, side_triangles(element), axis=1).reshape(-1, 3)
 
 
 def _divided(places: np.ndarray) -> np.ndarray:

@@ -181,7 +181,7 @@ class Solid:
                 self._standing = stands
             return changed
         # Other solvers' fields may have nothing that could be drawn.
-        fields = snapshot.fields if drawable(snapshot.fields) else None
+        fields: Any = snapshot.fields if drawable(snapshot.fields) else None
         surface, self._in_space = frame.surface, snapshot.in_space
         if fields is not None and fields.mesh is not self._mesh_drawn:
             changed = True
