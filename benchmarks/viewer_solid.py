@@ -3,8 +3,8 @@
     python benchmarks/viewer_solid.py [--json] [--repeats 60]
 
 A block, dented elsewhere in every frame and cut open by 120 degrees at a tool that leans and moves, is shown 20 times a
-second on a page that a client in another process reads: von Mises stress in bands. There is no solver. Beside that, what
-it costs the loop to publish such a state, and the viewer to read it.
+second on a page that a client in another process reads: von Mises stress in bands. There is no solver. Beside that,
+what it costs the loop to publish such a state, and the viewer to read it.
 """
 
 # One thread each, before the libraries start.
