@@ -22,6 +22,7 @@ from scenes.viewer.material_files import save_edited
 from scenes.viewer.measurement import gap, motion, typical
 from scenes.viewer.model_curve import ModelCurve
 from scenes.viewer.reach import within_top
+from scenes.viewer.requests import differ_in_parameters_only, superseded
 from scenes.viewer.scene import Scene
 from scenes.viewer.trace import Trace
 from tissue_sim.errors import InputError
@@ -137,8 +138,8 @@ class Session:
 
         Args:
             depth: along its axis, m; None: as deep as it is.
-            across: x and y where its axis meets the height of the touch, m, for tissue in space; no part of the tool
-                leaves the top of the specimen. None: where it is.
+            across: x and y where its axis meets the height of the touch, m, of tissue in space, kept within its top;
+                None: where it is.
 
         Raises:
             InputError: it stands still in a pause, or is not running.
@@ -152,13 +153,11 @@ class Session:
             self._motion, self._target, self._hand_feels = "hand", simulation.tool_depth, False
             self._across = simulation.tool_across or self._across
         depth = min(max(self._target if depth is None else depth, -CLEARANCE), self.scene.deepest)
-        if across is None or simulation.snapshot is None or not simulation.snapshot.in_space:
-            simulation.ask("aim", depth=depth)
-        else:
-            across = within_top(self.scene.experiment, simulation.snapshot, across)
-            simulation.ask("aim", depth=depth, across=across)
-            self._across = across
-        self._target = depth
+        place: dict[str, Any] = {"depth": depth}
+        if across is not None and simulation.snapshot is not None and simulation.snapshot.in_space:
+            place["across"] = within_top(self.scene.experiment, simulation.snapshot, across)
+        simulation.ask("aim", **place)
+        self._target, self._across = depth, place.get("across", self._across)
 
     def play(self, text: str, speed: float = 5e-3, repeat: bool = False) -> None:
         """Play a protocol from its beginning, on undeformed tissue.
@@ -232,7 +231,7 @@ class Session:
     def _take_material(self, material: ts.Material, source: str) -> None:
         require_tissue(material)  # also where no simulation runs that would refuse it
         scene = replace(self.scene, material=material, source=source)
-        if not _differ_in_parameters_only(self.scene.material, material):
+        if not differ_in_parameters_only(self.scene.material, material):
             self._change(scene)
             return
         if self._simulation.phase in (Phase.RUNNING, Phase.PAUSED):
@@ -287,7 +286,7 @@ class Session:
         for number, (command, reply, values) in enumerate(requests):
             problem = None
             try:
-                if not _superseded(command, values, requests[number + 1:]):
+                if not superseded(command, values, requests[number + 1:]):
                     COMMANDS[command](self, **values)
             except InputError as error:
                 problem = str(error)
@@ -378,24 +377,6 @@ class Session:
         if (self._hand_feels, self._curve.busy) != (curves.felt, curves.computing):
             curves = replace(curves, felt=self._hand_feels, computing=self._curve.busy)
         self._curves = curves
-
-
-def _superseded(command: str, values: dict[str, Any], later: list[tuple[str, Callable | None, dict[str, Any]]]) -> bool:
-    """Whether a later request replaces this one: of those of a hand, and of one slider, only the newest counts."""
-    if command == "aim":
-        return any(other == "aim" and values.keys() <= named.keys() for other, _, named in later)
-    return (command == "set_parameters" and bool(later) and later[0][0] == command
-            and later[0][2]["values"].keys() == values["values"].keys())
-
-
-def _differ_in_parameters_only(a: ts.Material, b: ts.Material) -> bool:
-    values = parameter_values(b)
-    if parameter_values(a).keys() != values.keys():
-        return False
-    try:
-        return replace(with_values(a, values), name=b.name) == b
-    except InputError:  # on the way from one to the other
-        return False
 
 
 #: What a viewer may ask a session for, by name; the values of a command are its arguments.
