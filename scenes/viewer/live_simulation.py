@@ -22,8 +22,8 @@ from haptics.safety.limits import ForceLimits
 from haptics.safety.rendering import ForceRendering
 from scenes.viewer.frame import Phase, Readouts
 from scenes.viewer.revolution import Surface
+from scenes.viewer.viewed_simulator import ViewedSimulator
 from tissue_sim.pose import Pose
-from tissue_sim.simulator import Simulator
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import ForceStatus
 
@@ -37,21 +37,8 @@ SETTINGS = LoopSettings(snapshot_rate=30.0)
 #: The same for tissue whose equilibria take longer than a tick; meanwhile its forces are carried on, and said to be
 #: LATE. Not for a hand at a device.
 PATIENT = replace(SETTINGS, patience=60.0)
-#: Times of a linear solve that a tick of a slow solver gets: for one and what belongs to it, so that the loop listens
-#: between two of them.
-_SLOW_SOLVES = 2.0
 #: N, and N per tick: limits of the rendered force, which no device takes; what is shown is the force of the tissue.
 _LIMITS = 1e3, 1e3
-
-
-class ViewedSimulator(Simulator):
-    """A simulator that somebody looks at: where a linear solve takes longer than its budget, it gets `_SLOW_SOLVES`
-    times as long, since it would do nothing in most ticks."""
-
-    def warm_up(self) -> None:
-        super().warm_up()
-        if self.budget is not None:
-            self.budget = max(self.budget, _SLOW_SOLVES * self.solve_time if self.solve_time > self.budget else 0.0)
 
 
 class LiveSimulation:
@@ -76,6 +63,8 @@ class LiveSimulation:
         self._loop = LoopProcess(
             partial(ViewedSimulator, model, solver=solver, resolution=resolution, budget=BUDGET), device,
             ForceRendering(ForceLimits(*_LIMITS)), settings)
+        # Of tissue that takes long for a tick a command is done no sooner.
+        self._loop.patience = max(self._loop.patience, settings.patience)
         self._files = ExitStack()
         self._ring: RingReader | None = None
         self._snapshots: SnapshotReader | None = None

@@ -23,11 +23,13 @@ class Wedge:
     Attributes:
         opening: in the frame of the tool.
         pose: of the tool.
+        ahead: how far the edge of the wedge is from the tool's axis, to where it opens, m.
         known: what a body has found of itself at this wedge, by the places for which that is.
     """
 
     opening: Opening
     pose: Pose
+    ahead: float = 0.0
     known: dict[int, Any] = field(default_factory=dict)
 
     @cached_property
@@ -48,10 +50,12 @@ class Wedge:
         """Of each section face: how high points of the tool's frame are above its plane, towards the wedge, and how far
         from its edge, m, each of shape (n,)."""
         size = _ON_CUT * float(np.abs(local).max(initial=0.0))
+        facing = self.opening.facing
+        edge = self.ahead * np.array([np.cos(facing), np.sin(facing)])
         faces = []
         for way, normal in self.opening.faces:
-            heights = local[:, :2] @ normal
-            faces.append((np.where(np.abs(heights) < size, 0.0, heights), local[:, :2] @ way))
+            heights = local[:, :2] @ normal - edge @ normal
+            faces.append((np.where(np.abs(heights) < size, 0.0, heights), local[:, :2] @ way - edge @ way))
         return faces
 
     def removes(self, local: np.ndarray) -> np.ndarray:

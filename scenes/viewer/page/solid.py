@@ -65,6 +65,7 @@ class Look:
         field: a name in `scenes.field_labels.LABELS`.
         cut: angle of the wedge that is left out, degrees.
         turn: of that wedge about the tool's axis from where it opens towards -y, degrees.
+        ahead: of a solid in space, how far the wedge begins from that axis, to where it opens, mm.
         mesh_lines, outline: whether to show the element edges, and the undeformed specimen.
         hold: keep the colours' levels as they are.
     """
@@ -72,6 +73,7 @@ class Look:
     field: str = "von_mises"
     cut: float = 120.0
     turn: float = 0.0
+    ahead: float = 0.0
     mesh_lines: bool = False
     outline: bool = True
     hold: bool = False
@@ -173,7 +175,7 @@ class Solid:
         """Write what has changed since the last time; whether anything has."""
         snapshot = frame.snapshot
         opening = _opening(look.cut, self._segments_of_turn, look.turn)
-        stands = (frame.scene.experiment, look.cut, look.turn, look.outline)
+        stands = (frame.scene.experiment, look.cut, look.turn, look.ahead, look.outline)
         changed = stands != self._standing
         if snapshot is None:
             if changed:
@@ -206,7 +208,7 @@ class Solid:
 
     def _draw(self, fields: Any, snapshot: Snapshot, scene: Scene, opening: Opening, look: Look) -> None:
         body, place = self._take_mesh(fields.mesh), snapshot.place
-        wedge = Wedge(opening, snapshot.pose)
+        wedge = Wedge(opening, snapshot.pose, 1e-3 * look.ahead)
         _, factor = LABELS[look.field]
         values, at_points, seen = body.values(fields, look.field, place, wedge)
         before = self.levels if self._drawn is not None and look.field == self._drawn[2].field else None
@@ -269,7 +271,9 @@ class Solid:
             # The section faces get the light in which a surface has just its own colour, that of the bar.
             faces_it = max(0.0, float(light[:2] @ opening.faces[0][1]))
             self._ambient.intensity = _FULL - _KEY * faces_it
-        self._fill(self._tool, tool_mesh(tool, specimen, _opening(look.cut, STILL, look.turn)))
+        # A cut that does not go through its axis leaves it whole.
+        cut = 0.0 if self._in_space and look.ahead else look.cut
+        self._fill(self._tool, tool_mesh(tool, specimen, _opening(cut, STILL, look.turn)))
         self._fill(self._base, base_plate(specimen, _opening(0.0, STILL)))
         covered = specimen.radius if tool.is_plate else tool.radius or 0.0
         wedge = Wedge(opening, Pose.at_depth(0.0))

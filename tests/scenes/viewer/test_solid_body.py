@@ -51,7 +51,21 @@ def test_what_is_left_has_the_exact_volume(element, cut, turn, pose, left):
     """A wedge of a right angle about the middle takes a quarter of a square; a plane so much as lies on its side."""
     mesh = block(element)
     body = SolidBody.of(mesh)
-    wedge = Wedge(Opening(np.radians(cut), np.radians(turn - 90.0)), pose)
+    check_what_is_left(mesh, body, Wedge(Opening(np.radians(cut), np.radians(turn - 90.0)), pose), left)
+
+
+@every_element
+def test_a_cut_that_is_moved_takes_so_much_less(element):
+    mesh = block(element)
+    for ahead, left in ((3e-3, 0.575), (-5e-3, 0.375)):
+        check_what_is_left(mesh, SolidBody.of(mesh), Wedge(Opening(np.pi), leaning(0.3), ahead), left)
+    # Of a right angle about the middle, moved by 5 mm to where it opens, the square of the rest of the way.
+    wedge = Wedge(Opening(0.5 * np.pi), Pose((0.0, 0.0, 0.0)), 5e-3)
+    check_what_is_left(mesh, SolidBody.of(mesh), wedge, 1.0 - (15.0 / 40.0) ** 2)
+
+
+def check_what_is_left(mesh, body, wedge, left):
+    """A closed surface with this share of the block's volume, outside the wedge, each band in its range of values."""
     surfaces = body.bands(mesh.nodes, linear(mesh.nodes), LEVELS, wedge)
     volume, total = flux(surfaces)
     assert volume == pytest.approx(left * SIDE**2 * HEIGHT, rel=1e-5)  # vertices have single precision
@@ -63,7 +77,8 @@ def test_what_is_left_has_the_exact_volume(element, cut, turn, pose, left):
             values = linear(surface.vertices.astype(float))
             assert low - 1e-5 <= values.min() and values.max() <= high + 1e-5
             middles = wedge.into(surface.vertices.astype(float)[surface.faces].mean(axis=1))
-            assert cut == 0 or (np.min([heights for heights, _ in wedge.over_faces(middles)], axis=0) < 1e-8).all()
+            heights = [each for each, _ in wedge.over_faces(middles)]
+            assert wedge.opening.closed or (np.min(heights, axis=0) < 1e-8).all()
 
 
 def test_surfaces_are_smooth_pieces_with_edges_between():
