@@ -15,7 +15,7 @@ import numpy as np
 import tissue_sim as ts
 from haptics.devices.contracts import HapticDevice
 from haptics.loop.loop import LoopSettings
-from haptics.loop.process import LoopError, LoopProcess
+from haptics.loop.process import PATIENCE, LoopError, LoopProcess
 from haptics.loop.ring import PAUSED, RingReader
 from haptics.loop.snapshot_board import SnapshotReader
 from haptics.safety.limits import ForceLimits
@@ -63,8 +63,9 @@ class LiveSimulation:
         self._loop = LoopProcess(
             partial(ViewedSimulator, model, solver=solver, resolution=resolution, budget=BUDGET), device,
             ForceRendering(ForceLimits(*_LIMITS)), settings)
-        # Of tissue that takes long for a tick a command is done no sooner.
-        self._loop.patience = max(self._loop.patience, settings.patience)
+        if settings.patience > PATIENCE:
+            # Of tissue that may take long for a tick a command is done no sooner.
+            self._loop.patience = settings.patience
         self._files = ExitStack()
         self._ring: RingReader | None = None
         self._snapshots: SnapshotReader | None = None
