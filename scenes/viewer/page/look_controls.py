@@ -30,7 +30,7 @@ class LookControls:
         cut = gui.add_slider("cut-away [°]", min=0, max=180, step=5, initial_value=round(self.look.cut))
         turn = gui.add_slider("cut turned [°]", min=-180, max=180, step=5, initial_value=round(self.look.turn),
                               hint="about the tool's axis")
-        reach = round(1e3 * frame.scene.experiment.specimen.radius)
+        reach = round(1e3 * frame.scene.half_width)
         self._ahead = ahead = gui.add_slider("cut moved [mm]", min=-reach, max=reach, step=0.5, initial_value=0.0,
                                              visible=False, hint="from the tool's axis, to where it opens")
         mesh_lines = gui.add_checkbox("mesh lines", self.look.mesh_lines)

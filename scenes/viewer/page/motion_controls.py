@@ -36,7 +36,7 @@ class MotionControls:
                                      initial_value=0.0,
                                      hint="or drag the tool; keys: PageDown and PageUp, with Shift ten times as far")
         #: Of tissue in space.
-        reach = 1e3 * max(frame.scene.experiment.specimen.radius, 1e-3)
+        reach = 1e3 * frame.scene.half_width
         self._across = [gui.add_slider(f"{name} [mm]", min=-reach, max=reach, step=0.01, initial_value=0.0,
                                        visible=False, hint="where the tool's axis meets the height of the touch")
                         for name in "xy"]
