@@ -29,6 +29,7 @@ import numpy as np
 from viewer_client import readouts_in
 from viewer_ticks import MOTION, SETTLING, SPEED, STANDING, TEST, TickCount, peak_memory
 
+import scenes.viewer.bodies
 import scenes.viewer.page.solid
 import tissue_sim as ts
 from haptics.loop.ring import RingReader
@@ -70,7 +71,8 @@ class Stopwatch:
         """Time what a frame is made of."""
         solid = scenes.viewer.page.solid
         Fields.at_points = self.timed("fields", Fields.at_points)
-        solid.extrapolate = self.timed("fields", solid.extrapolate)
+        bodies = scenes.viewer.bodies
+        bodies.extrapolate = self.timed("fields", bodies.extrapolate)
         solid.field_range = self.timed("fields", solid.field_range)
         CutAway.bands = self.timed("bands", CutAway.bands)
         page._write_words = self.timed("words", page._write_words)

@@ -4,6 +4,7 @@
 """
 
 import base64
+import math
 import os
 import re
 import shutil
@@ -53,10 +54,20 @@ def main() -> None:
         model = ts.Model(SCENES[scene].experiment(specimen=ts.Specimen(0.040, 0.070), protocol=protocol), material)
         recording = ts.simulate(model, resolution="accurate", fields=True)
         draw_simulation(recording, model, PICTURES / f"{name}.png", field=field, reference=reference(curve))
+    draw_solid(material)
     draw_cycles(material)
     draw_inverse_calibration(material)
     for path in sorted(PICTURES.glob("*.png")):
         print(path)
+
+
+def draw_solid(material: ts.Material) -> None:
+    """A needle off the axis that leans, in space."""
+    experiment = SCENES["needle_indentation"].experiment(
+        specimen=ts.Specimen(0.040, 0.070), protocol=ts.Protocol.ramp(8e-3, points=5), friction=0.3,
+        tool=ts.Tool("round", radius=8e-3), approach=ts.Approach(12e-3, math.radians(15.0)))
+    model = ts.Model(experiment, material)
+    draw_simulation(ts.simulate(model, solver="solid", fields=True), model, PICTURES / "solid_figure.png")
 
 
 def draw_cycles(material: ts.Material) -> None:

@@ -41,6 +41,7 @@ class Screenshot:
         flags: of `tissue-sim view`.
         tab: of the controls that are shown.
         size: of the page, pixels.
+        aside: of a solid in space, to which nobody plays a protocol: the tool goes to this y, mm, and presses in there.
     """
 
     scene: str
@@ -48,12 +49,16 @@ class Screenshot:
     depth: float = 7.0
     tab: str = "Motion"
     size: tuple[int, int] = (1400, 860)
+    aside: float | None = None
 
 
 NEEDLE = Screenshot("needle_indentation")
 SCREENSHOTS = {"viewer_needle": NEEDLE,
                "viewer_needle_dark": replace(NEEDLE, flags=("--dark",), tab="Material"),
-               "viewer_compression": Screenshot("bonded_compression", tab="View")}
+               "viewer_compression": Screenshot("bonded_compression", tab="View"),
+               "viewer_solid": Screenshot("needle_indentation", (
+                   "--solid", "--offset-mm", "12", "--tilt-deg", "15", "--tool", "round", "--friction", "0.3",
+                   "--points", "5"), depth=6.0, aside=-3.0)}
 
 
 def main(names: list[str]) -> None:
@@ -65,14 +70,18 @@ def main(names: list[str]) -> None:
 
 def take(browser: Browser, shot: Screenshot, folder: Path, path: Path) -> None:
     """Start a viewer, press the tool in, let it come back, and save what the page shows then."""
-    with viewer(shot.scene, "--measured", *measure(shot.scene, folder), *shot.flags) as url:
+    measured = ("--measured", *measure(shot.scene, folder)) if shot.aside is None else ()
+    with viewer(shot.scene, *measured, *shot.flags) as url:
         width, height = shot.size
         page = browser.new_page(viewport={"width": width, "height": height},
                                 color_scheme="dark" if "--dark" in shot.flags else "light")
         chromium.open_viewer(page, url, pixel_ratio=1.0)
         page.locator(_PHASE.format("running")).wait_for(timeout=120e3)
-        page.get_by_test_id("rmse").wait_for(timeout=120e3)
-        press(page, shot)
+        if shot.aside is None:
+            page.get_by_test_id("rmse").wait_for(timeout=120e3)
+            press(page, shot)
+        else:
+            press_aside(page, shot.depth, shot.aside)
         page.get_by_role("tab", name=shot.tab).click()
         chromium.save_picture(page, path)
         page.close()
@@ -88,6 +97,16 @@ def press(page: Page, shot: Screenshot) -> None:
     depth.filter(has_text=f"{shot.depth:.2f}").wait_for(timeout=120e3)
     page.get_by_role("button", name="Pause").click()
     page.locator(_PHASE.format("paused")).wait_for()
+
+
+def press_aside(page: Page, depth: float, aside: float) -> None:
+    """Move the tool of a solid in space by the sliders, mm, and wait until the tissue is in equilibrium there."""
+    for label, value in (("y [mm]", aside), ("depth [mm]", depth)):
+        chromium.text_field(page, label).fill(f"{value:g}")
+        chromium.text_field(page, label).press("Enter")
+        page.get_by_test_id("solution").filter(has_text="late").wait_for(timeout=120e3)
+        page.get_by_test_id("solution").filter(has_text="in equilibrium").wait_for(timeout=600e3)
+    page.wait_for_timeout(2000)  # the curve of the model, where it is there
 
 
 def measure(scene: str, folder: Path) -> list[str]:

@@ -1,4 +1,4 @@
-"""Pictures of simulations: the deformed section coloured by a field, beside the force curve."""
+"""Pictures of simulations: the deformed tissue coloured by a field, beside the force curve."""
 
 from __future__ import annotations
 
@@ -9,23 +9,29 @@ from typing import Any
 
 import numpy as np
 
+from scenes.colour_scale import colour_scale
 from scenes.field_labels import LABELS
+from scenes.solid_figures import RIGID, draw_cut, draw_surface, finish, tool_pose
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.tools.tool import Tool
-from tissue_sim.fem.axisymmetric.fields import FIELD_UNITS, Fields
+from tissue_sim.fem.axisymmetric.fields import Fields
+from tissue_sim.fem.solid.fields import SolidFields
 from tissue_sim.mesh import Mesh
 from tissue_sim.model import Model
+from tissue_sim.pose import Pose
 from tissue_sim.recording.recording import Recording
 
-RIGID = "0.72"
+#: Forces across the axis below this share of that along it are not drawn.
+_ASIDE = 0.01
 
 
 def draw_simulation(recording: Recording, model: Model, path: Path, field: str = "von_mises", *,
                     segment: str | None = None, reference: Recording | None = None) -> None:
     """Draw the section at the deepest sample, and force against displacement, into an image file.
 
-    A needle gets a third panel: the fold of the tissue at its edge. A ring on the curve tells the sample that is drawn.
+    A needle gets a third panel: the fold of the tissue at its edge. A solid in space is cut through the plane of the
+    tool, and shown from above. A ring on the curve tells the sample that is drawn.
 
     Args:
         recording: of `simulate(..., fields=True)`.
@@ -45,25 +51,24 @@ def draw_simulation(recording: Recording, model: Model, path: Path, field: str =
     if recording.fields is None:
         raise InputError("this recording carries no fields; simulate with fields=True", field="fields")
     sample = _drawn_sample(recording, segment)
-    specimen, tool = model.experiment.specimen, model.experiment.tool
-    panels = {"section": 1.25} | ({"fold": 0.75} if not tool.is_plate else {}) | {"curve": 1.0}
-    if specimen.outer_radius > 1.5 * specimen.height:
-        figure = Figure(figsize=(10, 6.4), layout="constrained")
-        layout: list[Any] = [["section"] * (len(panels) - 1), list(panels)[1:]]
-        axes = figure.subplot_mosaic(layout, height_ratios=[1, 1.6])
+    tool, fields = model.experiment.tool, recording.fields
+    figure = Figure(layout="constrained")
+    if fields.mesh.nodes.shape[1] == 3:
+        axes = _draw_solid(figure, fields, field, sample, model.experiment.tool_pose(recording.displacement[sample]),
+                           tool)
     else:
-        figure = Figure(figsize=(10 if tool.is_plate else 13, 4.6), layout="constrained")
-        axes = figure.subplot_mosaic([list(panels)], width_ratios=list(panels.values()))
-    draw_section(axes["section"], recording.fields, field, sample, tool=tool)
-    if "fold" in axes:
-        draw_fold(axes["fold"], recording.fields, field, tool, sample)
+        axes = _draw_axisymmetric(figure, fields, field, sample, tool)
     curve = axes["curve"]
     if reference is not None:
         curve.plot(reference.displacement * 1e3, reference.force, color="0.25", linewidth=1, label=reference.name)
     depth = recording.displacement[sample] * 1e3
+    across = {name: recording.channel(f"F{name}") for name in "xy" if f"F{name}" in recording}
+    for (name, force), dashes in zip(across.items(), ("--", ":"), strict=False):
+        if abs(force).max() > _ASIDE * abs(recording.force).max():
+            curve.plot(recording.displacement * 1e3, force, color="#0072B2", linestyle=dashes, label=f"along {name}")
     curve.plot(recording.displacement * 1e3, recording.force, color="#0072B2", marker="o", markersize=3,
-               linestyle="none" if reference else "-", label="simulated")
-    if reference is not None:
+               linestyle="none" if reference else "-", label="simulated" if reference else "along z")
+    if len(curve.lines) > 1:
         curve.legend(frameon=False)
     curve.plot(depth, recording.force[sample], color="#D55E00", marker="o", markersize=8, fillstyle="none")
     curve.set_xlabel("displacement [mm]")
@@ -76,6 +81,33 @@ def draw_simulation(recording: Recording, model: Model, path: Path, field: str =
     if warnings:
         curve.set_title("\n".join(textwrap.wrap("; ".join(warnings), 60)), fontsize=8, color="#a33c00")
     save(figure, path)
+
+
+def _draw_solid(figure, fields: SolidFields, field: str, sample: int, pose: Pose, tool: Tool) -> dict[str, Any]:
+    """A cut through the plane of the tool, and the surface."""
+    place = tool_pose(fields, sample, pose, tool)
+    figure.set_size_inches(14.5, 4.8)
+    axes = figure.subplot_mosaic([["cut", "surface", "curve"]], width_ratios=[1.25, 1.1, 0.85])
+    draw_cut(axes["cut"], fields, field, sample, place, tool)
+    draw_surface(axes["surface"], fields, field, sample, place, tool)
+    return axes
+
+
+def _draw_axisymmetric(figure, fields: Fields, field: str, sample: int, tool: Tool) -> dict[str, Any]:
+    """The section, and of a needle the fold."""
+    panels = {"section": 1.25} | ({"fold": 0.75} if not tool.is_plate else {}) | {"curve": 1.0}
+    radius, height = fields.mesh.nodes[:, 0].max(), np.ptp(fields.mesh.nodes[:, 1])
+    if radius > 1.5 * height:
+        figure.set_size_inches(10, 6.4)
+        layout: list[Any] = [["section"] * (len(panels) - 1), list(panels)[1:]]
+        axes = figure.subplot_mosaic(layout, height_ratios=[1, 1.6])
+    else:
+        figure.set_size_inches(10 if tool.is_plate else 13, 4.6)
+        axes = figure.subplot_mosaic([list(panels)], width_ratios=list(panels.values()))
+    draw_section(axes["section"], fields, field, sample, tool=tool)
+    if "fold" in axes:
+        draw_fold(axes["fold"], fields, field, tool, sample)
+    return axes
 
 
 def _drawn_sample(recording: Recording, segment: str | None) -> int:
@@ -95,7 +127,7 @@ def draw_section(axes, fields: Fields, name: str, sample: int = -1, *, tool: Too
     """
     mesh = fields.mesh
     place = (mesh.nodes + fields.displacement(sample)) * 1e3
-    picture, label, uniform = _paint(axes, fields, name, sample, (1, -1))
+    picture, scale = _paint(axes, fields, name, sample, (1, -1))
     radius, height = mesh.nodes[:, 0].max() * 1e3, -mesh.nodes[:, 1].min() * 1e3
     axes.plot(radius * np.array([-1, 1, 1, -1, -1]), height * np.array([-1, -1, 0, 0, -1]), color="0.4", linewidth=0.9,
               linestyle=(0, (4, 3)))
@@ -107,8 +139,8 @@ def draw_section(axes, fields: Fields, name: str, sample: int = -1, *, tool: Too
         axes.fill_between([-width, width], tip, tip + plate, color=RIGID, linewidth=0)
     else:
         _draw_needle(axes, mesh, place, tool, max(place[:, 1].max(), 0.0) + plate)
-    _finish(axes)
-    axes.figure.colorbar(picture, ax=axes, label=label, extend="neither" if uniform else "both", shrink=0.85)
+    finish(axes, "r [mm]")
+    axes.figure.colorbar(picture, ax=axes, label=scale.label, extend=scale.extend, shrink=0.85)
 
 
 def draw_fold(axes, fields: Fields, name: str, tool: Tool, sample: int = -1) -> None:
@@ -125,37 +157,29 @@ def draw_fold(axes, fields: Fields, name: str, tool: Tool, sample: int = -1) -> 
     part, nearest, below = ("edge", 0.45, 0.7) if tool.face_radius else ("tip", 0.0, 0.4)
     axes.set_xlim(nearest * radius, (nearest + 1.75) * radius)
     axes.set_ylim(tip - below * radius, top)
-    _finish(axes)
+    finish(axes, "r [mm]")
     axes.set_title(f"at the {part} of the tool", loc="left", fontsize=10)
 
 
 def _paint(axes, fields: Fields, name: str, sample: int, sides: tuple[int, ...]):
-    """Colour the section on these sides of the axis; the picture, its label and whether the field is uniform."""
+    """Colour the section on these sides of the axis; the picture, and its scale."""
     from matplotlib.collections import LineCollection
     from matplotlib.tri import Triangulation
 
-    label, factor = LABELS[name]
-    mesh = fields.mesh
+    _, factor = LABELS[name]
+    mesh, scale = fields.mesh, colour_scale(fields, name, sample)
     place = (mesh.nodes + fields.displacement(sample)) * 1e3
     values = fields.at_nodes(name, sample) * factor
-    low, high = volume_range(fields.at_points(name, sample) * factor, fields.weights)
     triangles = _triangles(mesh)
     edges = _outlines(mesh, place)
-    least = 1e-6 * fields.material.mu0 * factor if FIELD_UNITS[name] == "Pa" else 0.0
-    uniform = high - low <= max(1e-6 * max(abs(low), abs(high)), least)
-    if uniform:
-        # Rounding, not a pattern: a scale that starts at zero.
-        value = 0.5 * (low + high) if max(abs(low), abs(high)) > least else 0.0
-        label = f"{label}, uniform {value:.5g}"
-        low, high = sorted((0.0, 2.0 * value)) if value else (-1.0, 1.0)
     for mirror in sides:
         side = np.array([mirror, 1])
         x, y = (place * side).T
-        picture = axes.tripcolor(Triangulation(x, y, triangles), values, shading="gouraud", cmap="viridis", vmin=low,
-                                 vmax=high)
+        picture = axes.tripcolor(Triangulation(x, y, triangles), values, shading="gouraud", cmap="viridis",
+                                 vmin=scale.low, vmax=scale.high)
         thickness = min(0.35, 6.0 / np.sqrt(len(edges)))
         axes.add_collection(LineCollection(edges * side, colors="white", linewidths=thickness, alpha=0.5))
-    return picture, label, uniform
+    return picture, scale
 
 
 def _draw_needle(axes, mesh: Mesh, place: np.ndarray, tool: Tool, top: float) -> None:
@@ -174,32 +198,11 @@ def _contact_height(mesh: Mesh, place: np.ndarray, tool: Tool) -> float:
     return float(surface[below, 1].max())
 
 
-def _finish(axes) -> None:
-    axes.set_aspect("equal")
-    axes.set_xlabel("r [mm]")
-    axes.set_ylabel("z [mm]")
-    axes.spines[["top", "right"]].set_visible(False)
-
-
 def save(figure, path: Path) -> None:
     """Write a figure whole or not at all; the format is that of the file's ending."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format=Path(path).suffix.lstrip(".") or "png", dpi=150)
     write_bytes(Path(path), buffer.getvalue())
-
-
-def volume_range(values: np.ndarray, weights: np.ndarray, left_out: float = 0.01) -> tuple[float, float]:
-    """Range of a field without a share of the volume at either end, since edges are singular.
-
-    Args:
-        values: at the quadrature points, any shape.
-        weights: volumes of the points, m3, of the same shape.
-        left_out: share of the volume.
-    """
-    order = np.argsort(values, axis=None)
-    share = np.cumsum(np.ravel(weights)[order])
-    low, high = np.interp(np.array([left_out, 1.0 - left_out]) * share[-1], share, np.ravel(values)[order])
-    return float(low), float(high)
 
 
 def _triangles(mesh: Mesh) -> np.ndarray:

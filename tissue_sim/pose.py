@@ -54,6 +54,14 @@ class Pose:
         return -self.position[2]
 
     @property
+    def rotation(self) -> tuple[Vector, Vector, Vector]:
+        """Rows of the matrix that takes directions of the tool's frame to the scene's."""
+        w, x, y, z = self.orientation
+        return ((1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
+                (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
+                (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)))
+
+    @property
     def is_finite(self) -> bool:
         """Whether all of its numbers are."""
         return math.isfinite(sum(self.position) + sum(self.orientation))

@@ -139,6 +139,11 @@ class Simulator:
         """The undeformed mesh."""
         return self._solver.mesh
 
+    @property
+    def solve_time(self) -> float:
+        """Wall time of a linear solve with all that belongs to it, s, as it is known after `warm_up`."""
+        return self._clock.solve
+
     def warm_up(self) -> None:
         """Compile what a step needs, or load it from the cache, choose a mesh where there is one to choose, and leave
         the state as it is. Takes seconds the first time on a computer; call it before the first step."""

@@ -36,7 +36,7 @@ class Snapshot:
         pose: of the tool.
         datum: height at which the tool first touches, m: 0 but for a specimen that sags under its own weight.
         fields: of this one sample; None of a tissue that has none.
-        skin: the surface, of a tissue without a section that its fields could be drawn in.
+        skin: the surface, of a tissue in space whose fields cannot be drawn.
     """
 
     pose: Pose
@@ -48,6 +48,11 @@ class Snapshot:
     def depth(self) -> float:
         """Tool displacement, m."""
         return self.pose.depth
+
+    @property
+    def in_space(self) -> bool:
+        """Whether the tissue has no axis, so that the tool may go aside."""
+        return self.skin is not None or (self.fields is not None and _mesh_in_space(self.fields))
 
     @property
     def place(self) -> np.ndarray:
@@ -109,7 +114,14 @@ class ShownTissue(Tissue, Protocol):
 def snapshot(solver: Solver) -> Snapshot:
     """The last committed state of a solver."""
     surface, skin = solver.surface(), None
-    if surface.outline is None:
+    fields = solver.fields([solver.sample()])
+    if surface.outline is None and not (_are_shared(fields) and _mesh_in_space(fields)):
         vertices, triangles = surface.triangles()
         skin = Skin(np.asarray(vertices, dtype=float).reshape(-1, 3), np.asarray(triangles).reshape(-1, 3))
-    return Snapshot(solver.pose, solver.datum, solver.fields([solver.sample()]), skin)
+    return Snapshot(solver.pose, solver.datum, fields, skin)
+
+
+def _mesh_in_space(fields: Fields) -> bool:
+    """Whether fields belong to elements in space, with the sides that are their surface; see `SolidMesh`."""
+    mesh = fields.mesh
+    return hasattr(mesh, "faces") and mesh.nodes.shape[1] == 3

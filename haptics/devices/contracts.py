@@ -14,6 +14,7 @@ from enum import IntFlag
 from typing import Any
 
 from tissue_sim.errors import InputError
+from tissue_sim.experiment.approach import Approach
 from tissue_sim.pose import Pose, Screw
 
 
@@ -262,8 +263,12 @@ class HapticDevice(ABC):
         """Go on from here, where another source has left the tool: of motions that can begin anywhere."""
         return
 
-    def aim(self, depth: float) -> None:
+    def aim(self, depth: float, across: tuple[float, float] | None = None) -> None:
         """Go to a depth, m: of motions that are steered by somebody.
+
+        Args:
+            depth: along the tool's own axis, from the height of the touch on, m.
+            across: x and y where the tool's axis meets that height, m; None: where it is aimed at already.
 
         Raises:
             InputError: this one is not, or no depth.
@@ -284,12 +289,21 @@ class Motion(HapticDevice):
 
 
 class AxialMotion(Motion):
-    """A motion along the axis of the scene, upright."""
+    """A motion along the tool's own axis.
+
+    Attributes:
+        approach: where that axis is, and how it leans; None: it is that of the scene.
+    """
+
+    approach: Approach | None = None
 
     @abstractmethod
     def depth(self, time: float) -> float | None:
-        """Depth at a time since the motion began, s; m, positive into the tissue. None: the pose is not known."""
+        """How far the tool has gone at a time since the motion began, s; m, positive into the tissue. None: the pose is
+        not known."""
 
     def pose(self, time: float) -> Pose | None:
         depth = self.depth(time)
-        return None if depth is None else Pose((0.0, 0.0, -depth))
+        if depth is None:
+            return None
+        return Pose((0.0, 0.0, -depth)) if self.approach is None else self.approach.pose(depth)

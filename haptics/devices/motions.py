@@ -6,14 +6,17 @@ import math
 import random
 from bisect import bisect_right
 
-from haptics.devices.contracts import AxialMotion
+from haptics.devices.contracts import AxialMotion, Motion
 from haptics.devices.settings import read_settings
 from tissue_sim import Protocol
 from tissue_sim.errors import InputError, require_length
+from tissue_sim.experiment.approach import Approach
 from tissue_sim.pose import Pose
 
 #: Share of the depth by which a random or sine motion lifts off, where nothing else is said.
 _LIFT = 0.2
+#: Of a tool that leans more than this cosine says a depth is no way along its axis.
+_LEAST_COSINE = 0.1
 
 
 class ProtocolMotion(AxialMotion):
@@ -22,12 +25,14 @@ class ProtocolMotion(AxialMotion):
     Args:
         protocol: its time counts from its first sample.
         repeat: begin again at its end; the protocol must come back to where it began.
+        approach: of the tool whose displacements these are; None: along the axis of the scene.
 
     Raises:
         InputError: a protocol to repeat that ends somewhere else, or has one sample only.
     """
 
-    def __init__(self, protocol: Protocol, repeat: bool = False):
+    def __init__(self, protocol: Protocol, repeat: bool = False, approach: Approach | None = None):
+        self.approach = approach
         self._times = (protocol.time - protocol.time[0]).tolist()
         self._depths = protocol.displacement.tolist()
         self._repeat = repeat
@@ -77,55 +82,89 @@ class SineMotion(AxialMotion):
         return self._middle - self._amplitude * math.cos(self._rate * time)
 
 
-class HandMotion(AxialMotion):
-    """Goes where somebody points, as a critically damped spring follows, and no faster than `speed`.
+class HandMotion(Motion):
+    """Goes where somebody points, as a critically damped spring follows, and no faster than `speed`; turned as it
+    began.
 
     Args:
-        start: depth at which it is, m; None: where the tool is when this is followed, or the touch.
+        start: depth at which it is, along the tool's own axis, m; None: where the tool is when this is followed, and
+            turned as it is there, or the touch.
         speed: largest, m/s.
         response: rad/s of the spring; a target is reached within about 5 / response seconds.
+        approach: where the tool's axis is, and how it leans; None: it is that of the scene.
 
     Raises:
         InputError: a depth that is no number, or a speed or response that is not positive.
     """
 
-    def __init__(self, start: float | None = 0.0, speed: float = 0.1, response: float = 30.0):
+    def __init__(self, start: float | None = 0.0, speed: float = 0.1, response: float = 30.0,
+                 approach: Approach | None = None):
         require_length(speed, "speed")  # m/s and rad/s, but finite and above zero all the same
         require_length(response, "response")
         self._speed, self._response = speed, response
         self._goes_on = start is None
-        self._time, self._place, self._velocity = 0.0, start or 0.0, 0.0
-        self.aim(self._place)
+        self._time = 0.0
+        # The tool's axis meets the height of the touch at x and y, and the tool is so far along it.
+        begun = Pose.at_depth(0.0) if approach is None else approach.pose(0.0)
+        self._turn_as(begun)
+        self._place: list[float] = [begun.position[0], begun.position[1], start or 0.0]
+        self._velocity = [0.0, 0.0, 0.0]
+        self._target = list(self._place)
+        self.aim(self._place[2])
+
+    def _turn_as(self, pose: Pose) -> None:
+        """Keep the orientation of a pose; `_lean` is the way along x and y of a way along the axis, and its depth."""
+        self._orientation = pose.orientation
+        (_, _, a), (_, _, b), (_, _, c) = pose.rotation
+        self._lean = -a, -b, max(c, _LEAST_COSINE)
 
     def take_over(self, pose: Pose) -> None:
-        if self._goes_on:
-            self._place = pose.depth
-            self.aim(self._place)
+        if not self._goes_on:
+            return
+        self._turn_as(pose)
+        (x, y, _), (u, v, cosine) = pose.position, self._lean
+        way = pose.depth / cosine
+        self._place = [x - u * way, y - v * way, way]
+        self._target = list(self._place)
 
-    def aim(self, depth: float) -> None:
-        """Name the depth to go to, m.
+    def aim(self, depth: float, across: tuple[float, float] | None = None) -> None:
+        """Name the place to go to; see `HapticDevice.aim`.
 
         Raises:
             InputError: not a finite number.
         """
+        x, y = self._target[:2] if across is None else across
         if not math.isfinite(depth):
             raise InputError(f"{depth} is not a depth to go to; give a number", field="depth")
-        self._target = depth
+        if not (math.isfinite(x) and math.isfinite(y)):
+            raise InputError(f"({x}, {y}) is no place to go to; give two numbers", field="across")
+        self._target = [x, y, depth]
+
+    def pose(self, time: float) -> Pose:
+        depth = self.depth(time)
+        (x, y, _), (u, v, cosine) = self._place, self._lean
+        return Pose((x + u * depth, y + v * depth, -cosine * depth), self._orientation)
 
     def depth(self, time: float) -> float:
+        """How far the tool has gone along its axis at a time since the motion began, s; m."""
         dt, self._time = max(time - self._time, 0.0), time
         if dt == 0.0:
-            return self._place
+            return self._place[2]
         # The exact motion of the spring, so that no time step is too long for it.
-        w, away = self._response, self._place - self._target
-        rate = self._velocity + w * away
+        w, steps, slopes = self._response, [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
         fade = math.exp(-w * dt)
-        place = self._target + (away + rate * dt) * fade
-        step = min(max(place - self._place, -self._speed * dt), self._speed * dt)
-        slope = (self._velocity - w * rate * dt) * fade
-        self._velocity = min(max(slope, -self._speed), self._speed)
-        self._place += step
-        return self._place
+        for axis, (place, target, velocity) in enumerate(zip(self._place, self._target, self._velocity, strict=True)):
+            away = place - target
+            rate = velocity + w * away
+            steps[axis] = target + (away + rate * dt) * fade - place
+            slopes[axis] = (velocity - w * rate * dt) * fade
+        step, slope = (math.hypot(*each) for each in (steps, slopes))
+        shorter, slower = (min(self._speed * limit / size, 1.0) if size > 0.0 else 1.0
+                           for limit, size in ((dt, step), (1.0, slope)))
+        for axis in range(3):
+            self._velocity[axis] = slower * slopes[axis]
+            self._place[axis] += shorter * steps[axis]
+        return self._place[2]
 
 
 class RandomWalk(AxialMotion):

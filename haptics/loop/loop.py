@@ -194,7 +194,7 @@ class Loop:
         settings, ticker, ring = self._settings, self._ticker, self._ring
         last = math.inf if settings.seconds is None else round(settings.seconds / settings.period)
         listen_every = max(round(LISTEN_EVERY / settings.period), 1)
-        shown, every, next_snapshot = self._shown, settings.ticks_between_snapshots, 0
+        shown, every, next_snapshot, next_words = self._shown, settings.ticks_between_snapshots, 0, listen_every
         with real_time(settings.real_time) as features:
             ticker.start()
             while ticker.number < last and not self._ended_by:
@@ -204,7 +204,9 @@ class Loop:
                     next_snapshot = ticker.number + every
                     tissue, board = shown
                     board.publish(self._now * 1e-9, tissue.snapshot())
-                if self._listen is not None and ticker.ticks % listen_every == 0:
+                # By deadlines, not by ticks: a tissue that takes long for a tick is listened for all the same.
+                if self._listen is not None and ticker.number >= next_words:
+                    next_words = ticker.number + listen_every
                     self._listen(self)
         return features
 
@@ -289,13 +291,14 @@ class Loop:
         """No more force than a device allows."""
         self._rendering.limits.force = min(self._force_limit, device.largest_force)
 
-    def aim(self, depth: float) -> None:
-        """Tell the device where to go, m.
+    def aim(self, depth: float, across: tuple[float, float] | None = None) -> None:
+        """Tell the device where to go, m; see `HapticDevice.aim`.
 
         Raises:
-            InputError: one that goes where it likes, or a depth that is no number.
+            InputError: one that goes where it likes, or a place that is no number.
         """
-        self._device.aim(depth)
+        # Devices of others may know a depth only.
+        self._device.aim(depth) if across is None else self._device.aim(depth, across)
 
     def set_parameters(self, **values: float) -> None:
         """Change the tissue while it is felt.

@@ -53,6 +53,7 @@ class LoopProcess:
         message: what the process has last said of itself.
         resolution, force_error: of the tissue's mesh, when it is ready; see `LoopReport`.
         report: of a loop that has ended; None before, and of one that died.
+        patience: how long the loop may take to answer a command, s.
 
     Raises:
         InputError: the file of the ring exists already.
@@ -66,7 +67,7 @@ class LoopProcess:
         for path in self._files:
             if path.exists():
                 raise InputError("exists already; remove it or give another name", file=path)
-        self.message, self.report = "not started", None
+        self.message, self.report, self.patience = "not started", None, PATIENCE
         self._parts = LoopParts(make_tissue, device, rendering, settings or LoopSettings())
         self._process: multiprocessing.process.BaseProcess | None = None
         self._connection: Connection | None = None
@@ -179,9 +180,10 @@ class LoopProcess:
         `set_parameters`."""
         self.ask("follow", device=device, anew=anew)
 
-    def aim(self, depth: float) -> None:
-        """Tell a `HandMotion`, or a device that one moves, where to go, m. Raises as `set_parameters`."""
-        self.ask("aim", depth=depth)
+    def aim(self, depth: float, across: tuple[float, float] | None = None) -> None:
+        """Tell a `HandMotion`, or a device that one moves, where to go, m; see `HapticDevice.aim`. Raises as
+        `set_parameters`."""
+        self.ask("aim", depth=depth, across=across)
 
     def set_parameters(self, **values: float) -> None:
         """Change parameters of the tissue between two ticks.
@@ -207,11 +209,11 @@ class LoopProcess:
             self._answers.clear()
             with suppress(OSError):  # reading says why
                 self._connection.send((command, values))
-            until = time.monotonic() + PATIENCE
+            until = time.monotonic() + self.patience
             while not self._answers and self.report is None:
                 self._read(0.1)
                 if time.monotonic() > until:
-                    raise LoopError(f"the loop does not answer within {PATIENCE:g} s")
+                    raise LoopError(f"the loop does not answer within {self.patience:g} s")
             if self._answers and self._answers[0]:
                 raise InputError(self._answers[0])
 
@@ -232,7 +234,7 @@ class LoopProcess:
 
     def stop(self) -> LoopReport | None:
         """End the process, by force where it does not end by itself. Returns its report, None where there is none."""
-        connection = self._connection
+        connection, self.patience = self._connection, PATIENCE
         with suppress(LoopError, InputError, OSError):  # it has died: there is nothing to stop
             while connection is not None and not self._ready and connection.poll():
                 self._read(0.0)

@@ -87,7 +87,7 @@ def run(arguments) -> int:
         return _watch(arguments)
     check_solver(arguments.solver)
 
-    from scenes.viewer.live_simulation import SETTINGS
+    from scenes.viewer.live_simulation import PATIENT, SETTINGS
     from scenes.viewer.run import run_headless, run_page
     from scenes.viewer.scene import BUILT_IN, Scene, read_measurements
 
@@ -96,8 +96,13 @@ def run(arguments) -> int:
     scene = Scene(SCENES[arguments.scene], experiment, material,
                   BUILT_IN if arguments.material is None else arguments.material.name,
                   read_measurements(arguments.measured, arguments.scene), arguments.solver)
+    # Other solvers than the usual one may take longer than a tick for an equilibrium, which no hand may wait for.
+    other = arguments.solver != Scene.solver
+    settings = PATIENT if other and not arguments.device else SETTINGS
     options: dict[str, Any] = {"resolution": arguments.resolution,
-                               "settings": replace(SETTINGS, real_time=not arguments.no_real_time)}
+                               "settings": replace(settings, real_time=not arguments.no_real_time)}
+    if other:
+        options["curve_resolution"] = arguments.resolution
     if arguments.device:
         options["device"] = open_haptic(arguments.device)
     if arguments.headless:

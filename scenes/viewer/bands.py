@@ -13,7 +13,7 @@ class Pieces:
     """Triangles cut at the levels, each in one band.
 
     Attributes:
-        points: those that were given, then the crossings of their edges with levels, shape (m, 2).
+        points: those that were given, then the crossings of their edges with levels, shape (m, 2) or (m, 3).
         triangles: point numbers, sorted by band, wound as those that were given, shape (k, 3).
         band: of each triangle, ascending, shape (k,).
     """
@@ -36,15 +36,16 @@ class Triangulation:
     @cached_property
     def _edges(self) -> tuple[np.ndarray, np.ndarray]:
         """Ends of each edge once, shape (e, 2), and the edges of each triangle, shape (t, 3): corners 0-1, 1-2, 2-0."""
-        ends = np.sort(self.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-        edges, number = np.unique(ends, axis=0, return_inverse=True)
-        return edges, number.reshape(-1, 3)
+        ends = np.sort(self.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1).astype(np.int64)
+        points = int(ends.max(initial=0)) + 1
+        keys, number = np.unique(ends[:, 0] * points + ends[:, 1], return_inverse=True)
+        return np.stack([keys // points, keys % points], axis=-1), number.reshape(-1, 3)
 
     def cut(self, points: np.ndarray, values: np.ndarray, levels: np.ndarray) -> Pieces:
         """Cut the triangles where the linear interpolation of `values` crosses the levels.
 
         Args:
-            points: shape (n, 2).
+            points: shape (n, 2) or (n, 3).
             values: at the points, shape (n,).
             levels: ascending, shape (bands + 1,). The first and the last band also take what lies beyond them.
         """

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scenes.figures import volume_range
+from scenes.colour_scale import volume_range
 from tissue_sim.errors import InputError
-from tissue_sim.fem.axisymmetric.fields import FIELD_UNITS
+from tissue_sim.fem.fields import FIELD_UNITS
 
 if TYPE_CHECKING:
     from tissue_sim.fem.axisymmetric.fields import Fields

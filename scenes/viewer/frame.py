@@ -33,7 +33,7 @@ class Readouts:
 
     Attributes:
         time: of the loop, s.
-        depth, force, stiffness: of the tool, m, N, N/m.
+        depth, force, stiffness: of the tool along its axis, m; along z, N, N/m.
         step_time: median of the last half second, s.
         iterations: linear solves a tick, the mean of the same time.
         rate: ticks a second of wall time.
@@ -42,6 +42,7 @@ class Readouts:
         warning: why its force is not that of an equilibrium, with what to do; empty where it is.
         doubtful: answers of the last second that were none of an equilibrium.
         mesh: of the tissue, in words.
+        across: force along x and y, N.
     """
 
     time: float
@@ -56,6 +57,7 @@ class Readouts:
     mesh: str = ""
     warning: str = ""
     doubtful: int = 0
+    across: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,9 +99,10 @@ class Frame:
         readouts: None before the first tick.
         curves: for the plots.
         motion: ``"hand"``, ``"protocol"``, ``"recording"``, or ``"device"`` for a device or any other motion.
-        target: where a hand points, m.
-        surface: of the tissue where its snapshot has no fields, m, in the frame of the scene; else None.
+        target: where a hand points, along the tool's axis, m.
+        surface: of the tissue where its snapshot has no fields to draw, m, in the frame of the scene; else None.
         calibration: recordings that were uploaded, and their fit.
+        across: x and y where the axis of the tool that a hand points meets the height of the touch, m.
     """
 
     phase: Phase
@@ -112,6 +115,7 @@ class Frame:
     target: float
     surface: Surface | None = None
     calibration: CalibrationState = field(default_factory=CalibrationState)
+    across: tuple[float, float] = (0.0, 0.0)
 
 
 class Commands(Protocol):

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -13,14 +15,15 @@ import numpy as np
 import tissue_sim as ts
 from haptics.devices.contracts import HapticDevice
 from haptics.loop.loop import LoopSettings
-from haptics.loop.process import LoopError, LoopProcess
+from haptics.loop.process import PATIENCE, LoopError, LoopProcess
 from haptics.loop.ring import PAUSED, RingReader
 from haptics.loop.snapshot_board import SnapshotReader
 from haptics.safety.limits import ForceLimits
 from haptics.safety.rendering import ForceRendering
 from scenes.viewer.frame import Phase, Readouts
 from scenes.viewer.revolution import Surface
-from tissue_sim.simulator import Simulator
+from scenes.viewer.viewed_simulator import ViewedSimulator
+from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import ForceStatus
 
@@ -31,6 +34,9 @@ _LOOK_BACK, _DOUBTS_OVER, _COUNT_OVER = 0.5, 1.0, 2.0
 _COUNTED = ("time", "compute_time", "iterations", "status")
 #: A tick each millisecond, and the tissue 30 times a second.
 SETTINGS = LoopSettings(snapshot_rate=30.0)
+#: The same for tissue whose equilibria take longer than a tick; meanwhile its forces are carried on, and said to be
+#: LATE. Not for a hand at a device.
+PATIENT = replace(SETTINGS, patience=60.0)
 #: N, and N per tick: limits of the rendered force, which no device takes; what is shown is the force of the tissue.
 _LIMITS = 1e3, 1e3
 
@@ -48,15 +54,18 @@ class LiveSimulation:
     Attributes:
         phase, message: what it does, or why it ended.
         snapshot: newest; None before the first.
-        surface: of the tissue at that snapshot, where it has no fields; else None.
+        surface: of the tissue at that snapshot, where it has no fields to draw; else None.
         readouts: None before the first tick.
     """
 
     def __init__(self, model: ts.Model, device: HapticDevice, *, solver: str = "axisymmetric",
                  resolution: str = "realtime", settings: LoopSettings = SETTINGS):
         self._loop = LoopProcess(
-            partial(Simulator, model, solver=solver, resolution=resolution, budget=BUDGET), device,
+            partial(ViewedSimulator, model, solver=solver, resolution=resolution, budget=BUDGET), device,
             ForceRendering(ForceLimits(*_LIMITS)), settings)
+        if settings.patience > PATIENCE:
+            # Of tissue that may take long for a tick a command is done no sooner.
+            self._loop.patience = settings.patience
         self._files = ExitStack()
         self._ring: RingReader | None = None
         self._snapshots: SnapshotReader | None = None
@@ -65,6 +74,9 @@ class LiveSimulation:
         #: What is counted of the ticks of the last `_DOUBTS_OVER` s, columns as in `_COUNTED`.
         self._felt = np.empty((0, len(_COUNTED)))
         self._paused = False
+        # Of a way along the tool's axis what is depth.
+        approach = model.experiment.approach
+        self._cosine = 1.0 if approach is None else math.cos(approach.angle)
         self.phase, self.message = Phase.STARTING, "starting"
         self.snapshot: Snapshot | None = None
         self.surface: Surface | None = None
@@ -78,15 +90,26 @@ class LiveSimulation:
 
     @property
     def tool_depth(self) -> float:
-        """Where the tool is now, m; where it has not been seen yet, the touch."""
+        """How far along its axis the tool is now, m; where it has not been seen yet, the touch."""
         last = None if self._ring is None else self._ring.latest()
-        return 0.0 if last is None else float(last["tool_depth"])
+        return 0.0 if last is None else float(last["tool_depth"]) / self._cosine
+
+    @property
+    def tool_across(self) -> tuple[float, float] | None:
+        """x and y where the tool's axis meets the height of the touch now, m; None where it has not been seen yet."""
+        last = None if self._ring is None else self._ring.latest()
+        if last is None:
+            return None
+        (x, y, z), (a, b, c, d) = last["tool_pose"][:3].tolist(), last["tool_pose"][3:].tolist()
+        (_, _, u), (_, _, v), (_, _, w) = Pose((x, y, z), (a, b, c, d)).rotation
+        return x - u / max(w, 0.1) * z, y - v / max(w, 0.1) * z
 
     def poll(self) -> np.ndarray | None:
         """Take in what is new.
 
         Returns:
-            The ticks since the last time, dtype `haptics.loop.ring.TICK`; None before the first and after the last.
+            The ticks since the last time, dtype `haptics.loop.ring.TICK`, their depths along the axis of a tool that
+            leans, as displacements are; None before the first and after the last.
         """
         if self.phase is Phase.DIED:
             return None
@@ -109,15 +132,19 @@ class LiveSimulation:
         self.phase = Phase.PAUSED if self._paused else Phase.RUNNING
         ticks = self._ring.since(self._number)
         self._number = ticks.number
+        records = ticks.records
+        if self._cosine != 1.0:
+            records = records.copy()
+            records["tool_depth"] /= self._cosine
         if self._snapshots is not None and self._loop.pattern is not None:
             self._snapshots.pattern = self._loop.pattern
             published = self._snapshots.latest(after=self._published)
             if published is not None:
                 self._published = published.number
                 self._take(published.snapshot)
-        if len(ticks.records):
-            self._read_out(ticks.records)
-        return ticks.records
+        if len(records):
+            self._read_out(records)
+        return records
 
     def ask(self, command: str, **values: Any) -> None:
         """Ask the loop for something and wait until it has done so, some milliseconds.
@@ -176,7 +203,8 @@ class LiveSimulation:
             float((last["late"] + last["missed"]) / max(deadlines, 1)), _in_words(status, last),
             _mesh_in_words(self._loop.resolution, self._loop.force_error),
             "" if status is ForceStatus.CONVERGED else status.message,
-            int(np.count_nonzero(statuses != ForceStatus.CONVERGED)))
+            int(np.count_nonzero(statuses != ForceStatus.CONVERGED)),
+            (float(last["tissue_wrench"][0]), float(last["tissue_wrench"][1])))
 
 
 def _mesh_in_words(resolution: str, force_error: float | None) -> str:

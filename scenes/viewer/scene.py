@@ -56,6 +56,11 @@ class Scene:
         """Largest tool displacement, m."""
         return self.experiment.protocol.depth
 
+    @property
+    def half_width(self) -> float:
+        """How far from its axis the undeformed specimen reaches, m."""
+        return self.experiment.specimen.radius
+
     def with_scene(self, name: str, *, tool: ts.Tool | None = None, friction: str | float | None = None) -> Scene:
         """Another kind of test, tool or interface of the tool's face, on the same specimen with the same protocol.
 

@@ -21,6 +21,8 @@ from scenes.viewer.live_simulation import SETTINGS, LiveSimulation
 from scenes.viewer.material_files import save_edited
 from scenes.viewer.measurement import gap, motion, typical
 from scenes.viewer.model_curve import ModelCurve
+from scenes.viewer.reach import within_top
+from scenes.viewer.requests import differ_in_parameters_only, superseded
 from scenes.viewer.scene import Scene
 from scenes.viewer.trace import Trace
 from tissue_sim.errors import InputError
@@ -65,7 +67,7 @@ class Session:
         self._replayed: tuple | None = None
         #: Grows with every point of the trace, and where the trace starts again.
         self._felt = 0
-        self._motion, self._target = "hand", 0.0
+        self._motion, self._target, self._across = "hand", 0.0, (0.0, 0.0)
         #: Whether somebody's hand is at a device; a motion feels nothing.
         self._hand_feels = False
         #: Whether the material was changed while the simulation was starting, so that it still has the old one.
@@ -120,7 +122,7 @@ class Session:
         elif self._curve.problem:
             message = self._curve.problem
         return Frame(simulation.phase, message, self.scene, simulation.snapshot, simulation.readouts, self._curves,
-                     self._motion, self._target, simulation.surface, self.calibration.state)
+                     self._motion, self._target, simulation.surface, self.calibration.state, self._across)
 
     def run(self, viewer: Viewer, stop: threading.Event, seconds: float | None = None) -> None:
         """Show frames until `stop` is set, or for so many seconds."""
@@ -131,21 +133,31 @@ class Session:
             due = max(due + 1.0 / FRAME_RATE, time.monotonic())
             stop.wait(due - time.monotonic())
 
-    def aim(self, depth: float) -> None:
-        """Let the tool go to a depth, m, as a hand would.
+    def aim(self, depth: float | None = None, across: tuple[float, float] | None = None) -> None:
+        """Let the tool go to a place, as a hand would.
+
+        Args:
+            depth: along its axis, m; None: as deep as it is.
+            across: x and y where its axis meets the height of the touch, m, of tissue in space, kept within its top;
+                None: where it is.
 
         Raises:
             InputError: it stands still in a pause, or is not running.
         """
-        if self._simulation.phase is Phase.PAUSED:
+        simulation = self._simulation
+        if simulation.phase is Phase.PAUSED:
             raise InputError("the tool stands still while the motion is paused; press Play to go on, or Reset")
-        depth = min(max(depth, -CLEARANCE), self.scene.deepest)
         if self._motion != "hand":
             # What is known here of the tool's place is a frame old: the tool would jump back.
-            self._simulation.ask("follow", device=HandMotion(None, HAND_SPEED))
-            self._motion, self._target, self._hand_feels = "hand", self._simulation.tool_depth, False
-        self._simulation.ask("aim", depth=depth)
-        self._target = depth
+            simulation.ask("follow", device=HandMotion(None, HAND_SPEED))
+            self._motion, self._target, self._hand_feels = "hand", simulation.tool_depth, False
+            self._across = simulation.tool_across or self._across
+        depth = min(max(self._target if depth is None else depth, -CLEARANCE), self.scene.deepest)
+        place: dict[str, Any] = {"depth": depth}
+        if across is not None and simulation.snapshot is not None and simulation.snapshot.in_space:
+            place["across"] = within_top(self.scene.experiment, simulation.snapshot, across)
+        simulation.ask("aim", **place)
+        self._target, self._across = depth, place.get("across", self._across)
 
     def play(self, text: str, speed: float = 5e-3, repeat: bool = False) -> None:
         """Play a protocol from its beginning, on undeformed tissue.
@@ -160,7 +172,7 @@ class Session:
         """
         protocol = ts.Protocol.parse(text, _POINTS, speed)
         self._require_depth(protocol, "protocol")
-        self._follow("protocol", ProtocolMotion(protocol, repeat=repeat))
+        self._follow("protocol", ProtocolMotion(protocol, repeat, self.scene.experiment.approach))
 
     def replay(self, speed: float = 1.0) -> None:
         """Repeat the measured motion, `speed` times as fast.
@@ -172,7 +184,8 @@ class Session:
             raise InputError("nothing was measured in this scene; start the viewer with --measured FILE")
         measured, (recording, _) = motion(self.scene.measurement), typical(self.scene.measurement)
         self._require_depth(measured, "recording")
-        self._follow("recording", ProtocolMotion(ts.Protocol(measured.time / speed, measured.displacement)))
+        self._follow("recording", ProtocolMotion(ts.Protocol(measured.time / speed, measured.displacement),
+                                                 approach=self.scene.experiment.approach))
         if "time" in recording:
             self._replayed = ((recording.time - measured.time[0]) / speed, recording.force)
 
@@ -196,8 +209,8 @@ class Session:
 
     def reset(self) -> None:
         """Lift the tool to the touch, with undeformed tissue."""
-        self._follow("hand", HandMotion(0.0, HAND_SPEED))
-        self._target = 0.0
+        self._follow("hand", self._hand())
+        self._target, self._across = 0.0, self._entrance
 
     def set_parameters(self, values: dict[str, float]) -> None:
         """Change the material while it is felt.
@@ -218,7 +231,7 @@ class Session:
     def _take_material(self, material: ts.Material, source: str) -> None:
         require_tissue(material)  # also where no simulation runs that would refuse it
         scene = replace(self.scene, material=material, source=source)
-        if not _differ_in_parameters_only(self.scene.material, material):
+        if not differ_in_parameters_only(self.scene.material, material):
             self._change(scene)
             return
         if self._simulation.phase in (Phase.RUNNING, Phase.PAUSED):
@@ -273,7 +286,7 @@ class Session:
         for number, (command, reply, values) in enumerate(requests):
             problem = None
             try:
-                if not _superseded(command, values, requests[number + 1:]):
+                if not superseded(command, values, requests[number + 1:]):
                     COMMANDS[command](self, **values)
             except InputError as error:
                 problem = str(error)
@@ -294,14 +307,24 @@ class Session:
         self._simulation = self._begin()
 
     def _begin(self) -> LiveSimulation:
-        self._motion, self._target, self._hand_feels = "hand", 0.0, False
+        self._motion, self._target, self._across, self._hand_feels = "hand", 0.0, self._entrance, False
         self._forget_trace()
         self._material_is_late = False
         self._device_waits = self._device is not None
-        simulation = LiveSimulation(self.scene.model, HandMotion(0.0, HAND_SPEED), solver=self.scene.solver,
+        simulation = LiveSimulation(self.scene.model, self._hand(), solver=self.scene.solver,
                                     resolution=self._resolution, settings=self._settings)
         self._curve.ask(self._test())
         return simulation
+
+    def _hand(self) -> HandMotion:
+        """At the touch."""
+        return HandMotion(0.0, HAND_SPEED, approach=self.scene.experiment.approach)
+
+    @property
+    def _entrance(self) -> tuple[float, float]:
+        """Where the tool first touches."""
+        x, y, _ = self.scene.experiment.tool_pose(0.0).position
+        return x, y
 
     def _follow(self, kind: str, device: HapticDevice) -> None:
         simulation = self._simulation
@@ -354,24 +377,6 @@ class Session:
         if (self._hand_feels, self._curve.busy) != (curves.felt, curves.computing):
             curves = replace(curves, felt=self._hand_feels, computing=self._curve.busy)
         self._curves = curves
-
-
-def _superseded(command: str, values: dict[str, Any], later: list[tuple[str, Callable | None, dict[str, Any]]]) -> bool:
-    """Whether a later request replaces this one: of those of a hand, and of one slider, only the newest counts."""
-    if command == "aim":
-        return any(other == "aim" for other, _, _ in later)
-    return (command == "set_parameters" and bool(later) and later[0][0] == command
-            and later[0][2]["values"].keys() == values["values"].keys())
-
-
-def _differ_in_parameters_only(a: ts.Material, b: ts.Material) -> bool:
-    values = parameter_values(b)
-    if parameter_values(a).keys() != values.keys():
-        return False
-    try:
-        return replace(with_values(a, values), name=b.name) == b
-    except InputError:  # on the way from one to the other
-        return False
 
 
 #: What a viewer may ask a session for, by name; the values of a command are its arguments.

@@ -138,7 +138,7 @@ def force_arrow(force: float, full_scale: float, tool: Tool, specimen: Specimen)
     if not share >= LEAST_FORCE:
         return None
     size = specimen.height
-    bottom = float(tool_outline(tool, specimen)[:, 1].max()) + INSET * size
+    bottom = arrow_foot(tool, specimen)
     length = share * ARROW * size
     # The head of a short arrow is smaller, not blunter.
     head = min(HEAD_LENGTH * size, LARGEST_HEAD * length)
@@ -149,6 +149,33 @@ def force_arrow(force: float, full_scale: float, tool: Tool, specimen: Specimen)
         outline = (outline * [1.0, -1.0] + [0.0, length])[::-1]
         ends = ends[::-1]
     return Arrow(_body(outline + ends[:, 1:].min(axis=0), Opening(0.0, segments=24)), *ends)
+
+
+def arrow_foot(tool: Tool, specimen: Specimen) -> float:
+    """Height of the lower end of the arrow of a force over the tool's deepest point, along its axis, m."""
+    return float(tool_outline(tool, specimen)[:, 1].max()) + INSET * specimen.height
+
+
+def turned_arrow(arrow: Arrow, aside: tuple[float, float]) -> Arrow:
+    """An arrow along z that points as much aside, turned about its lower end.
+
+    Args:
+        arrow: of `force_arrow`.
+        aside: shares of its direction along x and y.
+    """
+    foot = min(arrow.start, arrow.tip, key=lambda end: end[2])
+    x, y = aside if arrow.tip[2] > arrow.start[2] else (-aside[0], -aside[1])
+    share = min(float(np.hypot(x, y)), 1.0)
+    cosine = (1.0 - share * share) ** 0.5
+    # The rotation that takes z to the direction, the shortest way.
+    axis = np.array([-y, x, 0.0]) / max(share, np.finfo(float).tiny)
+    skew = np.array([[0.0, 0.0, axis[1]], [0.0, 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
+    rotation = np.eye(3) + share * skew + (1.0 - cosine) * skew @ skew
+
+    def turned(points: np.ndarray) -> np.ndarray:
+        return (foot + (points - foot) @ rotation.T).astype(points.dtype)
+
+    return Arrow(Surface(turned(arrow.surface.vertices), arrow.surface.faces), turned(arrow.start), turned(arrow.tip))
 
 
 def contact_picture(surface: SurfaceLine, tool: Tool, depth: float, opening: Opening) -> Contact | None:

@@ -115,13 +115,14 @@ class Shown:
         folder: of its materials; it holds ``softer.material.json``.
     """
 
-    def __init__(self, scene, folder: Path):
+    def __init__(self, scene, folder: Path, patience: float = 0.05):
         from haptics.loop.loop import LoopSettings
         from scenes.viewer.page import Page
         from scenes.viewer.session import Session
 
         self.scene, self.folder = scene, folder
-        self.session = Session(scene, settings=LoopSettings(period=4e-3, snapshot_rate=30.0, real_time=False))
+        self.session = Session(scene, settings=LoopSettings(
+            period=4e-3, snapshot_rate=30.0, real_time=False, patience=patience))
         self.page = None
         try:
             self.frame = self.session.frame()
@@ -195,6 +196,32 @@ def shown(browser, tmp_path_factory):
         yield shown
     finally:
         shown.close()
+
+
+@pytest.fixture(scope="module")
+def shown_solid(browser, tmp_path_factory):
+    """A viewer of a coarse solid in space, under a tool that leans and stands off the axis."""
+    import math
+
+    from coarse_solid import make_coarse_solid
+
+    import tissue_sim as ts
+    from scenes.commands.shared.tissue_flags import read_material
+    from scenes.viewer.scene import Scene
+    from tissue_sim.experiment.kinds.indentation import NEEDLE
+    from tissue_sim.fem.solver import SOLVERS
+
+    experiment = NEEDLE.experiment(
+        specimen=ts.Specimen(0.04, 0.07), protocol=ts.Protocol.ramp(2e-3, 3), tool=ts.Tool("round", radius=8e-3),
+        friction=0.3, approach=ts.Approach(8e-3, math.radians(10.0)))
+    SOLVERS.register(make_coarse_solid, "coarse_solid")
+    scene = Scene(NEEDLE, experiment, read_material(None), solver="coarse_solid")
+    shown = Shown(scene, tmp_path_factory.mktemp("materials"), patience=1e4)
+    try:
+        yield shown
+    finally:
+        shown.close()
+        SOLVERS.unregister("coarse_solid")
 
 
 class Reader:
@@ -314,6 +341,12 @@ def desk(shown, browser, chromium):
     with pages_of(browser, chromium) as open_one:
         page = open_one(shown, width=1200, height=760, triangles=100)
         yield Reader(page, shown, chromium, open_one.traffic(page))
+
+
+@pytest.fixture
+def reader_of(open_page, chromium):
+    """``reader_of(page, shown)``: a reader of a page that `open_page` gave."""
+    return lambda page, shown: Reader(page, shown, chromium, open_page.traffic(page))
 
 
 @pytest.fixture

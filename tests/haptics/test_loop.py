@@ -127,6 +127,24 @@ def test_the_tissue_gets_the_time_that_has_passed(run, tissues):
     assert report.lateness.maximum == pytest.approx(6.4e-3)
 
 
+def test_a_loop_with_long_ticks_is_listened_to_after_each_of_them(run, tissues):
+    """Every 10 ms by its deadlines: each tick of a tissue that takes 30 ms, each tenth one of a quick one."""
+    class Slow(tissues.Spring):
+        taken = 30_000_000
+
+        def step(self, pose, dt):
+            answer = super().step(pose, dt)
+            run.clock.now += self.taken
+            return answer
+
+    quick = Slow()
+    quick.taken = 250_000
+    for tissue, every in ((Slow(), 1), (quick, 10)):
+        heard = []
+        report, _ = run(tissue, 0.6, listen=lambda _, heard=heard: heard.append(run.clock.now))
+        assert len(heard) == pytest.approx(report.ticks / every, abs=1.5)
+
+
 def test_a_force_without_an_equilibrium_is_let_go_and_comes_back(run, tissues):
     class Lost(tissues.Spring):
         """No equilibrium from 0.2 to 0.6 s."""

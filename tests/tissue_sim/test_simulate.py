@@ -8,7 +8,7 @@ from scipy.interpolate import CubicSpline
 
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
-from tissue_sim.fem.axisymmetric.fields import FIELD_UNITS, extrapolate
+from tissue_sim.fem.fields import FIELD_UNITS, extrapolate
 from tissue_sim.fem.solver import Step, StepStatus
 from tissue_sim.mesh import cylinder_mesh
 from tissue_sim.simulation import _approach

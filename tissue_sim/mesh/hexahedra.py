@@ -59,13 +59,6 @@ class Hexahedron(SolidElement):
         return np.outer(line, line).ravel()
 
     @cached_property
-    def face_triangles(self) -> np.ndarray:
-        """Two for each square between nodes."""
-        grid = np.arange((self.order + 1) ** 2).reshape(self.order + 1, -1)
-        a, b, c, d = (each.ravel() for each in (grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]))
-        return np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
-
-    @cached_property
     def quadrature(self) -> tuple[np.ndarray, np.ndarray]:
         """Gauss points (q, 3) and weights (q,), order + 1 in each direction."""
         x, w = leggauss(self.order + 1)

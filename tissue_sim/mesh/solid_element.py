@@ -55,11 +55,6 @@ class SolidElement(ABC):
 
     @property
     @abstractmethod
-    def face_triangles(self) -> np.ndarray:
-        """A side as flat triangles between its nodes, shape (t, 3), going round as the corners do."""
-
-    @property
-    @abstractmethod
     def quadrature(self) -> tuple[np.ndarray, np.ndarray]:
         """Points (q, 3) and weights (q,)."""
 

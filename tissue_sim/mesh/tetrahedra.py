@@ -70,11 +70,6 @@ class Tetrahedron(SolidElement):
         return np.repeat(*((11 / 60, 9 / 20), (3, 1)) if self.order == 1 else ((1 / 20, 2 / 15, 9 / 20), (3, 3, 1)))
 
     @cached_property
-    def face_triangles(self) -> np.ndarray:
-        ring = [0, 1, 2] if self.order == 1 else [0, 3, 1, 4, 2, 5]
-        return np.array([(here, after, len(ring)) for here, after in zip(ring, ring[1:] + ring[:1], strict=True)])
-
-    @cached_property
     def quadrature(self) -> tuple[np.ndarray, np.ndarray]:
         """Points and weights, exact for the divergence of all displacements times all pressures of a straight element,
         of degree 2 or 4. With four points, enough for small deformations of the linear one, its bubbles lose their

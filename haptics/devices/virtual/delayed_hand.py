@@ -78,8 +78,8 @@ class DelayedHand(HapticDevice):
         self._under_way.clear()
         self._hand.stop()
 
-    def aim(self, depth: float) -> None:
-        self._hand.aim(depth)
+    def aim(self, depth: float, across: tuple[float, float] | None = None) -> None:
+        self._hand.aim(depth, across)
 
     def describe(self) -> dict[str, Any]:
         return {**self._hand.describe(), "device": "virtual hand behind a late line", "delay_ms": self._delay * 1e3,

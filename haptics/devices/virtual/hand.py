@@ -126,8 +126,8 @@ class VirtualHand(HapticDevice):
     def stop(self) -> None:
         self._force = (0.0, 0.0, -self._push)
 
-    def aim(self, depth: float) -> None:
-        self._motion.aim(depth)
+    def aim(self, depth: float, across: tuple[float, float] | None = None) -> None:
+        self._motion.aim(depth, across)
 
     def describe(self) -> dict[str, Any]:
         return {"device": "virtual hand", "motion": type(self._motion).__name__, "mass_kg": self._mass,

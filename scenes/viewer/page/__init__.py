@@ -61,7 +61,8 @@ class Page:
     def _lay_out(self, session: Commands, frame: Frame, materials: Path, low_graphics: bool, dark: bool) -> None:
         server, gui = self.server, self.server.gui
         self._solid = Solid(server, frame.scene, low_graphics=low_graphics)
-        self._solid.on_drag(lambda depth, reply: session.post("aim", reply=reply, depth=depth))
+        self._solid.on_drag(lambda depth, across, reply: session.post(
+            "aim", reply=reply, depth=depth, **({} if across is None else {"across": across})))
         self._title = gui.add_html(title_html(frame.scene))
         self._status = gui.add_html(status_html(frame))
         self._restart = gui.add_button("Restart", icon=viser.Icon.REFRESH, color="red", visible=False)
@@ -70,6 +71,7 @@ class Page:
         tabs = gui.add_tab_group()
         with tabs.add_tab("Motion"):
             self._motion = MotionControls(server, session, frame)
+            self._motion.on_drag_way = self._solid.drag_by
         with tabs.add_tab("Material"):
             self._material = MaterialControls(server, session, frame, materials)
         with tabs.add_tab("Calibrate"):

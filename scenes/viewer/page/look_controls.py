@@ -28,15 +28,21 @@ class LookControls:
         field = gui.add_dropdown("colour", tuple(fields), initial_value=LABELS[self.look.field][0])
         hold = gui.add_checkbox("hold the colours' range", False)
         cut = gui.add_slider("cut-away [°]", min=0, max=180, step=5, initial_value=round(self.look.cut))
+        turn = gui.add_slider("cut turned [°]", min=-180, max=180, step=5, initial_value=round(self.look.turn),
+                              hint="about the tool's axis")
+        reach = round(1e3 * frame.scene.half_width)
+        self._ahead = ahead = gui.add_slider("cut moved [mm]", min=-reach, max=reach, step=0.5, initial_value=0.0,
+                                             visible=False, hint="from the tool's axis, to where it opens")
         mesh_lines = gui.add_checkbox("mesh lines", self.look.mesh_lines)
         outline = gui.add_checkbox("undeformed outline", self.look.outline)
         camera = gui.add_button_group("camera", tuple(name.capitalize() for name in PRESETS))
         dark = gui.add_checkbox("dark page", False)
 
         def change(_: viser.GuiEvent) -> None:
-            self.look = Look(fields[field.value], float(cut.value), mesh_lines.value, outline.value, hold.value)
+            self.look = Look(fields[field.value], float(cut.value), float(turn.value), float(ahead.value),
+                             mesh_lines.value, outline.value, hold.value)
 
-        for handle in (field, hold, cut, mesh_lines, outline):
+        for handle in (field, hold, cut, turn, ahead, mesh_lines, outline):
             handle.on_update(change)
 
         @camera.on_click
@@ -64,6 +70,9 @@ class LookControls:
     def show(self, frame: Frame) -> None:
         """Remember what there is to look at."""
         self._frame = frame
+        in_space = frame.snapshot is not None and frame.snapshot.in_space
+        if self._ahead.visible != in_space:
+            self._ahead.visible = in_space
 
     def place_camera(self, client: viser.ClientHandle, preset: str) -> None:
         """Let one browser look from a preset."""
@@ -75,7 +84,8 @@ class LookControls:
 
     def _pose(self, preset: str, aspect: float):
         experiment, snapshot = self._frame.scene.experiment, self._frame.snapshot
-        depth = 0.0 if snapshot is None else snapshot.depth
+        place = experiment.tool_pose(0.0) if snapshot is None else snapshot.pose
         above = picture_height(experiment.tool, experiment.specimen)
-        pose = camera_pose(preset, experiment.specimen, experiment.tool, depth, above, aspect)
+        pose = camera_pose(preset, experiment.specimen, experiment.tool, place.depth, above, aspect, self.look.turn,
+                           place.position[:2])
         return pose.position * self._scale, pose.look_at * self._scale

@@ -10,6 +10,7 @@ import viser
 
 from scenes.viewer.frame import Commands, Frame, Phase
 from scenes.viewer.page.notices import answer_to, set_value
+from scenes.viewer.page.solid import DRAGS
 from scenes.viewer.session import CLEARANCE
 
 #: Ready-made protocols by what they are called; {depth} is the scene's largest, in mm.
@@ -34,6 +35,13 @@ class MotionControls:
         self._depth = gui.add_slider("depth [mm]", min=-CLEARANCE * 1e3, max=deepest * 1e3, step=0.01,
                                      initial_value=0.0,
                                      hint="or drag the tool; keys: PageDown and PageUp, with Shift ten times as far")
+        #: Of tissue in space.
+        reach = 1e3 * frame.scene.half_width
+        self._across = [gui.add_slider(f"{name} [mm]", min=-reach, max=reach, step=0.01, initial_value=0.0,
+                                       visible=False, hint="where the tool's axis meets the height of the touch")
+                        for name in "xy"]
+        self._drags = gui.add_dropdown("mouse moves it", tuple(DRAGS), visible=False)
+        self.on_drag_way: Callable[[str], None] = lambda _: None
         self._buttons = gui.add_button_group("run", ("Play", "Pause", "Step", "Reset"),
                                               hint="keys: P plays or pauses, N is a step, R resets; Ctrl+K lists all")
         self._source = gui.add_dropdown("motion", self._sources(frame), initial_value="protocol")
@@ -54,6 +62,16 @@ class MotionControls:
         async def _(event: viser.GuiEvent) -> None:  # a coroutine: it runs before another value is written
             if event.client is not None:  # not what the program has written itself
                 self._go(self._depth.value, event)
+
+        for handle in self._across:
+            @handle.on_update
+            async def _(event: viser.GuiEvent) -> None:
+                if event.client is not None:
+                    self._ask(event, across=(1e-3 * self._across[0].value, 1e-3 * self._across[1].value))
+
+        @self._drags.on_update
+        def _(_: viser.GuiEvent) -> None:
+            self.on_drag_way(self._drags.value)
 
         for key, way, words in (("pagedown", 0.1, "deeper"), ("pageup", -0.1, "up")):
             self._key(gui, f"0.1 mm {words}", key, partial(self._go_on, way))
@@ -88,6 +106,11 @@ class MotionControls:
 
     def _go(self, depth: float, event: Any) -> None:
         """Let the tool go to a depth, mm."""
+        self._aimed = min(max(depth, self._depth.min), self._depth.max)
+        self._ask(event, depth=self._aimed * 1e-3)
+
+    def _ask(self, event: Any, **place: Any) -> None:
+        """Let the tool go to a place, as `Session.aim` takes it."""
         tell = answer_to(event)
 
         def obeyed(problem: str | None) -> None:
@@ -97,8 +120,7 @@ class MotionControls:
             self._refusal = problem
 
         self._entered += 1
-        self._aimed = min(max(depth, self._depth.min), self._depth.max)
-        self._session.post("aim", reply=obeyed, depth=self._aimed * 1e-3)
+        self._session.post("aim", reply=obeyed, **place)
 
     @staticmethod
     def _sources(frame: Frame) -> tuple[str, ...]:
@@ -125,6 +147,14 @@ class MotionControls:
             self._source.options = sources
         depth = frame.target if frame.motion == "hand" or frame.readouts is None else frame.readouts.depth
         depth = round(depth * 1e3, 2)
+        in_space = frame.snapshot is not None and frame.snapshot.in_space
+        for handle in (*self._across, self._drags):
+            if handle.visible != in_space:
+                handle.visible = in_space
+        if self._entered == self._obeyed:
+            for slider, place in zip(self._across, frame.across, strict=True):
+                if abs(round(place * 1e3, 2) - slider.value) >= 0.01:
+                    set_value(slider, round(place * 1e3, 2))
         if self._entered == self._obeyed:
             self._aimed = depth
         # What was entered a moment ago is newer than the frame.

@@ -54,6 +54,7 @@ def status_html(frame: Frame) -> str:
 _MEANING = {
     "force": "force of the tissue on the tool, along z; pushing in gives a positive one",
     "depth": "how far the tool is below the undeformed surface",
+    "across": "force along x and along y: of tissue in space, off its axis or under a tool that leans or slides",
     "stiffness": "how the tissue's force grows with depth: what a hand feels, without the mass of the tissue",
     "step-time": "wall time of a step of the solver, median of the last half second",
     "iterations": "linear solutions a tick, mean of the last half second",
@@ -88,6 +89,9 @@ def readouts_html(frame: Frame) -> str:
              ("solution", "tissue", "–" if now is None else now.status),
              ("doubtful", "no equilibrium", "–" if now is None else f"{now.doubtful} in the last second"),
              ("mesh", "mesh", "–" if now is None else now.mesh or "–")]
+    if frame.snapshot is not None and frame.snapshot.in_space:
+        small.insert(0, ("across", "force across", "–" if now is None else
+                         " and ".join(f"{_number(part, 3)} N" for part in now.across)))
     badge = ""
     if stale and now is not None:
         badge = _badge("old", "the simulation has stopped: these are its last numbers", _GREY)

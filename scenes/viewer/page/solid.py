@@ -5,22 +5,30 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import viser
 
 from scenes.field_labels import LABELS
+from scenes.viewer.bodies import Body, body_of, drawable
 from scenes.viewer.colours import PALETTE, field_range, steady_levels
-from scenes.viewer.cut_away import CutAway
 from scenes.viewer.frame import Frame
 from scenes.viewer.page.notices import Reply, answer_to
 from scenes.viewer.page.scene_updates import send_arrays, send_position
 from scenes.viewer.revolution import Opening, Surface
 from scenes.viewer.scene import Scene
 from scenes.viewer.tone import seen_colour, surface_colour
-from scenes.viewer.tool_picture import base_plate, contact_picture, force_arrow, scale_bar, tool_mesh
+from scenes.viewer.tool_picture import (
+    arrow_foot,
+    base_plate,
+    force_arrow,
+    scale_bar,
+    tool_mesh,
+    turned_arrow,
+)
+from scenes.viewer.wedge import Wedge
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
-from tissue_sim.fem.axisymmetric.fields import Fields, extrapolate
 from tissue_sim.mesh import Mesh
 from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
@@ -34,11 +42,17 @@ TISSUE = (204, 150, 135)
 MESH_LINES, OUTLINE, SCALE_BAR = (255, 255, 255), (128, 128, 128), (20, 20, 20)
 #: Light from all sides in which a surface has its own colour, and a light that shows its shape, from where the cut
 #: opens: it falls on both section faces alike.
-_FULL, _KEY, _KEY_DIRECTION = np.pi, 1.1, np.array([0.0, -0.8, 0.6])
+_FULL, _KEY, _KEY_ACROSS, _KEY_UP = np.pi, 1.1, 0.8, 0.6
 #: Segments of a whole turn of the tissue, for a browser without a graphics card, and of what is sent once only.
 FINE, COARSE, STILL = 48, 32, 96
 #: Steps in the length of the arrow.
 _ARROW_STEPS = 60
+#: Steps in what of its direction lies across the axis.
+_ARROW_TURNS = 40
+#: A ray that falls less than this share of its length meets no height that a mouse could mean.
+_LEAST_FALL = 0.1
+#: How a mouse moves the tool of a solid in space, in words for people.
+DRAGS = {"in the picture's plane": "freely", "along its axis": "depth", "sideways": "sideways"}
 #: Forces that an arrow of full length stands for, times powers of ten.
 _ROUND = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
 
@@ -50,12 +64,16 @@ class Look:
     Attributes:
         field: a name in `scenes.field_labels.LABELS`.
         cut: angle of the wedge that is left out, degrees.
+        turn: of that wedge about the tool's axis from where it opens towards -y, degrees.
+        ahead: of a solid in space, how far the wedge begins from that axis, to where it opens, mm.
         mesh_lines, outline: whether to show the element edges, and the undeformed specimen.
         hold: keep the colours' levels as they are.
     """
 
     field: str = "von_mises"
     cut: float = 120.0
+    turn: float = 0.0
+    ahead: float = 0.0
     mesh_lines: bool = False
     outline: bool = True
     hold: bool = False
@@ -97,21 +115,28 @@ class Solid:
         #: Pose, material and look of the picture; its states, or vertices; what stands; length of the arrow in
         #: `_ARROW_STEPS`.
         self._drawn: tuple | None = None
-        self._state: np.ndarray | None = None
+        self._state: tuple[np.ndarray, ...] | None = None
+        #: Whether the tool may go aside.
+        self._in_space = False
         self._pushed: tuple | None = None
         self._standing: tuple | None = None
-        self._cut_away: CutAway | None = None
+        self._mesh_drawn: object = None
+        self._body: Body | None = None
         self._full_force = 1.0
+        #: Of the tool in the picture, and how a mouse moves it: a key of `DRAGS`.
+        self._pose, self.drag_way = Pose.at_depth(0.0), next(iter(DRAGS))
 
-    def on_drag(self, aim: Callable[[float, Reply | None], None]) -> None:
-        """Call `aim` with the depth, m, to which somebody drags the tool; once a drag with whom to tell why not."""
-        grabbed: dict[int, float] = {}
+    def on_drag(self, aim: Callable[[float, tuple[float, float] | None, Reply | None], None]) -> None:
+        """Call `aim` with the place to which somebody drags the tool, as `Session.aim` takes it; once a drag with whom
+        to tell why not."""
+        #: Of each browser: from the tool to where it was grabbed, and how high that was.
+        grabbed: dict[int, tuple[np.ndarray, float]] = {}
         untold: set[int] = set()
 
         async def drag(event) -> None:  # a coroutine: its phases come in order
             client = event.client_id
             if event.phase == "start":
-                grabbed[client] = event.start_position[2] - self._tool_frame.position[2]
+                grabbed[client] = (np.array(event.start_position) - self._tool_frame.position, event.start_position[2])
                 untold.add(client)
             if event.phase == "end":
                 grabbed.pop(client, None)
@@ -120,55 +145,80 @@ class Solid:
                 if client in untold:
                     untold.discard(client)
                     reply = answer_to(event)
-                aim(-(event.end_position[2] - grabbed[client]) / self.scale, reply)
+                held, height = grabbed[client]
+                end = np.array(event.end_position)
+                if self._in_space and DRAGS[self.drag_way] == "sideways":
+                    end = _at_height(event.client.camera.position, end, height)
+                aim(*self._aimed((end - held) / self.scale), reply)
 
         self._tool.on_drag("left")(drag)
+
+    def drag_by(self, way: str) -> None:
+        """Let a mouse move the tool so: a key of `DRAGS`."""
+        self.drag_way = way
+
+    def _aimed(self, tip: np.ndarray) -> tuple[float, tuple[float, float] | None]:
+        """Depth along the tool's axis, and where that axis meets the height of the touch, of a tool whose end is drawn
+        here, m; what the way of dragging leaves as it is stays."""
+        now, axis = np.array(self._pose.position), -np.array(self._pose.rotation)[:, 2]
+        lean = axis[:2] / max(-axis[2], 0.1)
+        if self._in_space and DRAGS[self.drag_way] == "sideways":
+            tip = np.append(tip[:2], now[2])
+        elif not self._in_space or DRAGS[self.drag_way] == "depth":
+            tip = now + axis * ((tip - now) @ axis)
+        depth = -float(tip[2]) / max(-axis[2], 0.1)
+        if not self._in_space:
+            return depth, None
+        return depth, (float(tip[0] + lean[0] * tip[2]), float(tip[1] + lean[1] * tip[2]))
 
     def show(self, frame: Frame, look: Look) -> bool:
         """Write what has changed since the last time; whether anything has."""
         snapshot = frame.snapshot
-        opening = _opening(look.cut, self._segments_of_turn)
-        stands = (frame.scene.experiment, look.cut, look.outline)
+        opening = _opening(look.cut, self._segments_of_turn, look.turn)
+        stands = (frame.scene.experiment, look.cut, look.turn, look.ahead, look.outline)
         changed = stands != self._standing
         if snapshot is None:
             if changed:
                 self._wait(frame.scene, opening, look)
                 self._standing = stands
             return changed
-        # Other solvers' fields have no section that could be drawn.
-        fields = snapshot.fields if isinstance(snapshot.fields, Fields) else None
-        surface = frame.surface
+        # Other solvers' fields may have nothing that could be drawn.
+        fields: Any = snapshot.fields if drawable(snapshot.fields) else None
+        surface, self._in_space = frame.surface, snapshot.in_space
+        if fields is not None and fields.mesh is not self._mesh_drawn:
+            changed = True
         if changed:
-            cut_away = self._take_mesh(_undeformed(frame.scene) if fields is None else fields.mesh)
-            self._stand(cut_away, frame.scene, opening, look)
+            body = self._take_mesh(_undeformed(frame.scene) if fields is None else fields.mesh)
+            self._stand(body, frame.scene, opening, look)
             self._standing = stands
         seen = snapshot.pose, None if fields is None else fields.material, look
-        state = fields.states if fields is not None else np.zeros(0) if surface is None else surface.vertices
-        if changed or seen != self._drawn or self._state is None or not np.array_equal(state, self._state):
+        state: tuple[np.ndarray, ...] = ()
+        if fields is not None:
+            state = fields.arrays()
+        elif surface is not None:
+            state = (surface.vertices,)
+        if changed or seen != self._drawn or not _same(state, self._state):
             if fields is None:
                 self._draw_surface(surface)
             else:
                 self._draw(fields, snapshot, frame.scene, opening, look)
-            self._place(snapshot)
+            self._place(snapshot, frame.scene)
             self._drawn, self._state, changed = seen, state, True
-        force = frame.readouts.force if frame.readouts else 0.0
-        return self._push(force, frame.scene) or changed
+        return self._push(_force(frame), frame.scene) or changed
 
-    def _draw(self, fields: Fields, snapshot: Snapshot, scene: Scene, opening: Opening, look: Look) -> None:
-        cut_away = self._take_mesh(fields.mesh)
+    def _draw(self, fields: Any, snapshot: Snapshot, scene: Scene, opening: Opening, look: Look) -> None:
+        body, place = self._take_mesh(fields.mesh), snapshot.place
+        wedge = Wedge(opening, snapshot.pose, 1e-3 * look.ahead)
         _, factor = LABELS[look.field]
-        at_points = fields.at_points(look.field) * factor
-        values = fields.at_nodes(look.field) * factor if look.field == "displacement" else extrapolate(fields.mesh,
-                                                                                                       at_points)
+        values, at_points, seen = body.values(fields, look.field, place, wedge)
         before = self.levels if self._drawn is not None and look.field == self._drawn[2].field else None
         self.levels = levels = before if before is not None and look.hold else steady_levels(
-            before, *field_range(at_points, fields, look.field, factor))
-        place = snapshot.place
-        for handle, surface in zip(self._bands, cut_away.bands(place, values, levels, opening), strict=True):
+            before, *field_range(at_points * factor, seen, look.field, factor))
+        for handle, surface in zip(self._bands, body.bands(place, values * factor, levels, wedge), strict=True):
             self._fill(handle, surface)
-        contact = contact_picture(cut_away.surface_line(place), scene.experiment.tool, snapshot.depth, opening)
-        self._lines(self._contact, None if contact is None else contact.lines)
-        self._lines(self._mesh_lines, cut_away.mesh_lines(place, opening) if look.mesh_lines else None)
+        _show(self._surface, False)
+        self._lines(self._contact, body.contact_lines(place, scene.experiment.tool, wedge))
+        self._lines(self._mesh_lines, body.mesh_lines(place, wedge) if look.mesh_lines else None)
 
     def _draw_surface(self, surface: Surface | None) -> None:
         """Tissue of a solver that has no section to draw, in one colour; where it has no triangles, no tissue."""
@@ -176,61 +226,74 @@ class Solid:
             _show(handle, False)
         self._fill(self._surface, surface)
 
-    def _place(self, snapshot: Snapshot) -> None:
-        """The tool at its pose, and the ground where the specimen stands."""
-        pose = snapshot.pose
+    def _place(self, snapshot: Snapshot, scene: Scene) -> None:
+        """The tool at its pose, the force over it, and the ground where the specimen stands."""
+        self._pose = pose = snapshot.pose
         x, y, z = pose.position
-        for moved in (self._tool_frame, self._force_frame):
-            send_position(moved, (self.scale * x, self.scale * y, self.scale * z))
+        send_position(self._tool_frame, (self.scale * x, self.scale * y, self.scale * z))
+        foot = arrow_foot(scene.experiment.tool, scene.experiment.specimen)
+        (_, _, u), (_, _, v), (_, _, w) = pose.rotation
+        send_position(self._force_frame, (self.scale * (x + u * foot), self.scale * (y + v * foot),
+                                          self.scale * (z + (w - 1.0) * foot)))
         if not np.array_equal(self._tool_frame.wxyz, pose.orientation):
             self._tool_frame.wxyz = pose.orientation
         # Where a specimen has sagged under its own weight, the tool touches it lower.
         if self._ground.position[2] != -snapshot.datum * self.scale:
             self._ground.position = (0.0, 0.0, -snapshot.datum * self.scale)
 
-    def _take_mesh(self, mesh: Mesh) -> CutAway:
-        if self._cut_away is None or self._cut_away.mesh is not mesh:
-            self._cut_away, self._drawn = CutAway.of(mesh), None
-        return self._cut_away
+    def _take_mesh(self, mesh: Any) -> Body:
+        if self._body is None or self._mesh_drawn is not mesh:
+            self._body, self._mesh_drawn, self._drawn = body_of(mesh), mesh, None
+        return self._body
 
     def _wait(self, scene: Scene, opening: Opening, look: Look) -> None:
         """The undeformed specimen, while its simulation starts."""
-        cut_away = self._take_mesh(_undeformed(scene))
-        place = cut_away.mesh.nodes
-        surfaces = cut_away.bands(place, np.zeros(len(place)), np.arange(len(self._bands) + 1.0), opening)
+        mesh = _undeformed(scene)
+        body, place = self._take_mesh(mesh), mesh.nodes
+        waits = Wedge(opening, Pose.at_depth(0.0))
+        surfaces = body.bands(place, np.zeros(len(place)), np.arange(len(self._bands) + 1.0), waits)
         for handle, surface in zip(self._bands, surfaces, strict=True):
             self._fill(handle, surface)
         for hidden in (self._surface, self._contact, self._mesh_lines, self._arrow, self._force):
             _show(hidden, False)
         self._pushed = None
-        self._place(Snapshot(Pose.at_depth(0.0), 0.0, None))
-        self._stand(cut_away, scene, opening, look)
+        self._place(Snapshot(scene.experiment.tool_pose(0.0), 0.0, None), scene)
+        self._stand(body, scene, opening, look)
 
-    def _stand(self, cut_away: CutAway, scene: Scene, opening: Opening, look: Look) -> None:
+    def _stand(self, body: Body, scene: Scene, opening: Opening, look: Look) -> None:
         """What does not move with the tissue."""
         specimen, tool = scene.experiment.specimen, scene.experiment.tool
+        # From where the cut opens.
+        light = np.array([_KEY_ACROSS * np.cos(opening.facing), _KEY_ACROSS * np.sin(opening.facing), _KEY_UP])
+        if tuple(self._key.position) != tuple(light):
+            self._key.position = tuple(light)
         if opening.faces:
             # The section faces get the light in which a surface has just its own colour, that of the bar.
-            faces_it = max(0.0, float(_KEY_DIRECTION[:2] @ opening.faces[0][1]))
+            faces_it = max(0.0, float(light[:2] @ opening.faces[0][1]))
             self._ambient.intensity = _FULL - _KEY * faces_it
-        self._fill(self._tool, tool_mesh(tool, specimen, _opening(look.cut, STILL)))
+        # A cut that does not go through its axis leaves it whole.
+        cut = 0.0 if self._in_space and look.ahead else look.cut
+        self._fill(self._tool, tool_mesh(tool, specimen, _opening(cut, STILL, look.turn)))
         self._fill(self._base, base_plate(specimen, _opening(0.0, STILL)))
         covered = specimen.outer_radius if tool.is_plate else tool.radius or 0.0
-        self._lines(self._outline, cut_away.undeformed_outline(opening, tool=(covered, scene.deepest))
-                    if look.outline else None)
+        wedge = Wedge(opening, Pose.at_depth(0.0))
+        self._lines(self._outline, body.outline(wedge, (covered, scene.deepest)) if look.outline else None)
         bar, length = scale_bar(specimen)
         self._lines(self._scale_bar, bar)
         self._scale_length.text = f"{1e3 * length:g} mm"
         self._scale_length.position = tuple(self.scale * bar[0].mean(axis=0))
 
-    def _push(self, force: float, scene: Scene) -> bool:
-        """The arrow of the force; whether it has changed."""
-        while abs(force) > self._full_force:
+    def _push(self, force: np.ndarray, scene: Scene) -> bool:
+        """The arrow of the force (x, y, z), N; whether it has changed."""
+        size = float(np.linalg.norm(force))
+        while size > self._full_force:
             self._full_force = _next_round(self._full_force)
-        text = f"{round(force, 2) + 0.0:.2f} N"
+        signed = size if force[2] >= 0.0 else -size
+        aside = tuple((np.round(force[:2] / max(size, 1e-300) * _ARROW_TURNS) / _ARROW_TURNS).tolist())
+        text = f"{round(signed, 2) + 0.0:.2f} N"
         # Rounded to steps too small to see, so that not every frame needs a new arrow.
         full = self._full_force
-        pushed = (round(force / full * _ARROW_STEPS), full, scene.experiment)
+        pushed = (round(signed / full * _ARROW_STEPS), full, aside, scene.experiment)
         if text == self._force.text and pushed == self._pushed:
             return False
         self._force.text = text
@@ -238,6 +301,8 @@ class Solid:
             self._pushed = pushed
             arrow = force_arrow(pushed[0] / _ARROW_STEPS * full, full, scene.experiment.tool, scene.experiment.specimen)
             _show(self._force, arrow is not None)
+            if arrow is not None and any(aside):
+                arrow = turned_arrow(arrow, aside)
             self._fill(self._arrow, None if arrow is None else arrow.surface)
             if arrow is not None:
                 x, y, z = (max(arrow.start, arrow.tip, key=lambda end: end[2]) * self.scale).tolist()
@@ -271,13 +336,32 @@ class Solid:
         nodes.configure_environment_map(hdri=None)
         nodes.configure_default_lights(enabled=False)
         self._ambient = nodes.add_light_ambient("/light/ambient", intensity=_FULL)
-        nodes.add_light_directional("/light/key", intensity=_KEY, position=tuple(_KEY_DIRECTION))
+        self._key = nodes.add_light_directional("/light/key", intensity=_KEY, position=(0.0, -_KEY_ACROSS, _KEY_UP))
 
 
 @lru_cache(maxsize=8)
-def _opening(degrees: float, segments: int) -> Opening:
+def _opening(degrees: float, segments: int, turn: float = 0.0) -> Opening:
     """One object for one cut, since it keeps its angles."""
-    return Opening(np.radians(degrees), segments=segments)
+    return Opening(np.radians(degrees), np.radians(turn - 90.0), segments=segments)
+
+
+def _same(arrays: tuple[np.ndarray, ...], others: tuple[np.ndarray, ...] | None) -> bool:
+    return others is not None and len(arrays) == len(others) and all(map(np.array_equal, arrays, others))
+
+
+def _at_height(camera: np.ndarray, seen: np.ndarray, height: float) -> np.ndarray:
+    """Where the ray from a camera through a point comes to a height; the point itself where it hardly does."""
+    ray = seen - camera
+    fall = height - float(camera[2])
+    if abs(ray[2]) < _LEAST_FALL * np.linalg.norm(ray) or fall * ray[2] <= 0.0:
+        return seen
+    return camera + fall / ray[2] * ray
+
+
+def _force(frame: Frame) -> np.ndarray:
+    """On the tool, N, shape (3,)."""
+    now = frame.readouts
+    return np.zeros(3) if now is None else np.array([*now.across, now.force])
 
 
 def _undeformed(scene: Scene) -> Mesh:

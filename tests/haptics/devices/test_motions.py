@@ -132,3 +132,38 @@ def test_a_random_walk_is_as_irregular_as_a_hand(seed):
 def test_motions_that_make_no_sense_are_refused(wrong):
     with pytest.raises(InputError):
         wrong()
+
+
+def test_a_hand_goes_along_the_axis_of_its_approach_and_sideways():
+    """The place of the approach's own pose, and beside it; no faster than it may be in any direction."""
+    approach = ts.Approach(offset=12e-3, angle=math.radians(20.0))
+    hand = HandMotion(0.0, speed=0.05, approach=approach)
+    assert hand.pose(0.0) == approach.pose(0.0)
+    hand.aim(5e-3)
+    path = [hand.pose(time) for time in np.arange(0.0, 1.0, 1e-3)]
+    np.testing.assert_allclose(path[-1].position, approach.pose(5e-3).position, atol=1e-8)
+    assert path[-1].orientation == approach.pose(0.0).orientation
+    hand.aim(5e-3, (2e-3, -4e-3))
+    way = np.array([hand.pose(time).position for time in np.arange(1.0, 2.0, 1e-3)])
+    expected = np.array(approach.pose(5e-3).position) + np.array([2e-3 - 12e-3, -4e-3, 0.0])
+    np.testing.assert_allclose(way[-1], expected, atol=1e-8)
+    assert np.linalg.norm(np.diff(way, axis=0), axis=1).max() == pytest.approx(0.05e-3)
+    hand.aim(3e-3)
+    way = hand.pose(3.0).position
+    np.testing.assert_allclose(way[1], -4e-3, atol=1e-8)
+    with pytest.raises(InputError, match="is no place"):
+        hand.aim(1e-3, (math.nan, 0.0))
+
+
+def test_a_hand_that_takes_over_keeps_place_and_turn():
+    pose = Pose((3e-3, -2e-3, -4e-3), (math.cos(0.1), 0.0, -math.sin(0.1), 0.0))
+    hand = HandMotion(None)
+    hand.take_over(pose)
+    np.testing.assert_allclose(hand.pose(1.0).position, pose.position, atol=1e-15)
+    assert hand.pose(2.0).orientation == pose.orientation
+
+
+def test_a_protocol_goes_along_the_axis_of_its_approach():
+    approach = ts.Approach(offset=-5e-3, angle=math.radians(-30.0))
+    motion = ProtocolMotion(ts.Protocol([0.0, 1.0], [0.0, 4e-3]), approach=approach)
+    assert motion.pose(0.5) == approach.pose(2e-3)

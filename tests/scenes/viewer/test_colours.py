@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from scenes.figures import volume_range
+from scenes.colour_scale import volume_range
 from scenes.viewer.colours import PALETTE, band_levels, colour_bar_html, field_range, steady_levels
 
 RANGES = st.tuples(st.floats(-1e6, 1e6), st.floats(1e-9, 1e6)).map(lambda pair: (pair[0], pair[0] + pair[1]))

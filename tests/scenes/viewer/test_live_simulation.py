@@ -302,3 +302,17 @@ def test_ticks_that_nobody_asked_for_are_forgotten(written):
     loop.write(3)
     records = simulation.poll()
     assert records["tick"].tolist() == [21, 22, 23] and records.dtype == TICK
+
+
+def test_a_slow_solver_gets_the_time_of_a_solve_and_a_quick_one_keeps_its_budget(needle, monkeypatch):
+    """In most ticks nothing would fit into the budget otherwise."""
+    from scenes.viewer.viewed_simulator import ViewedSimulator
+
+    quick = ViewedSimulator(needle.model, resolution="realtime_20", budget=10.0)
+    quick.warm_up()
+    assert quick.budget == 10.0
+    slow = ViewedSimulator(needle.model, resolution="realtime_20", budget=1e-9)
+    slow.warm_up()
+    assert slow.budget == 2.0 * slow.solve_time > 1e-9
+    statuses = [slow.step(5e-5, 1e-3).status for _ in range(40)]
+    assert ForceStatus.CONVERGED in statuses

@@ -9,14 +9,9 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import InputError, nearest
+from tissue_sim.fem.fields import FIELD_UNITS, TAIL, extrapolate, volume_quantile
 from tissue_sim.material.material import Material
 from tissue_sim.mesh import Mesh
-
-#: Field -> unit.
-FIELD_UNITS = {"displacement": "m", "von_mises": "Pa", "cauchy_rr": "Pa", "cauchy_zz": "Pa", "cauchy_rz": "Pa",
-               "cauchy_hoop": "Pa", "pressure": "Pa", "energy": "J/m3", "J": "1", "stretch": "1"}
-#: Share of the volume that a range of stretches leaves out at either end: an edge alone is no range.
-TAIL = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,8 +121,8 @@ class Fields:
         """Smallest and largest principal stretch, without `TAIL` of the volume at either end."""
         F = self.deformation_gradient(sample)
         stretches = np.stack([*_principal(F)[1], F[..., 4]], axis=-1)
-        return (_quantile(stretches.min(axis=-1), self.weights, TAIL),
-                _quantile(stretches.max(axis=-1), self.weights, 1 - TAIL))
+        return (volume_quantile(stretches.min(axis=-1), self.weights, TAIL),
+                volume_quantile(stretches.max(axis=-1), self.weights, 1 - TAIL))
 
     def at_nodes(self, name: str, sample: int = -1) -> np.ndarray:
         """A field carried to the nodes, shape (nodes,): each element's polynomial through its quadrature points,
@@ -149,16 +144,3 @@ def _principal(F: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]
     mirrored = np.hypot(rR - zZ, zR + rZ)
     angle = 0.5 * (np.arctan2(zR - rZ, rR + zZ) + np.arctan2(zR + rZ, rR - zZ))
     return angle, (0.5 * (turned + mirrored), 0.5 * (turned - mirrored))
-
-
-def _quantile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
-    """Value that this share of the weights does not exceed."""
-    order = np.argsort(values, axis=None)
-    below = np.cumsum(weights.ravel()[order])
-    return float(values.ravel()[order][np.searchsorted(below, share * below[-1]).clip(0, below.size - 1)])
-
-
-def extrapolate(mesh: Mesh, values: np.ndarray) -> np.ndarray:
-    """Values at the quadrature points, shape (elements, q), as nodal averages, shape (nodes,)."""
-    nodal, nodes = values @ mesh.element.from_quadrature.T, mesh.connectivity.ravel()
-    return np.bincount(nodes, nodal.ravel(), len(mesh.nodes)) / np.bincount(nodes, minlength=len(mesh.nodes))

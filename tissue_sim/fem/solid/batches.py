@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -82,6 +83,23 @@ class ElementBatches:
         """Values of the elements, shape (elements, ...), with the lanes last: (batches times the rest, LANES)."""
         return np.ascontiguousarray(np.moveaxis(values[self._elements], 1, -1).reshape(-1, LANES))
 
+    def _of_elements(self, lanes: np.ndarray, *inner: int) -> np.ndarray:
+        """What `_lanes` made, element by element again, shape (elements, *inner)."""
+        return np.moveaxis(lanes.reshape(self.batches, *inner, LANES), -1, 1).reshape(-1, *inner)[self.lane_of]
+
+    @cached_property
+    def of_points(self) -> tuple[np.ndarray, np.ndarray]:
+        """At the quadrature points: gradients of the shape functions, 1/m, shape (elements, q, nodes, 3), and
+        orthonormal pressure modes, shape (elements, q, modes)."""
+        points, nodes = self.weights.shape[1], self._dofs.shape[1]
+        gradients = np.stack([self._of_elements(each, points, nodes) for each in self._gradients], axis=-1)
+        return gradients, self._of_elements(self._mode_values, points, self._modes)
+
+    @property
+    def element_moduli(self) -> np.ndarray:
+        """In units of the material's, shape (elements,)."""
+        return self._of_elements(self.moduli)
+
     def _pressure_modes(self, X: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Orthonormal, shape (elements, q, modes)."""
         modes = np.ones((*self.weights.shape, self._modes))
@@ -150,8 +168,7 @@ class ElementBatches:
     @property
     def element_forces(self) -> np.ndarray:
         """Of each element on its freedoms, N, shape (elements, freedoms of an element), as the kernel left them."""
-        lanes = np.moveaxis(self._forces.reshape(self.batches, -1, LANES), 1, -1)
-        return lanes.reshape(self.batches * LANES, -1)[self.lane_of]
+        return self._of_elements(self._forces, 3 * self._dofs.shape[1])
 
     def set_moduli(self, ratios: np.ndarray) -> None:
         """Of each element's moduli to those of its material, shape (elements,)."""
@@ -159,8 +176,7 @@ class ElementBatches:
 
     def by_element(self, amplitudes: np.ndarray) -> np.ndarray:
         """Amplitudes of the pressure modes as they stand in the lanes, by element, shape (elements, modes)."""
-        lanes = np.moveaxis(amplitudes.reshape(self.batches, self._modes, LANES), 1, -1)
-        return lanes.reshape(-1, self._modes)[self.lane_of]
+        return self._of_elements(amplitudes, self._modes)
 
     def follow(self, motion: np.ndarray, kappa: np.ndarray | float) -> None:
         """Let the pressures follow a linear solution, in which the freedoms moved so, shape (freedoms,), m; `kappa` is

@@ -11,11 +11,12 @@ import numpy as np
 from tissue_sim.fem.history import Memory
 from tissue_sim.fem.linear.sparse import Factor, SparseSolver
 from tissue_sim.fem.solid.contact import ALL, Body, ContactNodes, Frame, Look, turned_with
+from tissue_sim.fem.solid.fields import SolidFields
 from tissue_sim.fem.solid.free_part import FreePart
 from tissue_sim.fem.solid.sensitivity import SolidParts, SolidSensitivity
 from tissue_sim.fem.solid.surface import SolidSurface
 from tissue_sim.fem.solid.tissue import Tissue
-from tissue_sim.fem.solver import Fields, Neighbours, Solver, Step, StepStatus
+from tissue_sim.fem.solver import Neighbours, Solver, Step, StepStatus
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.pose import Pose, Screw
@@ -35,10 +36,12 @@ _FRICTION_FLOOR = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """A committed state: displacements, m, shape (nodes, 3), and pressure amplitudes, Pa, (elements, modes)."""
+    """A committed state: displacements, m, shape (nodes, 3), pressure amplitudes, Pa, (elements, modes), and the
+    isochoric stresses of its memory where it has one; see `SolidFields`."""
 
     displacement: np.ndarray
     pressures: np.ndarray
+    stresses: np.ndarray | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -395,11 +398,16 @@ class SolidSolver(Solver):
     def sample(self) -> Sample:
         """What `fields` needs of the last committed state."""
         x, pressures, _ = self._committed
-        return Sample(x.reshape(-1, 3).copy(), self.batches.by_element(pressures))
+        return Sample(x.reshape(-1, 3).copy(), self.batches.by_element(pressures), self.tissue.stresses())
 
-    def fields(self, samples: Sequence[Sample]) -> Fields | None:
-        """There are none in space yet."""
-        return None
+    def fields(self, samples: Sequence[Sample]) -> SolidFields:
+        """Fields of states that `sample` gave."""
+        stresses = [sample.stresses for sample in samples if sample.stresses is not None]
+        return SolidFields(self.mesh, self.material, self.tissue.bulk_by_element,
+                           np.array([sample.displacement for sample in samples]),
+                           np.array([sample.pressures for sample in samples]), *self.batches.of_points,
+                           self.batches.weights, self.batches.element_moduli, np.array(stresses) if stresses else None,
+                           self.datum)
 
     def surface(self) -> SolidSurface:
         """The surface at the last committed state."""

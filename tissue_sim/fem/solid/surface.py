@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tissue_sim.mesh.solid import SolidMesh
+from tissue_sim.mesh.subdivision import surface_triangles
 
 
 class SolidSurface:
@@ -22,9 +23,8 @@ class SolidSurface:
         self._mesh, self._displacement, self._datum = mesh, displacement, datum
 
     def triangles(self, segments: int = 48) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices, m, shape (v, 3), and triangles between nodes, (t, 3), normals outwards."""
-        faces = np.concatenate(list(self._mesh.faces.values()))
-        triangles = faces[:, self._mesh.element.face_triangles].reshape(-1, 3)
+        """Vertices, m, shape (v, 3), and triangles between the nodes, (t, 3), normals outwards."""
+        triangles = surface_triangles(self._mesh.element, np.concatenate(list(self._mesh.faces.values())))
         numbers, places = np.unique(triangles, return_inverse=True)
         vertices = self._mesh.nodes[numbers] + self._displacement[numbers] - [0.0, 0.0, self._datum]
         return vertices, places.reshape(-1, 3)

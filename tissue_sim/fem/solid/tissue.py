@@ -7,7 +7,7 @@ import numpy as np
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.fem.history import Memory
 from tissue_sim.fem.solid.assembly import assembly_kernel
-from tissue_sim.fem.solid.batches import ElementBatches
+from tissue_sim.fem.solid.batches import LANES, ElementBatches
 from tissue_sim.fem.solid.element import ADDS, KAPPA, REMEMBERS, TANGENT
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
@@ -65,6 +65,11 @@ class Tissue:
     def memory(self) -> Memory:
         """Of the elements of the first region: of all where there is one."""
         return self._regions[0].memory
+
+    @property
+    def bulk_by_element(self) -> np.ndarray:
+        """Bulk modulus of each element's material, Pa, shape (elements,)."""
+        return np.repeat(self.bulk_moduli, LANES)[self.batches.lane_of]
 
     @property
     def inputs(self) -> tuple[np.ndarray, ...] | None:

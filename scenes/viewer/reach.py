@@ -1,0 +1,37 @@
+"""How far aside a tool may go."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tissue_sim.experiment.experiment import Experiment
+from tissue_sim.snapshot import Snapshot
+
+
+def within_top(experiment: Experiment, snapshot: Snapshot, across: tuple[float, float]) -> tuple[float, float]:
+    """The place that is nearest to one, on the way to the middle, at which the whole tool is over the top.
+
+    Args:
+        experiment: with the tool.
+        snapshot: of the tissue; its undeformed top is what its mesh says, or else that of the specimen.
+        across: x and y, m.
+    """
+    from scipy.spatial import ConvexHull
+
+    tool, mesh = experiment.tool, getattr(snapshot.fields, "mesh", None)
+    radius = 0.0 if tool.is_plate else tool.radius or 0.0
+    if mesh is not None and "top" in getattr(mesh, "sets", {}) and mesh.nodes.shape[1] == 3:
+        top = mesh.nodes[mesh.sets["top"], :2]
+    else:
+        angles = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+        top = experiment.specimen.radius * np.column_stack([np.cos(angles), np.sin(angles)])
+    hull = ConvexHull(top)
+    middle = top[hull.vertices].mean(axis=0)
+    way = np.asarray(across, dtype=float) - middle
+    # Of each side its outward normal, and how far it is from the middle.
+    normals, far = hull.equations[:, :2], -(hull.equations[:, :2] @ middle + hull.equations[:, 2])
+    gains = normals @ way
+    ahead = gains > 0.0
+    share = min(1.0, float((np.maximum(far[ahead] - radius, 0.0) / gains[ahead]).min(initial=1.0)))
+    x, y = (middle + share * way).tolist()
+    return x, y

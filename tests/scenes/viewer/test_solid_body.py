@@ -1,0 +1,160 @@
+"""A solid cut open at the tool: what is left closes a body of the exact volume, in the bands of the field's values."""
+
+import numpy as np
+import pytest
+
+import tissue_sim as ts
+from scenes.viewer.revolution import Opening
+from scenes.viewer.solid_body import MOST_POINTS, SolidBody
+from scenes.viewer.wedge import Wedge
+from tissue_sim.fem.solid.fields import SolidFields
+from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, HEXAHEDRA
+from tissue_sim.mesh.solid import block_mesh, needle_solid
+from tissue_sim.pose import Pose
+
+SIDE, HEIGHT = 0.04, 0.03
+LEVELS = np.linspace(-0.5, 1.5, 7)
+MATERIAL = ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e3))
+every_element = pytest.mark.parametrize("element", HEXAHEDRA.values(), ids=lambda element: element.name)
+
+
+def block(element, cells=4):
+    line = np.linspace(-0.5 * SIDE, 0.5 * SIDE, cells + 1)
+    return block_mesh(line, line, np.linspace(-HEIGHT, 0.0, cells), element)
+
+
+def linear(place):
+    return place @ [20.0, -11.0, 9.0] + 0.4
+
+
+def flux(surfaces):
+    """Volume that the outward normals of a closed surface enclose, and the sum of its areas with their directions."""
+    volume, total = 0.0, np.zeros(3)
+    for surface in surfaces:
+        a, b, c = np.moveaxis(surface.vertices.astype(float)[surface.faces], 1, 0)
+        area = 0.5 * np.cross(b - a, c - a)
+        volume += np.einsum("ti,ti->", area, (a + b + c) / 3.0) / 3.0
+        total += area.sum(axis=0)
+    return volume, total
+
+
+def leaning(angle, x=0.0, y=0.0):
+    return Pose((x, y, -1e-3), (np.cos(0.5 * angle), 0.0, -np.sin(0.5 * angle), 0.0))
+
+
+@every_element
+@pytest.mark.parametrize(("cut", "turn", "pose", "left"), [
+    (0, 0, Pose((0.0, 0.0, 0.0)), 1.0), (90, 0, Pose((0.0, 0.0, 0.0)), 0.75), (180, 0, Pose((0.0, 0.0, -2e-3)), 0.5),
+    (180, 0, Pose((3e-3, 5e-3, 0.0)), 0.375), (180, 90, Pose((-7e-3, 1e-3, 0.0)), 0.325), (90, 45, Pose(
+        (0.0, 0.0, 0.0)), 0.75), (180, 0, leaning(0.4), 0.5), (180, 180, leaning(0.4, y=4e-3), 0.6)])
+def test_what_is_left_has_the_exact_volume(element, cut, turn, pose, left):
+    """A wedge of a right angle about the middle takes a quarter of a square; a plane so much as lies on its side."""
+    mesh = block(element)
+    body = SolidBody.of(mesh)
+    check_what_is_left(mesh, body, Wedge(Opening(np.radians(cut), np.radians(turn - 90.0)), pose), left)
+
+
+@every_element
+def test_a_cut_that_is_moved_takes_so_much_less(element):
+    mesh = block(element)
+    for ahead, left in ((3e-3, 0.575), (-5e-3, 0.375)):
+        check_what_is_left(mesh, SolidBody.of(mesh), Wedge(Opening(np.pi), leaning(0.3), ahead), left)
+    # Of a right angle about the middle, moved by 5 mm to where it opens, the square of the rest of the way.
+    wedge = Wedge(Opening(0.5 * np.pi), Pose((0.0, 0.0, 0.0)), 5e-3)
+    check_what_is_left(mesh, SolidBody.of(mesh), wedge, 1.0 - (15.0 / 40.0) ** 2)
+
+
+def check_what_is_left(mesh, body, wedge, left):
+    """A closed surface with this share of the block's volume, outside the wedge, each band in its range of values."""
+    surfaces = body.bands(mesh.nodes, linear(mesh.nodes), LEVELS, wedge)
+    volume, total = flux(surfaces)
+    assert volume == pytest.approx(left * SIDE**2 * HEIGHT, rel=1e-5)  # vertices have single precision
+    np.testing.assert_allclose(total, 0.0, atol=1e-6 * SIDE**2)
+    for k, surface in enumerate(surfaces):
+        if len(surface.faces):
+            low = LEVELS[k] if k else -np.inf
+            high = LEVELS[k + 1] if k < len(surfaces) - 1 else np.inf
+            values = linear(surface.vertices.astype(float))
+            assert low - 1e-5 <= values.min() and values.max() <= high + 1e-5
+            middles = wedge.into(surface.vertices.astype(float)[surface.faces].mean(axis=1))
+            heights = [each for each, _ in wedge.over_faces(middles)]
+            assert wedge.opening.closed or (np.min(heights, axis=0) < 1e-8).all()
+
+
+def test_surfaces_are_smooth_pieces_with_edges_between():
+    body = SolidBody.of(block(HEX27P1))
+    assert len(body.nodes) == 6 * 9 * 9 - 4 * 2 * 9, "each side of the block has points of its own"
+    ends = body.mesh.nodes[body.nodes[body.sharp]]
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).sum()
+    assert length == pytest.approx(8 * SIDE + 4 * HEIGHT)
+    dashes = body.outline(None, (0.0, 0.0))
+    assert np.linalg.norm(dashes[:, 1] - dashes[:, 0], axis=1).sum() == pytest.approx(0.5 * length)
+
+
+@every_element
+def test_mesh_lines_lie_in_front_of_what_is_left(element):
+    mesh = block(element)
+    body, wedge = SolidBody.of(mesh), Wedge(Opening(np.pi, -np.pi / 2), Pose((0.0, 3e-3, 0.0)))
+    lines = body.mesh_lines(mesh.nodes, wedge)
+    assert (lines[..., 1] >= 3e-3 - 2e-3 * body.size).all()
+    on_cut = lines[np.abs(lines[..., 1] - 3e-3).max(axis=1) < 2e-3 * body.size]
+    assert len(on_cut) > 20 and (on_cut[..., 1] < 3e-3).all()
+
+
+@pytest.mark.parametrize("pose", [Pose((9e-3, 0.0, 0.0)), Pose((9e-3, 0.0, 0.0), leaning(0.0).orientation)])
+def test_contact_is_the_rim_of_the_tool_and_a_line_across_the_cut(pose):
+    """An undeformed cylinder under a flat tool that just stands on it, off the axis."""
+    tool, mesh = ts.Tool("flat", radius=8e-3), needle_solid(
+        0.04, 0.07, 8e-3, HEX27P1, smallest=2e-3, growth=2.2, largest=20e-3, around=4, centre=(9e-3, 0.0))
+    body = SolidBody.of(mesh)
+    closed = body.contact_lines(mesh.nodes, tool, Wedge(Opening(0.0), pose))
+    away = np.hypot(closed[..., 0] - 9e-3, closed[..., 1])
+    np.testing.assert_allclose(away, 8e-3, atol=0.3e-3)
+    assert np.linalg.norm(closed[:, 1] - closed[:, 0], axis=1).sum() == pytest.approx(2 * np.pi * 8e-3, rel=0.03)
+    half = body.contact_lines(mesh.nodes, tool, Wedge(Opening(np.pi), pose))
+    across = half[np.abs(half[..., 1] - half[0, 0, 1]).max(axis=1) < 1.0]
+    length = np.linalg.norm(across[:, 1] - across[:, 0], axis=1).sum()
+    assert length == pytest.approx(np.pi * 8e-3 + 16e-3, rel=0.04)
+    above = Pose((9e-3, 0.0, 1e-3))
+    assert body.contact_lines(mesh.nodes, tool, Wedge(Opening(0.0), above)) is None
+
+
+def fields_of(mesh, displacement):
+    """Fields without a solver: a field's own geometry, no pressure."""
+    from tissue_sim.fem.solid.batches import ElementBatches
+
+    batches = ElementBatches(mesh)
+    count, modes = len(mesh.connectivity), mesh.element.pressure_modes
+    return SolidFields(mesh, MATERIAL, 3e6, displacement[None], np.zeros((1, count, modes)), *batches.of_points,
+                       batches.weights, np.ones(count))
+
+
+def bent(mesh):
+    return mesh.nodes[:, [2, 0, 1]] ** 2 * [3.0, -2.0, 4.0]
+
+
+def test_values_of_a_small_body_are_those_of_its_fields():
+    mesh = block(HEX27P1)
+    fields, body = fields_of(mesh, bent(mesh)), SolidBody.of(mesh)
+    for name in ("von_mises", "displacement", "cauchy_zz"):
+        values, at_points, seen = body.values(fields, name, mesh.nodes + bent(mesh), Wedge(Opening(), leaning(0.3)))
+        np.testing.assert_array_equal(values, fields.at_nodes(name))
+        np.testing.assert_array_equal(at_points, fields.at_points(name))
+        assert seen is fields
+
+
+def test_values_of_a_large_body_are_those_of_all_its_elements_where_it_is_seen():
+    mesh = block(HEX8P0, 19)
+    fields, body = fields_of(mesh, bent(mesh)), SolidBody.of(mesh)
+    assert fields.weights.size > MOST_POINTS
+    place = mesh.nodes + bent(mesh)
+    wedge = Wedge(Opening(np.radians(150.0)), leaning(0.3, x=4e-3))
+    values, at_points, seen = body.values(fields, "von_mises", place, wedge)
+    whole = fields.means().at_nodes("von_mises")
+    everywhere = body.bands(place, whole, np.linspace(0, 400.0, 11), wedge)
+    for one, other in zip(body.bands(place, values, np.linspace(0, 400.0, 11), wedge), everywhere, strict=True):
+        np.testing.assert_allclose(one.vertices, other.vertices, atol=1e-9)
+        np.testing.assert_array_equal(one.faces, other.faces)
+    assert at_points.shape == seen.weights.shape and len(at_points) < len(mesh.connectivity)
+    assert np.average(at_points, weights=seen.weights) == pytest.approx(
+        np.average(fields.at_points("von_mises"), weights=fields.weights), rel=0.05)

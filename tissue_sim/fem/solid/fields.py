@@ -1,0 +1,228 @@
+"""Converged fields of a solid in space, computed from the stored states when asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from tissue_sim.errors import InputError, nearest
+from tissue_sim.fem.fields import FIELD_UNITS, TAIL, extrapolate, volume_quantile
+from tissue_sim.material.material import Material
+from tissue_sim.mesh.solid import SolidMesh
+
+#: Components of Cauchy stress along the axes of the scene, which only a solid in space has, and where they stand.
+_ALONG = {f"cauchy_{'xyz'[i]}{'xyz'[k]}": (i, k) for i in range(3) for k in range(i, 3)}
+#: Field -> unit.
+SOLID_UNITS = FIELD_UNITS | dict.fromkeys(_ALONG, "Pa")
+#: Rows and columns of a symmetric tensor from its components XX, XY, XZ, YY, YZ, ZZ.
+_SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+
+
+@dataclass(frozen=True, eq=False)
+class SolidFields:
+    """Fields at every sample of a simulated recording.
+
+    Attributes:
+        mesh: undeformed mesh.
+        material: what it is made of.
+        bulk_modulus: K that each element used, in units of `moduli`, Pa, shape (elements,).
+        displacements: of the nodes, m, shape (samples, nodes, 3).
+        pressures: amplitudes of the pressure modes, Pa, shape (samples, elements, modes).
+        gradients: of the shape functions at the quadrature points, 1/m, shape (elements, q, nodes, 3).
+        pressure_modes: orthonormal pressure modes there, shape (elements, q, modes).
+        weights: volumes of the quadrature points, m3, shape (elements, q).
+        moduli: of the elements in units of the material's, shape (elements,).
+        stresses: isochoric second Piola stress in units of `moduli`, Pa, shape (samples, elements, q, 6: XX, XY, XZ,
+            YY, YZ, ZZ), where it depends on the past; else None.
+        datum: height of the scene's origin in the frame of the mesh, m.
+    """
+
+    mesh: SolidMesh
+    material: Material
+    bulk_modulus: np.ndarray
+    displacements: np.ndarray
+    pressures: np.ndarray
+    gradients: np.ndarray
+    pressure_modes: np.ndarray
+    weights: np.ndarray
+    moduli: np.ndarray
+    stresses: np.ndarray | None = None
+    datum: float = 0.0
+
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        alone = (self.displacements, self.pressures)
+        return alone if self.stresses is None else (*alone, self.stresses)
+
+    def with_arrays(self, arrays: Sequence[np.ndarray]) -> SolidFields:
+        return replace(self, displacements=arrays[0], pressures=arrays[1],
+                       stresses=arrays[2] if len(arrays) > 2 else None)
+
+    def of_the_material(self) -> dict[str, Any]:
+        return {"material": self.material, "bulk_modulus": self.bulk_modulus, "moduli": self.moduli}
+
+    def with_material(self, changed: Mapping[str, Any]) -> SolidFields:
+        return replace(self, **changed)
+
+    def part(self, elements: np.ndarray) -> SolidFields:
+        """The fields of some of the elements; nodes keep their numbers.
+
+        Args:
+            elements: their numbers, shape (m,).
+        """
+        return replace(self, mesh=replace(self.mesh, connectivity=self.mesh.connectivity[elements], regions={}),
+                       bulk_modulus=self.bulk_modulus[elements], pressures=self.pressures[:, elements], gradients=self.gradients[elements],
+                       pressure_modes=self.pressure_modes[elements], weights=self.weights[elements],
+                       moduli=self.moduli[elements],
+                       stresses=None if self.stresses is None else self.stresses[:, elements])
+
+    def means(self) -> SolidFields:
+        """The fields of elements that are deformed as they are in the mean of their volume, one point each."""
+        volumes = self.weights.sum(axis=1, keepdims=True)
+        shares = self.weights / volumes
+        return replace(self, gradients=np.einsum("eq,eqai->eai", shares, self.gradients)[:, None],
+                       pressure_modes=np.einsum("eq,eqm->em", shares, self.pressure_modes)[:, None], weights=volumes,
+                       stresses=None if self.stresses is None
+                       else np.einsum("eq,seqi->sei", shares, self.stresses)[:, :, None])
+
+    def displacement(self, sample: int = -1) -> np.ndarray:
+        """Of the nodes (x, y, z), m, shape (nodes, 3)."""
+        return self.displacements[sample]
+
+    def deformation_gradient(self, sample: int = -1) -> np.ndarray:
+        """F_iJ at the quadrature points, shape (elements, q, 3, 3)."""
+        u = self.displacement(sample)[self.mesh.connectivity]
+        count, points, nodes, _ = self.gradients.shape
+        # As products of matrices, (i, a) (a, qJ).
+        flat = self.gradients.transpose(0, 2, 1, 3).reshape(count, nodes, 3 * points)
+        rates = (u.transpose(0, 2, 1) @ flat).reshape(count, 3, points, 3).transpose(0, 2, 1, 3)
+        return rates + np.eye(3)
+
+    def at_points(self, name: str, sample: int = -1) -> np.ndarray:
+        """A field of `SOLID_UNITS` at the quadrature points, shape (elements, q).
+
+        Stress, pressure and energy are what `tissue_sim.fem.axisymmetric.fields.Fields.at_points` says. Components by
+        r, z and hoop are those along, and around, the axis of the scene where the point has come to.
+
+        Raises:
+            InputError: no such field.
+        """
+        if name not in SOLID_UNITS:
+            raise InputError(f"unknown field {name!r}{nearest(name, SOLID_UNITS)}", field="field")
+        if name == "displacement":
+            return np.linalg.norm(self._at_points(self.displacement(sample)), axis=-1)
+        if self.material.regions and self.mesh.regions:
+            return self._region_by_region(name, sample)
+        F = self.deformation_gradient(sample)
+        J = _determinant(F)
+        if name == "J":
+            return J
+        left = F @ F.swapaxes(-1, -2)
+        if name == "stretch":
+            return principal_stretches(left)[..., 0]
+        modulus = self.moduli[:, None]
+        p = np.einsum("eqm,em->eq", self.pressure_modes, self.pressures[sample])
+        if name == "energy":
+            energy, _ = self._response(principal_stretches(left))
+            return modulus * self.material.instantaneous_factor * energy + p**2 / (2.0 * self.bulk_modulus[:, None] * modulus)
+        scale = modulus / J
+        if self.stresses is None and name in ("pressure", "von_mises"):
+            # Of principal stresses, without their directions.
+            _, tau = self._response(principal_stretches(left))
+            if name == "pressure":
+                return -(scale * tau.mean(axis=-1) + p)
+            return scale * np.sqrt(1.5 * ((tau - tau.mean(axis=-1, keepdims=True)) ** 2).sum(axis=-1))
+        tensor = scale[..., None, None] * self._isochoric(F, left, sample)
+        mean = np.trace(tensor, axis1=-2, axis2=-1) / 3.0
+        if name == "pressure":
+            return -(mean + p)
+        if name == "von_mises":
+            return np.sqrt(1.5 * ((tensor - mean[..., None, None] * np.eye(3)) ** 2).sum(axis=(-2, -1)))
+        first, second = self._directions(name, sample)
+        across = 0.0 if name in ("cauchy_rz", "cauchy_xy", "cauchy_yz", "cauchy_xz") else p
+        return np.einsum("eqi,eqik,eqk->eq", first, tensor, second) + across
+
+    def _region_by_region(self, name: str, sample: int) -> np.ndarray:
+        """A field at the points of elements of several materials."""
+        count, materials = len(self.mesh.connectivity), self.material.regions
+        base = replace(self.material, regions={})
+        taken = np.concatenate(list(self.mesh.regions.values()))
+        found = np.empty(self.weights.shape)
+        for elements, material in [(np.setdiff1d(np.arange(count), taken), base),
+                                   *((each, materials.get(region, base)) for region, each in self.mesh.regions.items())]:
+            found[elements] = replace(self.part(elements), material=material).at_points(name, sample)
+        return found
+
+    def _response(self, stretches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return self.material.energy_law.principal_response(stretches, self.material.parameters)
+
+    def _isochoric(self, F: np.ndarray, left: np.ndarray, sample: int) -> np.ndarray:
+        """Kirchhoff stress in units of `moduli`, Pa, shape (elements, q, 3, 3)."""
+        if self.stresses is not None:
+            return F @ self.stresses[sample][..., _SYMMETRIC] @ F.swapaxes(-1, -2)
+        squares, ways = np.linalg.eigh(left)
+        _, tau = self._response(np.sqrt(squares))
+        return (ways * tau[..., None, :]) @ ways.swapaxes(-1, -2)
+
+    def _at_points(self, nodal: np.ndarray) -> np.ndarray:
+        """Of vectors of the nodes (nodes, 3), shape (elements, q, 3)."""
+        values, _ = self.mesh.element.shape_functions(self.mesh.element.quadrature[0])
+        if self.weights.shape[1] == 1 < len(values):
+            values = values.mean(axis=0, keepdims=True)
+        return np.einsum("qa,eai->eqi", values, nodal[self.mesh.connectivity])
+
+    def _directions(self, name: str, sample: int) -> tuple[np.ndarray, np.ndarray]:
+        """The two unit vectors of a component of stress, each of shape (elements, q, 3)."""
+        shape = (*self.weights.shape, 3)
+        if name in _ALONG:
+            first, second = (np.broadcast_to(np.eye(3)[axis], shape) for axis in _ALONG[name])
+            return first, second
+        radial = self._at_points(self.mesh.nodes + self.displacement(sample))
+        radial[..., 2] = 0.0
+        length = np.linalg.norm(radial, axis=-1, keepdims=True)
+        radial = np.where(length > 0.0, radial / np.where(length > 0.0, length, 1.0), [1.0, 0.0, 0.0])
+        up = np.broadcast_to([0.0, 0.0, 1.0], shape)
+        around = np.stack([-radial[..., 1], radial[..., 0], radial[..., 2]], axis=-1)
+        return {"cauchy_rr": (radial, radial), "cauchy_zz": (up, up), "cauchy_rz": (radial, up),
+                "cauchy_hoop": (around, around)}[name]
+
+    def stretch_range(self, sample: int = -1) -> tuple[float, float]:
+        """Smallest and largest principal stretch, without `TAIL` of the volume at either end."""
+        F = self.deformation_gradient(sample)
+        stretches = principal_stretches(F @ F.swapaxes(-1, -2))
+        return (volume_quantile(stretches[..., 2], self.weights, TAIL),
+                volume_quantile(stretches[..., 0], self.weights, 1 - TAIL))
+
+    def at_nodes(self, name: str, sample: int = -1) -> np.ndarray:
+        """A field carried to the nodes, shape (nodes,): each element's polynomial through its quadrature points,
+        averaged over the elements that share a node; 0 at nodes of no element."""
+        if name == "displacement":
+            return np.linalg.norm(self.displacement(sample), axis=1)
+        return extrapolate(self.mesh, self.at_points(name, sample))
+
+
+def _determinant(F: np.ndarray) -> np.ndarray:
+    """Of many small matrices (..., 3, 3); quicker than by factors."""
+    (a, b, c), (d, e, f), (g, h, i) = ([F[..., row, column] for column in range(3)] for row in range(3))
+    return a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)
+
+
+def principal_stretches(left: np.ndarray) -> np.ndarray:
+    """Stretches, the largest first, from left (or right) Cauchy-Green tensors (..., 3, 3), shape (..., 3).
+
+    The roots of the characteristic polynomial by angles, a few times faster than eigenvectors; what they miss is 1e-8
+    of what they differ by (Smith, Communications of the ACM 4 (1961) 168).
+    """
+    a, b, c = left[..., 0, 0], left[..., 1, 1], left[..., 2, 2]
+    d, e, f = left[..., 0, 1], left[..., 1, 2], left[..., 0, 2]
+    mean = (a + b + c) / 3.0
+    a, b, c = a - mean, b - mean, c - mean
+    spread = np.sqrt((a * a + b * b + c * c + 2.0 * (d * d + e * e + f * f)) / 6.0)
+    half = 0.5 * (a * (b * c - e * e) - d * (d * c - e * f) + f * (d * e - b * f))
+    cube = spread**3
+    angle = np.arccos(np.clip(half / np.where(cube > 0.0, cube, 1.0), -1.0, 1.0)) / 3.0
+    large, small = 2.0 * np.cos(angle), 2.0 * np.cos(angle + 2.0 * np.pi / 3.0)
+    squares = np.stack([large, -(large + small), small], axis=-1) * spread[..., None] + mean[..., None]
+    return np.sqrt(np.maximum(squares, 0.0))

@@ -1,0 +1,140 @@
+"""Bodies of tetrahedra cut by a surface, and triangles cut by it: where a number at the nodes is zero.
+
+The number is the height over a plane, for one. A node on the surface counts as below it, so that what lies in the
+surface belongs to one of two neighbours.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+#: Corners of a section through a tetrahedron whose nodes stand in order, those below first, as pairs of its nodes, the
+#: first one below; by how many are above. Of a tetrahedron with a positive volume the section turns upwards.
+_CORNERS = {3: ((0, 1), (0, 2), (0, 3)), 1: ((0, 3), (1, 3), (2, 3)), 2: ((0, 2), (0, 3), (1, 3), (1, 2))}
+
+
+@dataclass(frozen=True, eq=False)
+class Crossings:
+    """Points on lines between nodes.
+
+    Attributes:
+        ends: node numbers, the one below first, shape (m, 2); a node on the surface is both of its ends.
+        share: of the way from the first to the second, shape (m,).
+    """
+
+    ends: np.ndarray
+    share: np.ndarray
+
+    def carry(self, values: np.ndarray) -> np.ndarray:
+        """Values of the nodes, shape (nodes, ...), at the points, linearly, shape (m, ...)."""
+        first, second = values[self.ends[:, 0]], values[self.ends[:, 1]]
+        return first + self.share.reshape(-1, *(1,) * (values.ndim - 1)) * (second - first)
+
+    def extend(self, values: np.ndarray) -> np.ndarray:
+        """Values of the nodes, and behind them those at the points, shape (nodes + m, ...)."""
+        return np.concatenate([values, self.carry(values)])
+
+
+def section(cells: np.ndarray, heights: np.ndarray) -> tuple[Crossings, np.ndarray]:
+    """Where tetrahedra cross height zero.
+
+    Args:
+        cells: node numbers, each tetrahedron with a positive volume, shape (t, 4).
+        heights: of the nodes, shape (nodes,).
+
+    Returns:
+        The corners, and the triangles between them, shape (k, 3); their normals point upwards.
+    """
+    above = heights[cells] > 0.0
+    count = above.sum(axis=1)
+    pairs, corners, before = [], [], 0
+    for number, of_nodes in _CORNERS.items():
+        cut = np.flatnonzero(count == number)
+        order = np.argsort(above[cut], axis=1, kind="stable")
+        nodes = np.take_along_axis(cells[cut], order, axis=1)
+        ends = nodes[:, np.array(of_nodes)]
+        numbers = before + np.arange(ends.shape[0] * ends.shape[1]).reshape(ends.shape[:2])
+        odd = _is_odd(order)
+        numbers[odd] = numbers[odd][:, ::-1]
+        pairs.append(ends.reshape(-1, 2))
+        corners += [numbers[:, [0, k, k + 1]] for k in range(1, len(of_nodes) - 1)]
+        before += numbers.size
+    crossings, point = _crossings(np.concatenate(pairs), heights)
+    return crossings, _real(point[np.concatenate(corners)])
+
+
+def section_lines(triangles: np.ndarray, heights: np.ndarray) -> Crossings:
+    """Where triangles cross height zero: the ends of a line for each, shape (2 k,), two behind each other."""
+    _, pairs = _cut_triangles(triangles, heights)
+    crossings, number = _crossings(pairs, heights)
+    lines = number.reshape(-1, 2)
+    lines = lines[lines[:, 0] != lines[:, 1]].ravel()
+    return Crossings(crossings.ends[lines], crossings.share[lines])
+
+
+def clip(triangles: np.ndarray, heights: np.ndarray) -> tuple[Crossings, np.ndarray, np.ndarray]:
+    """Triangles cut where they cross height zero.
+
+    Args:
+        triangles: node numbers, shape (t, 3).
+        heights: of the nodes, shape (nodes,).
+
+    Returns:
+        The points where edges cross, which are numbered behind the nodes; and the triangles below and above, turned as
+        those that were given.
+    """
+    nodes = len(heights)
+    count = (heights[triangles] > 0.0).sum(axis=1)
+    turned, pairs = _cut_triangles(triangles, heights)
+    crossings, number = _crossings(pairs, heights)
+    p, q = (nodes + number).reshape(-1, 2).T
+    # A crossing at a node is the node.
+    at_node = np.concatenate([np.arange(nodes), np.where(crossings.share == 0.0, crossings.ends[:, 0],
+                                                         nodes + np.arange(len(crossings.share)))])
+    alone, b, c = turned.T
+    tip = at_node[np.stack([alone, p, q], axis=-1)]
+    rest = at_node[np.concatenate([np.stack([p, b, c], axis=-1), np.stack([p, c, q], axis=-1)])]
+    tip_is_above = heights[alone] > 0.0
+    twice = np.concatenate([tip_is_above, tip_is_above])
+    below = np.concatenate([triangles[count == 0], tip[~tip_is_above], rest[twice]])
+    above = np.concatenate([triangles[count == 3], tip[tip_is_above], rest[~twice]])
+    return crossings, _real(below), _real(above)
+
+
+def _cut_triangles(triangles: np.ndarray, heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles that cross, turned so that the node which is alone on its side comes first, shape (k, 3); and the two
+    edges from it, as pairs with the node below first, shape (2 k, 2)."""
+    above = heights[triangles] > 0.0
+    count = above.sum(axis=1)
+    cut = np.flatnonzero((count == 1) | (count == 2))
+    is_alone = above[cut] == (count[cut] == 1)[:, None]
+    turn = (np.argmax(is_alone, axis=1)[:, None] + np.arange(3)) % 3
+    turned = np.take_along_axis(triangles[cut], turn, axis=1)
+    pairs = np.stack([turned[:, [0, 1]], turned[:, [0, 2]]], axis=1)
+    falls = count[cut] == 1
+    pairs[falls] = pairs[falls][..., ::-1]
+    return turned, pairs.reshape(-1, 2)
+
+
+def _crossings(pairs: np.ndarray, heights: np.ndarray) -> tuple[Crossings, np.ndarray]:
+    """Points between pairs of nodes, each once, and the number of each pair's point."""
+    low, high = heights[pairs[:, 0]], heights[pairs[:, 1]]
+    ends = np.where((low == 0.0)[:, None], pairs[:, :1], pairs)
+    _, first, number = np.unique(ends[:, 0].astype(np.int64) * len(heights) + ends[:, 1], return_index=True,
+                                 return_inverse=True)
+    share = (-low / np.where(low == 0.0, 1.0, high - low))[first]
+    return Crossings(ends[first], share), number.reshape(-1)
+
+
+def _is_odd(order: np.ndarray) -> np.ndarray:
+    """Whether permutations (n, k) are odd."""
+    first, second = np.triu_indices(order.shape[1], 1)
+    return (order[:, first] > order[:, second]).sum(axis=1) % 2 == 1
+
+
+def _real(triangles: np.ndarray) -> np.ndarray:
+    """Without those that have a corner twice."""
+    a, b, c = triangles.T
+    return triangles[(a != b) & (b != c) & (c != a)]
