@@ -79,8 +79,8 @@ def test_it_is_pressed_as_the_block_that_it_is(specimen):
 def test_a_campaign_takes_none(tmp_path):
     (tmp_path / "run.csv").write_text("displacement [mm],force [N]\n0,0\n1,1\n2,2\n", encoding="utf-8")
     path = tmp_path / "study.toml"
-    path.write_text('[[specimen]]\nshape = "mesh"\n[[test]]\nkind = "lubricated_compression"\nrecordings = ["run.csv"]\n'
-                    '[fit]\nlaws = ["neo_hooke"]\n', encoding="utf-8")
+    path.write_text('[[specimen]]\nshape = "mesh"\n[[test]]\nkind = "lubricated_compression"\n'
+                    'recordings = ["run.csv"]\n[fit]\nlaws = ["neo_hooke"]\n', encoding="utf-8")
     with pytest.raises(ts.InputError, match=r"specimen\[0\].shape: a mesh from a file takes no part in a campaign"):
         calibration.load_campaign(path)
 

@@ -143,15 +143,14 @@ def test_a_punch_is_that_of_another_program(reference):
     model = ts.Model(ts.Experiment(ts.Specimen(0.04, 0.07), ts.Protocol.ramp(2e-3, 2), friction="bonded",
                                    tool=ts.Tool("flat", radius=8e-3)), material())
     solver = make_solver(model, mesh=punched_cylinder(TET15P1, **COARSE))
-    for d in (1.0, 2.0):
-        step = solver.step(Pose.at_depth(1e-3 * d))
-        assert step.status is StepStatus.CONVERGED
-        assert step.force == pytest.approx(np.interp(d, depth, force), rel=0.022)
+    step = solver.step(Pose.at_depth(2e-3))
+    assert step.status is StepStatus.CONVERGED
+    assert step.force == pytest.approx(np.interp(2.0, depth, force), rel=0.022)
 
 
 def test_a_ball_is_that_of_the_axisymmetric_solid():
     """With friction, on 750 elements."""
-    pressed = ts.Model(ts.Experiment(ts.Specimen(0.04, 0.07), ts.Protocol.ramp(3e-3, 3), friction=0.3,
+    pressed = ts.Model(ts.Experiment(ts.Specimen(0.04, 0.07), ts.Protocol.ramp(2e-3, 2), friction=0.3,
                                      tool=ts.Tool("sphere", radius=8e-3)), material())
     mesh = punched_cylinder(TET15P1, radius=4.5e-3, smallest=2.2e-3, growth=2.5, largest=25e-3, around=1)
     found = ts.simulate(pressed, solver="solid", mesh=mesh)
