@@ -11,6 +11,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from tissue_sim.fem.linear.pardiso import DEFINITE, OTHER, SYMMETRIC, PardisoError, PardisoPattern
+
 #: ``TISSUE_SIM_SPARSE=scipy`` keeps to SciPy where pypardiso is installed, too.
 _CHOICE = "TISSUE_SIM_SPARSE"
 
@@ -28,9 +30,47 @@ class Factor(Protocol):
         """Solutions for right-hand sides, shape (n,) or (n, several)."""
 
 
+class CondensedFactor(Factor, Protocol):
+    """A factor of a matrix that was condensed onto some of its equations.
+
+    Attributes:
+        compliance: of these, the block of the inverse, shape (m, m).
+    """
+
+    compliance: np.ndarray
+
+
+class SparseSolver:
+    """Factors of matrices that have their entries in the same places. What does not depend on the numbers is found once
+    where the library can; so only the newest factor is one that may be used."""
+
+    def __init__(self) -> None:
+        self._kept: dict[int, PardisoPattern] = {}
+
+    def factorise(self, matrix: Any, *, symmetric: bool) -> Factor | None:
+        """A factor of a square matrix, a `scipy.sparse.csc_array` with sorted rows; None where it is singular."""
+        if library() != "pardiso":
+            return _SuperLU.of(matrix, symmetric)
+        kind = SYMMETRIC if symmetric else OTHER
+        pattern = self._kept.get(kind)
+        if pattern is None or pattern.indices is not matrix.indices:
+            pattern = self._kept[kind] = PardisoPattern(matrix, kind)
+        return _Pardiso.of(pattern, matrix, symmetric)
+
+    def condense(self, matrix: Any, interface: np.ndarray) -> CondensedFactor | None:
+        """The same of a matrix that is symmetric and positive definite, condensed onto its equations `interface`, sorted;
+        None where it is not definite."""
+        if library() != "pardiso":
+            return _CondensedSuperLU.made(matrix, interface)
+        pattern = self._kept.get(DEFINITE)
+        if pattern is None or pattern.indices is not matrix.indices or not np.array_equal(pattern.interface, interface):
+            pattern = self._kept[DEFINITE] = PardisoPattern(matrix, DEFINITE, interface)
+        return _CondensedPardiso.of(pattern, matrix)
+
+
 def factorise(matrix: Any, *, symmetric: bool) -> Factor | None:
-    """A factor of a square matrix, a `scipy.sparse.csc_array` with sorted rows; None where it is singular."""
-    return (_Pardiso if library() == "pardiso" else _SuperLU).of(matrix, symmetric)
+    """A factor of one matrix; see `SparseSolver.factorise`."""
+    return SparseSolver().factorise(matrix, symmetric=symmetric)
 
 
 def library() -> str:
@@ -62,35 +102,59 @@ class _SuperLU:
         return self._factor.solve(right)
 
 
-class _Pardiso:
-    #: Pardiso's kinds of matrices: real and symmetric, and real.
-    _SYMMETRIC, _OTHER = -2, 11
-    #: Of its parameters: pivots that it had to make larger, and eigenvalues that are negative.
-    _PERTURBED, _NEGATIVE = 14, 23
-
-    def __init__(self, solver: Any, matrix: Any, definite: bool):
-        self._solver, self._matrix, self.definite = solver, matrix, definite
+class _CondensedSuperLU(_SuperLU):
+    compliance: np.ndarray
 
     @classmethod
-    def of(cls, matrix: Any, symmetric: bool) -> _Pardiso | None:
-        from pypardiso import PyPardisoSolver
-        from pypardiso.pardiso_wrapper import PyPardisoError
-        from scipy import sparse
+    def made(cls, matrix: Any, interface: np.ndarray) -> _CondensedSuperLU | None:
+        made = cls.of(matrix, True)
+        if made is None or not made.definite:
+            return None
+        unit = np.zeros((matrix.shape[0], interface.size))
+        unit[interface, np.arange(interface.size)] = 1.0
+        made.compliance = np.ascontiguousarray(made.solve(unit)[interface])
+        return made
 
-        solver = PyPardisoSolver(mtype=cls._SYMMETRIC if symmetric else cls._OTHER)
-        taken = sparse.csr_matrix(sparse.triu(matrix, format="csr") if symmetric else matrix)
-        taken.sort_indices()
+
+class _Pardiso:
+    def __init__(self, pattern: PardisoPattern, definite: bool):
+        self._pattern, self.definite = pattern, definite
+
+    @classmethod
+    def of(cls, pattern: PardisoPattern, matrix: Any, symmetric: bool) -> _Pardiso | None:
         try:
-            solver.factorize(taken)
-        except PyPardisoError:
+            pattern.factorise(matrix)
+        except PardisoError:
             return None
-        exact = solver.get_iparm(cls._PERTURBED) == 0
-        if not (symmetric or exact):
+        if pattern.perturbed and not symmetric:
             return None
-        return cls(solver, taken, exact and (not symmetric or solver.get_iparm(cls._NEGATIVE) == 0))
+        return cls(pattern, not pattern.perturbed and not (symmetric and pattern.negative))
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        return self._solver.solve(self._matrix, right)
+        return self._pattern.solve(right)
 
-    def __del__(self) -> None:
-        self._solver.free_memory(everything=True)
+
+class _CondensedPardiso:
+    definite = True
+
+    def __init__(self, pattern: PardisoPattern, compliance: np.ndarray):
+        self._pattern, self.compliance = pattern, compliance
+
+    @classmethod
+    def of(cls, pattern: PardisoPattern, matrix: Any) -> _CondensedPardiso | None:
+        from scipy.linalg import lapack
+
+        try:
+            schur = pattern.factorise(matrix)
+        except PardisoError:
+            return None
+        lower, failed = lapack.dpotrf(schur, lower=1, overwrite_a=1)
+        if failed:
+            return None
+        inverse, _ = lapack.dpotri(lower, lower=1, overwrite_c=1)
+        return cls(pattern, np.ascontiguousarray(np.tril(inverse) + np.tril(inverse, -1).T))
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        reduced, interface = self._pattern.reduce(right), self._pattern.interface
+        reduced[interface] = self.compliance @ reduced[interface]
+        return self._pattern.expand(reduced)

@@ -10,7 +10,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.fem.history import Memory
-from tissue_sim.fem.linear.sparse import Factor, factorise
+from tissue_sim.fem.linear.sparse import Factor, SparseSolver
 from tissue_sim.fem.solid.assembly import KAPPA, REMEMBERS, TANGENT, assembly_kernel
 from tissue_sim.fem.solid.batches import ElementBatches
 from tissue_sim.fem.solid.contact import ALL, Body, ContactNodes, Frame, Look
@@ -99,6 +99,7 @@ class SolidSolver(Solver):
         self._held_at = Frame(start, datum).into(mesh.nodes[self._bonded])
         self.contact = ContactNodes(bodies, mesh.nodes, mesh.node_areas)
         self.contact.bring_down(start, datum)
+        self._sparse = SparseSolver()
         self._matrix = FreePart(self.batches.matrix, self._free, freedoms[self.contact.nodes])
         self._settings, self._least = np.zeros(3), np.zeros(1)
         self.memory, self._contact_radius = Memory(self.batches.weights.shape, 6), contact_radius
@@ -233,7 +234,7 @@ class SolidSolver(Solver):
             if status is not None and not (status is StepStatus.CONVERGED and self._asked):
                 return self._answer(status, iterations, ratio, look, residual, frame, None)
             self._matrix.add(contact.rates)
-            factor = factorise(self._matrix.free, symmetric=not look.slipping)
+            factor = self._sparse.factorise(self._matrix.free, symmetric=not look.slipping)
             if factor is None or not factor.definite:
                 if bending > 0.0 and status is None:
                     bending = 0.0
