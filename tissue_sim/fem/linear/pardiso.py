@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import sys
 from typing import Any
 
 import numpy as np
@@ -121,5 +122,5 @@ class PardisoPattern:
             raise PardisoError(f"Pardiso ended with error {error.value} in phase {phase}")
 
     def __del__(self) -> None:
-        if hasattr(self, "_solver"):
+        if hasattr(self, "_solver") and not sys.is_finalizing():
             self._solver.free_memory(everything=True)

@@ -58,8 +58,8 @@ class SparseSolver:
         return _Pardiso.of(pattern, matrix, symmetric)
 
     def condense(self, matrix: Any, interface: np.ndarray) -> CondensedFactor | None:
-        """The same of a matrix that is symmetric and positive definite, condensed onto its equations `interface`, sorted;
-        None where it is not definite."""
+        """The same of a symmetric matrix, condensed onto its equations `interface`, sorted; None where it is singular, or
+        not positive definite while these are held."""
         if library() != "pardiso":
             return _CondensedSuperLU.made(matrix, interface)
         pattern = self._kept.get(DEFINITE)
@@ -108,7 +108,7 @@ class _CondensedSuperLU(_SuperLU):
     @classmethod
     def made(cls, matrix: Any, interface: np.ndarray) -> _CondensedSuperLU | None:
         made = cls.of(matrix, True)
-        if made is None or not made.definite:
+        if made is None:
             return None
         unit = np.zeros((matrix.shape[0], interface.size))
         unit[interface, np.arange(interface.size)] = 1.0
@@ -148,11 +148,16 @@ class _CondensedPardiso:
             schur = pattern.factorise(matrix)
         except PardisoError:
             return None
-        lower, failed = lapack.dpotrf(schur, lower=1, overwrite_a=1)
+        lower, failed = lapack.dpotrf(schur, lower=1)
+        if not failed:
+            inverse, failed = lapack.dpotri(lower, lower=1, overwrite_c=1)
+            inverse = np.tril(inverse) + np.tril(inverse, -1).T
         if failed:
-            return None
-        inverse, _ = lapack.dpotri(lower, lower=1, overwrite_c=1)
-        return cls(pattern, np.ascontiguousarray(np.tril(inverse) + np.tril(inverse, -1).T))
+            try:
+                inverse = np.linalg.inv(schur)
+            except np.linalg.LinAlgError:
+                return None
+        return cls(pattern, np.ascontiguousarray(inverse))
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         reduced, interface = self._pattern.reduce(right), self._pattern.interface
