@@ -1,4 +1,4 @@
-"""The contact on a condensed bulk as a Taichi kernel: displacements, states, and the equations of the next iteration.
+"""The contact on a condensed bulk as Taichi kernels: displacements, states, and the equations of the next iteration.
 
 The method is that of `tissue_sim.fem.solid.contact`, node by node, with the same springs and the same states; the
 equations hold the nodes that are pressed only.
@@ -54,7 +54,7 @@ def contact_kernel():
              bound: ti.template(), anchors: ti.template(), pressed: ti.template(), slips: ti.template(),
              ways: ti.template(), forces: ti.template(), met: ti.template(), met_at: ti.template(),
              u: ti.template(), guess: ti.template(), rates: ti.template(), intercept: ti.template(),
-             levers: ti.template(), signature: ti.template()):
+             levers: ti.template(), signature: ti.template(), geometry: ti.template()):
         """Where a node is against the tool, what state it takes, and its force."""
         R = ti.Matrix([[settings[ROTATION + 3 * a + b] for b in ti.static(range(3))] for a in ti.static(range(3))])
         arm = ti.Vector([places[s, a] + u[i, a] - settings[ORIGIN + a] for a in ti.static(range(3))])
@@ -182,6 +182,7 @@ def contact_kernel():
         for a in ti.static(range(3)):
             met_at[s, a] = anchor[a] if keeps else at[a] - gap * n_tool[a]
             levers[i, a] = arm[a]
+            geometry[i, a], geometry[i, 3 + a] = n[a], slip[a]
             intercept[i, a] = found[a] + missing[a]
             change = found[a] - guess[i, a]
             results[UNBALANCED] = results[UNBALANCED] + change * change
@@ -189,16 +190,19 @@ def contact_kernel():
             forces[s, a] = found[a]
             for b in ti.static(range(3)):
                 rates[i, 3 * a + b] = A[a, b]
-        if signature[i] != state:
-            signature[i] = state
+        geometry[i, 6] = gap
+        geometry[i, 7] = mu if bound[s] == 2 else 0.0
+        # Equations of other states of the same nodes do for a while.
+        if (signature[i] > 0) != (state > 0) or signature[i] < 0:
             settings[ANEW] = 1.0
+        signature[i] = state
 
     @ti.kernel
     def iterate(settings: real1, results: real1, chains: real3, shapes: real2, places: real2, springs: real1,
                 friction: real2, outlines: int1, bound: int1, anchors: real2, pressed: int1, slips: int1, ways: real2,
                 forces: real2, met: int1, met_at: real2, nodes: int1, middle: real2, drive: real2, compliance: real2,
-                u: real2, guess: real2, rates: real2, intercept: real2, levers: real2, signature: int1, loaded: int1,
-                active: int1, matrix: real1, block: real1, right: real1):
+                u: real2, guess: real2, rates: real2, intercept: real2, levers: real2, signature: int1, geometry: real2,
+                loaded: int1, active: int1, matrix: real1, block: real1, right: real1):
         ti.loop_config(serialize=True)
         for _ in range(1):
             n = ti.cast(settings[COUNT], ti.i32)
@@ -218,7 +222,8 @@ def contact_kernel():
                 displace(i, settings, nodes, forces, middle, drive, compliance, loaded, many, u)
             for i in range(n):
                 meet(i, nodes[i], settings, results, chains, shapes, places, springs, friction, outlines, bound,
-                     anchors, pressed, slips, ways, forces, met, met_at, u, guess, rates, intercept, levers, signature)
+                     anchors, pressed, slips, ways, forces, met, met_at, u, guess, rates, intercept, levers, signature,
+                     geometry)
             count = 0
             for i in range(n):
                 if signature[i] > 0:
@@ -276,3 +281,88 @@ def contact_kernel():
                                 block[column * k + 3 * p + a] = compliance[3 * i + a, 3 * j + b]
 
     return iterate
+
+
+@cache
+def relaxation_kernel():
+    """Kernel of projected Gauss-Seidel sweeps over the nodes, with the surface of the tool as flat at each of them as
+    `contact_kernel` last found it; for states that Newton's iteration does not find.
+
+    Source: Jean, Comput. Methods Appl. Mech. Eng. 177 (1999) 235, non-smooth contact dynamics."""
+    ti = initialise()
+    real1, real2 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2))
+    int1 = ti.types.ndarray(ti.i32, ndim=1)
+
+    @ti.kernel
+    def relax(settings: real1, results: real1, nodes: int1, bound: int1, pressed: int1, slips: int1, ways: real2,
+              forces: real2, compliance: real2, geometry: real2, guess: real2, moved: real2, limits: real1, near: int1):
+        ti.loop_config(serialize=True)
+        for _ in range(1):
+            n = ti.cast(settings[COUNT], ti.i32)
+            many = 0
+            for i in range(n):
+                s = nodes[i]
+                size = 0.0
+                for a in ti.static(range(3)):
+                    moved[i, a] = 0.0
+                    size = size + ti.abs(forces[s, a]) + ti.abs(guess[i, a])
+                if bound[s] == 1 or size > 0.0 or geometry[i, 6] < limits[3]:
+                    near[many] = i
+                    many = many + 1
+            # Displacements belong to the guesses of the last iteration, forces were projected since.
+            for p in range(many):
+                i = near[p]
+                s = nodes[i]
+                change = ti.Vector([forces[s, b] - guess[i, b] for b in ti.static(range(3))])
+                if change.norm() > 0.0:
+                    for q in range(many):
+                        j = near[q]
+                        for a in ti.static(range(3)):
+                            for b in ti.static(range(3)):
+                                moved[j, a] = moved[j, a] - compliance[3 * i + b, 3 * j + a] * change[b]
+            sweep, largest, size = 0.0, 1.0, 0.0
+            while sweep < limits[0] and largest > limits[1] * size:
+                sweep = sweep + 1.0
+                largest, size = 0.0, limits[2]
+                for p in range(many):
+                    i = near[p]
+                    s = nodes[i]
+                    g = ti.Vector([geometry[i, a] for a in ti.static(range(3))])
+                    F = ti.Vector([forces[s, a] for a in ti.static(range(3))])
+                    slip = ti.Vector([geometry[i, 3 + a] + moved[i, a] for a in ti.static(range(3))])
+                    gap = geometry[i, 6] + g[0] * moved[i, 0] + g[1] * moved[i, 1] + g[2] * moved[i, 2]
+                    new = ti.Vector.zero(ti.f64, 3)
+                    if bound[s] == 1 or F.norm() > 0.0 or gap < 0.0:
+                        C = ti.Matrix([[compliance[3 * i + a, 3 * i + b] for b in ti.static(range(3))]
+                                       for a in ti.static(range(3))])
+                        c = g.dot(C @ g)
+                        aside = 0.5 * (C.trace() - c)
+                        if bound[s] == 1:
+                            new = F + slip / ti.max(c, aside)
+                        else:
+                            N = ti.min(F.dot(g) + gap / c, 0.0)
+                            T = F - F.dot(g) * g + (slip - slip.dot(g) * g) / aside
+                            most, length = -geometry[i, 7] * N, T.norm()
+                            if length > most:
+                                T = T * (most / length)
+                            new = N * g + T
+                            pressed[s] = 1 if N < 0.0 else 0
+                            slips[s] = 1 if length > most and N < 0.0 else 0
+                            way = slip - slip.dot(g) * g
+                            length = way.norm()
+                            if length > 1e-3 * settings[TOLERANCE]:
+                                for a in ti.static(range(3)):
+                                    ways[s, a] = way[a] / length
+                        change = new - F
+                        largest, size = ti.max(largest, change.norm()), ti.max(size, new.norm())
+                        for a in ti.static(range(3)):
+                            forces[s, a] = new[a]
+                        for q in range(many):
+                            j = near[q]
+                            for a in ti.static(range(3)):
+                                moved[j, a] = moved[j, a] - (compliance[3 * i, 3 * j + a] * change[0]
+                                                             + compliance[3 * i + 1, 3 * j + a] * change[1]
+                                                             + compliance[3 * i + 2, 3 * j + a] * change[2])
+            results[VIOLATION], results[SIZE] = sweep, largest / size
+
+    return relax

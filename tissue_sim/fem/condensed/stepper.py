@@ -25,6 +25,7 @@ from tissue_sim.fem.condensed.kernel import (
     SETTINGS,
     TOLERANCE,
     contact_kernel,
+    relaxation_kernel,
 )
 from tissue_sim.fem.condensed.model import HELD, CondensedContact, ContactState, ContactSurface
 from tissue_sim.fem.taichi.launch import BoundKernel
@@ -32,19 +33,20 @@ from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.pose import Pose, Screw, between, motion
 from tissue_sim.tool_force import Matrix, carried_on
 
-#: Iterations of a step, from which on only some of the nodes may change their state at once, and from which on the
-#: curvature of the tool is left out.
-_MOST, _CIRCLING, _FLATTENED = 40, 8, 16
-#: A force is found where it changes by less than this share, or than this share of the floor; friction below another
-#: share of it is none.
-_SETTLED, _NOTHING, _NO_FRICTION = 1e-7, 1e-3, 1e-6
-#: Equations outlive so many steps, and an iteration that leaves no more than this share of what was unbalanced.
-_STEPS, _SLOW = 8, 0.1
+#: Iterations of a step, each of so many sweeps at most, but that each so-manieth is one of Newton's.
+_MOST, _SWEEPS, _TURNS = 16, 60, 4
+#: Nodes that are nearer to the tool than this share of its radius take part in the sweeps.
+_NEAR = 0.06
+#: A force is found where it changes by less than this share; an exact one by less than this share of that. Friction
+#: below another share of the floor is none.
+_SETTLED, _EXACT, _NO_FRICTION = 1e-4, 1e-6, 1e-6
+#: Steps that the same derivatives serve for, where the same nodes are pressed.
+_STEPS = 8
 #: A step is made in parts of no more than this share of the contact's radius, which are cut down to the other share of
 #: it where they fail; that no part is made for.
-_LARGEST, _SHORTEST, _ROUNDING = 0.03, 2.0**-6, 1e-9
-#: Share of the slow solver's tolerance: its steps are longer.
-_FINER = 0.1
+_LARGEST, _SHORTEST, _ROUNDING = 0.03, 2.0**-3, 1e-9
+#: Share of the surface's tolerance: that is for longer steps.
+_FINER = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,10 +109,14 @@ class CondensedStepper:
             "met": self._met, "met_at": self._met_at, "nodes": self._nodes, "middle": self._middle,
             "drive": self._drive, "compliance": self._compliance, "u": np.zeros((n, 3)), "guess": np.zeros((n, 3)),
             "rates": np.zeros((n, 9)), "intercept": np.zeros((n, 3)), "levers": self._levers,
-            "signature": self._signature, "loaded": np.zeros(n, dtype=np.int32), "active": self._active,
+            "signature": self._signature, "geometry": np.zeros((n, 8)), "loaded": np.zeros(n, dtype=np.int32), "active": self._active,
             "matrix": self._matrix, "block": self._block, "right": self._right}
+        self._limits = np.array([_SWEEPS, 0.1 * _SETTLED, surface.floor, _NEAR * surface.radius])
         with LOCK:
             self._kernel = BoundKernel(contact_kernel(), arrays)
+            self._relax = BoundKernel.of(relaxation_kernel(), arrays | {"moved": np.zeros((n, 3)),
+                                                                        "limits": self._limits,
+                                                                        "near": np.zeros(n, dtype=np.int32)})
         self._guess = arrays["guess"]
         self._settings[[TOLERANCE, NEGLIGIBLE]] = _FINER * surface.tolerance, _NO_FRICTION * surface.floor
         self._largest = _LARGEST * surface.radius
@@ -198,42 +204,47 @@ class CondensedStepper:
         self._steps += 1
         if exact or self._steps % _STEPS == 0:
             settings[ANEW] = 1.0
-        settings[RELEASE], converged, iterations, last = 0.0, False, 0, math.inf
-        columns = self._columns[:0]
+        settings[[RELEASE, CHANGEABLE, BENDING]] = 0.0, ALL, 1.0
+        converged, fresh, iterations, columns = False, False, 0, self._columns
+        tolerance = self.surface.tolerance * (_EXACT if exact else 1.0) * _FINER
         while True:
-            settings[CHANGEABLE] = ALL if iterations < _CIRCLING else iterations
-            settings[BENDING] = 1.0 if iterations < _FLATTENED else 0.0
             with LOCK:
                 self._kernel()
-            violation, _, wanting, pulling, unbalanced, size, active, rebuilt, slipping = results.tolist()
+            violation, _, _, pulling, unbalanced, size, active, rebuilt, slipping = results.tolist()
             settings[RELEASE], k = 0.0, 3 * int(active)
-            change, floor = math.sqrt(unbalanced), self.surface.floor
-            done = change < max(_SETTLED * max(math.sqrt(size), floor), _NOTHING * floor) and (
-                violation <= settings[TOLERANCE] and not wanting)
+            change = math.sqrt(unbalanced)
+            done = change < _SETTLED * (_EXACT if exact else 1.0) * max(math.sqrt(size), self.surface.floor) and (
+                violation <= tolerance)
             if done and pulling:
                 settings[RELEASE], done = 1.0, False
             if k and rebuilt:
                 lu, pivots, failed = lapack.dgetrf(self._matrix[:k * k].reshape(k, k).T, overwrite_a=1)
-                self._factor = None if failed else (lu, pivots)
-            if k and (self._factor is None or len(self._factor[0]) != k):
-                break
-            right = self._right[:COLUMNS * k].reshape(COLUMNS, k).T
-            if done:
-                if k and self._factor is not None:
-                    columns, _ = lapack.dgetrs(*self._factor, right[:, 1:])
-                converged = math.isfinite(size)
+                self._factor, fresh = (None if failed else (lu, pivots)), True
+            if done and math.isfinite(size):
+                if not k:
+                    columns = columns[:0]
+                elif fresh and self._factor is not None and len(self._factor[0]) == k:
+                    columns, _ = lapack.dgetrs(*self._factor, self._right[:COLUMNS * k].reshape(COLUMNS, k).T[:, 1:])
+                elif len(columns) != k:
+                    fresh, settings[ANEW], iterations = False, 1.0, iterations + _TURNS
+                    if iterations < 2 * _MOST:
+                        continue
+                    break
+                converged = True
                 break
             if iterations >= _MOST or not math.isfinite(unbalanced):
                 break
             iterations += 1
-            if k and self._factor is not None and not settings[RELEASE]:
+            if iterations % _TURNS or not rebuilt or self._factor is None or not k:
+                with LOCK:
+                    self._relax()
+            elif not settings[RELEASE]:
+                right = self._right[:COLUMNS * k].reshape(COLUMNS, k).T
                 step, _ = lapack.dgetrs(*self._factor, right[:, 0])
                 chosen = self._active[:k // 3]
                 self.forces[self._nodes[chosen]] = self._guess[chosen] + step.reshape(-1, 3)
-            # Equations of a state a little away do as long as they bring the forces nearer.
-            if change > _SLOW * last:
-                settings[ANEW] = 1.0
-            last = change
+            # What is answered, and Newton's iteration, need the equations of this very state.
+            settings[ANEW] = max(settings[ANEW], float(exact or iterations % _TURNS == _TURNS - 1))
         if converged:
             self._commit()
             self._pose, self._columns = pose, columns
