@@ -191,7 +191,7 @@ def contact_kernel():
             for b in ti.static(range(3)):
                 rates[i, 3 * a + b] = A[a, b]
         geometry[i, 6] = gap
-        geometry[i, 7] = mu if bound[s] == 2 else 0.0
+        geometry[i, 7] = ti.max(mu, 0.0) if bound[s] == 2 else 0.0
         # Equations of other states of the same nodes do for a while.
         if (signature[i] > 0) != (state > 0) or signature[i] < 0:
             settings[ANEW] = 1.0
@@ -335,8 +335,10 @@ def relaxation_kernel():
                     if bound[s] == 1 or F.norm() > 0.0 or gap < 0.0:
                         C = ti.Matrix([[compliance[3 * i + a, 3 * i + b] for b in ti.static(range(3))]
                                        for a in ti.static(range(3))])
-                        c = g.dot(C @ g)
-                        aside = 0.5 * (C.trace() - c)
+                        # Of a tissue that would buckle without the tool they need not be positive.
+                        least = 1e-2 * ti.abs(C.trace())
+                        c = ti.max(g.dot(C @ g), least)
+                        aside = ti.max(0.5 * (C.trace() - g.dot(C @ g)), least)
                         if bound[s] == 1:
                             new = F + slip / ti.max(c, aside)
                         else:

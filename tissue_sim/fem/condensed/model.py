@@ -17,7 +17,7 @@ from tissue_sim.registry import Registry
 #: How a node is bound to the tool, as in `tissue_sim.fem.solid.contact`.
 FREE, HELD, TOUCHED = range(3)
 #: Numbers before the arrays of a model and of a state.
-_MODEL_HEAD, _STATE_HEAD = 16, 10
+_MODEL_HEAD, _STATE_HEAD = 16, 18
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,26 +123,42 @@ class ContactState:
     Attributes:
         model: number of the model that it solved on; 0: none yet.
         epoch: how often it was set back to the untouched specimen.
-        pose: of the tool. time: s.
+        time: s. pose: of the tool.
+        earlier, before: a time a little ago, s, and the pose then.
         forces: on the tool, N, shape (s, 3), of the surface's nodes.
+        anchors: where nodes were bound to the tool, in its frame, m; ways: along which they slip, both (s, 3).
+        states: how each is bound, whether it is pressed, and whether it slips, shape (3, s).
     """
 
     model: int
     epoch: int
-    pose: Pose
     time: float
+    pose: Pose
+    earlier: float
+    before: Pose
     forces: np.ndarray
+    anchors: np.ndarray
+    ways: np.ndarray
+    states: np.ndarray
 
     def packed(self) -> np.ndarray:
         """All of it as one array of numbers."""
-        return np.concatenate([(self.model, self.epoch, self.time, *self.pose.position, *self.pose.orientation),
-                               self.forces.ravel()])
+        head = (self.model, self.epoch, self.time, *self.pose.position, *self.pose.orientation, self.earlier,
+                *self.before.position, *self.before.orientation)
+        return np.concatenate([head, self.forces.ravel(), self.anchors.ravel(), self.ways.ravel(), self.states.ravel()])
 
     @classmethod
     def unpacked(cls, numbers: np.ndarray) -> ContactState:
         """What `packed` gave."""
         model, epoch, time, *where = numbers[:_STATE_HEAD].tolist()
-        return cls(int(model), int(epoch), _pose(where), time, numbers[_STATE_HEAD:].reshape(-1, 3))
+        forces, anchors, ways, states = np.split(numbers[_STATE_HEAD:], 4)
+        return cls(int(model), int(epoch), time, _pose(where[:7]), where[7], _pose(where[8:]), forces.reshape(-1, 3),
+                   anchors.reshape(-1, 3), ways.reshape(-1, 3), states.reshape(3, -1))
+
+
+def packed_state_size(surface: ContactSurface) -> int:
+    """Numbers of a packed state of a surface."""
+    return _STATE_HEAD + 12 * len(surface.places)
 
 
 class BulkLinearisation(Protocol):

@@ -40,6 +40,8 @@ _NEAR = 0.06
 #: A force is found where it changes by less than this share; an exact one by less than this share of that. Friction
 #: below another share of the floor is none.
 _SETTLED, _EXACT, _NO_FRICTION = 1e-4, 1e-6, 1e-6
+#: No linear solution changes forces by more than this share of the largest: it would lead elsewhere.
+_FORESEEN = 0.5
 #: Steps that the same derivatives serve for, where the same nodes are pressed.
 _STEPS = 8
 #: A step is made in parts of no more than this share of the contact's radius, which are cut down to the other share of
@@ -136,9 +138,17 @@ class CondensedStepper:
         self._columns = np.zeros((0, 6))
         self._settings[ANEW], self._steps = 1.0, 0
 
-    def state(self, pose: Pose, time: float, epoch: int = 0) -> ContactState:
-        """Where the contact is, for the solver of the bulk."""
-        return ContactState(0 if self.model is None else self.model.number, epoch, pose, time, self.forces.copy())
+    def state(self, time: float, pose: Pose, earlier: float, before: Pose, epoch: int = 0) -> ContactState:
+        """Where the contact is, for the solver of the bulk; see `ContactState`."""
+        return ContactState(0 if self.model is None else self.model.number, epoch, time, pose, earlier, before,
+                            self.forces.copy(), self._anchors.copy(), self._ways.copy(),
+                            np.stack([self._bound, self._pressed, self._slips]).astype(float))
+
+    def take(self, state: ContactState) -> None:
+        """Go where another stepper of the same surface and model was."""
+        self.forces[:], self._anchors[:], self._ways[:] = state.forces, state.anchors, state.ways
+        self._bound[:], self._pressed[:], self._slips[:] = state.states
+        self._pose, self._columns, self._settings[ANEW] = state.pose, self._columns[:0], 1.0
 
     def adopt(self, model: CondensedContact) -> None:
         """Go on with another model of the same surface."""
@@ -200,7 +210,9 @@ class CondensedStepper:
         before = [array.copy() for array in self._kept]
         if len(self._columns) and self._pose is not None:
             nodes = self._nodes[self._active[:len(self._columns) // 3]]
-            self.forces[nodes] += (self._columns @ np.array(motion(self._pose, pose))).reshape(-1, 3)
+            more = (self._columns @ np.array(motion(self._pose, pose))).reshape(-1, 3)
+            if np.abs(more).max() < _FORESEEN * np.abs(self.forces[nodes]).max():
+                self.forces[nodes] += more
         self._steps += 1
         if exact or self._steps % _STEPS == 0:
             settings[ANEW] = 1.0
@@ -242,7 +254,8 @@ class CondensedStepper:
                 right = self._right[:COLUMNS * k].reshape(COLUMNS, k).T
                 step, _ = lapack.dgetrs(*self._factor, right[:, 0])
                 chosen = self._active[:k // 3]
-                self.forces[self._nodes[chosen]] = self._guess[chosen] + step.reshape(-1, 3)
+                if np.abs(step).max() < _FORESEEN * np.abs(self._guess[chosen]).max():
+                    self.forces[self._nodes[chosen]] = self._guess[chosen] + step.reshape(-1, 3)
             # What is answered, and Newton's iteration, need the equations of this very state.
             settings[ANEW] = max(settings[ANEW], float(exact or iterations % _TURNS == _TURNS - 1))
         if converged:
