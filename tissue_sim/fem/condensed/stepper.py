@@ -31,15 +31,17 @@ from tissue_sim.fem.condensed.model import HELD, CondensedContact, ContactState,
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.pose import Pose, Screw, between, motion
-from tissue_sim.tool_force import Matrix, carried_on
+from tissue_sim.tool_force import Matrix
 
-#: Iterations of a step, each of so many sweeps at most, but that each so-manieth is one of Newton's.
-_MOST, _SWEEPS, _TURNS = 16, 60, 4
+#: Iterations of a step, each of so many sweeps at most.
+_MOST, _SWEEPS = 24, 60
 #: Nodes that are nearer to the tool than this share of its radius take part in the sweeps.
 _NEAR = 0.06
 #: A force is found where it changes by less than this share; an exact one by less than this share of that. Friction
 #: below another share of the floor is none.
 _SETTLED, _EXACT, _NO_FRICTION = 1e-4, 1e-6, 1e-6
+#: A node's force follows the tool by no more than this many times the largest stiffness of one alone.
+_STIFFEST = 10.0
 #: No linear solution changes forces by more than this share of the largest: it would lead elsewhere.
 _FORESEEN = 0.5
 #: Steps that the same derivatives serve for, where the same nodes are pressed.
@@ -113,14 +115,15 @@ class CondensedStepper:
             "rates": np.zeros((n, 9)), "intercept": np.zeros((n, 3)), "levers": self._levers,
             "signature": self._signature, "geometry": np.zeros((n, 8)), "loaded": np.zeros(n, dtype=np.int32), "active": self._active,
             "matrix": self._matrix, "block": self._block, "right": self._right}
-        self._limits = np.array([_SWEEPS, 0.1 * _SETTLED, surface.floor, _NEAR * surface.radius])
+        self._limits = np.array([_SWEEPS, 0.01 * _SETTLED, surface.floor, _NEAR * surface.radius])
         with LOCK:
             self._kernel = BoundKernel(contact_kernel(), arrays)
             self._relax = BoundKernel.of(relaxation_kernel(), arrays | {"moved": np.zeros((n, 3)),
                                                                         "limits": self._limits,
                                                                         "near": np.zeros(n, dtype=np.int32)})
         self._guess = arrays["guess"]
-        self._settings[[TOLERANCE, NEGLIGIBLE]] = _FINER * surface.tolerance, _NO_FRICTION * surface.floor
+        self._tolerance, self._stiffest = _FINER * surface.tolerance, math.inf
+        self._settings[[TOLERANCE, NEGLIGIBLE]] = self._tolerance, _NO_FRICTION * surface.floor
         self._largest = _LARGEST * surface.radius
         self._first_height = surface.start.position[2]
         self.model: CondensedContact | None = None
@@ -161,6 +164,7 @@ class CondensedStepper:
         self._drive[:3 * n], self._compliance[:3 * n, :3 * n] = model.drive, model.compliance
         self._signature[:] = -1
         self._settings[[COUNT, MODULUS, ANEW]] = n, model.modulus, 1.0
+        self._stiffest = _STIFFEST / float(np.abs(np.diag(model.compliance)).min(initial=math.inf))
         self.model, self._columns = model, self._columns[:0]
 
     def step(self, pose: Pose, exact: bool = False) -> ContactStep:
@@ -171,8 +175,8 @@ class CondensedStepper:
             exact: find the equations anew, so that the stiffness is that of this very pose.
 
         Returns:
-            The wrench there. Of a step that has not converged forces and bonds are those of the step before, and the
-            wrench is only what they give here.
+            The wrench there. Of a step that has not converged the wrench is that of the step before, from which the next
+            one goes on.
 
         Raises:
             ValueError: there is no model yet.
@@ -197,7 +201,7 @@ class CondensedStepper:
             else:
                 share *= 0.5
                 if share * length < _SHORTEST * self._largest or length == 0.0:
-                    return self._carried_on(pose, step)
+                    return step
 
     def _part(self, pose: Pose, exact: bool) -> ContactStep:
         """One part of a step; nothing is changed by one that does not converge."""
@@ -218,46 +222,40 @@ class CondensedStepper:
             settings[ANEW] = 1.0
         settings[[RELEASE, CHANGEABLE, BENDING]] = 0.0, ALL, 1.0
         converged, fresh, iterations, columns = False, False, 0, self._columns
-        tolerance = self.surface.tolerance * (_EXACT if exact else 1.0) * _FINER
         while True:
             with LOCK:
                 self._kernel()
             violation, _, _, pulling, unbalanced, size, active, rebuilt, slipping = results.tolist()
-            settings[RELEASE], k = 0.0, 3 * int(active)
-            change = math.sqrt(unbalanced)
-            done = change < _SETTLED * (_EXACT if exact else 1.0) * max(math.sqrt(size), self.surface.floor) and (
-                violation <= tolerance)
-            if done and pulling:
-                settings[RELEASE], done = 1.0, False
+            settings[[RELEASE, CHANGEABLE]], k = (0.0, ALL), 3 * int(active)
+            change, enough = math.sqrt(unbalanced), _SETTLED * max(math.sqrt(size), self.surface.floor)
+            if not math.isfinite(unbalanced + size) or iterations >= _MOST:
+                break
+            iterations += 1
             if k and rebuilt:
                 lu, pivots, failed = lapack.dgetrf(self._matrix[:k * k].reshape(k, k).T, overwrite_a=1)
                 self._factor, fresh = (None if failed else (lu, pivots)), True
-            if done and math.isfinite(size):
-                if not k:
-                    columns = columns[:0]
-                elif fresh and self._factor is not None and len(self._factor[0]) == k:
-                    columns, _ = lapack.dgetrs(*self._factor, self._right[:COLUMNS * k].reshape(COLUMNS, k).T[:, 1:])
-                elif len(columns) != k:
-                    fresh, settings[ANEW], iterations = False, 1.0, iterations + _TURNS
-                    if iterations < 2 * _MOST:
-                        continue
-                    break
+            usable = fresh and self._factor is not None and len(self._factor[0]) == k
+            settles = change < enough and violation <= self._tolerance
+            done = settles and (not exact or change < _EXACT * enough and violation <= _EXACT * self._tolerance)
+            if done and pulling:
+                settings[RELEASE] = 1.0
+            elif done and k and not usable and len(columns) != k:
+                settings[ANEW] = 1.0
+            elif done:
+                if not k or usable:
+                    columns = self._solved(k)[:, 1:] if k else columns[:0]
                 converged = True
                 break
-            if iterations >= _MOST or not math.isfinite(unbalanced):
-                break
-            iterations += 1
-            if iterations % _TURNS or not rebuilt or self._factor is None or not k:
+            elif exact and settles and usable:
+                # The states are known; Newton's iteration finds the rest.
+                chosen, step = self._active[:k // 3], self._solved(k)[:, 0]
+                self.forces[self._nodes[chosen]] = self._guess[chosen] + step.reshape(-1, 3)
+                settings[[CHANGEABLE, ANEW]] = 0.0, 1.0
+            else:
                 with LOCK:
                     self._relax()
-            elif not settings[RELEASE]:
-                right = self._right[:COLUMNS * k].reshape(COLUMNS, k).T
-                step, _ = lapack.dgetrs(*self._factor, right[:, 0])
-                chosen = self._active[:k // 3]
-                if np.abs(step).max() < _FORESEEN * np.abs(self._guess[chosen]).max():
-                    self.forces[self._nodes[chosen]] = self._guess[chosen] + step.reshape(-1, 3)
-            # What is answered, and Newton's iteration, need the equations of this very state.
-            settings[ANEW] = max(settings[ANEW], float(exact or iterations % _TURNS == _TURNS - 1))
+                # It has decided about the states.
+                settings[[CHANGEABLE, ANEW]] = 0.0, max(settings[ANEW], float(exact))
         if converged:
             self._commit()
             self._pose, self._columns = pose, columns
@@ -268,10 +266,15 @@ class CondensedStepper:
         self._columns, settings[ANEW] = self._columns[:0], 1.0
         return replace(self._last, converged=False, iterations=iterations, way=self.distance(way), residual=change)
 
-    def _carried_on(self, pose: Pose, step: ContactStep) -> ContactStep:
-        """What the last equilibrium of the contact gives at a pose where none was found."""
-        assert self._pose is not None
-        return replace(step, wrench=carried_on(step.wrench, step.stiffness_matrix, motion(self._pose, pose)))
+    def _solved(self, k: int) -> np.ndarray:
+        """Of the linear equations as they were last built, shape (k, 7)."""
+        from scipy.linalg import lapack
+
+        assert self._factor is not None
+        solution, _ = lapack.dgetrs(*self._factor, self._right[:COLUMNS * k].reshape(COLUMNS, k).T)
+        # Where all nodes are about to slip or to stick, there may be none.
+        sane = np.isfinite(solution).all() and np.abs(solution[:, 1:4]).max(initial=0.0) < self._stiffest
+        return solution if sane else np.zeros_like(solution)
 
     def distance(self, way: Screw) -> float:
         """How far the points of the contact go in a motion, at most, m."""
