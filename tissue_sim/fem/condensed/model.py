@@ -75,9 +75,11 @@ class CondensedContact:
         reach: how far the tool may go from the pose before it can meet a node that is not here, m.
         modulus: shear modulus of the material, Pa.
         residual: unbalanced over balanced forces of the state that it was linearised at.
+        epoch: of the `ContactState` that it follows.
     """
 
     number: int
+    epoch: int
     time: float
     pose: Pose
     nodes: np.ndarray
@@ -93,7 +95,7 @@ class CondensedContact:
     def packed(self) -> np.ndarray:
         """All of it as one array of numbers."""
         head = np.zeros(_MODEL_HEAD)
-        head[:13] = (self.number, self.time, len(self.nodes), self.reach, self.modulus, self.residual,
+        head[:14] = (self.number, self.epoch, self.time, len(self.nodes), self.reach, self.modulus, self.residual,
                      *self.pose.position, *self.pose.orientation)
         return np.concatenate([head, self.wrench, self.stiffness.ravel(), self.nodes, self.middle.ravel(),
                                self.drive.ravel(), self.compliance.ravel()])
@@ -101,11 +103,11 @@ class CondensedContact:
     @classmethod
     def unpacked(cls, numbers: np.ndarray) -> CondensedContact:
         """What `packed` gave; its arrays are parts of the one given."""
-        number, time, count, reach, modulus, residual, *where = numbers[:13].tolist()
+        number, epoch, time, count, reach, modulus, residual, *where = numbers[:14].tolist()
         n = int(count)
         sizes = [_MODEL_HEAD, 6, 36, n, 3 * n, 18 * n, 9 * n * n]
         _, wrench, stiffness, nodes, middle, drive, compliance = np.split(numbers, np.cumsum(sizes)[:-1])
-        return cls(int(number), time, _pose(where), nodes.astype(np.intp), middle.reshape(n, 3),
+        return cls(int(number), int(epoch), time, _pose(where), nodes.astype(np.intp), middle.reshape(n, 3),
                    compliance.reshape(3 * n, 3 * n), drive.reshape(3 * n, 6), wrench, stiffness.reshape(6, 6), reach,
                    modulus, residual)
 

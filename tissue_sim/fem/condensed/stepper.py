@@ -33,8 +33,8 @@ from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.pose import Pose, Screw, between, motion
 from tissue_sim.tool_force import Matrix
 
-#: Iterations of a step, each of so many sweeps at most.
-_MOST, _SWEEPS = 24, 60
+#: Iterations of a step, each of so many sweeps at most; after how many so many times more is tolerated.
+_MOST, _SWEEPS, _PATIENT, _LENIENT = 24, 60, 8, 10.0
 #: Nodes that are nearer to the tool than this share of its radius take part in the sweeps.
 _NEAR = 0.06
 #: A force is found where it changes by less than this share; an exact one by less than this share of that. Friction
@@ -227,7 +227,9 @@ class CondensedStepper:
                 self._kernel()
             violation, _, _, pulling, unbalanced, size, active, rebuilt, slipping = results.tolist()
             settings[[RELEASE, CHANGEABLE]], k = (0.0, ALL), 3 * int(active)
-            change, enough = math.sqrt(unbalanced), _SETTLED * max(math.sqrt(size), self.surface.floor)
+            # What circles closely is near enough.
+            slack = 1.0 if iterations < _PATIENT or exact else _LENIENT
+            change, enough = math.sqrt(unbalanced), slack * _SETTLED * max(math.sqrt(size), self.surface.floor)
             if not math.isfinite(unbalanced + size) or iterations >= _MOST:
                 break
             iterations += 1
@@ -235,7 +237,7 @@ class CondensedStepper:
                 lu, pivots, failed = lapack.dgetrf(self._matrix[:k * k].reshape(k, k).T, overwrite_a=1)
                 self._factor, fresh = (None if failed else (lu, pivots)), True
             usable = fresh and self._factor is not None and len(self._factor[0]) == k
-            settles = change < enough and violation <= self._tolerance
+            settles = change < enough and violation <= slack * self._tolerance
             done = settles and (not exact or change < _EXACT * enough and violation <= _EXACT * self._tolerance)
             if done and pulling:
                 settings[RELEASE] = 1.0

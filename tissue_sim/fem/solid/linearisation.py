@@ -24,8 +24,8 @@ from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose
 
-#: Most nodes onto which the bulk is condensed; and share of them, the nearest, of which all must be there, or others are
-#: chosen: another choice costs an analysis.
+#: Most nodes onto which the bulk is condensed; and share of them, the nearest, of which all must be there, or others
+#: are chosen: another choice costs an analysis.
 CANDIDATES, _NEEDED = 100, 0.6
 #: Shares of a step that are tried where the whole of it turns elements inside out.
 _SHARES = (1.0, 0.5, 0.25)
@@ -223,8 +223,8 @@ class SolidLinearisation:
             rate[3:] += np.cross(apart, forces[:, :, None], axisa=1, axisb=1, axisc=1).sum(axis=0)
             stiffness = -rate
         self._number += 1
-        return CondensedContact(self._number, state.time, pose, chosen.copy(), middle, compliance, drive, wrench,
-                                stiffness, self._reach, solver.material.mu0, self.residual)
+        return CondensedContact(self._number, self._epoch, state.time, pose, chosen.copy(), middle, compliance,
+                                drive, wrench, stiffness, self._reach, solver.material.mu0, self.residual)
 
 
 def make_linearisation(model: Model, *, resolution: str = "realtime", mesh: SolidMesh | None = None,
