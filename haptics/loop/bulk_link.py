@@ -7,6 +7,7 @@ import pickle
 import struct
 import subprocess
 import sys
+import time
 import zlib
 from pathlib import Path
 from typing import Any, Protocol
@@ -47,8 +48,8 @@ class BulkLink(Protocol):
     def send(self, state: ContactState) -> None:
         """Tell where the contact is; never waits."""
 
-    def receive(self) -> CondensedContact | None:
-        """A model that has come since the last call; never waits."""
+    def receive(self, now: float) -> CondensedContact | None:
+        """A model that has come since the last call, at a time, s; never waits."""
 
     def set_material(self, material: Material) -> None:
         """Change the material of the bulk."""
@@ -67,12 +68,15 @@ class DelayedBulk:
     Args:
         linearisation: of the bulk.
         delay: from the state that a model is made of to the tick that takes it, s.
+
+    Attributes:
+        linearising: CPU time that went into models, s.
     """
 
     def __init__(self, linearisation: Any, delay: float):
         self._bulk, self.surface, self._delay = linearisation, linearisation.surface, delay
         self._foresighted = ForesightedLinearisation(linearisation)
-        self._now = 0.0
+        self.linearising = 0.0
         self._coming: tuple[float, CondensedContact | None] | None = None
 
     def start(self) -> CondensedContact:
@@ -82,12 +86,13 @@ class DelayedBulk:
         return model
 
     def send(self, state: ContactState) -> None:
-        self._now = state.time
         if self._coming is None:
+            began = time.process_time()
             self._coming = state.time + self._delay, self._foresighted.linearise(state, self._delay)
+            self.linearising += time.process_time() - began
 
-    def receive(self) -> CondensedContact | None:
-        if self._coming is None or self._now < self._coming[0] - 1e-9:
+    def receive(self, now: float) -> CondensedContact | None:
+        if self._coming is None or now < self._coming[0] - 1e-9:
             return None
         model, self._coming = self._coming[1], None
         return model
@@ -156,7 +161,7 @@ class BulkProcess:
     def send(self, state: ContactState) -> None:
         self._states.write(state.packed().tobytes())
 
-    def receive(self) -> CondensedContact | None:
+    def receive(self, now: float) -> CondensedContact | None:
         models = self._models
         if self._reading == 0:
             if models.written == self._taken:

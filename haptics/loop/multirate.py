@@ -27,7 +27,7 @@ OLDEST = 1.0
 #: An estimated error beyond this share of the force, and beyond this force, N, is no equilibrium any more.
 ERROR_SHARE, ERROR_FLOOR = 0.25, 0.05
 #: How much of the estimate outlives the next model; ways shorter than this share of the contact's radius say nothing.
-_MEMORY, _SHORT = 0.8, 0.01
+_MEMORY, _SHORT = 0.8, 0.1
 #: Ticks from one state that is sent to the next, and back to the pose from which the tool's speed is taken.
 _SEND_EVERY, _LOOK_BACK = 4, 8
 _AT_REST = ToolForce(axial_wrench(0.0), axial_stiffness(0.0), ForceStatus.STOPPED)
@@ -118,7 +118,7 @@ class MultiRateTissue:
                            compute_time=clock.perf_counter() - began)
         self._time += dt
         self._ticks += 1
-        model = self._link.receive()
+        model = self._link.receive(self._time)
         news = model is not None and model.epoch == self._epoch
         if model is not None and news:
             self._change_to(model)
@@ -155,7 +155,7 @@ class MultiRateTissue:
         wrench = added(step.wrench, self._offset)
         force, age = math.hypot(*wrench[:3]), self._time - self._made
         self.error = self._growth * step.way**2 * bool(force) + math.hypot(*self._offset[:3])
-        good = (step.converged and age <= self.oldest and step.way <= stepper.model.reach
+        good = (step.converged and age <= self.oldest and not stepper.leaves(pose)
                 and self.error <= max(ERROR_FLOOR, ERROR_SHARE * force))
         stiffness = step.stiffness_matrix
         self._left = self._reduced.go(pose.depth, dt)

@@ -124,6 +124,8 @@ class CondensedStepper:
         self._guess = arrays["guess"]
         self._tolerance, self._stiffest = _FINER * surface.tolerance, math.inf
         self._settings[[TOLERANCE, NEGLIGIBLE]] = self._tolerance, _NO_FRICTION * surface.floor
+        self._widest = float((surface.chains[:, :, 0] + surface.shapes[:, :1]).max())
+        self._others = surface.places[:0]
         self._largest = _LARGEST * surface.radius
         self._first_height = surface.start.position[2]
         self.model: CondensedContact | None = None
@@ -159,6 +161,7 @@ class CondensedStepper:
         dropped = np.ones(len(self.forces), dtype=bool)
         dropped[model.nodes] = False
         self.forces[dropped], self._pressed[dropped], self._met[dropped], self._slips[dropped] = 0.0, 0, 0, 0
+        self._others = self.surface.places[dropped]
         self._bound[dropped & (self._bound != HELD)] = 0
         self._nodes[:n], self._middle[:n] = model.nodes, model.middle
         self._drive[:3 * n], self._compliance[:3 * n, :3 * n] = model.drive, model.compliance
@@ -277,6 +280,16 @@ class CondensedStepper:
         # Where all nodes are about to slip or to stick, there may be none.
         sane = np.isfinite(solution).all() and np.abs(solution[:, 1:4]).max(initial=0.0) < self._stiffest
         return solution if sane else np.zeros_like(solution)
+
+    def leaves(self, pose: Pose) -> bool:
+        """Whether the tool may meet nodes there that are not in the model."""
+        model = self.model
+        if model is None or not len(self._others) or self.distance(motion(model.pose, pose)) <= model.reach:
+            return False
+        # Within the largest radius of the tool, at most; nodes that far off are hardly displaced.
+        self._place(pose, motion(model.pose, pose))
+        at = (self._others - self._settings[ORIGIN:ORIGIN + 3]) @ self._settings[ROTATION:ROTATION + 9].reshape(3, 3)
+        return bool(np.hypot(at[:, 0], at[:, 1]).min() < self._widest)
 
     def distance(self, way: Screw) -> float:
         """How far the points of the contact go in a motion, at most, m."""
