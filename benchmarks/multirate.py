@@ -15,6 +15,7 @@ import os
 os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = os.environ["MKL_NUM_THREADS"] = "1"
 
 import time
+from itertools import pairwise
 
 import numpy as np
 from measure import about, option_parser, show, table
@@ -36,7 +37,8 @@ MODEL = ts.Model(ts.Experiment(ts.Specimen(0.04, 0.07), ts.Protocol.ramp(5e-3, 3
 #: Smallest element, elements around a quarter, growth and largest element of the meshes, m.
 MESHES = {1800: (2.4e-3, 3, 2.0, 16e-3), 3300: (1.6e-3, 4, 1.8, 15.2e-3), 5800: (1.2e-3, 5, 1.7, 13e-3)}
 #: Where the tool goes, mm, at SPEED, m/s; a tick of 1 ms; solved as a whole at every SPARSE-th pose.
-CORNERS = ((0, 0, 0.5), (0, 0, -3), (10, 0, -3), (10, 0, 1), (7, 0, 1), (4, 0, -2.5), (4, 6, -2.5), (-3, 0, -3), (-3, 0, 0.5))
+CORNERS = ((0, 0, 0.5), (0, 0, -3), (10, 0, -3), (10, 0, 1), (7, 0, 1), (4, 0, -2.5), (4, 6, -2.5), (-3, 0, -3),
+           (-3, 0, 0.5))
 SPEED, TICK, SPARSE = 0.05, 1e-3, 5
 DELAYS = (0.016, 0.033, 0.066)
 
@@ -49,7 +51,7 @@ def mesh_of(size: int):
 def path() -> list[Pose]:
     """The poses of the ticks."""
     corners, poses = np.array(CORNERS) * 1e-3, []
-    for start, end in zip(corners[:-1], corners[1:], strict=True):
+    for start, end in pairwise(corners):
         count = max(1, round(float(np.linalg.norm(end - start)) / (SPEED * TICK)))
         poses += [Pose(tuple((start + (end - start) * k / count).tolist())) for k in range(count)]
     return poses
@@ -142,7 +144,8 @@ def main() -> None:
 def draw(result: dict, console) -> None:
     costs, rows = result["costs_s"], result["drag"]
     table(console, f"CPU ms with {result['library']}", list(costs[0]), [
-        [f"{value:.0f}" if name == "freedoms" else f"{1e3 * value:.1f}" for name, value in row.items()] for row in costs])
+        [f"{value:.0f}" if name == "freedoms" else f"{1e3 * value:.1f}" for name, value in row.items()]
+        for row in costs])
     table(console, "errors in %, times in CPU ms, steps in N", list(rows[0]),
                [[_shown(name, value) for name, value in row.items()] for row in rows])
 

@@ -9,14 +9,13 @@ import subprocess
 import sys
 import time
 import zlib
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
 from haptics.loop.shared_slots import SlotReader, SlotWriter, remove, unused_path
-from haptics.loop.snapshot_board import SnapshotReader
 from haptics.loop.slow_bulk import KIND_MODEL, KIND_STATE, Started, first_state, make_linearisation
+from haptics.loop.snapshot_board import SnapshotReader
 from tissue_sim.errors import InputError
 from tissue_sim.fem.condensed.foresight import ForesightedLinearisation
 from tissue_sim.fem.condensed.model import CondensedContact, ContactState, ContactSurface, packed_state_size
@@ -125,8 +124,8 @@ class BulkProcess:
     def start(self) -> CondensedContact:
         one = {"MKL_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
         self._process = process = subprocess.Popen(
-            [sys.executable, "-c", "from haptics.loop.slow_bulk import main; main()"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-            env={**one, **os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))})
+            [sys.executable, "-c", "from haptics.loop.slow_bulk import main; main()"], stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE, env={**one, **os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))})
         assert process.stdin is not None and process.stdout is not None
         self._say(struct.pack("<Q", len(self._task)) + self._task)
         self._say(pickle.dumps(self._paths))
@@ -140,7 +139,6 @@ class BulkProcess:
         size = 8 * packed_state_size(self.surface)
         self._states = SlotWriter(self._paths[0], KIND_STATE, 4, size)
         self._models = SlotReader(self._paths[1], KIND_MODEL)
-        self._pattern = started.pattern
         self._board = None if started.pattern is None else SnapshotReader(self._paths[2], started.pattern)
         self._shown = started.pattern
         self._taken, self._reading, self._piece, self._check = 0, 0, 0, 0
@@ -194,6 +192,11 @@ class BulkProcess:
         process = self._process
         if process is None:
             return
+        if self._surface is not None:
+            self._states.close()
+            self._models.close()
+            if self._board is not None:
+                self._board.close()
         if process.stdin is not None:
             process.stdin.close()  # the process takes it for the end
         try:
@@ -204,7 +207,7 @@ class BulkProcess:
         if process.stdout is not None:
             process.stdout.close()
         for path in self._paths:
-            remove(Path(path))
+            remove(path)
         self._process = None
 
     def _say(self, content: bytes) -> None:

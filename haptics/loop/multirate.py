@@ -6,17 +6,19 @@ import math
 import time as clock
 from collections import deque
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from haptics.loop.bulk_link import BulkLink, BulkProcess
 from tissue_sim.errors import InputError
-from tissue_sim.fem.condensed.model import CondensedContact
+from tissue_sim.fem.condensed.model import LINEARISATIONS, CondensedContact
 from tissue_sim.fem.condensed.stepper import CondensedStepper, ContactStep
 from tissue_sim.live_material import require_same_layers, require_tissue
 from tissue_sim.material.effect import ReducedForce
 from tissue_sim.model import Model
 from tissue_sim.parameters import with_values
 from tissue_sim.pose import Pose, added, scaled
+from tissue_sim.simulator import Simulator
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import ForceStatus, ToolForce, axial_stiffness, axial_wrench, pose_of, scaled_matrix
 
@@ -36,10 +38,11 @@ _AT_REST = ToolForce(axial_wrench(0.0), axial_stiffness(0.0), ForceStatus.STOPPE
 class MultiRateTissue:
     """A `Tissue` of a solid: `warm_up`, `step`, `reset`, `set_parameters`, `snapshot` as of a `Simulator`.
 
-    Each tick solves lift-off, touch and friction on the newest linearisation of the bulk; the process of the bulk gets the
-    contact's forces and answers with the next one. When a model comes, the wrench goes on from where it is, and the
-    difference is let go by `JUMP` a tick. An answer is `CONVERGED` where the contact is, on a model that is not too old,
-    within the distance that its error estimate and its nodes allow; `LATE` otherwise, and let go by `ForceRelease`.
+    Each tick solves lift-off, touch and friction on the newest linearisation of the bulk; the process of the bulk gets
+    the contact's forces and answers with the next one. When a model comes, the wrench goes on from where it is, and the
+    difference is let go by `JUMP` a tick. An answer is `CONVERGED` where the contact is, on a model that is not too
+    old, within the distance that its error estimate and its nodes allow; `LATE` otherwise, and let go by
+    `ForceRelease`.
 
     The estimate: the change of the wrench with the last models was so much at such a way from the pose of the model
     before, and an error of a linearisation grows with the square of the way.
@@ -194,6 +197,22 @@ class MultiRateTissue:
         """The surface of the tissue at one of the last models."""
         self.warm_up()
         return self._link.snapshot() or Snapshot(self._link.surface.start, self._link.surface.datum, None)
+
+
+def real_time_tissue(model: Model, *, solver: str, resolution: str, budget: float | None, inertia: str = "auto",
+                     looks_ahead: bool = False) -> partial[Any]:
+    """What makes a tissue that is stepped 1000 times a second: a `Simulator`, or a `MultiRateTissue` of a solver whose
+    bulk can be linearised. Arguments as of `Simulator`; can be sent to another process.
+
+    Raises:
+        InputError: inertia that is to be on where there is none.
+    """
+    if solver not in LINEARISATIONS:
+        return partial(Simulator, model, resolution=resolution, inertia=inertia, looks_ahead=looks_ahead, budget=budget,
+                       solver=solver)
+    if inertia == "on":
+        raise InputError(f"the solver {solver!r} has no mass in real time yet; leave it out", field="inertia")
+    return partial(MultiRateTissue, model, solver=solver, resolution=resolution)
 
 
 def _shorter(vector: tuple[float, float, float], step: float) -> tuple[float, float, float]:

@@ -14,7 +14,7 @@ from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
-from haptics.loop.shared_slots import SlotReader, SlotWriter
+from haptics.loop.shared_slots import SlotReader, SlotWriter, remove
 from haptics.loop.snapshot_board import SnapshotBoard
 from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError
 from tissue_sim.fem.condensed.foresight import ForesightedLinearisation
@@ -38,7 +38,7 @@ _NAP, _SHOW_EVERY = 0.5e-3, 0.05
 
 
 class Started(NamedTuple):
-    """What the parent is told when the bulk has been made: its surface, its first model, and a pattern of its snapshots."""
+    """What the parent is told when the bulk has been made: its surface, its first model, a pattern of its snapshots."""
 
     surface: ContactSurface
     model: CondensedContact
@@ -89,7 +89,8 @@ def serve(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
         answers.flush()
         orders.readline()  # the parent has opened its files
         materials: deque[Material] = deque()
-        threading.Thread(target=_listen, args=(orders, materials), daemon=True).start()
+        files = states_path, models_path, surface_path
+        threading.Thread(target=_listen, args=(orders, materials, files), daemon=True).start()
         with SlotReader(states_path, KIND_STATE) as states:
             _linearise(bulk, foresighted, states, models, board, materials)
 
@@ -123,12 +124,14 @@ def _snapshot(bulk: BulkLinearisation, model: CondensedContact) -> Snapshot:
     return Snapshot(model.pose, bulk.surface.datum, None, Skin(np.asarray(vertices, dtype=float), triangles))
 
 
-def _listen(orders: BinaryIO, materials: deque[Material]) -> None:
-    """Take materials until the parent is gone."""
+def _listen(orders: BinaryIO, materials: deque[Material], files: tuple[Path, ...]) -> None:
+    """Take materials until the parent is gone, then end."""
     try:
         while True:
             materials.append(pickle.load(orders))
     except (EOFError, OSError):
+        for path in files:
+            remove(path)
         os._exit(0)
 
 

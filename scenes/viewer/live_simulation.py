@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections import deque
 from contextlib import ExitStack
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ import numpy as np
 import tissue_sim as ts
 from haptics.devices.contracts import HapticDevice
 from haptics.loop.loop import LoopSettings
+from haptics.loop.multirate import real_time_tissue
 from haptics.loop.process import LoopError, LoopProcess
 from haptics.loop.ring import PAUSED, RingReader
 from haptics.loop.snapshot_board import SnapshotReader
@@ -20,7 +20,6 @@ from haptics.safety.limits import ForceLimits
 from haptics.safety.rendering import ForceRendering
 from scenes.viewer.frame import Phase, Readouts
 from scenes.viewer.revolution import Surface
-from tissue_sim.simulator import Simulator
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import ForceStatus
 
@@ -55,7 +54,7 @@ class LiveSimulation:
     def __init__(self, model: ts.Model, device: HapticDevice, *, solver: str = "axisymmetric",
                  resolution: str = "realtime", settings: LoopSettings = SETTINGS):
         self._loop = LoopProcess(
-            partial(Simulator, model, solver=solver, resolution=resolution, budget=BUDGET), device,
+            real_time_tissue(model, solver=solver, resolution=resolution, budget=BUDGET), device,
             ForceRendering(ForceLimits(*_LIMITS)), settings)
         self._files = ExitStack()
         self._ring: RingReader | None = None

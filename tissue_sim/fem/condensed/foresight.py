@@ -15,9 +15,9 @@ _FARTHEST = 1.0
 class ForesightedLinearisation:
     """Linearises where the tool will be in the middle of the time for which the model serves.
 
-    What was linearised where the tool was is one to two times the time of a linearisation old when it is used. The contact
-    is stepped ahead on the last model to where the tool goes if it keeps its speed; nothing of that is remembered but
-    the iterate of the bulk: friction goes on from where it really is.
+    What was linearised where the tool was is one to two times the time of a linearisation old when it is used. The
+    contact is stepped ahead on the last model to where the tool goes if it keeps its speed; nothing of that is
+    remembered but the iterate of the bulk: friction goes on from where it really is.
 
     Args:
         linearisation: of the bulk.

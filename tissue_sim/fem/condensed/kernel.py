@@ -106,7 +106,7 @@ def contact_kernel():
         held = bound[s] == 1
         changeable = settings[CHANGEABLE]
         drawn = changeable >= ALL
-        if 0.0 < changeable and changeable < ALL:
+        if changeable > 0.0 and changeable < ALL:
             drawn = (7 * i + 5 * ti.cast(changeable, ti.i32)) % DRAWN == 0
         if held and settings[RELEASE] > 0.0 and F.dot(n) > 0.0:
             bound[s] = 0

@@ -30,10 +30,10 @@ class ContactSurface:
         friction: of the tool's face and of its shaft, a coefficient or -1 for no slip, shape (s, 2).
         outlines: which of the outlines each node meets, shape (s,).
         chains: lines of the outlines, shape (outlines, lines, 5): start and direction (r, z), and length, m.
-        shapes: of each outline, shape (outlines, 5): rounding, m; first line of the shaft; whether a sharp shaft goes on
-            downwards; how many lines there are; radius below which a point is on the axis, m.
-        bound, anchors: `FREE`, `HELD` or `TOUCHED` at the first touch, shape (s,), and where, in the frame of the tool, m,
-            shape (s, 3).
+        shapes: of each outline, shape (outlines, 5): rounding, m; first line of the shaft; whether a sharp shaft goes
+            on downwards; how many lines there are; radius below which a point is on the axis, m.
+        bound, anchors: `FREE`, `HELD` or `TOUCHED` at the first touch, shape (s,), and where, in the frame of the tool,
+            m, shape (s, 3).
         start: of the tool, where it first touches.
         datum: height of the scene's origin in the frame of the mesh, m.
         tolerance: how far a condition of the contact may be violated, m.
@@ -178,7 +178,7 @@ class BulkLinearisation(Protocol):
             ahead: poses to which the tool may go until the next model.
 
         Returns:
-            None where the state is not of the last model, or no linearisation could be found; the next call tries again.
+            None where the state is not of the last model, or no linearisation was found; the next call tries again.
         """
 
     def set_material(self, material: Material) -> None:

@@ -1,4 +1,4 @@
-"""Contact on a condensed bulk, stepped with the tool: lift-off, touch and Coulomb's friction within a fraction of a tick."""
+"""Contact on a condensed bulk, stepped with the tool: lift-off, touch and friction within a fraction of a tick."""
 
 from __future__ import annotations
 
@@ -113,7 +113,8 @@ class CondensedStepper:
             "met": self._met, "met_at": self._met_at, "nodes": self._nodes, "middle": self._middle,
             "drive": self._drive, "compliance": self._compliance, "u": np.zeros((n, 3)), "guess": np.zeros((n, 3)),
             "rates": np.zeros((n, 9)), "intercept": np.zeros((n, 3)), "levers": self._levers,
-            "signature": self._signature, "geometry": np.zeros((n, 8)), "loaded": np.zeros(n, dtype=np.int32), "active": self._active,
+            "signature": self._signature, "geometry": np.zeros((n, 8)),
+            "loaded": np.zeros(n, dtype=np.int32), "active": self._active,
             "matrix": self._matrix, "block": self._block, "right": self._right}
         self._limits = np.array([_SWEEPS, 0.01 * _SETTLED, surface.floor, _NEAR * surface.radius])
         with LOCK:
@@ -178,8 +179,8 @@ class CondensedStepper:
             exact: find the equations anew, so that the stiffness is that of this very pose.
 
         Returns:
-            The wrench there. Of a step that has not converged the wrench is that of the step before, from which the next
-            one goes on.
+            The wrench there. Of a step that has not converged it is that of the step before, from which the next one
+            goes on.
 
         Raises:
             ValueError: there is no model yet.
@@ -241,7 +242,7 @@ class CondensedStepper:
                 self._factor, fresh = (None if failed else (lu, pivots)), True
             usable = fresh and self._factor is not None and len(self._factor[0]) == k
             settles = change < enough and violation <= slack * self._tolerance
-            done = settles and (not exact or change < _EXACT * enough and violation <= _EXACT * self._tolerance)
+            done = settles and (not exact or (change < _EXACT * enough and violation <= _EXACT * self._tolerance))
             if done and pulling:
                 settings[RELEASE] = 1.0
             elif done and k and not usable and len(columns) != k:

@@ -78,6 +78,16 @@ class PardisoPattern:
             self._run(_FACTORISE, nothing, nothing)
         return left
 
+    def require_interface(self) -> np.ndarray:
+        """The equations that are left over.
+
+        Raises:
+            ValueError: there are none.
+        """
+        if self.interface is None:
+            raise ValueError("this pattern has no interface")
+        return self.interface
+
     @property
     def perturbed(self) -> bool:
         """Whether pivots of the last matrix had to be made larger."""

@@ -2,7 +2,8 @@
 
 Each call takes the forces of the contact that were found on the last linearisation, makes the step that they give the
 bulk, and linearises there: one iteration for each model of the loop, as in the real-time iteration of optimal control
-(Diehl, Bock and Schlöder, SIAM J. Control Optim. 43 (2005) 1714). Where the tool stands, a few of them are an equilibrium.
+(Diehl, Bock and Schlöder, SIAM J. Control Optim. 43 (2005) 1714). Where the tool stands, a few of them are an
+equilibrium.
 """
 
 from __future__ import annotations
