@@ -82,6 +82,7 @@ class MultiRateTissue:
     def _begin(self) -> None:
         self._time, self._ticks, self.error, self._growth, self._left = 0.0, 0, 0.0, 0.0, 1.0
         self._offset, self._answer = axial_wrench(0.0), _AT_REST
+        self._step: ContactStep | None = None
         self._poses: deque[tuple[float, Pose]] = deque(maxlen=_LOOK_BACK)
         self._made = 0.0
 
@@ -125,7 +126,7 @@ class MultiRateTissue:
         news = model is not None and model.epoch == self._epoch
         if model is not None and news:
             self._change_to(model)
-        step = stepper.step(pose)
+        step = self._step = stepper.step(pose)
         self._poses.append((self._time, pose))
         if news or self._ticks % _SEND_EVERY == 0:
             earlier, before = self._poses[0]
@@ -143,8 +144,9 @@ class MultiRateTissue:
         if not self._poses:
             stepper.adopt(model)
             return
+        assert self._step is not None
         _, last = self._poses[-1]
-        before = stepper.step(last)
+        before = self._step
         stepper.adopt(model)
         after = stepper.step(last)
         self._offset = added(self._offset, added(before.wrench, scaled(-1.0, after.wrench)))

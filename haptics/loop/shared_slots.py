@@ -177,8 +177,8 @@ class SlotReader:
         return self._stride - _SLOT.size
 
     def head(self, number: int) -> tuple[int, int]:
-        """Length, bytes, and checksum of what was written under a number, for who reads it in parts; (0, -1) where it is
-        not there any more."""
+        """Length, bytes, and checksum of what was written under a number, for who reads it in parts; (0, -1) where it
+        is not there any more."""
         found, length, checksum = _SLOT.unpack_from(self._map, HEAD_SIZE + (number - 1) % self.count * self._stride)
         return (length, checksum) if found == number and length <= self.size else (0, -1)
 

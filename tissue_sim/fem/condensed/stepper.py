@@ -33,13 +33,16 @@ from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.pose import Pose, Screw, between, motion
 from tissue_sim.tool_force import Matrix
 
-#: Iterations of a step, each of so many sweeps at most; after how many so many times more is tolerated.
-_MOST, _SWEEPS, _PATIENT, _LENIENT = 24, 60, 8, 10.0
+#: Iterations of a step, and of an exact one, each of so many sweeps at most; and how many times more is tolerated after
+#: so many of them.
+_MOST, _MOST_EXACT, _SWEEPS, _SLACK = 10, 24, 40, (1.0, 1.0, 1.0, 3.0, 10.0, 10.0, 30.0)
+#: So many of the first iterations are Newton's where nothing slips.
+_QUIET = 4
 #: Nodes that are nearer to the tool than this share of its radius take part in the sweeps.
 _NEAR = 0.06
-#: A force is found where it changes by less than this share; an exact one by less than this share of that. Friction
-#: below another share of the floor is none.
-_SETTLED, _EXACT, _NO_FRICTION = 1e-4, 1e-6, 1e-6
+#: A force is found where it changes by less than this share; an exact one by less than this share of that, where no
+#: condition is violated by more than that share of the tolerance. Friction below another share of the floor is none.
+_SETTLED, _EXACT, _CLOSE, _NO_FRICTION = 1e-4, 1e-6, 1e-4, 1e-6
 #: A node's force follows the tool by no more than this many times the largest stiffness of one alone.
 _STIFFEST = 10.0
 #: No linear solution changes forces by more than this share of the largest: it would lead elsewhere.
@@ -48,7 +51,7 @@ _FORESEEN = 0.5
 _STEPS = 8
 #: A step is made in parts of no more than this share of the contact's radius, which are cut down to the other share of
 #: it where they fail; that no part is made for.
-_LARGEST, _SHORTEST, _ROUNDING = 0.03, 2.0**-3, 1e-9
+_LARGEST, _SHORTEST, _ROUNDING = 0.03, 2.0**-1, 1e-9
 #: Share of the surface's tolerance: that is for longer steps.
 _FINER = 0.5
 
@@ -229,12 +232,12 @@ class CondensedStepper:
         while True:
             with LOCK:
                 self._kernel()
-            violation, _, _, pulling, unbalanced, size, active, rebuilt, slipping = results.tolist()
+            violation, switched, _, pulling, unbalanced, size, active, rebuilt, slipping = results.tolist()
             settings[[RELEASE, CHANGEABLE]], k = (0.0, ALL), 3 * int(active)
             # What circles closely is near enough.
-            slack = 1.0 if iterations < _PATIENT or exact else _LENIENT
+            slack = 1.0 if exact else _SLACK[min(iterations, len(_SLACK) - 1)]
             change, enough = math.sqrt(unbalanced), slack * _SETTLED * max(math.sqrt(size), self.surface.floor)
-            if not math.isfinite(unbalanced + size) or iterations >= _MOST:
+            if not math.isfinite(unbalanced + size) or iterations >= (_MOST_EXACT if exact else _MOST):
                 break
             iterations += 1
             if k and rebuilt:
@@ -242,7 +245,7 @@ class CondensedStepper:
                 self._factor, fresh = (None if failed else (lu, pivots)), True
             usable = fresh and self._factor is not None and len(self._factor[0]) == k
             settles = change < enough and violation <= slack * self._tolerance
-            done = settles and (not exact or (change < _EXACT * enough and violation <= _EXACT * self._tolerance))
+            done = settles and (not exact or (change < _EXACT * enough and violation <= _CLOSE * self._tolerance))
             if done and pulling:
                 settings[RELEASE] = 1.0
             elif done and k and not usable and len(columns) != k:
@@ -252,11 +255,12 @@ class CondensedStepper:
                     columns = self._solved(k)[:, 1:] if k else columns[:0]
                 converged = True
                 break
-            elif exact and settles and usable:
-                # The states are known; Newton's iteration finds the rest.
-                chosen, step = self._active[:k // 3], self._solved(k)[:, 0]
-                self.forces[self._nodes[chosen]] = self._guess[chosen] + step.reshape(-1, 3)
-                settings[[CHANGEABLE, ANEW]] = 0.0, 1.0
+            elif (exact and settles and usable) or (k and not slipping and not switched and iterations <= _QUIET):
+                # The states are known, or nothing slips that could go to and fro; Newton's iteration finds the rest.
+                if usable:
+                    chosen, step = self._active[:k // 3], self._solved(k)[:, 0]
+                    self.forces[self._nodes[chosen]] = self._guess[chosen] + step.reshape(-1, 3)
+                settings[[CHANGEABLE, ANEW]] = 0.0 if settles else ALL, 1.0
             else:
                 with LOCK:
                     self._relax()
