@@ -346,6 +346,8 @@ class CondensedStepper:
             for axis in range(3):
                 apart[axis::3, axis] -= 1.0
             rate[3:] += np.cross(apart.reshape(-1, 3, 6), forces[:, :, None], axisa=1, axisb=1, axisc=1).sum(axis=0)
+        if k and not columns.any():
+            rate = -np.array(self._last.stiffness_matrix)  # the equations had no sane solution
         a, b, c, d, e, f = map(tuple, (-rate).tolist())
         x, y, z, u, v, w = wrench.tolist()
         return ContactStep(True, iterations, (x, y, z, u, v, w), (a, b, c, d, e, f), self.distance(way), change,
