@@ -73,6 +73,8 @@ def add_arguments(parser: Parser) -> None:
 def run(arguments) -> int:
     check_scene(arguments.scene)
     check_solver(arguments.solver)
+    # Before numpy comes: a thread that waits for helpers keeps no time.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
     import tissue_sim as ts
     from haptics.loop.multirate import real_time_tissue
