@@ -32,6 +32,8 @@ ERROR_SHARE, ERROR_FLOOR = 0.25, 0.05
 _MEMORY, _SHORT = 0.8, 0.1
 #: Ticks from one state that is sent to the next, and back to the pose from which the tool's speed is taken.
 _SEND_EVERY, _LOOK_BACK = 4, 8
+#: Depths of the touch before the first tick, over the contact's radius.
+_TOUCHES = (0.02, 0.04, 0.05)
 _AT_REST = ToolForce(axial_wrench(0.0), axial_stiffness(0.0), ForceStatus.STOPPED)
 
 
@@ -98,7 +100,11 @@ class MultiRateTissue:
         self._first = self._link.start()
         self._stepper = CondensedStepper(self._link.surface)
         self._stepper.adopt(self._first)
-        self._stepper.step(self._link.surface.start)
+        surface = self._link.surface
+        x, y, z = surface.start.position
+        # Touch, so that all that a tick needs is there, and go back.
+        for depth in _TOUCHES:
+            self._stepper.step(replace(surface.start, position=(x, y, z - depth * surface.radius)))
         self._stepper.reset()
 
     def close(self) -> None:
