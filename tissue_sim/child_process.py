@@ -25,6 +25,21 @@ def start_without_ctrl_c() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
+@contextlib.contextmanager
+def start_with_one_thread() -> Iterator[None]:
+    """Linear algebra in a process that starts inside takes one thread, unless the user says otherwise: a loop at a
+    real-time priority would wait for helpers that have none."""
+    name = "OPENBLAS_NUM_THREADS"
+    if name in os.environ:
+        yield
+        return
+    os.environ[name] = "1"
+    try:
+        yield
+    finally:
+        os.environ.pop(name, None)
+
+
 def follow_parent(grace: float = 0.0, clean_up: Callable[[], None] | None = None) -> None:
     """Called in the new process: leave Ctrl-C to the parent, and end when that is gone.
 

@@ -20,7 +20,7 @@ from haptics.loop.ring import RingReader
 from haptics.loop.shared_slots import remove, unused_path
 from haptics.loop.snapshot_board import SnapshotReader
 from haptics.safety.rendering import ForceRendering
-from tissue_sim.child_process import start_without_ctrl_c
+from tissue_sim.child_process import start_with_one_thread, start_without_ctrl_c
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.registry import registered
 from tissue_sim.snapshot import Snapshot
@@ -91,7 +91,7 @@ class LoopProcess:
         process = context.Process(target=run_child, args=(far_end, self._parts, self._files, registered()),
                                   name="tissue-sim loop", daemon=True)
         try:
-            with start_without_ctrl_c():
+            with start_without_ctrl_c(), start_with_one_thread():
                 process.start()
         except (pickle.PicklingError, AttributeError, TypeError) as error:
             raise InputError(f"cannot be sent to another process ({error}); use functions and classes of a module, not "

@@ -171,6 +171,23 @@ class SlotReader:
         content = copy[_SLOT.size:_SLOT.size + length]
         return content if found == number and checksum == _checksum(content, number) else None
 
+    @property
+    def size(self) -> int:
+        """Most bytes that a slot holds."""
+        return self._stride - _SLOT.size
+
+    def head(self, number: int) -> tuple[int, int]:
+        """Length, bytes, and checksum of what was written under a number, for who reads it in parts; (0, -1) where it
+        is not there any more."""
+        found, length, checksum = _SLOT.unpack_from(self._map, HEAD_SIZE + (number - 1) % self.count * self._stride)
+        return (length, checksum) if found == number and length <= self.size else (0, -1)
+
+    def part(self, number: int, start: int, end: int) -> bytes:
+        """Some of its bytes, whole or not: what all parts together are worth, their checksum says, a CRC-32 that starts
+        from the number."""
+        place = HEAD_SIZE + (number - 1) % self.count * self._stride + _SLOT.size
+        return self._map[place + start:place + end]
+
     def newest(self) -> tuple[int, bytes] | None:
         """Number and content of the newest slot; None where nothing was written yet.
 

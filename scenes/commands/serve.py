@@ -73,11 +73,15 @@ def add_arguments(parser: Parser) -> None:
 def run(arguments) -> int:
     check_scene(arguments.scene)
     check_solver(arguments.solver)
+    # Before numpy comes: a thread that waits for helpers keeps no time.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
     import tissue_sim as ts
+    from haptics.loop.multirate import real_time_tissue
     from haptics.loop.real_time import real_time
     from haptics.server.scene_limits import SceneLimits
     from haptics.server.server import TissueServer
+    from haptics.server.steps import ServedTissue
     from tissue_sim.errors import InputError
     from tissue_sim.parameters import parameter_values
 
@@ -91,11 +95,10 @@ def run(arguments) -> int:
     port = arguments.port if arguments.configuration_port is None else arguments.configuration_port
     progress = progress_console(quiet=arguments.json)
 
-    def build() -> ts.Simulator:
-        return ts.Simulator(ts.Model(experiment, material), resolution=arguments.resolution,
-                            budget=budget(arguments), inertia=arguments.inertia, solver=arguments.solver)
+    build = real_time_tissue(ts.Model(experiment, material), resolution=arguments.resolution,
+                             budget=budget(arguments), inertia=arguments.inertia, solver=arguments.solver)
 
-    def rebuild() -> ts.Simulator:
+    def rebuild() -> ServedTissue:
         another = build()
         another.warm_up()
         return another

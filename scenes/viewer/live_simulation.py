@@ -7,7 +7,6 @@ import time
 from collections import deque
 from contextlib import ExitStack
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ import numpy as np
 import tissue_sim as ts
 from haptics.devices.contracts import HapticDevice
 from haptics.loop.loop import LoopSettings
+from haptics.loop.multirate import real_time_tissue
 from haptics.loop.process import PATIENCE, LoopError, LoopProcess
 from haptics.loop.ring import PAUSED, RingReader
 from haptics.loop.snapshot_board import SnapshotReader
@@ -61,7 +61,8 @@ class LiveSimulation:
     def __init__(self, model: ts.Model, device: HapticDevice, *, solver: str = "axisymmetric",
                  resolution: str = "realtime", settings: LoopSettings = SETTINGS):
         self._loop = LoopProcess(
-            partial(ViewedSimulator, model, solver=solver, resolution=resolution, budget=BUDGET), device,
+            real_time_tissue(model, solver=solver, resolution=resolution, budget=BUDGET,
+                             simulator=ViewedSimulator), device,
             ForceRendering(ForceLimits(*_LIMITS)), settings)
         if settings.patience > PATIENCE:
             # Of tissue that may take long for a tick a command is done no sooner.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import sys
-from functools import partial
 from pathlib import Path
 
 from haptics.devices.back_ends import HAPTIC_DEVICES, MOTIONS
@@ -97,8 +96,9 @@ def run(arguments) -> int:
     check_solver(arguments.solver)
 
     from haptics.loop.loop import LoopSettings
+    from haptics.loop.multirate import real_time_tissue
     from haptics.loop.process import LoopError, LoopProcess
-    from tissue_sim import Model, Simulator
+    from tissue_sim import Model
 
     material = read_material(arguments.material)
     protocol = make_protocol(arguments)
@@ -110,9 +110,9 @@ def run(arguments) -> int:
     # Behind a coupling the mass of the tissue is stable in time; but where it makes most answers late, the force is up
     # to six times too large (docs/haptic_rendering.md).
     inertia = "off" if rendering.coupling is not None and arguments.inertia == "auto" else arguments.inertia
-    make_tissue = partial(Simulator, model, resolution=arguments.resolution, inertia=inertia,
-                          looks_ahead=rendering.coupling is not None,
-                          budget=arguments.budget_us * 1e-6 or None, solver=arguments.solver)
+    make_tissue = real_time_tissue(model, resolution=arguments.resolution, inertia=inertia,
+                                   looks_ahead=rendering.coupling is not None,
+                                   budget=arguments.budget_us * 1e-6 or None, solver=arguments.solver)
     process = LoopProcess(make_tissue, device, rendering, settings, ring_path=arguments.ring)
     try:
         report, interrupted = follow(process, arguments.seconds, quiet=arguments.json)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import sys
 from typing import Any
 
 import numpy as np
@@ -77,6 +78,16 @@ class PardisoPattern:
             self._run(_FACTORISE, nothing, nothing)
         return left
 
+    def require_interface(self) -> np.ndarray:
+        """The equations that are left over.
+
+        Raises:
+            ValueError: there are none.
+        """
+        if self.interface is None:
+            raise ValueError("this pattern has no interface")
+        return self.interface
+
     @property
     def perturbed(self) -> bool:
         """Whether pivots of the last matrix had to be made larger."""
@@ -121,5 +132,5 @@ class PardisoPattern:
             raise PardisoError(f"Pardiso ended with error {error.value} in phase {phase}")
 
     def __del__(self) -> None:
-        if hasattr(self, "_solver"):
+        if hasattr(self, "_solver") and not sys.is_finalizing():
             self._solver.free_memory(everything=True)

@@ -58,12 +58,13 @@ class SparseSolver:
         return _Pardiso.of(pattern, matrix, symmetric)
 
     def condense(self, matrix: Any, interface: np.ndarray) -> CondensedFactor | None:
-        """The same of a matrix that is symmetric and positive definite, condensed onto its equations `interface`, sorted;
-        None where it is not definite."""
+        """The same of a symmetric matrix, condensed onto its equations `interface`, sorted; None where it is singular,
+        or not positive definite while these are held."""
         if library() != "pardiso":
-            return _CondensedSuperLU.made(matrix, interface)
+            return _CondensedSuperLU.of(matrix, interface)
         pattern = self._kept.get(DEFINITE)
-        if pattern is None or pattern.indices is not matrix.indices or not np.array_equal(pattern.interface, interface):
+        if pattern is None or pattern.indices is not matrix.indices or not np.array_equal(pattern.require_interface(),
+                                                                                          interface):
             pattern = self._kept[DEFINITE] = PardisoPattern(matrix, DEFINITE, interface)
         return _CondensedPardiso.of(pattern, matrix)
 
@@ -102,18 +103,23 @@ class _SuperLU:
         return self._factor.solve(right)
 
 
-class _CondensedSuperLU(_SuperLU):
-    compliance: np.ndarray
+class _CondensedSuperLU:
+    definite = True
+
+    def __init__(self, factor: _SuperLU, compliance: np.ndarray):
+        self._factor, self.compliance = factor, compliance
 
     @classmethod
-    def made(cls, matrix: Any, interface: np.ndarray) -> _CondensedSuperLU | None:
-        made = cls.of(matrix, True)
-        if made is None or not made.definite:
+    def of(cls, matrix: Any, interface: np.ndarray) -> _CondensedSuperLU | None:
+        factor = _SuperLU.of(matrix, True)
+        if factor is None:
             return None
         unit = np.zeros((matrix.shape[0], interface.size))
         unit[interface, np.arange(interface.size)] = 1.0
-        made.compliance = np.ascontiguousarray(made.solve(unit)[interface])
-        return made
+        return cls(factor, np.ascontiguousarray(factor.solve(unit)[interface]))
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        return self._factor.solve(right)
 
 
 class _Pardiso:
@@ -148,13 +154,19 @@ class _CondensedPardiso:
             schur = pattern.factorise(matrix)
         except PardisoError:
             return None
-        lower, failed = lapack.dpotrf(schur, lower=1, overwrite_a=1)
+        assert schur is not None
+        lower, failed = lapack.dpotrf(schur, lower=1)
+        if not failed:
+            inverse, failed = lapack.dpotri(lower, lower=1, overwrite_c=1)
+            inverse = np.tril(inverse) + np.tril(inverse, -1).T
         if failed:
-            return None
-        inverse, _ = lapack.dpotri(lower, lower=1, overwrite_c=1)
-        return cls(pattern, np.ascontiguousarray(np.tril(inverse) + np.tril(inverse, -1).T))
+            try:
+                inverse = np.linalg.inv(schur)
+            except np.linalg.LinAlgError:
+                return None
+        return cls(pattern, np.ascontiguousarray(inverse))
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        reduced, interface = self._pattern.reduce(right), self._pattern.interface
+        reduced, interface = self._pattern.reduce(right), self._pattern.require_interface()
         reduced[interface] = self.compliance @ reduced[interface]
         return self._pattern.expand(reduced)

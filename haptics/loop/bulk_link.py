@@ -1,0 +1,216 @@
+"""Between the fast solver of a contact and the slow one of the bulk: in one process with a known delay, or in two."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import struct
+import subprocess
+import sys
+import time
+import zlib
+from typing import Any, Protocol
+
+import numpy as np
+
+from haptics.loop.shared_slots import SlotReader, SlotWriter, remove, unused_path
+from haptics.loop.slow_bulk import KIND_MODEL, KIND_STATE, Started, first_state, make_linearisation
+from haptics.loop.snapshot_board import SnapshotReader
+from tissue_sim.errors import InputError
+from tissue_sim.fem.condensed.foresight import ForesightedLinearisation
+from tissue_sim.fem.condensed.model import CondensedContact, ContactState, ContactSurface, packed_state_size
+from tissue_sim.material.material import Material
+from tissue_sim.model import Model
+from tissue_sim.packing import pack
+from tissue_sim.snapshot import Snapshot
+
+#: Bytes of a model that are read in one tick: a whole one would take a good part of it.
+_PIECE = 1 << 16
+#: How long the process of the bulk may take to end, s.
+_PATIENCE = 5.0
+
+
+class BulkLink(Protocol):
+    """Where models of the bulk come from. Close it."""
+
+    @property
+    def surface(self) -> ContactSurface:
+        """What may be touched, and by what; once it is started."""
+
+    def start(self) -> CondensedContact:
+        """Make the bulk; its model at the first touch.
+
+        Raises:
+            InputError, RuntimeError: it cannot be made, and why.
+        """
+
+    def send(self, state: ContactState) -> None:
+        """Tell where the contact is; never waits."""
+
+    def receive(self, now: float) -> CondensedContact | None:
+        """A model that has come since the last call, at a time, s; never waits."""
+
+    def set_material(self, material: Material) -> None:
+        """Change the material of the bulk."""
+
+    def snapshot(self) -> Snapshot | None:
+        """The tissue at the last model; None of a link that shows none."""
+
+    def close(self) -> None:
+        """End it."""
+
+
+class DelayedBulk:
+    """A bulk in this process, whose models come a fixed time after they were asked for: the same motion gives the same
+    forces.
+
+    Args:
+        linearisation: of the bulk.
+        delay: from the state that a model is made of to the tick that takes it, s.
+
+    Attributes:
+        linearising: CPU time that went into models, s.
+    """
+
+    def __init__(self, linearisation: Any, delay: float):
+        self._bulk, self.surface, self._delay = linearisation, linearisation.surface, delay
+        self._foresighted = ForesightedLinearisation(linearisation)
+        self.linearising = 0.0
+        self._coming: tuple[float, CondensedContact | None] | None = None
+
+    def start(self) -> CondensedContact:
+        model = self._foresighted.linearise(first_state(self.surface), 0.0)
+        if model is None:
+            raise RuntimeError("the untouched tissue has no linearisation")
+        return model
+
+    def send(self, state: ContactState) -> None:
+        if self._coming is None:
+            began = time.process_time()
+            self._coming = state.time + self._delay, self._foresighted.linearise(state, self._delay)
+            self.linearising += time.process_time() - began
+
+    def receive(self, now: float) -> CondensedContact | None:
+        if self._coming is None or now < self._coming[0] - 1e-9:
+            return None
+        model, self._coming = self._coming[1], None
+        return model
+
+    def set_material(self, material: Material) -> None:
+        self._bulk.set_material(material)
+
+    def snapshot(self) -> Snapshot | None:
+        return None
+
+    def close(self) -> None:
+        return
+
+
+class BulkProcess:
+    """A bulk in a process of its own, which linearises as fast as it can.
+
+    Args:
+        model: experiment and material.
+        solver, resolution: whose bulk.
+        mesh: of the solver's own kind, instead.
+    """
+
+    def __init__(self, model: Model, *, solver: str = "solid", resolution: str = "realtime", mesh: Any = None):
+        self._task = pack(make_linearisation, (model, solver, resolution, mesh))
+        self._paths = tuple(unused_path(ending) for ending in ("states", "models", "surface"))
+        self._process: subprocess.Popen[bytes] | None = None
+        self._surface: ContactSurface | None = None
+
+    def start(self) -> CondensedContact:
+        one = {"MKL_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+        self._process = process = subprocess.Popen(
+            [sys.executable, "-c", "from haptics.loop.slow_bulk import main; main()"], stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE, env={**one, **os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))})
+        assert process.stdin is not None and process.stdout is not None
+        self._say(struct.pack("<Q", len(self._task)) + self._task)
+        self._say(pickle.dumps(self._paths))
+        try:
+            started: Started | InputError = pickle.load(process.stdout)
+        except EOFError:
+            raise RuntimeError("the process of the bulk ended before it began; see what it printed") from None
+        if isinstance(started, Exception):
+            raise started
+        self._surface = started.surface
+        size = 8 * packed_state_size(self.surface)
+        self._states = SlotWriter(self._paths[0], KIND_STATE, 4, size)
+        self._models = SlotReader(self._paths[1], KIND_MODEL)
+        self._board = None if started.pattern is None else SnapshotReader(self._paths[2], started.pattern)
+        self._shown = started.pattern
+        self._taken, self._reading, self._piece, self._check = 0, 0, 0, 0
+        self._buffer = bytearray(self._models.size)
+        self._say(b"go\n")
+        return started.model
+
+    @property
+    def surface(self) -> ContactSurface:
+        assert self._surface is not None
+        return self._surface
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process runs."""
+        return self._process is not None and self._process.poll() is None
+
+    def send(self, state: ContactState) -> None:
+        self._states.write(state.packed().tobytes())
+
+    def receive(self, now: float) -> CondensedContact | None:
+        models = self._models
+        if self._reading == 0:
+            if models.written == self._taken:
+                return None
+            self._reading, self._piece = models.written, 0
+            self._check = self._reading & 0xFFFFFFFF
+        length, checksum = models.head(self._reading)
+        end = min(self._piece + _PIECE, length)
+        piece = models.part(self._reading, self._piece, end)
+        self._buffer[self._piece:end] = piece
+        self._check, self._piece = zlib.crc32(piece, self._check), end
+        if end < length:
+            return None
+        number, self._reading = self._reading, 0
+        self._taken = number
+        if self._check != checksum or models.head(number) != (length, checksum):
+            return None
+        return CondensedContact.unpacked(np.frombuffer(bytes(self._buffer[:length])))
+
+    def set_material(self, material: Material) -> None:
+        self._say(pickle.dumps(material))
+
+    def snapshot(self) -> Snapshot | None:
+        if self._board is not None:
+            newest = self._board.latest()
+            self._shown = self._shown if newest is None else newest.snapshot
+        return self._shown
+
+    def close(self) -> None:
+        process = self._process
+        if process is None:
+            return
+        if self._surface is not None:
+            self._states.close()
+            self._models.close()
+            if self._board is not None:
+                self._board.close()
+        if process.stdin is not None:
+            process.stdin.close()  # the process takes it for the end
+        try:
+            process.wait(_PATIENCE)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        if process.stdout is not None:
+            process.stdout.close()
+        for path in self._paths:
+            remove(path)
+        self._process = None
+
+    def _say(self, content: bytes) -> None:
+        assert self._process is not None and self._process.stdin is not None
+        self._process.stdin.write(content)
+        self._process.stdin.flush()

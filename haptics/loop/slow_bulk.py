@@ -1,0 +1,148 @@
+"""What runs in the process of a bulk: linearise where the contact is, publish, again; and end when the parent does."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import struct
+import sys
+import threading
+import time
+from collections import deque
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+import numpy as np
+
+from haptics.loop.shared_slots import SlotReader, SlotWriter, remove
+from haptics.loop.snapshot_board import SnapshotBoard
+from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError
+from tissue_sim.fem.condensed.foresight import ForesightedLinearisation
+from tissue_sim.fem.condensed.model import (
+    LINEARISATIONS,
+    BulkLinearisation,
+    CondensedContact,
+    ContactState,
+    ContactSurface,
+    packed_size,
+)
+from tissue_sim.material.material import Material
+from tissue_sim.model import Model
+from tissue_sim.packing import run_packed
+from tissue_sim.snapshot import Skin, Snapshot
+
+KIND_STATE, KIND_MODEL = b"tsSTATE\0", b"tsBULK\0\0"
+_SLOTS = 4
+#: How long to sleep where there is nothing new, and between two publications of the surface, s.
+_NAP, _SHOW_EVERY = 0.5e-3, 0.05
+
+
+class Started(NamedTuple):
+    """What the parent is told when the bulk has been made: its surface, its first model, a pattern of its snapshots."""
+
+    surface: ContactSurface
+    model: CondensedContact
+    pattern: Snapshot | None
+
+
+def make_linearisation(model: Model, solver: str, resolution: str, mesh: Any) -> BulkLinearisation:
+    """The linearisation of a model's bulk.
+
+    Raises:
+        InputError: a solver that has none, or a model that it cannot take.
+    """
+    if solver not in LINEARISATIONS:
+        raise InputError(f"the solver {solver!r} has no bulk to linearise; use {' or '.join(LINEARISATIONS)}",
+                         field="solver")
+    return LINEARISATIONS.find(solver, "solver")(model, resolution=resolution, mesh=mesh)
+
+
+def first_state(surface: ContactSurface) -> ContactState:
+    """Of a tool that has touched nothing."""
+    nothing, count = np.zeros((len(surface.places), 3)), len(surface.places)
+    return ContactState(0, 0, 0.0, surface.start, 0.0, surface.start, nothing, nothing, nothing, np.zeros((3, count)))
+
+
+def serve(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
+    """Make the bulk, tell the parent, and linearise until the orders end.
+
+    Args:
+        task: that makes the linearisation.
+        orders: first the paths of states, models and surface; then, one after the other, materials.
+        answers: gets a `Started`, or the error that prevented it.
+    """
+    states_path, models_path, surface_path = pickle.load(orders)
+    try:
+        bulk = run_packed(task)
+        foresighted = ForesightedLinearisation(bulk)
+        first = foresighted.linearise(first_state(bulk.surface), 0.0)
+        if first is None:
+            raise InputError("the untouched tissue has no linearisation", field="specimen")
+    except (InputError, ConvergenceError, MissingBackendError) as error:
+        pickle.dump(error, answers)
+        answers.flush()
+        return
+    pattern = _snapshot(bulk, first)
+    with (SlotWriter(models_path, KIND_MODEL, _SLOTS, 8 * packed_size(bulk.surface)) as models,
+          SnapshotBoard(surface_path, pattern) as board):
+        pickle.dump(Started(bulk.surface, first, pattern), answers)
+        answers.flush()
+        orders.readline()  # the parent has opened its files
+        materials: deque[Material] = deque()
+        files = states_path, models_path, surface_path
+        threading.Thread(target=_listen, args=(orders, materials, files), daemon=True).start()
+        with SlotReader(states_path, KIND_STATE) as states:
+            _linearise(bulk, foresighted, states, models, board, materials)
+
+
+def _linearise(bulk: BulkLinearisation, foresighted: ForesightedLinearisation, states: SlotReader, models: SlotWriter,
+               board: SnapshotBoard, materials: deque[Material]) -> None:
+    seen, lead, shown = 0, 0.0, 0.0
+    while True:
+        while materials:
+            bulk.set_material(materials.popleft())
+        newest = states.newest() if states.written != seen else None
+        if newest is None:
+            time.sleep(_NAP)
+            continue
+        began = time.monotonic()
+        seen, content = newest
+        model = foresighted.linearise(ContactState.unpacked(np.frombuffer(content)), lead)
+        if model is None:
+            time.sleep(_NAP)  # the loop has not taken the last one yet
+            continue
+        models.write(model.packed().tobytes())
+        now = time.monotonic()
+        lead = now - began
+        if now - shown > _SHOW_EVERY:
+            board.publish(model.time, _snapshot(bulk, model))
+            shown = now
+
+
+def _snapshot(bulk: BulkLinearisation, model: CondensedContact) -> Snapshot:
+    vertices, triangles = bulk.deformed_surface().triangles()
+    return Snapshot(model.pose, bulk.surface.datum, None, Skin(np.asarray(vertices, dtype=float), triangles))
+
+
+def _listen(orders: BinaryIO, materials: deque[Material], files: tuple[Path, ...]) -> None:
+    """Take materials until the parent is gone, then end."""
+    try:
+        while True:
+            materials.append(pickle.load(orders))
+    except (EOFError, OSError):
+        for path in files:
+            remove(path)
+        os._exit(0)
+
+
+def main() -> None:
+    """Run the task that stands in the standard input."""
+    orders = sys.stdin.buffer
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what is printed must not stand between the answers
+    size, = struct.unpack("<Q", orders.read(8))
+    serve(orders.read(size), orders, answers)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,169 @@
+"""Contact on a condensed bulk against the solver of the whole solid, at the same poses."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import tissue_sim as ts
+from tissue_sim.fem.condensed.foresight import ForesightedLinearisation
+from tissue_sim.fem.condensed.model import CondensedContact, ContactState, packed_size, packed_state_size
+from tissue_sim.fem.condensed.stepper import CondensedStepper
+from tissue_sim.fem.solid.discretisation import make_solver
+from tissue_sim.fem.solid.linearisation import SolidLinearisation
+from tissue_sim.fem.solver import StepStatus
+from tissue_sim.mesh.hexahedra import HEX8P0
+from tissue_sim.mesh.solid import needle_solid
+from tissue_sim.pose import Pose
+
+PHANTOM = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
+TIP, FLAT = ts.Tool("round", radius=8e-3), ts.Tool("flat", radius=8e-3)
+MESH = needle_solid(0.04, 0.07, 8e-3, HEX8P0, smallest=2.4e-3, growth=2.2, largest=20e-3, around=2)
+CASES = {"frictionless tip": (TIP, "frictionless"), "bonded punch": (FLAT, "bonded"),
+         "punch that sticks": (ts.Tool("flat", radius=8e-3, edge_radius=1e-3), "stick")}
+
+
+def model(tool=TIP, friction=0.3, material=PHANTOM, **changes):
+    return ts.Model(ts.Experiment(ts.Specimen(0.04, 0.07), ts.Protocol.ramp(3e-3, 3), tool=tool, friction=friction,
+                                  **changes), material)
+
+
+def two_rates(tool=TIP, friction=0.3, **changes):
+    bulk = SolidLinearisation(make_solver(model(tool, friction, **changes), mesh=MESH))
+    return bulk, CondensedStepper(bulk.surface)
+
+
+def turned(angle):
+    return (np.cos(0.5 * angle), 0.0, np.sin(0.5 * angle), 0.0)
+
+
+def settle(bulk, stepper, pose, time, times=5):
+    """Linearise where the tool is until nothing changes; the last step."""
+    for _ in range(times):
+        stepper.adopt(bulk.linearise(stepper.state(time, pose, time, pose)))
+        step = stepper.step(pose, exact=True)
+        assert step.converged
+    return step
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_at_the_pose_of_the_solve_wrench_and_stiffness_are_those_of_the_whole_solid(case):
+    tool, friction = CASES[case]
+    bulk, stepper = two_rates(tool, friction)
+    solver = make_solver(model(tool, friction), mesh=MESH)
+    solver.ask_for_stiffness()
+    # What sticks and turns would meet more nodes, whose place remembers the way.
+    turn = 0.0 if friction == "stick" else 0.02
+    for pose in (Pose((0.0, 0.0, -1e-3)), Pose((0.0, 0.0, -2e-3)), Pose((3e-4, 1e-4, -2e-3), turned(turn))):
+        exact = solver.step(pose, tolerance=1e-10, max_iterations=40)
+        assert exact.status is StepStatus.CONVERGED
+        step = settle(bulk, stepper, pose, 0.0)
+        np.testing.assert_allclose(step.wrench, exact.wrench, atol=1e-9 * np.linalg.norm(exact.wrench[:3]))
+        stiffness = np.array(exact.stiffness_matrix)
+        np.testing.assert_allclose(step.stiffness_matrix, stiffness, atol=1e-7 * np.abs(stiffness).max())
+    assert bulk.residual < 1e-8
+
+
+def test_the_stiffness_is_the_derivative_of_the_wrench_on_one_model():
+    bulk, stepper = two_rates(TIP, "stick")
+    pose = Pose((3e-4, -2e-4, -2e-3))
+    settle(bulk, stepper, Pose((0.0, 0.0, -1e-3)), 0.0)
+    stiffness = np.array(settle(bulk, stepper, pose, 0.0).stiffness_matrix)
+    state, h = stepper.state(0.0, pose, 0.0, pose), 1e-7
+    for axis in range(3):
+        wrenches = []
+        for sign in (1.0, -1.0):
+            stepper.take(state)
+            moved = list(pose.position)
+            moved[axis] += sign * h
+            wrenches.append(np.array(stepper.step(Pose(tuple(moved)), exact=True).wrench))
+        slope = -(wrenches[0] - wrenches[1]) / (2 * h)
+        np.testing.assert_allclose(stiffness[:, axis], slope, atol=1e-4 * np.abs(stiffness[:, :3]).max())
+
+
+def drag(start, end, ticks):
+    start, end = np.array(start), np.array(end)
+    return [Pose(tuple((1e-3 * (start + (end - start) * k / ticks)).tolist())) for k in range(ticks)]
+
+
+def test_a_drag_with_lift_off_and_touch_is_that_of_the_whole_solid():
+    """Friction at 50 mm/s, a model every 8 ms that is as old when it comes: normal and lateral force to 2 % and 3 %."""
+    way = [(0, 0, 0.2), (0, 0, -2), (3, 0, -2), (3, 0, 0.5), (0, 0, 0.5), (-1, 0, -2)]
+    poses = [pose for start, end in pairwise(way)
+             for pose in drag(start, end, round(20 * np.linalg.norm(np.subtract(end, start))))]
+    bulk, stepper = two_rates()
+    foresighted, solver = ForesightedLinearisation(bulk), make_solver(model(), mesh=MESH)
+    stepper.adopt(foresighted.linearise(stepper.state(0.0, poses[0], 0.0, poses[0]), 0.0))
+    coming, found, exact = None, [], []
+    for tick, pose in enumerate(poses):
+        if tick % 8 == 0:
+            if coming is not None:
+                stepper.adopt(coming)
+            before = max(0, tick - 8)
+            coming = foresighted.linearise(stepper.state(1e-3 * tick, pose, 1e-3 * before, poses[before]), 8e-3)
+        step = stepper.step(pose)
+        assert step.converged
+        if tick % 4 == 0:
+            whole = solver.step(pose, tolerance=1e-6, max_iterations=40)
+            assert whole.status is StepStatus.CONVERGED
+            found.append(step.wrench[:3])
+            exact.append(whole.wrench[:3])
+    found, exact = np.array(found), np.array(exact)
+    in_the_air = exact[:, 2] == 0.0
+    assert in_the_air.sum() > 8 and not found[in_the_air][3:-3].any()
+    lateral = np.hypot(*(found - exact)[:, :2].T)
+    assert np.hypot(*exact[:, :2].T).max() > 0.2 * exact[:, 2].max()
+    assert np.abs(found - exact)[:, 2].max() < 0.02 * exact[:, 2].max()
+    assert lateral.max() < 0.03 * np.hypot(*exact[:, :2].T).max() + 5e-4
+
+
+def test_sliding_friction_is_on_the_cone():
+    """Gross sliding of a tip: lateral force over normal force between mu and what the tip's slope adds to it."""
+    bulk, stepper = two_rates()
+    for tick, pose in enumerate(drag((0, 0, 0), (0, 0, -1.5), 30) + drag((0, 0, -1.5), (4, 0, -1.5), 80)):
+        if tick % 5 == 0:
+            stepper.adopt(bulk.linearise(stepper.state(1e-3 * tick, pose, 1e-3 * tick, pose)))
+        step = stepper.step(pose)
+    nodes = np.abs(stepper.forces).sum(axis=1) > 0.0
+    assert step.slipping == step.pressed == nodes.sum()
+    x, y, z = step.wrench[:3]
+    assert abs(y) < 0.02 * z and -0.4 < x / z < -0.25
+
+
+def test_models_and_states_travel_as_numbers():
+    bulk, stepper = two_rates()
+    pose = Pose((1e-3, 0.0, -1e-3))
+    first = bulk.linearise(stepper.state(0.0, pose, 0.0, pose))
+    stepper.adopt(first)
+    stepper.step(pose)
+    state = stepper.state(0.25, pose, 0.2, Pose((0.0, 0.0, 0.0)), epoch=0)
+    packed = state.packed()
+    again = ContactState.unpacked(packed)
+    assert packed.size == packed_state_size(bulk.surface) and (again.model, again.time, again.before) == (
+        1, 0.25, Pose((0.0, 0.0, 0.0)))
+    model = bulk.linearise(again)
+    assert model.packed().size <= packed_size(bulk.surface)
+    copy = CondensedContact.unpacked(model.packed())
+    for name in ("nodes", "middle", "compliance", "drive", "wrench", "stiffness"):
+        np.testing.assert_array_equal(getattr(copy, name), getattr(model, name))
+    assert (copy.number, copy.pose, copy.reach) == (2, pose, model.reach)
+
+
+def test_a_state_of_another_model_waits_and_an_untouched_one_begins_again():
+    bulk, stepper = two_rates()
+    pose = Pose((0.0, 0.0, -1e-3))
+    rest = bulk.linearise(stepper.state(0.0, pose, 0.0, pose))
+    stepper.adopt(rest)
+    stepper.step(pose)
+    state = stepper.state(0.0, pose, 0.0, pose)
+    assert bulk.linearise(replace(state, model=7)) is None
+    assert bulk.linearise(state).number == 2
+    again = bulk.linearise(replace(state, model=0, epoch=1, forces=np.zeros_like(state.forces)))
+    np.testing.assert_allclose(again.middle, rest.middle, atol=1e-12)
+    assert again.epoch == 1
+
+
+def test_a_specimen_that_nothing_holds_is_refused():
+    with pytest.raises(ts.InputError, match="the bulk would hold on to nothing"):
+        two_rates(friction_base=0.3)

@@ -1,0 +1,370 @@
+"""The contact on a condensed bulk as Taichi kernels: displacements, states, and the equations of the next iteration.
+
+The method is that of `tissue_sim.fem.solid.contact`, node by node, with the same springs and the same states; the
+equations hold the nodes that are pressed only.
+"""
+
+from functools import cache
+
+from tissue_sim.fem.taichi.runtime import initialise
+
+#: Stiffness of a held node over that of the springs, and share of it that decides about states; see
+#: `tissue_sim.fem.solid.contact`.
+HOLD, TRIAL = 3.0, 1e-5
+#: All nodes may change their state at once; any other number draws a quarter of them.
+ALL, DRAWN = 1_000_000, 4
+#: Places in `settings`: number of nodes, who may change, whether the curvature counts, negligible friction, tolerance,
+#: whether the tool is where it touched or deeper, whether pulling nodes are let go, whether the equations are wanted
+#: anew, shear modulus; then rotation (9) and place (3) of the tool, and its motion (6).
+(COUNT, CHANGEABLE, BENDING, NEGLIGIBLE, TOLERANCE, PRESSED_IN, RELEASE, ANEW, MODULUS) = range(9)
+ROTATION, ORIGIN, MOTION = 9, 18, 21
+SETTINGS = 27
+#: Places in `results`.
+VIOLATION, SWITCHED, WANTING, PULLING, UNBALANCED, SIZE, ACTIVE, REBUILT, SLIPPING = range(9)
+RESULTS = 9
+#: Right-hand sides: of the iteration, and of the six motions of the tool.
+COLUMNS = 7
+
+
+@cache
+def contact_kernel():
+    """Kernel of one iteration of the contact."""
+    ti = initialise()
+    real1, real2, real3 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2, 3))
+    int1 = ti.types.ndarray(ti.i32, ndim=1)
+
+    @ti.func
+    def displace(i, settings: ti.template(), nodes: ti.template(), forces: ti.template(), middle: ti.template(),
+                 drive: ti.template(), compliance: ti.template(), loaded: ti.template(), many, u: ti.template()):
+        """Displacement of a node under the forces of the loaded ones."""
+        for k in range(3):
+            value = middle[i, k]
+            for a in range(6):
+                value = value + drive[3 * i + k, a] * settings[MOTION + a]
+            for l in range(many):
+                j = loaded[l]
+                s = nodes[j]
+                for m in ti.static(range(3)):
+                    value = value - compliance[3 * i + k, 3 * j + m] * forces[s, m]
+            u[i, k] = value
+
+    @ti.func
+    def meet(i, s, settings: ti.template(), results: ti.template(), chains: ti.template(), shapes: ti.template(),
+             places: ti.template(), springs: ti.template(), friction: ti.template(), outlines: ti.template(),
+             bound: ti.template(), anchors: ti.template(), pressed: ti.template(), slips: ti.template(),
+             ways: ti.template(), forces: ti.template(), met: ti.template(), met_at: ti.template(),
+             u: ti.template(), guess: ti.template(), rates: ti.template(), intercept: ti.template(),
+             levers: ti.template(), signature: ti.template(), geometry: ti.template()):
+        """Where a node is against the tool, what state it takes, and its force."""
+        R = ti.Matrix([[settings[ROTATION + 3 * a + b] for b in ti.static(range(3))] for a in ti.static(range(3))])
+        arm = ti.Vector([places[s, a] + u[i, a] - settings[ORIGIN + a] for a in ti.static(range(3))])
+        at = R.transpose() @ arm
+        # The nearest place of the outline.
+        body = outlines[s]
+        rounding, shaft, lines = shapes[body, 0], shapes[body, 1], ti.cast(shapes[body, 3], ti.i32)
+        closed = shapes[body, 2] * settings[PRESSED_IN]
+        r = ti.sqrt(at[0] * at[0] + at[1] * at[1])
+        best, distance, front, along, share, arrow_r, arrow_z = 0, 1e30, 0.0, 0.0, 0.0, 0.0, 0.0
+        for line in range(lines):
+            tr, tz = chains[body, line, 2], chains[body, line, 3]
+            x, z = r - chains[body, line, 0], at[2] - chains[body, line, 1]
+            l = x * tr + z * tz
+            part = ti.min(l, chains[body, line, 4])
+            if not (closed > 0.0 and line == 0):
+                part = ti.max(part, 0.0)
+            ar, az = x - part * tr, z - part * tz
+            d, f = ti.sqrt(ar * ar + az * az), ar * tz - az * tr
+            if d < distance - 5e-16 or (d <= distance + 5e-16 and ti.abs(f) > ti.abs(front)):
+                best, distance, front, along, share, arrow_r, arrow_z = line, d, f, l, part, ar, az
+        inside = front < 0.0 and (closed > 0.0 or not (best == 0 and along < 0.0))
+        sign = -1.0 if inside else 1.0
+        beyond = share != along and distance > 0.0
+        n_r, n_z, bent = chains[body, best, 3], -chains[body, best, 2], 0.0
+        if beyond:
+            n_r, n_z, bent = sign / distance * arrow_r, sign / distance * arrow_z, sign / distance
+        out = ti.Vector([1.0, 0.0, 0.0])
+        hoop = bent
+        if r > 0.0:
+            out = ti.Vector([at[0] / r, at[1] / r, 0.0])
+        if r > shapes[body, 4]:
+            hoop = n_r / r
+        up = ti.Vector([0.0, 0.0, 1.0])
+        around = R @ ti.Vector([-out[1], out[0], 0.0])
+        meridian = R @ (n_r * up - n_z * out)
+        n_tool = n_r * out + n_z * up
+        n = R @ n_tool
+        gap = sign * distance - rounding
+        mu = friction[s, 0]
+        if best >= shaft and not (beyond and rounding > 0.0):
+            mu = friction[s, 1]
+        # States and forces.
+        k = springs[s] * settings[MODULUS]
+        F = ti.Vector([forces[s, a] for a in ti.static(range(3))])
+        normal = ti.min(F.dot(n), 0.0)
+        tangential = F - F.dot(n) * n
+        trial = normal + TRIAL * k * gap
+        held = bound[s] == 1
+        changeable = settings[CHANGEABLE]
+        drawn = changeable >= ALL
+        if changeable > 0.0 and changeable < ALL:
+            drawn = (7 * i + 5 * ti.cast(changeable, ti.i32)) % DRAWN == 0
+        if held and settings[RELEASE] > 0.0 and F.dot(n) > 0.0:
+            bound[s] = 0
+            held = False
+        if changeable > 0.0 and not held:
+            presses = 1 if trial < 0.0 or gap < 0.0 else 0
+            if presses != pressed[s]:
+                if drawn:
+                    results[SWITCHED] = results[SWITCHED] + 1.0
+                    pressed[s] = presses
+                elif trial > 1e3 * settings[NEGLIGIBLE]:
+                    results[WANTING] = results[WANTING] + 1.0
+        is_pressed = pressed[s] == 1 and not held
+        anchor = ti.Vector([anchors[s, a] for a in ti.static(range(3))])
+        slip = R @ (at - anchor)
+        aside = slip - slip.dot(n) * n
+        length = aside.norm()
+        nn, eye = n.outer_product(n), ti.Matrix.identity(ti.f64, 3)
+        A, missing, found = ti.Matrix.zero(ti.f64, 3, 3), ti.Vector.zero(ti.f64, 3), ti.Vector.zero(ti.f64, 3)
+        state, sticks, violation = 0, False, 0.0
+        if held:
+            violation = slip.norm()
+            A, missing, found, state = HOLD * k * eye, HOLD * k * slip, F, 3
+            if F.dot(n) > 0.0:
+                results[PULLING] = results[PULLING] + 1.0
+        elif is_pressed:
+            violation, state = ti.abs(gap), 1
+            A = k * nn + settings[BENDING] * normal * (bent * meridian.outer_product(meridian)
+                                                       + hoop * around.outer_product(around))
+            missing, found = k * gap * n, normal * n
+            rough = mu * ti.max(-trial, 0.0)
+            if mu > 0.0 and bound[s] == 2 and rough > settings[NEGLIGIBLE]:
+                limit = mu * ti.max(-normal, 0.0)
+                tried = tangential + TRIAL * HOLD * k * aside
+                size = tried.norm()
+                way = ti.Vector([ways[s, a] for a in ti.static(range(3))])
+                if changeable > 0.0:
+                    slides = 1 if size > rough else 0
+                    if slips[s] == 1:
+                        slides = 1 if way.dot(aside) > 0.0 else 0
+                    if slides != slips[s]:
+                        if drawn:
+                            results[SWITCHED] = results[SWITCHED] + 1.0
+                            slips[s] = slides
+                            if slides == 1:
+                                way = tried / ti.max(size, 1e-300)
+                        elif length > 1e-3 * settings[TOLERANCE] or tangential.norm() > 1.001 * limit:
+                            results[WANTING] = results[WANTING] + 1.0
+                if slips[s] == 1:
+                    state = 2
+                    if length > 1e-3 * settings[TOLERANCE]:
+                        way = aside / length
+                    steer = ti.min(limit / ti.max(length, 1e-300), HOLD * k)
+                    A = A - mu * k * way.outer_product(n) + steer * (eye - nn - way.outer_product(way))
+                    missing, found = missing - mu * k * gap * way, found + limit * way
+                    results[SLIPPING] = results[SLIPPING] + 1.0
+                    for a in ti.static(range(3)):
+                        ways[s, a] = way[a]
+                else:
+                    sticks, state = True, 4
+                    violation = ti.max(violation, length)
+                    A, missing, found = A + HOLD * k * (eye - nn), missing + HOLD * k * aside, found + tangential
+        else:
+            violation = ti.max(-gap, 0.0)
+        results[VIOLATION] = ti.max(results[VIOLATION], violation)
+        touches = is_pressed or (mu > 0.0 and gap <= 1e-3 * settings[TOLERANCE])
+        met[s] = 0
+        if mu < 0.0 and is_pressed:
+            met[s] = 1
+        elif touches and mu > 0.0:
+            met[s] = 2
+        keeps = sticks or (touches and not is_pressed and bound[s] == 2)
+        for a in ti.static(range(3)):
+            met_at[s, a] = anchor[a] if keeps else at[a] - gap * n_tool[a]
+            levers[i, a] = arm[a]
+            geometry[i, a], geometry[i, 3 + a] = n[a], slip[a]
+            intercept[i, a] = found[a] + missing[a]
+            change = found[a] - guess[i, a]
+            results[UNBALANCED] = results[UNBALANCED] + change * change
+            results[SIZE] = results[SIZE] + found[a] * found[a]
+            forces[s, a] = found[a]
+            for b in ti.static(range(3)):
+                rates[i, 3 * a + b] = A[a, b]
+        geometry[i, 6] = gap
+        geometry[i, 7] = ti.max(mu, 0.0) if bound[s] == 2 else 0.0
+        # Equations of other states of the same nodes do for a while.
+        if (signature[i] > 0) != (state > 0) or signature[i] < 0:
+            settings[ANEW] = 1.0
+        signature[i] = state
+
+    @ti.kernel
+    def iterate(settings: real1, results: real1, chains: real3, shapes: real2, places: real2, springs: real1,
+                friction: real2, outlines: int1, bound: int1, anchors: real2, pressed: int1, slips: int1, ways: real2,
+                forces: real2, met: int1, met_at: real2, nodes: int1, middle: real2, drive: real2, compliance: real2,
+                u: real2, guess: real2, rates: real2, intercept: real2, levers: real2, signature: int1, geometry: real2,
+                loaded: int1, active: int1, matrix: real1, block: real1, right: real1):
+        ti.loop_config(serialize=True)
+        for _ in range(1):
+            n = ti.cast(settings[COUNT], ti.i32)
+            many = 0
+            for i in range(n):
+                s = nodes[i]
+                size = 0.0
+                for a in ti.static(range(3)):
+                    guess[i, a] = forces[s, a]
+                    size = size + ti.abs(forces[s, a])
+                if size > 0.0:
+                    loaded[many] = i
+                    many = many + 1
+            for k in range(RESULTS):
+                results[k] = 0.0
+            for i in range(n):
+                displace(i, settings, nodes, forces, middle, drive, compliance, loaded, many, u)
+            for i in range(n):
+                meet(i, nodes[i], settings, results, chains, shapes, places, springs, friction, outlines, bound,
+                     anchors, pressed, slips, ways, forces, met, met_at, u, guess, rates, intercept, levers, signature,
+                     geometry)
+            count = 0
+            for i in range(n):
+                if signature[i] > 0:
+                    active[count] = i
+                    count = count + 1
+            k = 3 * count
+            results[ACTIVE] = count
+            rebuilt = settings[ANEW] > 0.0
+            results[REBUILT] = settings[ANEW]
+            settings[ANEW] = 0.0
+            for p in range(count):
+                i = active[p]
+                # What the nodes that were let go no longer push away.
+                e = ti.Vector.zero(ti.f64, 3)
+                for l in range(many):
+                    j = loaded[l]
+                    if signature[j] == 0:
+                        for a in ti.static(range(3)):
+                            for b in ti.static(range(3)):
+                                e[a] = e[a] + compliance[3 * i + a, 3 * j + b] * guess[j, b]
+                x, y, z = levers[i, 0], levers[i, 1], levers[i, 2]
+                f = ti.Vector([intercept[i, 0], intercept[i, 1], intercept[i, 2]])
+                turning = ti.Matrix([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+                turned = ti.Matrix([[0.0, f[2], -f[1]], [-f[2], 0.0, f[0]], [f[1], -f[0], 0.0]])
+                for a in ti.static(range(3)):
+                    row = 3 * p + a
+                    value = intercept[i, a] - guess[i, a]
+                    for b in ti.static(range(3)):
+                        value = value + rates[i, 3 * a + b] * e[b]
+                    right[row] = value
+                    for c in ti.static(range(6)):
+                        value = 0.0
+                        if ti.static(c >= 3):
+                            value = value + turned[a, ti.static(c - 3)]
+                        for b in ti.static(range(3)):
+                            way = drive[3 * i + b, c]
+                            if ti.static(c >= 3):
+                                way = way - turning[b, ti.static(c - 3)]
+                            elif ti.static(c == b):
+                                way = way - 1.0
+                            value = value + rates[i, 3 * a + b] * way
+                        right[(c + 1) * k + row] = value
+                if rebuilt:
+                    for q in range(count):
+                        j = active[q]
+                        for b in ti.static(range(3)):
+                            column = 3 * q + b
+                            for a in ti.static(range(3)):
+                                value = 0.0
+                                if ti.static(a == b):
+                                    value = 1.0 if p == q else 0.0
+                                for c in ti.static(range(3)):
+                                    value = value + rates[i, 3 * a + c] * compliance[3 * i + c, 3 * j + b]
+                                matrix[column * k + 3 * p + a] = value
+                                block[column * k + 3 * p + a] = compliance[3 * i + a, 3 * j + b]
+
+    return iterate
+
+
+@cache
+def relaxation_kernel():
+    """Kernel of projected Gauss-Seidel sweeps over the nodes, with the surface of the tool as flat at each of them as
+    `contact_kernel` last found it; for states that Newton's iteration does not find.
+
+    Source: Jean, Comput. Methods Appl. Mech. Eng. 177 (1999) 235, non-smooth contact dynamics."""
+    ti = initialise()
+    real1, real2 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2))
+    int1 = ti.types.ndarray(ti.i32, ndim=1)
+
+    @ti.kernel
+    def relax(settings: real1, results: real1, nodes: int1, bound: int1, pressed: int1, slips: int1, ways: real2,
+              forces: real2, compliance: real2, geometry: real2, guess: real2, moved: real2, limits: real1, near: int1):
+        ti.loop_config(serialize=True)
+        for _ in range(1):
+            n = ti.cast(settings[COUNT], ti.i32)
+            many = 0
+            for i in range(n):
+                s = nodes[i]
+                size = 0.0
+                for a in ti.static(range(3)):
+                    moved[i, a] = 0.0
+                    size = size + ti.abs(forces[s, a]) + ti.abs(guess[i, a])
+                if bound[s] == 1 or size > 0.0 or geometry[i, 6] < limits[3]:
+                    near[many] = i
+                    many = many + 1
+            # Displacements belong to the guesses of the last iteration, forces were projected since.
+            for p in range(many):
+                i = near[p]
+                s = nodes[i]
+                change = ti.Vector([forces[s, b] - guess[i, b] for b in ti.static(range(3))])
+                if change.norm() > 0.0:
+                    for q in range(many):
+                        j = near[q]
+                        for a in ti.static(range(3)):
+                            for b in ti.static(range(3)):
+                                moved[j, a] = moved[j, a] - compliance[3 * i + b, 3 * j + a] * change[b]
+            sweep, largest, size = 0.0, 1.0, 0.0
+            while sweep < limits[0] and largest > limits[1] * size:
+                sweep = sweep + 1.0
+                largest, size = 0.0, limits[2]
+                for p in range(many):
+                    i = near[p]
+                    s = nodes[i]
+                    g = ti.Vector([geometry[i, a] for a in ti.static(range(3))])
+                    F = ti.Vector([forces[s, a] for a in ti.static(range(3))])
+                    slip = ti.Vector([geometry[i, 3 + a] + moved[i, a] for a in ti.static(range(3))])
+                    gap = geometry[i, 6] + g[0] * moved[i, 0] + g[1] * moved[i, 1] + g[2] * moved[i, 2]
+                    new = ti.Vector.zero(ti.f64, 3)
+                    if bound[s] == 1 or F.norm() > 0.0 or gap < 0.0:
+                        C = ti.Matrix([[compliance[3 * i + a, 3 * i + b] for b in ti.static(range(3))]
+                                       for a in ti.static(range(3))])
+                        # Of a tissue that would buckle without the tool they need not be positive.
+                        least = 1e-2 * ti.abs(C.trace())
+                        c = ti.max(g.dot(C @ g), least)
+                        aside = ti.max(0.5 * (C.trace() - g.dot(C @ g)), least)
+                        if bound[s] == 1:
+                            new = F + slip / ti.max(c, aside)
+                        else:
+                            N = ti.min(F.dot(g) + gap / c, 0.0)
+                            T = F - F.dot(g) * g + (slip - slip.dot(g) * g) / aside
+                            most, length = -geometry[i, 7] * N, T.norm()
+                            if length > most:
+                                T = T * (most / length)
+                            new = N * g + T
+                            pressed[s] = 1 if N < 0.0 else 0
+                            slips[s] = 1 if length > most and N < 0.0 else 0
+                            way = slip - slip.dot(g) * g
+                            length = way.norm()
+                            if length > 1e-3 * settings[TOLERANCE]:
+                                for a in ti.static(range(3)):
+                                    ways[s, a] = way[a] / length
+                        change = new - F
+                        largest, size = ti.max(largest, change.norm()), ti.max(size, new.norm())
+                        for a in ti.static(range(3)):
+                            forces[s, a] = new[a]
+                        for q in range(many):
+                            j = near[q]
+                            for a in ti.static(range(3)):
+                                moved[j, a] = moved[j, a] - (compliance[3 * i, 3 * j + a] * change[0]
+                                                             + compliance[3 * i + 1, 3 * j + a] * change[1]
+                                                             + compliance[3 * i + 2, 3 * j + a] * change[2])
+            results[VIOLATION], results[SIZE] = sweep, largest / size
+
+    return relax

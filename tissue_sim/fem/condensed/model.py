@@ -1,0 +1,205 @@
+"""What a slow solver of the bulk publishes, and what a fast solver of the contact tells it: arrays that travel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from tissue_sim.fem.solver import Surface
+from tissue_sim.material.material import Material
+from tissue_sim.model import Model
+from tissue_sim.pose import Pose
+from tissue_sim.registry import Registry
+
+#: How a node is bound to the tool, as in `tissue_sim.fem.solid.contact`.
+FREE, HELD, TOUCHED = range(3)
+#: Numbers before the arrays of a model and of a state.
+_MODEL_HEAD, _STATE_HEAD = 16, 18
+
+
+@dataclass(frozen=True, eq=False)
+class ContactSurface:
+    """The nodes of a tissue that a tool may meet, and the tool; what does not change.
+
+    Attributes:
+        places: undeformed, m, shape (s, 3), in the frame of the mesh.
+        springs: that eliminate contact forces, over the shear modulus, m, shape (s,).
+        friction: of the tool's face and of its shaft, a coefficient or -1 for no slip, shape (s, 2).
+        outlines: which of the outlines each node meets, shape (s,).
+        chains: lines of the outlines, shape (outlines, lines, 5): start and direction (r, z), and length, m.
+        shapes: of each outline, shape (outlines, 5): rounding, m; first line of the shaft; whether a sharp shaft goes
+            on downwards; how many lines there are; radius below which a point is on the axis, m.
+        bound, anchors: `FREE`, `HELD` or `TOUCHED` at the first touch, shape (s,), and where, in the frame of the tool,
+            m, shape (s, 3).
+        start: of the tool, where it first touches.
+        datum: height of the scene's origin in the frame of the mesh, m.
+        tolerance: how far a condition of the contact may be violated, m.
+        radius: of the contact, m: a turn counts as the way of a point so far from the axis.
+        floor: force that is as good as none for a whole test, N.
+        candidates: the most nodes that a model has.
+    """
+
+    places: np.ndarray
+    springs: np.ndarray
+    friction: np.ndarray
+    outlines: np.ndarray
+    chains: np.ndarray
+    shapes: np.ndarray
+    bound: np.ndarray
+    anchors: np.ndarray
+    start: Pose
+    datum: float
+    tolerance: float
+    radius: float
+    floor: float
+    candidates: int
+
+
+@dataclass(frozen=True, eq=False)
+class CondensedContact:
+    """The bulk of a tissue as the nodes near a tool feel it: u = middle + drive m - compliance f.
+
+    f are the forces of the nodes on the tool, and m is the tool's motion from `pose`: translation and rotation vector.
+    What the tool holds goes with it, and answers wrench - stiffness m - drive^T f.
+
+    Attributes:
+        number: of the linearisation, from 1.
+        time: when the tool was there, s. pose: of the tool then.
+        nodes: numbers in the `ContactSurface`, shape (n,).
+        middle: displacements without forces, m, shape (n, 3).
+        compliance: m/N, shape (3 n, 3 n). drive: shape (3 n, 6).
+        wrench: of what the tool holds, N, N m, shape (6,). stiffness: of it, shape (6, 6).
+        reach: how far the tool may go from the pose before it can meet a node that is not here, m.
+        modulus: shear modulus of the material, Pa.
+        residual: unbalanced over balanced forces of the state that it was linearised at.
+        epoch: of the `ContactState` that it follows.
+    """
+
+    number: int
+    epoch: int
+    time: float
+    pose: Pose
+    nodes: np.ndarray
+    middle: np.ndarray
+    compliance: np.ndarray
+    drive: np.ndarray
+    wrench: np.ndarray
+    stiffness: np.ndarray
+    reach: float
+    modulus: float
+    residual: float
+
+    def packed(self) -> np.ndarray:
+        """All of it as one array of numbers."""
+        head = np.zeros(_MODEL_HEAD)
+        head[:14] = (self.number, self.epoch, self.time, len(self.nodes), self.reach, self.modulus, self.residual,
+                     *self.pose.position, *self.pose.orientation)
+        return np.concatenate([head, self.wrench, self.stiffness.ravel(), self.nodes, self.middle.ravel(),
+                               self.drive.ravel(), self.compliance.ravel()])
+
+    @classmethod
+    def unpacked(cls, numbers: np.ndarray) -> CondensedContact:
+        """What `packed` gave; its arrays are parts of the one given."""
+        number, epoch, time, count, reach, modulus, residual, *where = numbers[:14].tolist()
+        n = int(count)
+        sizes = [_MODEL_HEAD, 6, 36, n, 3 * n, 18 * n, 9 * n * n]
+        _, wrench, stiffness, nodes, middle, drive, compliance = np.split(numbers, np.cumsum(sizes)[:-1])
+        return cls(int(number), int(epoch), time, _pose(where), nodes.astype(np.intp), middle.reshape(n, 3),
+                   compliance.reshape(3 * n, 3 * n), drive.reshape(3 * n, 6), wrench, stiffness.reshape(6, 6), reach,
+                   modulus, residual)
+
+
+def packed_size(surface: ContactSurface) -> int:
+    """The most numbers that a packed model of a surface has."""
+    n = surface.candidates
+    return _MODEL_HEAD + 42 + 22 * n + 9 * n * n
+
+
+@dataclass(frozen=True, eq=False)
+class ContactState:
+    """Where a fast solver of the contact is.
+
+    Attributes:
+        model: number of the model that it solved on; 0: none yet.
+        epoch: how often it was set back to the untouched specimen.
+        time: s. pose: of the tool.
+        earlier, before: a time a little ago, s, and the pose then.
+        forces: on the tool, N, shape (s, 3), of the surface's nodes.
+        anchors: where nodes were bound to the tool, in its frame, m; ways: along which they slip, both (s, 3).
+        states: how each is bound, whether it is pressed, and whether it slips, shape (3, s).
+    """
+
+    model: int
+    epoch: int
+    time: float
+    pose: Pose
+    earlier: float
+    before: Pose
+    forces: np.ndarray
+    anchors: np.ndarray
+    ways: np.ndarray
+    states: np.ndarray
+
+    def packed(self) -> np.ndarray:
+        """All of it as one array of numbers."""
+        head = (self.model, self.epoch, self.time, *self.pose.position, *self.pose.orientation, self.earlier,
+                *self.before.position, *self.before.orientation)
+        return np.concatenate([head, self.forces.ravel(), self.anchors.ravel(), self.ways.ravel(), self.states.ravel()])
+
+    @classmethod
+    def unpacked(cls, numbers: np.ndarray) -> ContactState:
+        """What `packed` gave."""
+        model, epoch, time, *where = numbers[:_STATE_HEAD].tolist()
+        forces, anchors, ways, states = np.split(numbers[_STATE_HEAD:], 4)
+        return cls(int(model), int(epoch), time, _pose(where[:7]), where[7], _pose(where[8:]), forces.reshape(-1, 3),
+                   anchors.reshape(-1, 3), ways.reshape(-1, 3), states.reshape(3, -1))
+
+
+def packed_state_size(surface: ContactSurface) -> int:
+    """Numbers of a packed state of a surface."""
+    return _STATE_HEAD + 12 * len(surface.places)
+
+
+class BulkLinearisation(Protocol):
+    """Newton's iteration of a tissue's bulk, to whose linearisation another solver adds the contact."""
+
+    @property
+    def surface(self) -> ContactSurface:
+        """What may be touched, and by what."""
+
+    def linearise(self, state: ContactState, ahead: Sequence[Pose] = ()) -> CondensedContact | None:
+        """The next iterate, where the contact has come to on the last model, and the bulk's linearisation there.
+
+        Args:
+            state: of the contact.
+            ahead: poses to which the tool may go until the next model.
+
+        Returns:
+            None where the state is not of the last model, or no linearisation was found; the next call tries again.
+        """
+
+    def set_material(self, material: Material) -> None:
+        """Change the material; see `Solver.set_material`."""
+
+    def deformed_surface(self) -> Surface:
+        """At the last iterate."""
+
+
+class LinearisationMaker(Protocol):
+    """What stands in `LINEARISATIONS`."""
+
+    def __call__(self, model: Model, *, resolution: str, mesh: Any = None) -> BulkLinearisation:
+        """Of a model, its tool where it first touches the specimen; arguments and errors as of a `SolverMaker`."""
+
+
+#: By the names of the solvers whose bulk it is.
+LINEARISATIONS: Registry[LinearisationMaker] = Registry(
+    "linearisation", "tissue_sim.linearisations", {"solid": "tissue_sim.fem.solid.linearisation:make_linearisation"})
+
+
+def _pose(numbers: list[float]) -> Pose:
+    x, y, z, a, b, c, d = numbers
+    return Pose((x, y, z), (a, b, c, d))
