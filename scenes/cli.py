@@ -104,7 +104,7 @@ def make_parser() -> Parser:
     """The parser of all commands. Imports nothing heavy: help must answer at once."""
     parser = Parser(prog="tissue-sim",
                     description="Soft-tissue finite elements, calibrated from measured force curves.",
-                    epilog="start with:  tissue-sim demo" + (f"\n\nin later versions: {', '.join(LATER)}" if LATER else ""))
+                    epilog="start with:  tissue-sim demo")
     parser.add_argument("--version", action="version", version=f"tissue-sim {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name, command in COMMANDS.items():

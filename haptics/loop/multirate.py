@@ -208,7 +208,8 @@ class MultiRateTissue:
 
 
 def real_time_tissue(model: Model, *, solver: str, resolution: str, budget: float | None, inertia: str = "auto",
-                     looks_ahead: bool = False, simulator: type[Simulator] = Simulator) -> partial[Any]:
+                     looks_ahead: bool = False, simulator: type[Simulator] = Simulator,
+                     mesh: Any = None) -> partial[Any]:
     """What makes a tissue that is stepped 1000 times a second: a `Simulator`, or a `MultiRateTissue` of a solver whose
     bulk can be linearised. Arguments as of `Simulator`, which may be one of its kind; can be sent to another process.
 
@@ -217,7 +218,7 @@ def real_time_tissue(model: Model, *, solver: str, resolution: str, budget: floa
     """
     if solver not in LINEARISATIONS:
         return partial(simulator, model, resolution=resolution, inertia=inertia, looks_ahead=looks_ahead, budget=budget,
-                       solver=solver)
+                       solver=solver, mesh=mesh)
     if inertia == "on":
         raise InputError(f"the solver {solver!r} has no mass in real time yet; leave it out", field="inertia")
     return partial(MultiRateTissue, model, solver=solver, resolution=resolution)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 
 from scenes.catalogue import SCENES
@@ -36,9 +35,9 @@ def add_arguments(parser: Parser) -> None:
     effort.add_argument("--resolution", choices=("realtime", "fast", "accurate"), default="realtime",
                         help="of the whole solid (default: %(default)s)")
     effort.add_argument("--strokes", type=at_least(2, 4000), metavar="N",
-                        help="motions on which the whole solid is followed (default: 40, of a tool that only touches 80)")
+                        help="motions on which the whole solid is followed (default: 24, of a tool that only touches 60)")
     effort.add_argument("--modes", type=at_least(2, 400), metavar="N",
-                        help="motions of the tissue that are kept (default: 24, of a tool that only touches 80)")
+                        help="motions of the tissue that are kept (default: 24, of a tool that only touches 64)")
     effort.add_argument("--sampling", type=positive, metavar="N", default=6e-3,
                         help="error of the forces of the sampled elements (default: %(default)g)")
     effort.add_argument("--tried", type=at_least(1, 1000), metavar="N", default=3,
@@ -65,7 +64,6 @@ def run(arguments) -> int:
     depth = (arguments.depth_mm or _DEPTH_MM) * 1e-3
     experiment = make_experiment(arguments, ts.Protocol.ramp(depth, points=2), material)
     box = ts.PoseBox(arguments.sideways_mm * 1e-3, depth, math.radians(arguments.turn_deg))
-    # A pre-stated name where a killed run goes on.
     folder = output.with_name(f"{output.name}.strokes")
     arguments.resume_hint = "the same command goes on with the strokes that are done"
     console = progress_console(quiet=arguments.json)
@@ -74,7 +72,7 @@ def run(arguments) -> int:
             status.update(f"{stage}: {done} of {of}{f', {note}' if note else ''}")
 
         reduced = ts.reduce_solid(
-            ts.Model(replace(experiment), material), box, resolution=arguments.resolution, strokes=arguments.strokes,
+            ts.Model(experiment, material), box, resolution=arguments.resolution, strokes=arguments.strokes,
             modes=arguments.modes, sampling=arguments.sampling, tried=arguments.tried, folder=folder, progress=tell)
     ts.write_reduced(reduced, output)
     report = reduced.report

@@ -13,8 +13,10 @@ from scenes.catalogue import SCENES
 from scenes.commands.shared.console import progress_console
 from scenes.commands.shared.experiment_flags import add_experiment_flags, check_scene, make_experiment, make_protocol
 from scenes.commands.shared.parsing import Parser, add_json, at_least, not_negative, positive
-from scenes.commands.shared.tissue_flags import add_solver_flags, check_solver
+from scenes.commands.shared.tissue_flags import add_reduced_flag, add_solver_flags, check_solver, read_reduced
 from scenes.stop_signals import stopped_by_signals
+
+from tissue_sim.errors import InputError
 
 if TYPE_CHECKING:
     from haptics.server.server import TissueServer
@@ -35,8 +37,10 @@ DEEPEST = 0.9
 def add_arguments(parser: Parser) -> None:
     parser.add_argument("--scene", metavar="SCENE", default="needle_indentation",
                         help=f"{' or '.join(SCENES)} (default: %(default)s)")
-    parser.add_argument("--material", type=Path, required=True, metavar="FILE", help="NAME.material.json")
+    parser.add_argument("--material", type=Path, metavar="FILE",
+                        help="NAME.material.json; only a reduced solid brings its own")
     add_solver_flags(parser)
+    add_reduced_flag(parser)
     network = parser.add_argument_group("network")
     network.add_argument("--port", type=at_least(0, _LAST_PORT), metavar="N", default=PORT,
                          help=f"UDP port of the poses; 0 chooses a free one (default: {PORT})")
@@ -73,6 +77,9 @@ def add_arguments(parser: Parser) -> None:
 def run(arguments) -> int:
     check_scene(arguments.scene)
     check_solver(arguments.solver)
+    reduced = read_reduced(arguments)
+    if arguments.material is None and reduced is None:
+        raise InputError("the tissue needs a material; give NAME.material.json", field="--material")
     # Before numpy comes: a thread that waits for helpers keeps no time.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -82,21 +89,23 @@ def run(arguments) -> int:
     from haptics.server.scene_limits import SceneLimits
     from haptics.server.server import TissueServer
     from haptics.server.steps import ServedTissue
-    from tissue_sim.errors import InputError
     from tissue_sim.parameters import parameter_values
 
     if arguments.largest_force_N > LARGEST_FORCE_N:
         raise InputError(f"{arguments.largest_force_N:g} N is more than a scene gives; {LARGEST_FORCE_N:g} N is the "
                          "most", field="--largest-force-N")
 
-    material_file = ts.read_material_file(arguments.material)
+    if reduced is not None and arguments.material is None:
+        material_file = ts.MaterialFile.of(reduced.model.material)
+    else:
+        material_file = ts.read_material_file(arguments.material)
     material = material_file.material
-    experiment = make_experiment(arguments, make_protocol(arguments), material)
+    experiment = reduced.model.experiment if reduced else make_experiment(arguments, make_protocol(arguments), material)
     port = arguments.port if arguments.configuration_port is None else arguments.configuration_port
     progress = progress_console(quiet=arguments.json)
 
     build = real_time_tissue(ts.Model(experiment, material), resolution=arguments.resolution,
-                             budget=budget(arguments), inertia=arguments.inertia, solver=arguments.solver)
+                             budget=budget(arguments), inertia=arguments.inertia, solver=arguments.solver, mesh=reduced)
 
     def rebuild() -> ServedTissue:
         another = build()

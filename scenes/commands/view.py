@@ -17,7 +17,13 @@ from scenes.commands.shared.experiment_flags import (
     make_protocol,
 )
 from scenes.commands.shared.parsing import Parser, add_json, at_least, positive
-from scenes.commands.shared.tissue_flags import add_solver_flags, check_solver, read_material
+from scenes.commands.shared.tissue_flags import (
+    add_reduced_flag,
+    add_solver_flags,
+    check_solver,
+    read_material,
+    read_reduced,
+)
 from tissue_sim.errors import InputError
 
 SUMMARY = "push a needle into tissue on a page in the browser, beside the measurement"
@@ -37,6 +43,7 @@ def add_arguments(parser: Parser) -> None:
                         help="recordings to compare with; those whose sidecar names a kind of test go with that scene, "
                              "the others with SCENE")
     add_solver_flags(parser)
+    add_reduced_flag(parser)
     parser.add_argument("--device", metavar="NAME:SETTINGS",
                         help=f"a haptic device that moves the tool and feels the force: one of "
                              f"{', '.join(HAPTIC_DEVICES)}")
@@ -86,18 +93,19 @@ def run(arguments) -> int:
     if arguments.run_folder or arguments.sensor or arguments.stage:
         return _watch(arguments)
     check_solver(arguments.solver)
+    reduced = read_reduced(arguments)
 
     from scenes.viewer.live_simulation import PATIENT, SETTINGS
     from scenes.viewer.run import run_headless, run_page
     from scenes.viewer.scene import BUILT_IN, Scene, read_measurements
 
-    material = read_material(arguments.material)
-    experiment = make_experiment(arguments, make_protocol(arguments), material)
+    material = reduced.model.material if reduced and not arguments.material else read_material(arguments.material)
+    experiment = reduced.model.experiment if reduced else make_experiment(arguments, make_protocol(arguments), material)
     scene = Scene(SCENES[arguments.scene], experiment, material,
                   BUILT_IN if arguments.material is None else arguments.material.name,
-                  read_measurements(arguments.measured, arguments.scene), arguments.solver)
+                  read_measurements(arguments.measured, arguments.scene), arguments.solver, reduced=reduced)
     # Other solvers than the usual one may take longer than a tick for an equilibrium, which no hand may wait for.
-    other = arguments.solver != Scene.solver
+    other = arguments.solver not in (Scene.solver, "reduced")
     settings = PATIENT if other and not arguments.device else SETTINGS
     options: dict[str, Any] = {"resolution": arguments.resolution,
                                "settings": replace(settings, real_time=not arguments.no_real_time)}

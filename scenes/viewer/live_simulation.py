@@ -50,6 +50,7 @@ class LiveSimulation:
         solver: name in `tissue_sim.fem.solver.SOLVERS`.
         resolution: of the `Simulator`.
         settings: of the loop.
+        reduced: what the solver ``"reduced"`` steps.
 
     Attributes:
         phase, message: what it does, or why it ended.
@@ -59,9 +60,10 @@ class LiveSimulation:
     """
 
     def __init__(self, model: ts.Model, device: HapticDevice, *, solver: str = "axisymmetric",
-                 resolution: str = "realtime", settings: LoopSettings = SETTINGS):
+                 resolution: str = "realtime", settings: LoopSettings = SETTINGS,
+                 reduced: ts.ReducedModel | None = None):
         self._loop = LoopProcess(
-            real_time_tissue(model, solver=solver, resolution=resolution, budget=BUDGET,
+            real_time_tissue(model, solver=solver, resolution=resolution, budget=BUDGET, mesh=reduced,
                              simulator=ViewedSimulator), device,
             ForceRendering(ForceLimits(*_LIMITS)), settings)
         if settings.patience > PATIENCE:

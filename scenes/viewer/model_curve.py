@@ -14,7 +14,7 @@ class ModelCurve:
     """Computes `simulate(model)` again and again as the model changes. Close it.
 
     Args:
-        resolution, solver: as in `simulate`.
+        resolution, solver: as in `simulate`. reduced: what the solver ``"reduced"`` steps.
 
     Attributes:
         recording: of the last model that was computed; None before.
@@ -22,8 +22,9 @@ class ModelCurve:
         number: grows with each answer.
     """
 
-    def __init__(self, resolution: str = "fast", solver: str = "axisymmetric"):
-        self._resolution, self._solver = resolution, solver
+    def __init__(self, resolution: str = "fast", solver: str = "axisymmetric",
+                 reduced: ts.ReducedModel | None = None):
+        self._resolution, self._solver, self._reduced = resolution, solver, reduced
         self._pool = ProcessPool(1)
         self._wanted: ts.Model | None = None
         self._computed: Future | None = None
@@ -55,7 +56,8 @@ class ModelCurve:
         if self._computed is None and self._wanted is not None:
             wanted, self._wanted = self._wanted, None
             try:
-                self._computed = self._pool.submit(simulate_test, (wanted, self._resolution, self._solver))
+                self._computed = self._pool.submit(simulate_test, (wanted, self._resolution, self._solver,
+                                                                      self._reduced))
             except WorkerError as error:
                 self.problem, self.number = str(error), self.number + 1
 
@@ -73,6 +75,7 @@ class ModelCurve:
         self._pool.stop()
 
 
-def simulate_test(model: ts.Model, resolution: str, solver: str) -> ts.Recording:
+def simulate_test(model: ts.Model, resolution: str, solver: str,
+                  reduced: ts.ReducedModel | None = None) -> ts.Recording:
     """The whole test, in the worker."""
-    return ts.simulate(model, resolution=resolution, solver=solver)
+    return ts.simulate(model, resolution=resolution, solver=solver, mesh=reduced)

@@ -24,7 +24,7 @@ def within_top(experiment: Experiment, snapshot: Snapshot, across: tuple[float, 
         top = mesh.nodes[mesh.sets["top"], :2]
     else:
         angles = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
-        top = experiment.specimen.radius * np.column_stack([np.cos(angles), np.sin(angles)])
+        top = experiment.specimen.outer_radius * np.column_stack([np.cos(angles), np.sin(angles)])
     hull = ConvexHull(top)
     middle = top[hull.vertices].mean(axis=0)
     way = np.asarray(across, dtype=float) - middle

@@ -29,6 +29,7 @@ class Scene:
         measurements: by the name of the kind that they belong to.
         solver: name in `tissue_sim.fem.solver.SOLVERS`.
         rig: that the model's curve is measured with; the tool that is felt moves without it.
+        reduced: the solid that the solver ``"reduced"`` steps; else None.
         compared: a curve of this kind of test to begin with, beside the model's, and its name.
     """
 
@@ -40,6 +41,7 @@ class Scene:
     solver: str = "axisymmetric"
     rig: ts.Rig = field(default_factory=ts.Rig)
     compared: tuple[str, ts.Recording] | None = None
+    reduced: ts.ReducedModel | None = None
 
     @property
     def model(self) -> ts.Model:
@@ -59,7 +61,7 @@ class Scene:
     @property
     def half_width(self) -> float:
         """How far from its axis the undeformed specimen reaches, m."""
-        return self.experiment.specimen.radius
+        return self.experiment.specimen.outer_radius
 
     def with_scene(self, name: str, *, tool: ts.Tool | None = None, friction: str | float | None = None) -> Scene:
         """Another kind of test, tool or interface of the tool's face, on the same specimen with the same protocol.

@@ -61,7 +61,7 @@ class Session:
         self._device_waits, self._refused = False, ""
         self._resolution, self._settings = resolution, settings
         self._requests: queue.SimpleQueue[tuple[str, Callable | None, dict[str, Any]]] = queue.SimpleQueue()
-        self._curve, self.calibration = ModelCurve(curve_resolution, scene.solver), CalibrationRun()
+        self._curve, self.calibration = ModelCurve(curve_resolution, scene.solver, scene.reduced), CalibrationRun()
         self._curves, self._trace, self._frames = Curves(before=scene.compared), Trace(), 0
         #: Time from the beginning of a replay, and force, of the recording.
         self._replayed: tuple | None = None
@@ -311,7 +311,7 @@ class Session:
         self._forget_trace()
         self._material_is_late = False
         self._device_waits = self._device is not None
-        simulation = LiveSimulation(self.scene.model, self._hand(), solver=self.scene.solver,
+        simulation = LiveSimulation(self.scene.model, self._hand(), solver=self.scene.solver, reduced=self.scene.reduced,
                                     resolution=self._resolution, settings=self._settings)
         self._curve.ask(self._test())
         return simulation

@@ -17,7 +17,13 @@ from scenes.commands.shared.experiment_flags import (
     make_protocol,
 )
 from scenes.commands.shared.parsing import Parser, add_json, at_least, not_negative, positive
-from scenes.commands.shared.tissue_flags import add_solver_flags, check_solver, read_material
+from scenes.commands.shared.tissue_flags import (
+    add_reduced_flag,
+    add_solver_flags,
+    check_solver,
+    read_material,
+    read_reduced,
+)
 from tissue_sim.errors import InputError
 
 SUMMARY = "run the 1 kHz loop, along a motion or with a haptic device, and report how well it keeps its time"
@@ -40,6 +46,7 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument("--seconds", type=positive, metavar="N", default=60.0,
                         help="how long; Ctrl-C ends it earlier (default: 60)")
     add_solver_flags(parser)
+    add_reduced_flag(parser)
     source = parser.add_argument_group("source of the motion")
     source.add_argument("--motion", metavar="NAME[:SETTINGS]",
                         help=f"one of {', '.join(MOTIONS)}. random: as of a hand, with lift-offs; sine: up and down; "
@@ -94,15 +101,16 @@ def run(arguments) -> int:
     if name != "protocol" and arguments.protocol:
         raise InputError(f"a {name} motion has none; leave it out, or give --motion protocol", field="--protocol")
     check_solver(arguments.solver)
+    reduced = read_reduced(arguments)
 
     from haptics.loop.loop import LoopSettings
     from haptics.loop.multirate import real_time_tissue
     from haptics.loop.process import LoopError, LoopProcess
     from tissue_sim import Model
 
-    material = read_material(arguments.material)
-    protocol = make_protocol(arguments)
-    model = Model(make_experiment(arguments, protocol, material), material)
+    material = reduced.model.material if reduced and not arguments.material else read_material(arguments.material)
+    protocol = make_protocol(arguments, None if reduced is None else reduced.box.depth)
+    model = Model(reduced.model.experiment if reduced else make_experiment(arguments, protocol, material), material)
     settings = LoopSettings(seconds=arguments.seconds, spin=arguments.spin_us * 1e-6,
                             real_time=not arguments.no_real_time)
     device = open_named(arguments, name, protocol)
@@ -112,7 +120,7 @@ def run(arguments) -> int:
     inertia = "off" if rendering.coupling is not None and arguments.inertia == "auto" else arguments.inertia
     make_tissue = real_time_tissue(model, resolution=arguments.resolution, inertia=inertia,
                                    looks_ahead=rendering.coupling is not None,
-                                   budget=arguments.budget_us * 1e-6 or None, solver=arguments.solver)
+                                   budget=arguments.budget_us * 1e-6 or None, solver=arguments.solver, mesh=reduced)
     process = LoopProcess(make_tissue, device, rendering, settings, ring_path=arguments.ring)
     try:
         report, interrupted = follow(process, arguments.seconds, quiet=arguments.json)

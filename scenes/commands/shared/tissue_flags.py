@@ -10,7 +10,7 @@ from scenes.commands.shared.parsing import Parser
 from tissue_sim.errors import InputError, nearest
 
 if TYPE_CHECKING:
-    from tissue_sim import Material
+    from tissue_sim import Material, ReducedModel
 
 #: Meshes for real time; with a budget "realtime" is the finest of them that the computer steps in it.
 _RUNGS = ("realtime_120", "realtime_63", "realtime_35", "realtime_20")
@@ -29,6 +29,33 @@ def add_solver_flags(parser: Parser, resolutions: Sequence[str] = tuple(_RESOLUT
                              "%(default)s)")
     parser.add_argument("--solid", dest="solver", action="store_const", const="solid",
                         help="the same as --solver solid")
+
+
+def add_reduced_flag(parser: Parser) -> None:
+    """A reduced solid in place of the scene that the other flags state."""
+    parser.add_argument("--reduced", type=Path, metavar="FILE",
+                        help="step this reduced solid (NAME.reduced.npz of `tissue-sim reduce`), with its specimen, tool "
+                             "and interfaces")
+
+
+def read_reduced(arguments) -> ReducedModel | None:
+    """The reduced solid that is asked for; None where none is.
+
+    Raises:
+        InputError: flags of a scene or a solver beside it.
+    """
+    if arguments.reduced is None:
+        return None
+    if arguments.solver != "axisymmetric":
+        raise InputError("a reduced solid is stepped by a solver of its own; leave this out", field="--solver")
+    for name in ("tool", "friction", "friction_base", "friction_wall", "offset_mm", "tilt_deg"):
+        if getattr(arguments, name) is not None:
+            raise InputError("a reduced solid has it from its file; leave this out, or make another one",
+                             field=f"--{name.replace('_', '-')}")
+    from tissue_sim import load_reduced
+
+    arguments.solver = "reduced"
+    return load_reduced(arguments.reduced)
 
 
 def check_solver(name: str) -> None:

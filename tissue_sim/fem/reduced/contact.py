@@ -1,7 +1,7 @@
 """Contact of a reduced solid's surface with the tool.
 
-Constraints at nodes would lock: there are as many of them as there are modes. Instead the tool wears a thin elastic layer,
-whose springs are soft enough for the modes and stiff enough for the force: by `SOFTNESS` of the way it gives way.
+Constraints at nodes would lock: there are as many of them as there are modes. Instead the tool wears a thin elastic
+layer, whose springs are soft enough for the modes and stiff enough for the force.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ class LayerContact:
         nodes: numbers, shape (n,). forces: on the tissue, N, shape (n, 3). touched: which of them press.
     """
 
-    def __init__(self, bodies: Sequence[Body], places: np.ndarray, areas: np.ndarray, basis: np.ndarray, *, reach: float,
-                 softness: float):
+    def __init__(self, bodies: Sequence[Body], places: np.ndarray, areas: np.ndarray, basis: np.ndarray, *,
+                 reach: float, softness: float):
         moving = [body for body in bodies if body.moves]
         owner: dict[int, Body] = {}
         for body in moving:
@@ -111,8 +111,8 @@ class LayerContact:
         return np.matmul(self._rates[self._touching], self._way(frame)) + turned_with(self.forces[self._touching])
 
     def stiffness(self, frame: Frame, answer: np.ndarray) -> np.ndarray:
-        """Minus the derivative of the wrench with the pose of the tool, (6, 6), where the amplitudes answer it so, shape
-        (modes, 6)."""
+        """Minus the derivative of the wrench with the pose of the tool, (6, 6), where the amplitudes answer it so,
+        shape (modes, 6)."""
         if not self._touching.size:
             return np.zeros((6, 6))
         moves = np.matmul(self._touching_rows, answer)

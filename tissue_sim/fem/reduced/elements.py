@@ -118,6 +118,7 @@ class SampledElements:
         self._wanted[:] = 0.0
         self._wanted[np.arange(self._next, self._next + anew) % groups] = 1.0
         self._next = (self._next + anew) % groups
+        assert self._kernel is not None
         with LOCK:
             self._kernel()
 

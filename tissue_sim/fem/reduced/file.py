@@ -42,7 +42,8 @@ def write_reduced(reduced: ReducedModel, path: str | Path) -> None:
     arrays |= {f"set {name}": each for name, each in mesh.sets.items()}
     arrays |= {f"faces {name}": each for name, each in mesh.faces.items()}
     stream = io.BytesIO()
-    np.savez_compressed(stream, description=np.array(json.dumps(_description(reduced))), **arrays)
+    named: dict[str, Any] = {"description": np.array(json.dumps(_description(reduced))), **arrays}
+    np.savez_compressed(stream, **named)
     write_bytes(path, stream.getvalue())
 
 
@@ -51,8 +52,8 @@ def _description(reduced: ReducedModel) -> dict[str, Any]:
     specimen, tool, box = experiment.specimen, experiment.tool, reduced.box
     for kind, from_file in (("tool", tool.from_file), ("specimen", specimen.shape == "mesh")):
         if from_file:
-            raise InputError(f"the shape of the {kind} is in a file of its own, which a reduced solid does not keep; use "
-                             "a shape by its sizes", field=kind)
+            raise InputError(f"the shape of the {kind} is in a file of its own, which a reduced solid does not keep; "
+                             "use a shape by its sizes", field=kind)
     return {
         "schema": "tissue_sim.reduced", "version": VERSION, "element": reduced.mesh.element.name,
         "lifting": reduced.lifting, "softness": reduced.softness, "report": reduced.report,
@@ -94,8 +95,8 @@ def _checked(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> Redu
         if description["schema"] != "tissue_sim.reduced":
             raise KeyError("schema")
         if description["version"] != VERSION:
-            raise InputError(f"version {description['version']} is not the one that this program reads, {VERSION}; make "
-                             "it again with `tissue-sim reduce`", field="version")
+            raise InputError(f"version {description['version']} is not the one that this program reads, {VERSION}; "
+                             "make it again with `tissue-sim reduce`", field="version")
         element = SOLID_ELEMENTS[description["element"]]
         nodes, connectivity, basis = arrays["nodes"], arrays["connectivity"], arrays["basis"]
         elements, shares = arrays["elements"], arrays["shares"]
@@ -111,17 +112,18 @@ def _checked(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> Redu
     numbers = (connectivity, elements, *sets.values(), *faces.values())
     fits = (all(each.dtype.kind in "iu" and each.size for each in numbers) and nodes.ndim == connectivity.ndim == 2
             and nodes.shape[1] == 3 and connectivity.shape[1] == element.nodes
-            and all(0 <= each.min() and each.max() < len(nodes)
+            and all(each.min() >= 0 and each.max() < len(nodes)
                     for each in (connectivity, *sets.values(), *faces.values()))
-            and 0 <= elements.min() and elements.max() < len(connectivity)
+            and elements.min() >= 0 and elements.max() < len(connectivity)
             and basis.ndim == 2 and len(basis) == nodes.size and elements.shape == shares.shape
-            and lifting in (0, 12) and lifting < basis.shape[1] and {"top", "base", "side", "face", "free"} <= sets.keys()
+            and lifting in (0, 12) and lifting < basis.shape[1]
+            and {"top", "base", "side", "face", "free"} <= sets.keys()
             and all(np.isfinite(each).all() for each in (nodes, basis, shares)) and bool((shares > 0.0).all())
             and 0.0 < softness < 1.0 and isinstance(report, dict))
     if not fits:
         raise InputError("its arrays do not fit each other; make it again with `tissue-sim reduce`")
-    as_numbers = [{name: each.astype(np.intp) for name, each in group.items()} for group in (sets, faces)]
-    mesh = SolidMesh(element, nodes, connectivity.astype(np.intp), *as_numbers)
+    sets, faces = ({name: each.astype(np.intp) for name, each in group.items()} for group in (sets, faces))
+    mesh = SolidMesh(element, nodes, connectivity.astype(np.intp), sets, faces)
     return ReducedModel(Model(experiment, material), mesh, basis, lifting, elements.astype(np.intp), shares, box,
                         softness, report)
 

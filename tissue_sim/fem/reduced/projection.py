@@ -49,8 +49,8 @@ def projection_kernel(element_name: str, energy: KernelEnergy):
 
     @ti.func
     def project(b, modes, group, basis: ti.template(), stiffness: ti.template(), tangents: ti.template()):
-        """Add the stiffness of a batch between the modes to that of its group; two modes at a time share what is read of
-        the stiffness."""
+        """Add the stiffness of a batch between the modes to that of its group; two modes at a time share what is read
+        of the stiffness."""
         for half in range(modes // 2):
             j = 2 * half
             for i in range(2 * freedoms):

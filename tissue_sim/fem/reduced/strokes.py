@@ -1,13 +1,14 @@
 """Motions of a tool in a box of poses, from which a reduced solid is made and on which it is tried.
 
-A stroke of a tool that can lift off comes down somewhere, presses, is dragged and turned to another place and lifted; one
-that holds tissue goes through a few poses and back. The n-th stroke is the same on every computer: its poses are those of
-Sobol's sequence (Joe and Kuo, SIAM J. Sci. Comput. 30 (2008) 2635, in SciPy).
+A stroke of a tool that can lift off comes down somewhere, presses, is dragged and turned to another place and lifted;
+one that holds tissue goes through a few poses and back. The n-th stroke is the same on every computer: its poses are
+those of Sobol's sequence (Joe and Kuo, SIAM J. Sci. Comput. 30 (2008) 2635, in SciPy).
 """
 
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 
@@ -39,7 +40,7 @@ def stroke(number: int, box: PoseBox, start: Pose, *, holds: bool, reach: float)
         above = _beside(first, start, 0.0)
         corners = [_beside(first, start, -0.1 * box.depth), above, first, second, _beside(second, start, 0.0)]
     poses = [corners[0]]
-    for one, other in zip(corners[:-1], corners[1:], strict=True):
+    for one, other in pairwise(corners):
         x, y, z, *turn = motion(one, other)
         count = math.ceil((math.hypot(x, y, z) + reach * math.hypot(*turn)) / (_STEP * reach) - 1e-9)
         poses += [between(one, other, (k + 1) / count) for k in range(count)]

@@ -1,8 +1,8 @@
 """Making a reduced solid: what the whole one does, the modes in it, and the elements that stand for all.
 
 Modes are the left singular vectors of displacements (proper orthogonal decomposition; Sirovich, Quart. Appl. Math. 45
-(1987) 561). What a tool holds is lifted into the solid by the elastic solutions for its twelve motions (three ways, and the
-nine entries of a rotation), so that the modes need not know them.
+(1987) 561). What a tool holds is lifted into the solid by the elastic solutions for its twelve motions (three ways, and
+the nine entries of a rotation), so that the modes need not know them.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from tissue_sim.pose import Pose, between
 LIFTING = 12
 #: Linear solves of a step of the whole solid, and parts that it is cut into where it does not come through.
 _MOST_SOLVES, _CUTS = 40, 3
-#: States whose forces are less than this share of the largest are left out where elements are chosen, and as many of the
-#: others are looked at.
+#: States whose forces are less than this share of the largest are left out where elements are chosen, and so many of
+#: the others are looked at.
 _LEAST_FORCE, _LOOKED_AT = 0.02, 240
 #: Steps of the reduced solid on the way of one of the whole.
 _FINER = 8
@@ -200,8 +200,8 @@ def verify(reduced: ReducedModel, solver: SolidSolver, numbers: Sequence[int],
             progress(done + 1, len(numbers))
     error, force = (np.linalg.norm(np.array(each), axis=1) for each in (missed, forces))
     rms = float(np.sqrt(np.mean(force**2)))
-    return {"force_rms_error": float(np.sqrt(np.mean(error**2))) / rms, "force_largest_error": float(error.max()) / rms,
-            "force_rms_N": rms, "not_converged": lost / steps}
+    return {"force_rms_error": float(np.sqrt(np.mean(error**2))) / rms,
+            "force_largest_error": float(error.max()) / rms, "force_rms_N": rms, "not_converged": lost / steps}
 
 
 def assemble(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[Snapshots], poses: Sequence[Sequence[Pose]], *,

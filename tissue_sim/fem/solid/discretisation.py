@@ -239,8 +239,8 @@ def _moving(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray) -> list
 
 
 def tool_contact(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray) -> tuple[list[Body], float]:
-    """The tool with the nodes that may meet it, and the height of the scene's origin in the frame of the undeformed mesh
-    where it first touches, m; `bonded` are the nodes that it holds."""
+    """The tool with the nodes that may meet it, and the height of the scene's origin in the frame of the undeformed
+    mesh where it first touches, m; `bonded` are the nodes that it holds."""
     bodies, start = _moving(experiment, mesh, bonded), experiment.tool_pose(0.0)
     return bodies, _touching_height(mesh.nodes[mesh.sets["top"]], bodies, start, float(np.ptp(mesh.nodes[:, 2])))
 

@@ -16,8 +16,8 @@ from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.solid import SOLID_ELEMENTS
 
-#: Places in `settings` of kernels: bulk modulus, Pa; whether the tangent is wanted; whether the tissue remembers; whether
-#: forces and stiffness are added to what other elements have left.
+#: Places in `settings` of kernels: bulk modulus, Pa; whether the tangent is wanted; whether the tissue remembers;
+#: whether forces and stiffness are added to what other elements have left.
 KAPPA, TANGENT, REMEMBERS, ADDS = range(4)
 #: Most nodes, points and pressure modes of an element.
 _NODES, _POINTS, _MODES = 27, 27, 4

@@ -72,8 +72,9 @@ class SolidFields:
         Args:
             elements: their numbers, shape (m,).
         """
-        return replace(self, mesh=replace(self.mesh, connectivity=self.mesh.connectivity[elements], regions={}),
-                       bulk_modulus=self.bulk_modulus[elements], pressures=self.pressures[:, elements], gradients=self.gradients[elements],
+        mesh = replace(self.mesh, connectivity=self.mesh.connectivity[elements], regions={})
+        return replace(self, mesh=mesh, bulk_modulus=self.bulk_modulus[elements],
+                       pressures=self.pressures[:, elements], gradients=self.gradients[elements],
                        pressure_modes=self.pressure_modes[elements], weights=self.weights[elements],
                        moduli=self.moduli[elements],
                        stresses=None if self.stresses is None else self.stresses[:, elements])
@@ -126,7 +127,8 @@ class SolidFields:
         p = np.einsum("eqm,em->eq", self.pressure_modes, self.pressures[sample])
         if name == "energy":
             energy, _ = self._response(principal_stretches(left))
-            return modulus * self.material.instantaneous_factor * energy + p**2 / (2.0 * self.bulk_modulus[:, None] * modulus)
+            own = modulus * self.material.instantaneous_factor * energy
+            return own + p**2 / (2.0 * self.bulk_modulus[:, None] * modulus)
         scale = modulus / J
         if self.stresses is None and name in ("pressure", "von_mises"):
             # Of principal stresses, without their directions.
@@ -150,8 +152,9 @@ class SolidFields:
         base = replace(self.material, regions={})
         taken = np.concatenate(list(self.mesh.regions.values()))
         found = np.empty(self.weights.shape)
-        for elements, material in [(np.setdiff1d(np.arange(count), taken), base),
-                                   *((each, materials.get(region, base)) for region, each in self.mesh.regions.items())]:
+        parts = [(np.setdiff1d(np.arange(count), taken), base)]
+        parts += [(each, materials.get(region, base)) for region, each in self.mesh.regions.items()]
+        for elements, material in parts:
             found[elements] = replace(self.part(elements), material=material).at_points(name, sample)
         return found
 
