@@ -15,7 +15,6 @@ from scenes.commands.shared.experiment_flags import add_experiment_flags, check_
 from scenes.commands.shared.parsing import Parser, add_json, at_least, not_negative, positive
 from scenes.commands.shared.tissue_flags import add_reduced_flag, add_solver_flags, check_solver, read_reduced
 from scenes.stop_signals import stopped_by_signals
-
 from tissue_sim.errors import InputError
 
 if TYPE_CHECKING:

@@ -311,8 +311,8 @@ class Session:
         self._forget_trace()
         self._material_is_late = False
         self._device_waits = self._device is not None
-        simulation = LiveSimulation(self.scene.model, self._hand(), solver=self.scene.solver, reduced=self.scene.reduced,
-                                    resolution=self._resolution, settings=self._settings)
+        simulation = LiveSimulation(self.scene.model, self._hand(), solver=self.scene.solver,
+                                    resolution=self._resolution, settings=self._settings, reduced=self.scene.reduced)
         self._curve.ask(self._test())
         return simulation
 

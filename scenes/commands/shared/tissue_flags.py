@@ -34,8 +34,8 @@ def add_solver_flags(parser: Parser, resolutions: Sequence[str] = tuple(_RESOLUT
 def add_reduced_flag(parser: Parser) -> None:
     """A reduced solid in place of the scene that the other flags state."""
     parser.add_argument("--reduced", type=Path, metavar="FILE",
-                        help="step this reduced solid (NAME.reduced.npz of `tissue-sim reduce`), with its specimen, tool "
-                             "and interfaces")
+                        help="step this reduced solid (NAME.reduced.npz of `tissue-sim reduce`), with its specimen, "
+                             "tool and interfaces")
 
 
 def read_reduced(arguments) -> ReducedModel | None:

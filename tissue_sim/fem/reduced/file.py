@@ -56,7 +56,8 @@ def _description(reduced: ReducedModel) -> dict[str, Any]:
                              "use a shape by its sizes", field=kind)
     return {
         "schema": "tissue_sim.reduced", "version": VERSION, "element": reduced.mesh.element.name,
-        "lifting": reduced.lifting, "softness": reduced.softness, "report": reduced.report,
+        "lifting": reduced.lifting, "softness": reduced.softness,
+        "bulk_ratio": reduced.bulk_ratio, "report": reduced.report,
         "box": {"sideways": box.sideways, "depth": box.depth, "turn": box.turn},
         "material": msgspec.to_builtins(MaterialFile.of(reduced.model.material)),
         "experiment": {
@@ -102,7 +103,8 @@ def _checked(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> Redu
         elements, shares = arrays["elements"], arrays["shares"]
         sets = {name.removeprefix("set "): each for name, each in arrays.items() if name.startswith("set ")}
         faces = {name.removeprefix("faces "): each for name, each in arrays.items() if name.startswith("faces ")}
-        lifting, softness, report = description["lifting"], float(description["softness"]), description["report"]
+        lifting, report = description["lifting"], description["report"]
+        softness, bulk_ratio = float(description["softness"]), float(description["bulk_ratio"])
         box = PoseBox(**description["box"])
         material = decode_material_file(description["material"]).material
         experiment = _experiment(description["experiment"], box)
@@ -119,13 +121,13 @@ def _checked(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> Redu
             and lifting in (0, 12) and lifting < basis.shape[1]
             and {"top", "base", "side", "face", "free"} <= sets.keys()
             and all(np.isfinite(each).all() for each in (nodes, basis, shares)) and bool((shares > 0.0).all())
-            and 0.0 < softness < 1.0 and isinstance(report, dict))
+            and 0.0 < softness < 1.0 and bulk_ratio >= 1.0 and isinstance(report, dict))
     if not fits:
         raise InputError("its arrays do not fit each other; make it again with `tissue-sim reduce`")
     sets, faces = ({name: each.astype(np.intp) for name, each in group.items()} for group in (sets, faces))
     mesh = SolidMesh(element, nodes, connectivity.astype(np.intp), sets, faces)
     return ReducedModel(Model(experiment, material), mesh, basis, lifting, elements.astype(np.intp), shares, box,
-                        softness, report)
+                        softness, bulk_ratio, report)
 
 
 def _experiment(stated: dict[str, Any], box: PoseBox) -> Experiment:

@@ -65,6 +65,8 @@ class ReducedModel:
         lifting: modes whose amplitudes the tool's pose says: 12 where it holds tissue, else 0.
         elements: numbers of those that are looked at, shape (n,); shares: how many each stands for.
         box: of poses.
+        bulk_ratio: bulk modulus at most, over mu0. What is added up of modes changes its volume a little, and a stiffer
+            bulk would make that resist; the force itself hardly depends on it.
         softness: share of the contact's reach by which the layer between tool and tissue gives way.
         report: how it was made and how good it is: ``freedoms``, ``modes``, ``elements``, ``snapshots``,
             ``force_rms_error`` and ``force_largest_error`` over the rms force, on motions that it was not made of.
@@ -78,4 +80,5 @@ class ReducedModel:
     shares: np.ndarray
     box: PoseBox
     softness: float
+    bulk_ratio: float
     report: dict[str, Any] = field(default_factory=dict)

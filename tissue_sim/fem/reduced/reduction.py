@@ -16,11 +16,11 @@ from tissue_sim.fem.reduced.model import PoseBox, ReducedModel
 from tissue_sim.fem.reduced.strokes import stroke
 from tissue_sim.model import Model
 
-#: Strokes, modes and error of the sampled forces where nothing is said, of a tool that holds tissue and of one that
-#: touches it.
-STROKES, MODES, SAMPLING = {True: 40, False: 80}, {True: 24, False: 80}, 6e-3
-#: Share of the contact's reach by which the layer gives way, and unseen strokes on which the result is tried.
-SOFTNESS, TRIED = 3e-3, 3
+#: Strokes, modes and largest bulk modulus over mu0, of a tool that holds tissue and of one that touches it.
+STROKES, MODES, BULK_RATIO = {True: 24, False: 60}, {True: 24, False: 64}, {True: 300.0, False: 100.0}
+#: Error of the sampled forces, share of the contact's reach by which the layer gives way, and unseen strokes on which the
+#: result is tried.
+SAMPLING, SOFTNESS, TRIED = 6e-3, 1e-3, 3
 
 
 class Progress(Protocol):
@@ -73,6 +73,7 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     count = len(mesh.connectivity)
     reduced = training.assemble(
         model, mesh, box, taken, poses, count=modes, tolerance=sampling, softness=softness,
+        bulk_ratio=BULK_RATIO[holds],
         progress=lambda elements, error: tell("elements", elements, count, note=f"error {100 * error:.2g} %"))
     numbers = range(training.UNSEEN, training.UNSEEN + tried)
     report = training.verify(reduced, solver, numbers, lambda done, of: tell("trial", done, of))

@@ -32,9 +32,6 @@ _DESCENT, _MOST_HALVINGS = 0.1, 5
 #: Groups of elements whose stiffness is computed at one time; in an iteration after the first, no stiffness is computed
 #: anew while the unbalanced forces shrink to this share each time.
 _GROUPS, _FAST = 8, 0.2
-#: Bulk modulus at most, over mu0: what is added up of modes changes its volume a little, and a stiffer bulk makes that
-#: resist. What the tissue does hardly depends on it from here on (a quarter of a per cent of a punch's force).
-STIFFEST_BULK = 300.0
 #: Smallest J of an element that is not about to turn inside out.
 _LEAST = 0.02
 
@@ -83,7 +80,7 @@ class ReducedSolver(Solver):
 
     def set_material(self, material: Material) -> None:
         """Change parameters, bulk response or law; the state is kept. See `Solver.set_material`."""
-        bulk = reduced_bulk(material, self.mesh)
+        bulk = min(bulk_modulus(material, self.mesh), self.reduced.bulk_ratio * material.mu0)
         self.elements.set_material(material, bulk)
         before: float = self._modulus or material.mu0
         self.material, self._modulus = material, material.mu0
@@ -254,11 +251,6 @@ class ReducedSolver(Solver):
         if self.contact.has_friction:
             report["slipping_points"] = 0
         return report
-
-
-def reduced_bulk(material: Material, mesh: SolidMesh) -> float:
-    """Bulk modulus with which a reduced solid is computed, Pa; errors as `bulk_modulus`."""
-    return min(bulk_modulus(material, mesh), STIFFEST_BULK * material.mu0)
 
 
 def make_solver(model: Model, *, resolution: str = "realtime", mesh: SolidMesh | ReducedModel | None = None,

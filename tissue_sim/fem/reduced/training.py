@@ -15,10 +15,11 @@ import numpy as np
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.fem.reduced.model import PoseBox, ReducedModel
 from tissue_sim.fem.reduced.sampling import sparse_weights
-from tissue_sim.fem.reduced.solver import ReducedSolver, reduced_bulk
+from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.fem.reduced.strokes import stroke
 from tissue_sim.fem.solid.discretisation import build_mesh, make_solver
 from tissue_sim.fem.solid.solver import SolidSolver
+from tissue_sim.fem.solid.tissue import bulk_modulus
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
@@ -144,9 +145,10 @@ def modes(states: np.ndarray, lifted: np.ndarray, amplitudes: np.ndarray, count:
 
 
 def sample_elements(solver: SolidSolver, basis: np.ndarray, lifting: int, states: np.ndarray, amplitudes: np.ndarray,
-                    wrenches: np.ndarray, tolerance: float,
+                    wrenches: np.ndarray, tolerance: float, bulk: float,
                     progress: Callable[[int, float], None] | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Elements that stand for all, and for how many each: their forces on the modes at the states that the modes hold.
+    """Elements that stand for all, and for how many each: their forces on the modes at the states that the modes hold,
+    with a bulk modulus, Pa.
 
     Returns:
         Numbers and shares, shape (n,).
@@ -157,7 +159,6 @@ def sample_elements(solver: SolidSolver, basis: np.ndarray, lifting: int, states
     looked_at = strong[np.linspace(0, strong.size - 1, min(_LOOKED_AT, strong.size)).astype(int)]
     scale = np.linalg.norm(basis, axis=0)
     scale[scale < 1e-12 * scale.max()] = 1.0  # a flat face has no height that a rotation could move
-    bulk = reduced_bulk(solver.material, mesh)
     rows = (basis / scale).reshape(-1, 3, basis.shape[1])[mesh.connectivity].reshape(
         len(mesh.connectivity), -1, basis.shape[1])
     contributions = []
@@ -204,8 +205,8 @@ def verify(reduced: ReducedModel, solver: SolidSolver, numbers: Sequence[int],
             "force_largest_error": float(error.max()) / rms, "force_rms_N": rms, "not_converged": lost / steps}
 
 
-def assemble(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[Snapshots], poses: Sequence[Sequence[Pose]], *,
-             count: int, tolerance: float, softness: float,
+def assemble(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[Snapshots],
+             poses: Sequence[Sequence[Pose]], *, count: int, tolerance: float, softness: float, bulk_ratio: float,
              progress: Callable[[int, float], None] | None = None) -> ReducedModel:
     """The reduced solid that snapshots along strokes give.
 
@@ -213,7 +214,7 @@ def assemble(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[Snapsh
         model, mesh, box: of the solid.
         taken: what it did; poses: on which poses.
         count: modes beside the lifted ones; tolerance: of the forces of the sampled elements over those of all.
-        softness: see `ReducedModel`.
+        softness, bulk_ratio: see `ReducedModel`.
         progress: called with the number of elements and their error so far.
     """
     solver = whole_solver(model, mesh)
@@ -223,12 +224,13 @@ def assemble(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[Snapsh
     lifting = lifted.shape[1]
     amplitudes = np.array([solver.lifted_amplitudes(pose) for each in poses for pose in each])[:, :lifting]
     basis, singular = modes(states, lifted, amplitudes, count)
-    elements, shares = sample_elements(solver, basis, lifting, states, amplitudes, wrenches, tolerance, progress)
+    elements, shares = sample_elements(solver, basis, lifting, states, amplitudes, wrenches, tolerance,
+                                       min(bulk_modulus(model.material, mesh), bulk_ratio * model.material.mu0), progress)
     kept = basis.shape[1] - lifting
     report = {"freedoms": int(states.shape[1]), "modes": kept, "elements": int(elements.size),
               "elements_of_all": len(mesh.connectivity), "snapshots": int(states.shape[0]),
               "energy_left_out": float((singular[kept:] ** 2).sum() / (singular**2).sum())}
-    return ReducedModel(model, mesh, basis, lifting, elements, shares, box, softness, report)
+    return ReducedModel(model, mesh, basis, lifting, elements, shares, box, softness, bulk_ratio, report)
 
 
 def with_report(reduced: ReducedModel, **more: float) -> ReducedModel:

@@ -188,8 +188,8 @@ def _ringed(experiment: Experiment) -> RingedCylinder:
     """
     specimen, tool = experiment.specimen, experiment.tool
     if not isinstance(specimen, Cylinder):
-        raise InputError(f"the mesh of {with_article(specimen.shape)} cannot be moved to another geometry; fit no sizes "
-                         "of it", field="topology")
+        raise InputError(f"the mesh of {with_article(specimen.shape)} cannot be moved to another geometry; fit no "
+                         "sizes of it", field="topology")
     if tool.is_plate:
         return RingedCylinder(specimen.radius, specimen.height, PLATE_RING * specimen.radius, (0.0, 0.0))
     offset = 0.0 if experiment.approach is None else experiment.approach.offset
