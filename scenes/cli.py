@@ -49,8 +49,6 @@ COMMANDS = {
     "devices": devices,
     "emulate": emulate,
 }
-#: Names that are settled and answered as not available in this version.
-LATER: tuple[str, ...] = ()
 DONE, GOAL_MISSED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
@@ -118,10 +116,8 @@ def _refuse_unknown_names(words: list[str]) -> None:
     if not words or words[0].startswith("-"):
         return
     name = words[0]
-    if name in LATER:
-        raise InputError(later_answer(f"command {name!r}"))
     if name not in COMMANDS:
-        raise InputError(f"unknown command {name!r}{nearest(name, (*COMMANDS, *LATER))}")
+        raise InputError(f"unknown command {name!r}{nearest(name, COMMANDS)}")
     actions = getattr(COMMANDS[name], "ACTIONS", ())
     if actions and len(words) > 1 and not words[1].startswith("-"):
         if words[1] in COMMANDS[name].LATER:

@@ -19,9 +19,9 @@ def contact_kernel():
     """Kernel of the forces on nodes, in the frame of the mesh, and of minus their derivatives with the nodes' places.
 
     A node that is x away from the body is pressed by spring times phi(x): phi is -x where x < -zone, 0 where x > zone
-    and a parabola between them. Along the surface its anchor, which stands in the frame of the body, holds it by the same
-    spring, up to friction times pressure. ``first`` is the first line of the outline that a node may meet, ``closed``
-    whether a sharp shaft goes on downwards for it.
+    and a parabola between them. Along the surface its anchor, which stands in the frame of the body, holds it by the
+    same spring, up to friction times pressure. ``first`` is the first line of the outline that a node may
+    meet, ``closed`` whether a sharp shaft goes on downwards for it.
     """
     ti = initialise()
     real1, real2, real3 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2, 3))

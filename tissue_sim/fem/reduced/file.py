@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import json
+import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -86,9 +88,9 @@ def _read(path: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         with np.load(path, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
         return json.loads(str(arrays.pop("description"))), arrays
-    except (ValueError, KeyError, OSError, EOFError) as error:
-        raise InputError(f"expected {_EXPECTED}, and it is damaged or none ({error}); make it again with "
-                         "`tissue-sim reduce`", file=path) from None
+    except (ValueError, KeyError, OSError, EOFError, AttributeError, zipfile.BadZipFile, zlib.error):
+        raise InputError(f"expected {_EXPECTED}, and it is damaged or none; make it again with `tissue-sim reduce`",
+                         file=path) from None
 
 
 def _checked(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> ReducedModel:

@@ -18,8 +18,8 @@ from tissue_sim.model import Model
 
 #: Strokes, modes and largest bulk modulus over mu0, of a tool that holds tissue and of one that touches it.
 STROKES, MODES, BULK_RATIO = {True: 24, False: 60}, {True: 24, False: 64}, {True: 300.0, False: 100.0}
-#: Error of the sampled forces, share of the contact's reach by which the layer gives way, and unseen strokes on which the
-#: result is tried.
+#: Error of the sampled forces, share of the contact's reach by which the layer gives way, and unseen strokes on which
+#: the result is tried.
 SAMPLING, SOFTNESS, TRIED = 6e-3, 1e-3, 3
 
 

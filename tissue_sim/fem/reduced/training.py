@@ -224,8 +224,8 @@ def assemble(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[Snapsh
     lifting = lifted.shape[1]
     amplitudes = np.array([solver.lifted_amplitudes(pose) for each in poses for pose in each])[:, :lifting]
     basis, singular = modes(states, lifted, amplitudes, count)
-    elements, shares = sample_elements(solver, basis, lifting, states, amplitudes, wrenches, tolerance,
-                                       min(bulk_modulus(model.material, mesh), bulk_ratio * model.material.mu0), progress)
+    bulk = min(bulk_modulus(model.material, mesh), bulk_ratio * model.material.mu0)
+    elements, shares = sample_elements(solver, basis, lifting, states, amplitudes, wrenches, tolerance, bulk, progress)
     kept = basis.shape[1] - lifting
     report = {"freedoms": int(states.shape[1]), "modes": kept, "elements": int(elements.size),
               "elements_of_all": len(mesh.connectivity), "snapshots": int(states.shape[0]),

@@ -1,0 +1,284 @@
+"""Reduced solids: sampled elements and modes against the whole solid, contact, files, and poses outside of the box."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import tissue_sim as ts
+from tissue_sim.fem.reduced import training
+from tissue_sim.fem.reduced.contact import LayerContact
+from tissue_sim.fem.reduced.reduction import reduce_solid
+from tissue_sim.fem.reduced.sampling import sparse_weights
+from tissue_sim.fem.reduced.solver import ReducedSolver
+from tissue_sim.fem.reduced.strokes import stroke
+from tissue_sim.fem.solid.contact import Body, Frame
+from tissue_sim.fem.solver import StepStatus
+from tissue_sim.pose import turned
+
+MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e3))
+DEPTH = 3e-3
+
+
+def model(tool: ts.Tool, **faces) -> ts.Model:
+    """A flat specimen under a needle."""
+    experiment = ts.KINDS["needle_indentation"].experiment(
+        specimen=ts.Specimen(0.03, 0.02), protocol=ts.Protocol.ramp(DEPTH, points=2), tool=tool, **faces)
+    return ts.Model(experiment, MATERIAL)
+
+
+@pytest.fixture(scope="module")
+def held():
+    """Of a flat needle that holds tissue, sideways and turned."""
+    box = ts.PoseBox(1.5e-3, DEPTH, 0.06)
+    return reduce_solid(model(ts.Tool("flat", radius=8e-3), friction="bonded"), box, strokes=8, modes=20, tried=1)
+
+
+@pytest.fixture(scope="module")
+def touched():
+    """Of a ball with friction that comes down on the axis."""
+    return reduce_solid(model(ts.Tool("round", radius=8e-3), friction=0.3), ts.PoseBox(0.0, DEPTH, 0.0), strokes=6,
+                        modes=12, tried=1)
+
+
+class TestSampling:
+    def test_few_weights_that_add_up(self):
+        rng = np.random.default_rng(0)
+        # Twelve kinds of elements: one of each kind is enough.
+        contributions = rng.normal(size=(12, 12))[:, rng.integers(0, 12, 300)]
+        weights = sparse_weights(contributions, 1e-3)
+        assert (weights >= 0.0).all() and (weights > 0.0).sum() <= 12
+        goal = contributions.sum(axis=1)
+        assert np.linalg.norm(contributions @ weights - goal) <= 1.1e-3 * np.linalg.norm(goal)
+
+    def test_all_where_nothing_acts(self):
+        np.testing.assert_array_equal(sparse_weights(np.zeros((3, 4)), 1e-3), np.ones(4))
+
+
+class TestStrokes:
+    @pytest.mark.parametrize("holds", [True, False])
+    def test_they_stay_in_the_box(self, holds):
+        box, start = ts.PoseBox(2e-3, DEPTH, 0.1), ts.Pose((1e-3, 0.0, 0.0))
+        poses = [pose for number in range(20) for pose in stroke(number, box, start, holds=holds, reach=5e-3)]
+        assert all(box.holds(pose, start) for pose in poses)
+        assert np.ptp([pose.position[0] for pose in poses]) > 3e-3      # and fill it
+        assert max(pose.depth for pose in poses) > 0.9 * DEPTH
+
+    def test_the_same_on_every_call(self):
+        box, start = ts.PoseBox(2e-3, DEPTH), ts.Pose((0.0, 0.0, 0.0))
+        assert stroke(7, box, start, holds=True, reach=5e-3) == stroke(7, box, start, holds=True, reach=5e-3)
+
+
+class TestForces:
+    def test_held_tissue_on_unseen_strokes(self, held):
+        report = held.report
+        assert report["force_rms_error"] < 0.01 and report["not_converged"] == 0.0
+        assert report["elements"] < 0.5 * report["elements_of_all"]
+
+    def test_touched_tissue_on_unseen_strokes(self, touched):
+        assert touched.report["force_rms_error"] < 0.04 and touched.report["not_converged"] == 0.0
+
+    def test_all_elements_and_all_states_give_back_the_whole_solid(self):
+        """Three states in three modes, every element once: at these states the forces are those of the whole."""
+        whole = model(ts.Tool("flat", radius=8e-3), friction="bonded")
+        box = ts.PoseBox(0.0, DEPTH)
+        mesh = training.training_mesh(whole, box, "realtime")
+        solver = training.whole_solver(whole, mesh)
+        poses = [ts.Pose.at_depth(depth) for depth in (1e-3, 2e-3, 3e-3)]
+        taken = training.snapshots(solver, poses)
+        reduced = training.assemble(whole, mesh, box, [taken], [poses], count=3, tolerance=0.5, softness=1e-3,
+                                    bulk_ratio=1e9)
+        count = len(mesh.connectivity)
+        reduced = replace(reduced, elements=np.arange(count), shares=np.ones(count))
+        small = ReducedSolver(reduced, MATERIAL)
+        for pose, wrench in zip(poses, taken.wrenches, strict=True):
+            for part in np.linspace(0.75e-3, 0.0, 4):
+                step = small.step(ts.Pose.at_depth(pose.depth - part))
+                assert step.status is StepStatus.CONVERGED
+            assert step.force == pytest.approx(wrench[2], rel=2e-4)
+
+    @pytest.mark.parametrize("which", ["held", "touched"])
+    def test_the_stiffness_is_the_derivative(self, which, request):
+        reduced = request.getfixturevalue(which)
+        simulator = ReducedSolver(reduced, MATERIAL)
+        simulator.ask_for_stiffness()
+        for depth in (0.5e-3, 1e-3, 1.5e-3, 2e-3):
+            step = simulator.step(ts.Pose.at_depth(depth))
+        # Where nothing has moved since the last equilibrium, and with the stiffness of this state alone.
+        for _ in range(10):
+            step = simulator.step(ts.Pose.at_depth(2e-3))
+        saved, width = simulator.save(), 1e-6
+        wrenches = []
+        for depth in (2e-3 + width, 2e-3 - width):
+            simulator.restore(saved)
+            wrenches.append(simulator.step(ts.Pose.at_depth(depth), tolerance=1e-9).force)
+        assert step.stiffness == pytest.approx((wrenches[0] - wrenches[1]) / (2 * width), rel=0.02)
+
+    def test_another_material(self, held):
+        """The law is evaluated anew: twice as stiff is twice the force."""
+        forces = []
+        for factor in (1.0, 2.0):
+            material = ts.with_values(MATERIAL, {name: factor * value for name, value in MATERIAL.parameters.items()})
+            solver = ReducedSolver(held, material)
+            forces.append([solver.step(ts.Pose.at_depth(depth)).force for depth in (1e-3, 2e-3)])
+        np.testing.assert_allclose(forces[1], 2.0 * np.array(forces[0]), rtol=1e-3)
+
+    def test_it_relaxes(self, held):
+        relaxing = replace(MATERIAL, viscoelastic=ts.Prony((ts.PronyTerm(0.4, 0.1),)))
+        solver = ReducedSolver(held, relaxing)
+        first = solver.step(ts.Pose.at_depth(1e-3), 0.0).force
+        for _ in range(20):
+            last = solver.step(ts.Pose.at_depth(1e-3), 0.1).force
+        assert last / first == pytest.approx(0.6, abs=0.01)
+
+
+class TestLayer:
+    """Nodes that move alone: the modes are their freedoms."""
+
+    MU, SPRING = 0.3, 1e5 * 1e-6 / (1e-3 * 5e-3)
+
+    def contact(self, tool: ts.Tool, mu: float) -> LayerContact:
+        body = Body(tool.profile, np.array([0]), (mu, mu))
+        layer = LayerContact([body], np.zeros((1, 3)), np.array([1e-6]), np.eye(3), reach=5e-3, softness=1e-3)
+        layer.set_stiffness(1e5)
+        return layer
+
+    @staticmethod
+    def frame(*position: float) -> Frame:
+        return Frame(ts.Pose(position), 0.0)
+
+    def test_sticks_up_to_mu_times_the_pressure(self):
+        layer, depth = self.contact(ts.Tool("flat", radius=8e-3), self.MU), 1e-4
+        layer.evaluate(np.zeros(3), self.frame(0.0, 0.0, -depth), True)
+        np.testing.assert_allclose(layer.forces[0], [0.0, 0.0, -self.SPRING * depth], rtol=1e-12)
+        layer.commit()
+        for way in (1e-5, 2.9e-5, 3.1e-5, 2e-4):
+            layer.evaluate(np.zeros(3), self.frame(way, 0.0, -depth), True)
+            # It drags the tissue along.
+            assert layer.forces[0, 0] == pytest.approx(self.SPRING * min(way, self.MU * depth), rel=1e-9)
+            assert layer.slipping == (way > self.MU * depth)
+
+    def test_back_from_sliding_it_sticks_where_it_slid_to(self):
+        layer, depth = self.contact(ts.Tool("flat", radius=8e-3), self.MU), 1e-4
+        for way in (0.0, 1e-3, 1e-3 - 1e-5):
+            layer.evaluate(np.zeros(3), self.frame(way, 0.0, -depth), True)
+            layer.commit()
+        assert layer.forces[0, 0] == pytest.approx(self.SPRING * (self.MU * depth - 1e-5), rel=1e-9)
+
+    @pytest.mark.parametrize("mu", [0.0, 0.3])
+    @pytest.mark.parametrize("tool", [ts.Tool("round", radius=8e-3), ts.Tool("cone", radius=6e-3, half_angle=1.0)],
+                             ids=lambda tool: tool.shape)
+    def test_its_rates_are_those_of_its_forces(self, tool, mu):
+        layer, at = self.contact(tool, mu), np.array([2e-3, 1e-3, 0.0])
+        pose = self.frame(0.0, 0.0, -3e-3)
+        layer.evaluate(at, pose, True)
+        layer.commit()
+        moved = at + [3e-6, -1e-6, 2e-6]
+        layer.evaluate(moved, pose, True)
+        _, rates = layer.on_modes()
+        width = 1e-9
+        for axis in range(3):
+            sides = []
+            for sign in (1.0, -1.0):
+                layer.evaluate(moved + sign * width * np.eye(3)[axis], pose, True)
+                sides.append(layer.on_modes()[0])
+            np.testing.assert_allclose(rates[:, axis], (sides[0] - sides[1]) / (2 * width), rtol=1e-4,
+                                       atol=1e-3 * np.abs(rates).max())
+
+
+class TestBox:
+    def test_outside_is_said(self, held):
+        solver = ReducedSolver(held, MATERIAL)
+        for pose in (ts.Pose((2e-3, 0.0, -1e-3)), ts.Pose.at_depth(3.2e-3),
+                     turned(ts.Pose.at_depth(1e-3), (0.1, 0.0, 0.0))):
+            assert solver.step(pose).status is StepStatus.OUTSIDE
+        assert solver.step(turned(ts.Pose.at_depth(1e-3), (0.05, 0.0, 0.0))).status is StepStatus.CONVERGED
+
+    def test_a_simulator_stops_there_and_goes_on_inside(self, held):
+        simulator = ts.Simulator(held.model, solver="reduced", mesh=held)
+        assert simulator.step(1e-3, 1e-3).status is ts.ForceStatus.CONVERGED
+        inside = simulator.step(ts.Pose((1e-3, 0.0, -1e-3)), 1e-3)
+        outside = simulator.step(ts.Pose((2e-3, 0.0, -1e-3)), 1e-3)
+        assert outside.status is ts.ForceStatus.STOPPED
+        again = simulator.step(ts.Pose((1e-3, 0.0, -1e-3)), 1e-3)
+        assert again.status is ts.ForceStatus.CONVERGED
+        np.testing.assert_allclose(again.wrench[:3], inside.wrench[:3], rtol=1e-3, atol=1e-5)
+
+    def test_in_the_air_all_is_inside(self):
+        assert ts.PoseBox(1e-3, 1e-3).holds(ts.Pose((0.5, 0.0, 2e-3)), ts.Pose.at_depth(0.0))
+
+    @pytest.mark.parametrize(("sizes", "field"), [((-1e-3, 1e-3), "box.sideways"), ((0.0, 0.0), "box.depth"),
+                                                  ((0.0, 1e-3, math.nan), "box.turn")])
+    def test_sizes_that_are_none(self, sizes, field):
+        with pytest.raises(ts.InputError) as refused:
+            ts.PoseBox(*sizes)
+        assert refused.value.field == field
+
+
+class TestFile:
+    def test_what_is_written_is_read(self, held, tmp_path):
+        path = tmp_path / "needle.reduced.npz"
+        ts.write_reduced(held, path)
+        read = ts.load_reduced(path)
+        assert read.model.experiment.tool == held.model.experiment.tool and read.box == held.box
+        assert read.report == held.report
+        forces = [ReducedSolver(each, MATERIAL).step(ts.Pose.at_depth(1e-3)).force for each in (held, read)]
+        assert forces[0] == forces[1]
+
+    @pytest.mark.parametrize("damage", ["cut", "text", "elements", "version"])
+    def test_damaged_files_are_one_sentence(self, damage, held, tmp_path):
+        path = tmp_path / "needle.reduced.npz"
+        ts.write_reduced(replace(held, elements=held.elements + 10**6) if damage == "elements" else held, path)
+        content = path.read_bytes()
+        if damage == "cut":
+            path.write_bytes(content[: len(content) // 2])
+        elif damage == "text":
+            path.write_text("nothing\n", encoding="utf-8")
+        elif damage == "version":
+            with np.load(path) as stored:
+                arrays = dict(stored)
+            arrays["description"] = np.array(str(arrays["description"]).replace('"version": 1', '"version": 99'))
+            np.savez(path, **arrays)
+        with pytest.raises(ts.InputError) as refused:
+            ts.load_reduced(path)
+        assert str(refused.value.file) == str(path) and "tissue-sim reduce" in str(refused.value)
+
+    def test_what_was_killed_goes_on(self, held, tmp_path, monkeypatch):
+        """The strokes that are done are not done again; the result is the same."""
+        folder, done = tmp_path / "strokes", []
+
+        def stop(stage, count, of, **_):
+            done.append((stage, count))
+            if (stage, count) == ("strokes", 3):
+                raise KeyboardInterrupt
+
+        options = {"strokes": 8, "modes": 20, "tried": 1, "folder": folder}
+        with pytest.raises(KeyboardInterrupt):
+            reduce_solid(held.model, held.box, progress=stop, **options)
+        assert len(list(folder.glob("stroke_*.npz"))) == 3
+        made, simulate = [], training.snapshots
+
+        def counted(solver, poses, **more):
+            made.append(len(poses))
+            return simulate(solver, poses, **more)
+
+        monkeypatch.setattr(training, "snapshots", counted)
+        again = reduce_solid(held.model, held.box, **options)
+        assert len(made) == 5 + 1  # the other five, and one that it is tried on
+        np.testing.assert_allclose(again.basis, held.basis, atol=1e-9)
+        assert not folder.exists()
+
+
+@pytest.mark.parametrize(("faces", "tool", "field"), [
+    ({"friction": "bonded", "friction_base": 0.3}, "flat", "friction_base")])
+def test_what_it_does_not_take(faces, tool, field):
+    with pytest.raises(ts.InputError) as refused:
+        reduce_solid(model(ts.Tool(tool, radius=8e-3), **faces), ts.PoseBox(0.0, DEPTH), strokes=2)
+    assert refused.value.field == field
+
+
+def test_a_solver_needs_its_file():
+    with pytest.raises(ts.InputError) as refused:
+        ts.Simulator(model(ts.Tool("flat", radius=8e-3)), solver="reduced")
+    assert refused.value.field == "mesh"
