@@ -61,7 +61,7 @@ class TestStrokes:
     def test_they_stay_in_the_box(self, holds):
         box, start = ts.PoseBox(2e-3, DEPTH, 0.1), ts.Pose((1e-3, 0.0, 0.0))
         poses = [pose for number in range(20) for pose in stroke(number, box, start, holds=holds, reach=5e-3)]
-        assert all(box.holds(pose, start) for pose in poses)
+        assert all(box.holds(pose, start) for pose in poses if holds or pose.depth >= 0.0)
         assert np.ptp([pose.position[0] for pose in poses]) > 3e-3      # and fill it
         assert max(pose.depth for pose in poses) > 0.9 * DEPTH
 
@@ -114,6 +114,17 @@ class TestForces:
             simulator.restore(saved)
             wrenches.append(simulator.step(ts.Pose.at_depth(depth), tolerance=1e-9).force)
         assert step.stiffness == pytest.approx((wrenches[0] - wrenches[1]) / (2 * width), rel=0.02)
+
+    def test_an_iteration_that_was_ended_goes_on(self, touched):
+        """One linear solution at a time, as a budget leaves it, to the same equilibrium."""
+        at_once, slowly = ReducedSolver(touched, MATERIAL), ReducedSolver(touched, MATERIAL)
+        for depth in (0.5e-3, 1e-3, 2e-3):
+            expected = at_once.step(ts.Pose.at_depth(depth), 1e-3)
+            step, ended = slowly.step(ts.Pose.at_depth(depth), 1e-3, max_iterations=1), 0
+            while step.status is StepStatus.SLOW and ended < 20:
+                step, ended = slowly.step(ts.Pose.at_depth(depth), 1e-3, max_iterations=1, resumes=True), ended + 1
+            assert step.status is StepStatus.CONVERGED and ended > 0
+            assert step.force == pytest.approx(expected.force, rel=1e-3)
 
     def test_another_material(self, held):
         """The law is evaluated anew: twice as stiff is twice the force."""
@@ -205,8 +216,16 @@ class TestBox:
         assert again.status is ts.ForceStatus.CONVERGED
         np.testing.assert_allclose(again.wrench[:3], inside.wrench[:3], rtol=1e-3, atol=1e-5)
 
-    def test_in_the_air_all_is_inside(self):
-        assert ts.PoseBox(1e-3, 1e-3).holds(ts.Pose((0.5, 0.0, 2e-3)), ts.Pose.at_depth(0.0))
+    def test_in_the_air_a_tool_goes_where_it_likes(self, touched):
+        solver = ReducedSolver(touched, MATERIAL)
+        for depth in (1e-3, 2e-3):
+            assert solver.step(ts.Pose.at_depth(depth)).force > 0.0
+        assert solver.step(ts.Pose((5e-3, 0.0, -1e-3))).status is StepStatus.OUTSIDE
+        step = solver.step(ts.Pose((5e-3, 0.0, 1e-3)))
+        assert step.status is StepStatus.CONVERGED and step.force == pytest.approx(0.0, abs=1e-6)
+
+    def test_held_tissue_cannot_be_pulled_out_of_it(self, held):
+        assert ReducedSolver(held, MATERIAL).step(ts.Pose.at_depth(-1e-3)).status is StepStatus.OUTSIDE
 
     @pytest.mark.parametrize(("sizes", "field"), [((-1e-3, 1e-3), "box.sideways"), ((0.0, 0.0), "box.depth"),
                                                   ((0.0, 1e-3, math.nan), "box.turn")])

@@ -109,7 +109,7 @@ def run(arguments) -> int:
     from tissue_sim import Model
 
     material = reduced.model.material if reduced and not arguments.material else read_material(arguments.material)
-    protocol = make_protocol(arguments, None if reduced is None else reduced.box.depth)
+    protocol = make_protocol(arguments)
     model = Model(reduced.model.experiment if reduced else make_experiment(arguments, protocol, material), material)
     settings = LoopSettings(seconds=arguments.seconds, spin=arguments.spin_us * 1e-6,
                             real_time=not arguments.no_real_time)

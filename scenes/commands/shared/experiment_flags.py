@@ -90,11 +90,8 @@ def check_scene(name: str) -> None:
         raise InputError(f"unknown scene {name!r}{nearest(name, SCENES)}")
 
 
-def make_protocol(arguments, depth: float | None = None) -> Protocol:
+def make_protocol(arguments) -> Protocol:
     """The motion: a plain ramp, or the segments of ``--protocol``.
-
-    Args:
-        depth: of a plain ramp where nothing is said, m; None: `DEPTH_MM`.
 
     Raises:
         InputError: both are stated, or a fault in the protocol.
@@ -103,8 +100,7 @@ def make_protocol(arguments, depth: float | None = None) -> Protocol:
 
     speed = arguments.speed_mm_s * 1e-3
     if arguments.protocol is None:
-        usual = DEPTH_MM if depth is None else depth * 1e3
-        return Protocol.ramp((arguments.depth_mm or usual) * 1e-3, arguments.points, speed)
+        return Protocol.ramp((arguments.depth_mm or DEPTH_MM) * 1e-3, arguments.points, speed)
     if arguments.depth_mm is not None:
         raise InputError("--protocol states its own depths; leave one of the two out", field="--depth-mm")
     return Protocol.parse(arguments.protocol, arguments.points, speed)

@@ -54,8 +54,12 @@ def read_reduced(arguments) -> ReducedModel | None:
                              field=f"--{name.replace('_', '-')}")
     from tissue_sim import load_reduced
 
+    reduced = load_reduced(arguments.reduced)
     arguments.solver = "reduced"
-    return load_reduced(arguments.reduced)
+    if arguments.protocol is None and arguments.depth_mm is None:
+        # No motion leaves the box unless it is told to.
+        arguments.depth_mm = reduced.box.depth * 1e3
+    return reduced
 
 
 def check_solver(name: str) -> None:

@@ -131,6 +131,11 @@ class LayerContact:
         return -rows.reshape(-1, rows.shape[-1]).T @ self.pushed_by(frame).reshape(-1, 6)
 
     @property
+    def touches(self) -> bool:
+        """Whether any node does."""
+        return bool(self._touching.size)
+
+    @property
     def slipping(self) -> int:
         """How many nodes slip."""
         return int((self._states == kernel.SLIPS).sum()) if self.has_friction else 0

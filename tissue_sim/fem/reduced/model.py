@@ -40,16 +40,14 @@ class PoseBox:
             raise InputError("a box without depth holds no contact; give a depth", field="box.depth")
 
     def holds(self, pose: Pose, start: Pose, slack: float = 1e-6) -> bool:
-        """Whether a pose lies in the box of a tool that begins at `start`; above the tissue all do.
+        """Whether a pose lies in the box of a tool that begins at `start`.
 
         Args:
             slack: share of the sizes that does not count.
         """
         x, y, z, *turn = motion(start, pose)
-        if z > self.depth:
-            return True
-        most = 1.0 + slack
-        return (max(abs(x), abs(y)) <= self.sideways * most + slack * self.depth and -z <= self.depth * most
+        most, little = 1.0 + slack, slack * self.depth
+        return (max(abs(x), abs(y)) <= self.sideways * most + little and -little <= -z <= self.depth * most
                 and math.hypot(*turn) <= self.turn * most + slack)
 
 

@@ -24,7 +24,7 @@ from tissue_sim.pose import Pose, Screw, motion
 from tissue_sim.tool_force import Matrix
 
 #: Unbalanced over balanced forces on the modes; a smaller tolerance would be far below the error of the reduction.
-TOLERANCE = 1e-4
+TOLERANCE = 5e-4
 #: Unbalanced forces are measured against those of the contact, but at least this share of the largest so far.
 _FLOOR_SHARE = 0.02
 #: A linear solution is halved where it does not make the unbalanced forces smaller by this share of itself.
@@ -102,17 +102,17 @@ class ReducedSolver(Solver):
              predictor_order: int = 2, inertial: bool = False, resumes: bool = False,
              own_stiffness: bool = True) -> Step:
         """Move the tool to a pose and find equilibrium; see `Solver.step`. There is no mass."""
-        if not self.reduced.box.holds(pose, self._start):
-            return Step(StepStatus.OUTSIDE, 0, 0.0, (0.0,) * 6)
         elements, contact = self.elements, self.contact
-        elements.memory.prepare(dt)
         if not resumes:
             self._go_back()
         frame = Frame(pose, self.datum)
         pressed_in = bool(frame.origin[2] <= self._first.origin[2])
+        if not (self.reduced.box.holds(pose, self._start) or self._is_clear_of(frame)):
+            return Step(StepStatus.OUTSIDE, 0, 0.0, (0.0,) * 6)
+        elements.memory.prepare(dt)
         held, free = self._lifting, slice(self._lifting, None)
-        # It begins by going with the tool as it would if the contact did not change.
-        way = np.array(motion(self._pose, pose)) if predictor_order else np.zeros(6)
+        # It begins by going with the tool as it would if the contact did not change, or where the last step ended.
+        way = np.array(motion(self._pose, pose)) if predictor_order and not resumes else np.zeros(6)
         here = self.amplitudes + self._answer @ way
         here[:held] = self._lifted(frame)
         change: np.ndarray | None = here - self.amplitudes
@@ -167,6 +167,16 @@ class ReducedSolver(Solver):
         return Step(status, iterations, ratio, cast("Screw", tuple(wrench.tolist())),
                     None if stiffness is None else cast("Matrix", tuple(map(tuple, stiffness.tolist()))),
                     contact.violation, contact.slipping)
+
+    def _is_clear_of(self, frame: Frame) -> bool:
+        """Whether a tool there touches neither the tissue as it is nor as it would rest."""
+        if self._lifting:
+            return False
+        for amplitudes in (self.amplitudes, np.zeros_like(self.amplitudes)):
+            self.contact.evaluate(amplitudes, frame, False)
+            if self.contact.touches:
+                return False
+        return True
 
     def _go_back(self) -> None:
         """To the last committed state."""
