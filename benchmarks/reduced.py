@@ -135,7 +135,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     cases = FINE if arguments.fine else dict(list(CASES.items())[:1]) if arguments.quick else CASES
-    seconds, seeds = (1.0, range(1)) if arguments.quick else (4.0, range(3))
+    seconds, seeds = (1.0, range(1)) if arguments.quick else (3.0, range(2))
     rows = []
     for name, case in cases.items():
         row = measure(name, case, seconds, seeds, arguments.folder)

@@ -217,8 +217,9 @@ def real_time_tissue(model: Model, *, solver: str, resolution: str, budget: floa
         InputError: inertia that is to be on where there is none.
     """
     if solver not in LINEARISATIONS:
+        given = {} if mesh is None else {"mesh": mesh}
         return partial(simulator, model, resolution=resolution, inertia=inertia, looks_ahead=looks_ahead, budget=budget,
-                       solver=solver, mesh=mesh)
+                       solver=solver, **given)
     if inertia == "on":
         raise InputError(f"the solver {solver!r} has no mass in real time yet; leave it out", field="inertia")
     return partial(MultiRateTissue, model, solver=solver, resolution=resolution)

@@ -77,9 +77,7 @@ class LiveSimulation:
         #: What is counted of the ticks of the last `_DOUBTS_OVER` s, columns as in `_COUNTED`.
         self._felt = np.empty((0, len(_COUNTED)))
         self._paused = False
-        # Of a way along the tool's axis what is depth.
-        approach = model.experiment.approach
-        self._cosine = 1.0 if approach is None else math.cos(approach.angle)
+        self._model = model
         self.phase, self.message = Phase.STARTING, "starting"
         self.snapshot: Snapshot | None = None
         self.surface: Surface | None = None
@@ -90,6 +88,12 @@ class LiveSimulation:
     def process(self) -> LoopProcess:
         """The process, for those who measure it."""
         return self._loop
+
+    @property
+    def _cosine(self) -> float:
+        """Of a way along the tool's axis the share that is depth."""
+        approach = self._model.experiment.approach
+        return 1.0 if approach is None else math.cos(approach.angle)
 
     @property
     def tool_depth(self) -> float:

@@ -28,9 +28,9 @@ def test_a_tool_goes_off_the_axis_of_a_solid_and_the_picture_follows(shown_solid
     chromium.wait_for_picture(page)
     seen.append(page.locator("canvas").first.screenshot())
     # Deeper, as a hand would by the slider, along the axis that leans towards +x.
-    reader.enter("depth [mm]", "0.5")
-    moved = reader.until(lambda: shown_solid.frame.snapshot.pose, lambda pose: pose.depth > 0.45e-3)
-    assert moved.position[0] > 8e-3 + 0.9 * np.tan(np.radians(10.0)) * 0.45e-3
+    reader.enter("depth [mm]", "1.5")
+    moved = reader.until(lambda: shown_solid.frame.snapshot.pose, lambda pose: pose.depth > 1.45e-3)
+    assert moved.position[0] > 8e-3 + 0.9 * np.tan(np.radians(10.0)) * 1.45e-3
     reader.wait_for("solution", "in equilibrium")
     assert reader.number("force") > 0.005
     across = [float(part.split()[0]) for part in reader.read("across").split(" and ")]

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import tissue_sim as ts
 from haptics.loop.local_model import LocalModelBlend, SlowSolver
 from haptics.loop.loop import LoopSettings
 from haptics.loop.process import LoopProcess
@@ -73,7 +74,10 @@ def test_through_what_the_viewer_sees(toy, motion, monkeypatch):
             super().__init__(toy.ToyTissue, *others)
 
     monkeypatch.setattr("scenes.viewer.live_simulation.LoopProcess", OfToy)
-    simulation = LiveSimulation(None, motion, settings=replace(SETTINGS, real_time=False))
+    needle = ts.KINDS["needle_indentation"].experiment(
+        specimen=ts.Specimen(0.04, 0.07), protocol=ts.Protocol.ramp(2e-3), tool=ts.Tool("flat", radius=8e-3))
+    beside = ts.Model(needle, ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e3)))
+    simulation = LiveSimulation(beside, motion, settings=replace(SETTINGS, real_time=False))
     tissue, ticks = toy.ToyTissue(), 0
     try:
         deadline = time.monotonic() + 300.0

@@ -11,7 +11,7 @@ from tissue_sim.fem.fields import FIELD_UNITS
 from tissue_sim.fem.solid.fields import SOLID_UNITS, principal_stretches
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import SharedFields
-from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, HEXAHEDRA
+from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
 from tissue_sim.mesh.solid import block_mesh, needle_solid
 from tissue_sim.pose import Pose
 
@@ -19,7 +19,7 @@ C10 = 1500.0
 MU = 2.0 * C10
 NEO_HOOKE = ts.Material("neo_hooke", {"C10": C10}, ts.Bulk("bulk_ratio", 1e4))
 SPECIMEN = ts.Specimen(0.04, 0.07)
-every_element = pytest.mark.parametrize("element", HEXAHEDRA.values(), ids=lambda element: element.name)
+every_element = pytest.mark.parametrize("element", (HEX8P0, HEX27P1), ids=lambda element: element.name)
 
 
 def uniform(element, F, mean_stress):
@@ -51,7 +51,7 @@ def test_uniaxial_stretch_is_the_closed_form(element):
     F = np.diag([stretch, stretch**-0.5, stretch**-0.5])
     p = mean - MU / stretch  # so that the sides are free
     fields = uniform(element, F, p)
-    energy = C10 * (stretch**2 + 2.0 / stretch - 3.0) + p**2 / (2.0 * fields.bulk_modulus)
+    energy = C10 * (stretch**2 + 2.0 / stretch - 3.0) + p**2 / (2.0 * fields.bulk_modulus[0])
     for name, expected in {"von_mises": stress, "cauchy_xx": stress, "cauchy_yy": 0.0, "cauchy_zz": 0.0,
                            "cauchy_xy": 0.0, "pressure": -stress / 3.0, "stretch": stretch, "J": 1.0,
                            "energy": energy}.items():

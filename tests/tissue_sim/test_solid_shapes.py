@@ -11,8 +11,8 @@ import calibration
 import tissue_sim as ts
 from scenes.cli import main
 from tissue_sim.fem.solid.batches import ElementBatches
-from tissue_sim.fem.solid.contact import Frame
 from tissue_sim.fem.solid.discretisation import build_mesh, make_solver
+from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.grading import Grading

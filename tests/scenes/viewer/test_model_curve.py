@@ -27,7 +27,7 @@ def test_the_newest_wish_wins(pool):
     for wish in ("second", "third", "fourth"):
         curve.ask(wish)
         curve.poll()
-    assert [arguments for arguments, _ in pool.tasks] == [("first", "accurate", "axisymmetric")]
+    assert [arguments for arguments, _ in pool.tasks] == [("first", "accurate", "axisymmetric", None)]
     pool.tasks[0][1].set_result(CURVE)
     curve.poll()
     assert curve.recording is CURVE and curve.number == 1

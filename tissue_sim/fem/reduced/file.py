@@ -14,6 +14,7 @@ import numpy as np
 
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.bounded import bounded
+from tissue_sim.decode import parse_json
 from tissue_sim.errors import InputError, located
 from tissue_sim.experiment.approach import Approach
 from tissue_sim.experiment.experiment import Experiment
@@ -87,7 +88,7 @@ def _read(path: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     try:
         with np.load(path, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
-        return json.loads(str(arrays.pop("description"))), arrays
+        return parse_json(str(arrays.pop("description"))), arrays
     except (ValueError, KeyError, OSError, EOFError, AttributeError, zipfile.BadZipFile, zlib.error):
         raise InputError(f"expected {_EXPECTED}, and it is damaged or none; make it again with `tissue-sim reduce`",
                          file=path) from None

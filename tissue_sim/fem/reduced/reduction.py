@@ -14,6 +14,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.fem.reduced import training
 from tissue_sim.fem.reduced.model import PoseBox, ReducedModel
 from tissue_sim.fem.reduced.strokes import stroke
+from tissue_sim.files import read_text
 from tissue_sim.model import Model
 
 #: Strokes, modes and largest bulk modulus over mu0, of a tool that holds tissue and of one that touches it.
@@ -89,7 +90,7 @@ class _Store:
         if folder is None:
             return
         label = folder / "model.txt"
-        if label.exists() and label.read_text(encoding="utf-8") != model:
+        if label.exists() and read_text(label, "the model of strokes") != model:
             raise InputError("holds strokes of another model; remove it, or choose another output", file=folder)
         write_bytes(label, model.encode())
 

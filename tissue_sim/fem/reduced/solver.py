@@ -12,8 +12,8 @@ from tissue_sim.errors import InputError
 from tissue_sim.fem.reduced.contact import LayerContact
 from tissue_sim.fem.reduced.elements import SampledElements
 from tissue_sim.fem.reduced.model import ReducedModel
-from tissue_sim.fem.solid.contact import Frame, turned_with
 from tissue_sim.fem.solid.discretisation import tool_contact
+from tissue_sim.fem.solid.frame import Frame, turned_with
 from tissue_sim.fem.solid.surface import SolidSurface
 from tissue_sim.fem.solid.tissue import bulk_modulus
 from tissue_sim.fem.solver import Fields, Solver, Step, StepStatus

@@ -18,6 +18,7 @@ from tissue_sim.fem.reduced.sampling import sparse_weights
 from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.fem.reduced.strokes import stroke
 from tissue_sim.fem.solid.discretisation import build_mesh, make_solver
+from tissue_sim.fem.solid.elastic import elastic_answer, element_forces, held_places, lifted_amplitudes
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solid.tissue import bulk_modulus
 from tissue_sim.fem.solver import StepStatus
@@ -112,7 +113,7 @@ def _parts(solver: SolidSolver, here: Pose, goal: Pose, tolerance: float) -> Ite
 def lifted_modes(solver: SolidSolver) -> np.ndarray:
     """What the motions of the tool do to the resting solid whose nodes it holds, shape (freedoms, 12), or (freedoms, 0)
     of a tool that holds none."""
-    held = solver.held_places
+    held = held_places(solver)
     if not held.size:
         return np.zeros((solver.x.size, 0))
     motions = np.zeros((*held.shape, LIFTING))
@@ -120,7 +121,7 @@ def lifted_modes(solver: SolidSolver) -> np.ndarray:
     for i in range(3):
         for k in range(3):
             motions[:, i, 3 + 3 * i + k] = held[:, k]
-    return solver.elastic_answer(motions.reshape(-1, LIFTING))
+    return elastic_answer(solver, motions.reshape(-1, LIFTING))
 
 
 def modes(states: np.ndarray, lifted: np.ndarray, amplitudes: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -165,7 +166,7 @@ def sample_elements(solver: SolidSolver, basis: np.ndarray, lifting: int, states
     for state in looked_at:
         lifted, rest = basis[:, :lifting], basis[:, lifting:]
         own = rest @ (rest.T @ (states[state] - lifted @ amplitudes[state]))
-        on_nodes = solver.element_forces(lifted @ amplitudes[state] + own, bulk)
+        on_nodes = element_forces(solver, lifted @ amplitudes[state] + own, bulk)
         contributions.append(np.einsum("eir,ei->re", rows, on_nodes) / forces[state])
     weights = sparse_weights(np.concatenate(contributions), tolerance, progress=progress)
     elements = np.flatnonzero(weights)
@@ -222,7 +223,7 @@ def assemble(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[Snapsh
     wrenches = np.concatenate([each.wrenches for each in taken])
     lifted = lifted_modes(solver)
     lifting = lifted.shape[1]
-    amplitudes = np.array([solver.lifted_amplitudes(pose) for each in poses for pose in each])[:, :lifting]
+    amplitudes = np.array([lifted_amplitudes(solver, pose) for each in poses for pose in each])[:, :lifting]
     basis, singular = modes(states, lifted, amplitudes, count)
     bulk = min(bulk_modulus(model.material, mesh), bulk_ratio * model.material.mu0)
     elements, shares = sample_elements(solver, basis, lifting, states, amplitudes, wrenches, tolerance, bulk, progress)

@@ -10,8 +10,9 @@ from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.tools.outline import Profile
 from tissue_sim.experiment.tools.plate import PLATE_RADIUS
-from tissue_sim.fem.solid.contact import STICK, Body, Frame
+from tissue_sim.fem.solid.contact import STICK, Body
 from tissue_sim.fem.solid.contact import nearest as nearest_surface
+from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.solid.settling import settle
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solid.tissue import element_layers

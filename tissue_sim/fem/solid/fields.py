@@ -52,6 +52,10 @@ class SolidFields:
     stresses: np.ndarray | None = None
     datum: float = 0.0
 
+    def __post_init__(self):
+        # One number stands for all elements.
+        object.__setattr__(self, "bulk_modulus", np.broadcast_to(self.bulk_modulus, self.moduli.shape))
+
     def arrays(self) -> tuple[np.ndarray, ...]:
         alone = (self.displacements, self.pressures)
         return alone if self.stresses is None else (*alone, self.stresses)

@@ -15,8 +15,9 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.fem.condensed.model import CondensedContact, ContactState, ContactSurface
 from tissue_sim.fem.linear.sparse import CondensedFactor
-from tissue_sim.fem.solid.contact import STIFFNESS, Body, Frame, nearest
+from tissue_sim.fem.solid.contact import STIFFNESS, Body, nearest
 from tissue_sim.fem.solid.discretisation import make_solver
+from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solid.surface import SolidSurface
 from tissue_sim.material.material import Material

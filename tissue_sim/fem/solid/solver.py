@@ -10,8 +10,9 @@ import numpy as np
 
 from tissue_sim.fem.history import Memory
 from tissue_sim.fem.linear.sparse import Factor, SparseSolver
-from tissue_sim.fem.solid.contact import ALL, Body, ContactNodes, Frame, Look, turned_with
+from tissue_sim.fem.solid.contact import ALL, Body, ContactNodes, Look
 from tissue_sim.fem.solid.fields import SolidFields
+from tissue_sim.fem.solid.frame import Frame, turned_with
 from tissue_sim.fem.solid.free_part import FreePart
 from tissue_sim.fem.solid.sensitivity import SolidParts, SolidSensitivity
 from tissue_sim.fem.solid.surface import SolidSurface
@@ -264,39 +265,6 @@ class SolidSolver(Solver):
     def held_displacement(self, frame: Frame) -> np.ndarray:
         """Of the nodes that the tool holds, when it is there, m, shape (3 n,)."""
         return (frame.out_of(self._held_at) - self.mesh.nodes[self._bonded]).ravel()
-
-    @property
-    def held_places(self) -> np.ndarray:
-        """Of the nodes that the tool holds, in its frame, m, shape (n, 3)."""
-        return self._held_at
-
-    def lifted_amplitudes(self, pose: Pose) -> np.ndarray:
-        """How far a tool that holds tissue has come at a pose: its way, m, and how the entries of its rotation changed,
-        row by row, shape (12,)."""
-        return Frame(pose, self.datum).motion_from(Frame(self._start, self.datum))
-
-    def elastic_answer(self, motions: np.ndarray) -> np.ndarray:
-        """What small motions of the nodes that the tool holds do to the resting solid, m, shape (freedoms, n).
-
-        Args:
-            motions: of these freedoms, m, shape (3 nodes, n).
-        """
-        self.lift_off()
-        self._assemble()
-        self._matrix.add(np.zeros_like(self.contact.rates))
-        factor = self._sparse.factorise(self._matrix.free, symmetric=True)
-        answer = np.zeros((self.x.size, motions.shape[1]))
-        answer[self._moved] = motions
-        if factor is not None:
-            answer[self._free] = -factor.solve(np.asarray(self._matrix.all[:, self._moved] @ motions)[self._free])
-        return answer
-
-    def element_forces(self, displacement: np.ndarray, bulk: float) -> np.ndarray:
-        """See `Tissue.element_forces`; at a displacement of all freedoms, m."""
-        self.x[:] = displacement
-        forces = self.tissue.element_forces(bulk)
-        self._go_back()
-        return forces
 
     @property
     def _state(self) -> tuple[np.ndarray, ...]:

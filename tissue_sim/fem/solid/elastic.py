@@ -1,0 +1,49 @@
+"""What a solid answers beside the way of its steps: to small motions of its tool, and element by element."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tissue_sim.fem.solid.frame import Frame
+from tissue_sim.fem.solid.solver import SolidSolver
+from tissue_sim.pose import Pose
+
+# The solver and this are one thing in two files, so this one uses protected names of the other.
+
+
+def held_places(solver: SolidSolver) -> np.ndarray:
+    """Of the nodes that the tool holds, in its frame, m, shape (n, 3)."""
+    return solver._held_at
+
+
+def lifted_amplitudes(solver: SolidSolver, pose: Pose) -> np.ndarray:
+    """How far a tool that holds tissue has come at a pose: its way, m, and how the entries of its rotation changed, row
+    by row, shape (12,)."""
+    return Frame(pose, solver.datum).motion_from(Frame(solver._start, solver.datum))
+
+
+def elastic_answer(solver: SolidSolver, motions: np.ndarray) -> np.ndarray:
+    """What small motions of the nodes that the tool holds do to the resting solid, m, shape (freedoms, n).
+
+    Args:
+        solver: is at rest afterwards.
+        motions: of these freedoms, m, shape (3 nodes, n).
+    """
+    solver.lift_off()
+    solver._assemble()
+    solver._matrix.add(np.zeros_like(solver.contact.rates))
+    factor = solver._sparse.factorise(solver._matrix.free, symmetric=True)
+    answer = np.zeros((solver.x.size, motions.shape[1]))
+    answer[solver._moved] = motions
+    if factor is not None:
+        pushed = np.asarray(solver._matrix.all[:, solver._moved] @ motions)
+        answer[solver._free] = -factor.solve(pushed[solver._free])
+    return answer
+
+
+def element_forces(solver: SolidSolver, displacement: np.ndarray, bulk: float) -> np.ndarray:
+    """See `Tissue.element_forces`; at a displacement of all freedoms, m. The state of the solver stays."""
+    solver.x[:] = displacement
+    forces = solver.tissue.element_forces(bulk)
+    solver._go_back()
+    return forces
