@@ -1,6 +1,6 @@
 """Reduced solids beside the whole ones: error of the force and time of a step on random walks in their boxes.
 
-    python benchmarks/reduced.py [--quick] [--fine] [--json] [--folder FOLDER]
+    python benchmarks/reduced.py [--quick] [--fine] [--json] [--folder FOLDER] [--figure FILE]
 
 A needle that holds tissue and a ball with friction on the study's cylinder. The walks are smooth, up to 50 mm/s, 1000
 poses a second, with lift-offs where the tool can; none of their states was among those that the solids were made of.
@@ -78,8 +78,8 @@ def factor_time() -> float:
     return float(np.median(times))
 
 
-def measure(name: str, case: tuple, seconds: float, seeds: range, folder: Path | None) -> dict:
-    """One row of the table."""
+def measure(name: str, case: tuple, seconds: float, seeds: range, folder: Path | None) -> tuple[dict, tuple]:
+    """One row of the table, and forces of the last walk: of the whole solid and of the reduced one."""
     tool, friction, sizes, resolution, modes = case
     box, holds = ts.PoseBox(*sizes), friction == "bonded"
     experiment = ts.KINDS["needle_indentation"].experiment(
@@ -114,7 +114,7 @@ def measure(name: str, case: tuple, seconds: float, seeds: range, folder: Path |
     error, force, ticks = np.concatenate(missed), np.concatenate(forces), 1e3 * np.array(times)
     rms = float(np.sqrt((force**2).sum(axis=1).mean()))
     of_force = 100.0 / rms
-    return {
+    row = {
         "case": name, "freedoms": reduced.report["freedoms"], "modes": reduced.report["modes"],
         "elements": f"{reduced.report['elements']} of {reduced.report['elements_of_all']}",
         "rms_percent": of_force * float(np.sqrt((error**2).sum(axis=1).mean())),
@@ -125,6 +125,34 @@ def measure(name: str, case: tuple, seconds: float, seeds: range, folder: Path |
         "p999_ms": float(np.quantile(ticks, 0.999)), "solves": solves / len(ticks),
         "not_converged": lost, "ticks": len(ticks), "largest_jump_N": float(max(jumps)), "offline_cpu_s": offline,
         "dpbtrf_ms": 1e3 * factor_time()}
+    return row, (true, answers, np.array([pose.depth for pose in poses]))
+
+
+def draw(name: str, curves: tuple, path: Path) -> None:
+    """The last walk of a case."""
+    from matplotlib.figure import Figure
+
+    true, answers, depth = curves
+    clock = np.arange(len(answers)) * TICK
+    figure = Figure(figsize=(9.0, 5.2), layout="constrained")
+    top, forces, error = figure.subplots(3, 1, sharex=True, height_ratios=[1, 2, 1])
+    top.plot(clock, 1e3 * depth, color="0.3")
+    top.set_ylabel("depth [mm]")
+    for axis, (label, colour) in enumerate((("along x", "#D55E00"), ("along y", "#009E73"), ("along z", "#0072B2"))):
+        forces.plot(clock, answers[:, axis], color=colour, linewidth=1, label=f"{label}, reduced")
+        forces.plot(clock[::WHOLE_EVERY], true[:, axis], color=colour, linestyle="none", marker="o", markersize=2.5,
+                    markevery=4, label=f"{label}, whole")
+    forces.set_ylabel("force [N]")
+    forces.margins(y=0.3)
+    forces.legend(ncols=3, fontsize=8, frameon=False, loc="upper center")
+    error.plot(clock[::WHOLE_EVERY], 1e3 * np.linalg.norm(answers[::WHOLE_EVERY] - true, axis=1), color="#CC79A7")
+    error.set_ylabel("difference [mN]")
+    error.set_xlabel("time [s]")
+    for each in (top, forces, error):
+        each.grid(alpha=0.3)
+        each.spines[["top", "right"]].set_visible(False)
+    figure.suptitle(f"{name}: a random walk that it was not made of")
+    figure.savefig(path, dpi=130)
 
 
 def main() -> None:
@@ -133,12 +161,15 @@ def main() -> None:
     parser.add_argument("--fine", action="store_true", help="quadratic elements, 12,000 freedoms")
     parser.add_argument("--folder", type=Path, help="where strokes are kept while they are made")
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--figure", type=Path, help="draw the last walk of the first case")
     arguments = parser.parse_args()
     cases = FINE if arguments.fine else dict(list(CASES.items())[:1]) if arguments.quick else CASES
     seconds, seeds = (1.0, range(1)) if arguments.quick else (3.0, range(2))
     rows = []
     for name, case in cases.items():
-        row = measure(name, case, seconds, seeds, arguments.folder)
+        row, curves = measure(name, case, seconds, seeds, arguments.folder)
+        if arguments.figure and not rows:
+            draw(name, curves, arguments.figure)
         rows.append(row)
         if not arguments.json:
             print(", ".join(f"{key} {value:.3g}" if isinstance(value, float) else f"{key} {value}"

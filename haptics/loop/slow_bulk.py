@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections import deque
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -29,7 +30,7 @@ from tissue_sim.fem.condensed.model import (
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.packing import run_packed
-from tissue_sim.snapshot import Skin, Snapshot
+from tissue_sim.snapshot import Snapshot, snapshot
 
 KIND_STATE, KIND_MODEL = b"tsSTATE\0", b"tsBULK\0\0"
 _SLOTS = 4
@@ -120,8 +121,7 @@ def _linearise(bulk: BulkLinearisation, foresighted: ForesightedLinearisation, s
 
 
 def _snapshot(bulk: BulkLinearisation, model: CondensedContact) -> Snapshot:
-    vertices, triangles = bulk.deformed_surface().triangles()
-    return Snapshot(model.pose, bulk.surface.datum, None, Skin(np.asarray(vertices, dtype=float), triangles))
+    return replace(snapshot(bulk.solver), pose=model.pose, datum=bulk.surface.datum)
 
 
 def _listen(orders: BinaryIO, materials: deque[Material], files: tuple[Path, ...]) -> None:

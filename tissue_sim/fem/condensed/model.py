@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from tissue_sim.fem.solver import Surface
+from tissue_sim.fem.solver import Solver
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose
@@ -184,8 +184,9 @@ class BulkLinearisation(Protocol):
     def set_material(self, material: Material) -> None:
         """Change the material; see `Solver.set_material`."""
 
-    def deformed_surface(self) -> Surface:
-        """At the last iterate."""
+    @property
+    def solver(self) -> Solver:
+        """Whose last committed state is the last iterate, to be looked at."""
 
 
 class LinearisationMaker(Protocol):

@@ -19,7 +19,6 @@ from tissue_sim.fem.solid.contact import STIFFNESS, Body, nearest
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.solid.solver import SolidSolver
-from tissue_sim.fem.solid.surface import SolidSurface
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
@@ -93,9 +92,10 @@ class SolidLinearisation:
         self._solver.set_material(material)
         self._untouched = self._solver.save() if self._number == 0 else self._untouched
 
-    def deformed_surface(self) -> SolidSurface:
-        """At the last iterate."""
-        return self._solver.surface()
+    @property
+    def solver(self) -> SolidSolver:
+        """Whose last committed state is the last iterate."""
+        return self._solver
 
     def linearise(self, state: ContactState, ahead: Sequence[Pose] = ()) -> CondensedContact | None:
         """See `BulkLinearisation.linearise`."""
