@@ -236,7 +236,7 @@ class Simulator:
         solver, status, solves, residual = self._solver, None, 0, self._answer.residual
         inertial = self.inertia == "on" or (self.inertia == "auto" and self._lingers < _LINGERS)
         resumes = self._attempt is not None
-        anew = not self._bonded
+        anew, outside = not self._bonded, False
         while status is None:
             started, creep = time.perf_counter(), self._creep
             here = solver.pose
@@ -286,8 +286,8 @@ class Simulator:
                 self._attempt, self._spent = (target, dt), self._spent * resumes + step.iterations
                 status = ForceStatus.LATE
             elif step.status is StepStatus.OUTSIDE:
-                # No shorter part leads there; the tissue waits where it is.
-                self._attempt, self._spent, status = None, 0, ForceStatus.STOPPED
+                # No shorter part leads there; the tissue waits where it is, and what it would do is not guessed.
+                self._attempt, self._spent, status, outside = None, 0, ForceStatus.STOPPED, True
             elif creep is None and order:
                 self._attempt, self._spent, resumes, self._extrapolates = None, 0, False, False
             elif creep is None and min(self._share, way / self._largest_part) < _CREEPS:
@@ -310,7 +310,7 @@ class Simulator:
         if status is ForceStatus.CONVERGED:
             ahead = self._ahead(tick) if self.looks_ahead and at.inertial and tick > 0.0 else None
             within = at.step_stiffness
-        else:
+        elif not outside:
             # Mass resists a motion within the step, not one that goes on.
             wrench = self._carried_on(wrench, motion(at.pose, pose))
         return ToolForce(wrench, at.stiffness, status, solves, residual, time.perf_counter() - began, at.inertial,

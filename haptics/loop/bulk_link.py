@@ -37,6 +37,10 @@ class BulkLink(Protocol):
     def surface(self) -> ContactSurface:
         """What may be touched, and by what; once it is started."""
 
+    @property
+    def alive(self) -> bool:
+        """Whether models can still come."""
+
     def start(self) -> CondensedContact:
         """Make the bulk; its model at the first touch.
 
@@ -72,8 +76,10 @@ class DelayedBulk:
         linearising: CPU time that went into models, s.
     """
 
+    alive = True
+
     def __init__(self, linearisation: Any, delay: float):
-        self._bulk, self.surface, self._delay = linearisation, linearisation.surface, delay
+        self._bulk, self.surface, self._delay, self._epoch = linearisation, linearisation.surface, delay, 0
         self._foresighted = ForesightedLinearisation(linearisation)
         self.linearising = 0.0
         self._coming: tuple[float, CondensedContact | None] | None = None
@@ -85,6 +91,9 @@ class DelayedBulk:
         return model
 
     def send(self, state: ContactState) -> None:
+        if state.epoch != self._epoch:
+            # What is on its way is of a specimen that is no more.
+            self._epoch, self._coming = state.epoch, None
         if self._coming is None:
             began = time.process_time()
             self._coming = state.time + self._delay, self._foresighted.linearise(state, self._delay)
@@ -174,9 +183,9 @@ class BulkProcess:
         if end < length:
             return None
         number, self._reading = self._reading, 0
-        self._taken = number
         if self._check != checksum or models.head(number) != (length, checksum):
-            return None
+            return None  # it was written while it was read: once more
+        self._taken = number
         return CondensedContact.unpacked(np.frombuffer(bytes(self._buffer[:length])))
 
     def set_material(self, material: Material) -> None:

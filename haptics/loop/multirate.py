@@ -15,6 +15,7 @@ from tissue_sim.fem.condensed.model import LINEARISATIONS, CondensedContact
 from tissue_sim.fem.condensed.stepper import CondensedStepper, ContactStep
 from tissue_sim.live_material import require_same_layers, require_tissue
 from tissue_sim.material.effect import ReducedForce
+from tissue_sim.material.material import BULK_RATIOS
 from tissue_sim.model import Model
 from tissue_sim.parameters import with_values
 from tissue_sim.pose import Pose, added, scaled
@@ -86,7 +87,7 @@ class MultiRateTissue:
         self._offset, self._answer = axial_wrench(0.0), _AT_REST
         self._step: ContactStep | None = None
         self._poses: deque[tuple[float, Pose]] = deque(maxlen=_LOOK_BACK)
-        self._made = 0.0
+        self._made, self._models_before = 0.0, self.models
 
     def warm_up(self) -> None:
         """Start the process of the bulk and compile what a tick needs.
@@ -166,7 +167,9 @@ class MultiRateTissue:
         wrench = added(step.wrench, self._offset)
         force, age = math.hypot(*wrench[:3]), self._time - self._made
         self.error = self._growth * step.way**2 * bool(force) + math.hypot(*self._offset[:3])
-        good = (step.converged and age <= self.oldest and not stepper.leaves(pose)
+        # Before a second model of this specimen nobody knows how fast the first one goes wrong.
+        known = self.models > self._models_before or step.way <= _SHORT * stepper.surface.radius
+        good = (step.converged and known and self._link.alive and age <= self.oldest and not stepper.leaves(pose)
                 and self.error <= max(ERROR_FLOOR, ERROR_SHARE * force))
         stiffness = step.stiffness_matrix
         self._left = self._reduced.go(pose.depth, dt)
@@ -195,7 +198,15 @@ class MultiRateTissue:
         material = with_values(self.model.material, values)
         require_same_layers(self.model.material, material)
         require_tissue(material)
-        self._link.set_material(material)
+        low, high = BULK_RATIOS
+        if not low <= min(material.bulk_modulus, high * material.mu0) / material.mu0:
+            raise InputError(f"K/mu0 is {material.bulk_modulus / material.mu0:g}; the finite elements are checked from "
+                             f"{low:g} to {high:g}", field="bulk")
+        self.warm_up()
+        try:
+            self._link.set_material(material)
+        except OSError as error:
+            raise InputError(f"the process of the bulk has ended ({error}); begin anew", field="material") from None
         self.model = replace(self.model, material=material)
         history = self._reduced.history
         self._reduced = ReducedForce(material.reduced_effects(plate=self.model.experiment.tool.is_plate))
@@ -222,7 +233,7 @@ def real_time_tissue(model: Model, *, solver: str, resolution: str, budget: floa
                        solver=solver, **given)
     if inertia == "on":
         raise InputError(f"the solver {solver!r} has no mass in real time yet; leave it out", field="inertia")
-    return partial(MultiRateTissue, model, solver=solver, resolution=resolution)
+    return partial(MultiRateTissue, model, solver=solver, resolution=resolution, mesh=mesh)
 
 
 def _shorter(vector: tuple[float, float, float], step: float) -> tuple[float, float, float]:

@@ -101,7 +101,11 @@ def _linearise(bulk: BulkLinearisation, foresighted: ForesightedLinearisation, s
     seen, lead, shown = 0, 0.0, 0.0
     while True:
         while materials:
-            bulk.set_material(materials.popleft())
+            try:
+                bulk.set_material(materials.popleft())
+            except InputError as refused:
+                # What the parent could not know; the tissue stays what it was.
+                print(f"the bulk stays as it is: {refused}", file=sys.stderr, flush=True)
         newest = states.newest() if states.written != seen else None
         if newest is None:
             time.sleep(_NAP)

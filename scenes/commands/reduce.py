@@ -60,6 +60,7 @@ def run(arguments) -> int:
         raise InputError("a reduced solid is a file NAME.reduced.npz; give it that ending", file=output)
 
     import tissue_sim as ts
+    from tissue_sim.fem.reduced.reduction import forget_strokes
 
     material = read_material(arguments.material)
     depth = (arguments.depth_mm or _DEPTH_MM) * 1e-3
@@ -76,6 +77,7 @@ def run(arguments) -> int:
             ts.Model(experiment, material), box, resolution=arguments.resolution, strokes=arguments.strokes,
             modes=arguments.modes, sampling=arguments.sampling, tried=arguments.tried, folder=folder, progress=tell)
     ts.write_reduced(reduced, output)
+    forget_strokes(folder)
     report = reduced.report
     if arguments.json:
         print_json({**report, "file": str(output)})

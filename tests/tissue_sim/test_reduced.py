@@ -9,7 +9,7 @@ import pytest
 import tissue_sim as ts
 from tissue_sim.fem.reduced import training
 from tissue_sim.fem.reduced.contact import LayerContact
-from tissue_sim.fem.reduced.reduction import reduce_solid
+from tissue_sim.fem.reduced.reduction import forget_strokes, reduce_solid
 from tissue_sim.fem.reduced.sampling import sparse_weights
 from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.fem.reduced.strokes import stroke
@@ -213,6 +213,9 @@ class TestBox:
         inside = simulator.step(ts.Pose((1e-3, 0.0, -1e-3)), 1e-3)
         outside = simulator.step(ts.Pose((2e-3, 0.0, -1e-3)), 1e-3)
         assert outside.status is ts.ForceStatus.STOPPED
+        # The last equilibrium's, however far the tool has gone.
+        far = simulator.step(ts.Pose((8e-3, 0.0, -1e-3)), 1e-3)
+        assert far.status is ts.ForceStatus.STOPPED and far.wrench == outside.wrench
         again = simulator.step(ts.Pose((1e-3, 0.0, -1e-3)), 1e-3)
         assert again.status is ts.ForceStatus.CONVERGED
         np.testing.assert_allclose(again.wrench[:3], inside.wrench[:3], rtol=1e-3, atol=1e-5)
@@ -287,6 +290,7 @@ class TestFile:
         again = reduce_solid(held.model, held.box, **options)
         assert len(made) == 5 + 1  # the other five, and one that it is tried on
         np.testing.assert_allclose(again.basis, held.basis, atol=1e-9)
+        forget_strokes(folder)
         assert not folder.exists()
 
 
@@ -296,6 +300,42 @@ def test_what_it_does_not_take(faces, tool, field):
     with pytest.raises(ts.InputError) as refused:
         reduce_solid(model(ts.Tool(tool, radius=8e-3), **faces), ts.PoseBox(0.0, DEPTH), strokes=2)
     assert refused.value.field == field
+
+
+@pytest.mark.parametrize("changes", [{"tool": ts.Tool("flat", radius=5e-3)}, {"friction": "stick"},
+                                     {"specimen": ts.Specimen(0.03, 0.025)}], ids=lambda changes: next(iter(changes)))
+def test_another_experiment_is_refused(held, changes):
+    other = replace(held.model, experiment=replace(held.model.experiment, **changes))
+    with pytest.raises(ts.InputError) as refused:
+        ts.Simulator(other, solver="reduced", mesh=held)
+    assert refused.value.field == f"experiment.{next(iter(changes))}"
+
+
+def test_a_material_with_layers_is_refused(held):
+    layered = replace(MATERIAL, layers=(ts.Layer(1e-3, 10.0),))
+    with pytest.raises(ts.InputError, match="of one material"):
+        ts.Simulator(replace(held.model, material=layered), solver="reduced", mesh=held)
+
+
+def test_a_state_that_is_put_back_is_stepped_as_a_fresh_one(held):
+    """Whatever was done between."""
+    fresh, used = ReducedSolver(held, MATERIAL), ReducedSolver(held, MATERIAL)
+    for each in (fresh, used):
+        each.ask_for_stiffness()
+    start = used.save()
+    for depth in (1e-3, 2e-3, 3e-3):
+        used.step(ts.Pose.at_depth(depth))
+    used.restore(start)
+    steps = [each.step(ts.Pose.at_depth(0.3e-3)) for each in (fresh, used)]
+    assert steps[0].stiffness == pytest.approx(steps[1].stiffness, rel=1e-9)
+    assert steps[0].force == pytest.approx(steps[1].force, rel=1e-9)
+
+
+def test_where_the_box_has_no_size_no_stiffness_is_made_up(touched):
+    solver = ReducedSolver(touched, MATERIAL)
+    solver.ask_for_stiffness()
+    step = solver.step(ts.Pose.at_depth(1e-3))
+    assert step.stiffness > 0.0 and step.stiffness_matrix[0] == (0.0,) * 6
 
 
 def test_a_solver_needs_its_file():

@@ -122,6 +122,12 @@ class SampledElements:
         with LOCK:
             self._kernel()
 
+    def renew(self, amplitudes: np.ndarray) -> None:
+        """Evaluate a state that was put in place: its volumes; all of the stiffness is due next."""
+        self._next = -1
+        self.evaluate(amplitudes, None, 0)
+        self._next = -1
+
     @property
     def tangent(self) -> np.ndarray:
         """Stiffness between the modes, shape (modes, modes)."""

@@ -20,7 +20,7 @@ from tissue_sim.experiment.approach import Approach
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.experiment.tools.tool import TOOLS
-from tissue_sim.fem.reduced.model import PoseBox, ReducedModel
+from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, require_reducible
 from tissue_sim.files import open_file
 from tissue_sim.material.file import MaterialFile, decode_material_file
 from tissue_sim.mesh.solid import SOLID_ELEMENTS, SolidMesh
@@ -53,10 +53,7 @@ def write_reduced(reduced: ReducedModel, path: str | Path) -> None:
 def _description(reduced: ReducedModel) -> dict[str, Any]:
     experiment = reduced.model.experiment
     specimen, tool, box = experiment.specimen, experiment.tool, reduced.box
-    for kind, from_file in (("tool", tool.from_file), ("specimen", specimen.shape == "mesh")):
-        if from_file:
-            raise InputError(f"the shape of the {kind} is in a file of its own, which a reduced solid does not keep; "
-                             "use a shape by its sizes", field=kind)
+    require_reducible(reduced.model)
     return {
         "schema": "tissue_sim.reduced", "version": VERSION, "element": reduced.mesh.element.name,
         "lifting": reduced.lifting, "softness": reduced.softness,
@@ -111,11 +108,14 @@ def _checked(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> Redu
         box = PoseBox(**description["box"])
         material = decode_material_file(description["material"]).material
         experiment = _experiment(description["experiment"], box)
+        require_reducible(Model(experiment, material))
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"expected {_EXPECTED}, and something is missing or of another kind ({error}); make it again "
                          "with `tissue-sim reduce`") from None
     numbers = (connectivity, elements, *sets.values(), *faces.values())
-    fits = (all(each.dtype.kind in "iu" and each.size for each in numbers) and nodes.ndim == connectivity.ndim == 2
+    reals = (nodes, basis, shares)
+    fits = (all(each.dtype.kind == "f" for each in reals) and (lifting == 12) == (experiment.friction == "bonded")
+            and all(each.dtype.kind in "iu" and each.size for each in numbers) and nodes.ndim == connectivity.ndim == 2
             and nodes.shape[1] == 3 and connectivity.shape[1] == element.nodes
             and all(each.min() >= 0 and each.max() < len(nodes)
                     for each in (connectivity, *sets.values(), *faces.values()))
@@ -123,7 +123,7 @@ def _checked(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> Redu
             and basis.ndim == 2 and len(basis) == nodes.size and elements.shape == shares.shape
             and lifting in (0, 12) and lifting < basis.shape[1]
             and {"top", "base", "side", "face", "free"} <= sets.keys()
-            and all(np.isfinite(each).all() for each in (nodes, basis, shares)) and bool((shares > 0.0).all())
+            and all(np.isfinite(each).all() for each in reals) and bool((shares > 0.0).all())
             and 0.0 < softness < 1.0 and bulk_ratio >= 1.0 and isinstance(report, dict))
     if not fits:
         raise InputError("its arrays do not fit each other; make it again with `tissue-sim reduce`")

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import InputError
+from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose, motion
@@ -49,6 +50,35 @@ class PoseBox:
         most, little = 1.0 + slack, slack * self.depth
         return (max(abs(x), abs(y)) <= self.sideways * most + little and -little <= -z <= self.depth * most
                 and math.hypot(*turn) <= self.turn * most + slack)
+
+
+def require_reducible(model: Model) -> None:
+    """Refuse what a reduced solid does not take.
+
+    Raises:
+        InputError: a plate, a base with friction, weight, layers, a tool or a specimen from a file of its own.
+    """
+    experiment = model.experiment
+    if experiment.tool.is_plate:
+        raise InputError("a reduced solid is one under a needle; a plate moves along one line, for which "
+                         "the axisymmetric solver is fast enough", field="tool")
+    if experiment.base_interface not in ("bonded", "frictionless"):
+        raise InputError("a reduced solid stands on a base that is bonded or frictionless; use one of them",
+                         field="friction_base")
+    if experiment.specimen.specific_weight:
+        raise InputError("a reduced solid has no weight yet; leave gravity out", field="specimen.gravity")
+    for kind, from_file in (("tool", experiment.tool.from_file), ("specimen", experiment.specimen.from_file)):
+        if from_file:
+            raise InputError(f"the shape of the {kind} is in a file of its own, which a reduced solid does not keep; "
+                             "use a shape by its sizes", field=kind)
+    require_one_material(model.material)
+
+
+def require_one_material(material: Material) -> None:
+    """Raises InputError: layers or regions."""
+    if material.layers or material.regions:
+        raise InputError("a reduced solid is of one material; leave layers and regions out",
+                         field="material.layers" if material.layers else "material.regions")
 
 
 @dataclass(frozen=True, eq=False)

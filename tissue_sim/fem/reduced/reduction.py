@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
@@ -12,7 +14,7 @@ import numpy as np
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.errors import InputError
 from tissue_sim.fem.reduced import training
-from tissue_sim.fem.reduced.model import PoseBox, ReducedModel
+from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, require_reducible
 from tissue_sim.fem.reduced.strokes import stroke
 from tissue_sim.files import read_text
 from tissue_sim.model import Model
@@ -45,7 +47,8 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
         sampling: error of the forces of the sampled elements.
         softness: see `ReducedModel`.
         tried: strokes that it was not made of, on which it is tried.
-        folder: where the strokes are kept until all is done; one that holds strokes of the same model is gone on with.
+        folder: where the strokes are kept; one that holds strokes of the same model is gone on with. `forget_strokes`
+            removes them, when what was made of them is safe.
         progress: told of the stages ``"strokes"``, ``"elements"`` and ``"trial"``.
 
     Raises:
@@ -56,8 +59,8 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     holds = experiment.friction == "bonded"
     strokes, modes = strokes or STROKES[holds], modes or MODES[holds]
     tell: Callable[..., None] = progress or (lambda *_, **__: None)
+    require_reducible(model)
     mesh = training.training_mesh(model, box, resolution)
-    training.check(model, mesh)
     solver = training.whole_solver(model, mesh)
     store = _Store(folder, f"{model!r} {box!r} {resolution} {len(mesh.nodes)}")
     start, reach = experiment.tool_pose(0.0), experiment.contact_radius
@@ -78,7 +81,6 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
         progress=lambda elements, error: tell("elements", elements, count, note=f"error {100 * error:.2g} %"))
     numbers = range(training.UNSEEN, training.UNSEEN + tried)
     report = training.verify(reduced, solver, numbers, lambda done, of: tell("trial", done, of))
-    store.remove()
     return training.with_report(reduced, strokes=strokes, **report)
 
 
@@ -101,8 +103,8 @@ class _Store:
         try:
             with np.load(path, allow_pickle=False) as stored:
                 return training.Snapshots(stored["displacements"], stored["wrenches"])
-        except (ValueError, KeyError, OSError, EOFError):  # a file that is none of ours is made again
-            return None
+        except (ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile, zlib.error):
+            return None  # a file that is none of ours is made again
 
     def write(self, number: int, snapshots: training.Snapshots) -> None:
         path = self._path(number)
@@ -111,14 +113,13 @@ class _Store:
             np.savez(stream, displacements=snapshots.displacements, wrenches=snapshots.wrenches)
             write_bytes(path, stream.getvalue())
 
-    def remove(self) -> None:
-        """All that was kept."""
-        if self._folder is None:
-            return
-        for path in [*self._folder.glob("stroke_*.npz"), self._folder / "model.txt"]:
-            path.unlink(missing_ok=True)
-        if not any(self._folder.iterdir()):
-            self._folder.rmdir()
-
     def _path(self, number: int) -> Path | None:
         return None if self._folder is None else self._folder / f"stroke_{number:04d}.npz"
+
+
+def forget_strokes(folder: Path) -> None:
+    """Remove the strokes that `reduce_solid` has kept in a folder, and the folder where nothing else is in it."""
+    for path in [*folder.glob("stroke_*.npz"), folder / "model.txt"]:
+        path.unlink(missing_ok=True)
+    if folder.exists() and not any(folder.iterdir()):
+        folder.rmdir()

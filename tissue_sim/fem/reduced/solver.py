@@ -11,7 +11,7 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.fem.reduced.contact import LayerContact
 from tissue_sim.fem.reduced.elements import SampledElements
-from tissue_sim.fem.reduced.model import ReducedModel
+from tissue_sim.fem.reduced.model import ReducedModel, require_one_material
 from tissue_sim.fem.solid.discretisation import tool_contact
 from tissue_sim.fem.solid.frame import Frame, turned_with
 from tissue_sim.fem.solid.surface import SolidSurface
@@ -80,6 +80,7 @@ class ReducedSolver(Solver):
 
     def set_material(self, material: Material) -> None:
         """Change parameters, bulk response or law; the state is kept. See `Solver.set_material`."""
+        require_one_material(material)
         bulk = min(bulk_modulus(material, self.mesh), self.reduced.bulk_ratio * material.mu0)
         self.elements.set_material(material, bulk)
         before: float = self._modulus or material.mu0
@@ -88,6 +89,7 @@ class ReducedSolver(Solver):
         for pressures in (self._committed[1], self.elements.pressures):
             pressures *= material.mu0 / before
         self._floor = 1e-3 * material.mu0 * self._reach**2
+        self._renew()
 
     @property
     def pose(self) -> Pose:
@@ -107,12 +109,18 @@ class ReducedSolver(Solver):
             self._go_back()
         frame = Frame(pose, self.datum)
         pressed_in = bool(frame.origin[2] <= self._first.origin[2])
-        if not (self.reduced.box.holds(pose, self._start) or self._is_clear_of(frame)):
+        inside = self.reduced.box.holds(pose, self._start)
+        if not inside and not self._is_clear_of(frame):
             return Step(StepStatus.OUTSIDE, 0, 0.0, (0.0,) * 6)
+        if not inside:
+            # It touches nothing: near to where it rests.
+            self.amplitudes[:], elements.pressures[:] = 0.0, 0.0
+            elements.renew(self.amplitudes)
         elements.memory.prepare(dt)
         held, free = self._lifting, slice(self._lifting, None)
         # It begins by going with the tool as it would if the contact did not change, or where the last step ended.
-        way = np.array(motion(self._pose, pose)) if predictor_order and not resumes else np.zeros(6)
+        way = np.array(motion(self._pose, pose)) if (
+            predictor_order and inside and not resumes) else np.zeros(6)
         here = self.amplitudes + self._answer @ way
         here[:held] = self._lifted(frame)
         change: np.ndarray | None = here - self.amplitudes
@@ -178,6 +186,11 @@ class ReducedSolver(Solver):
                 return False
         return True
 
+    def _renew(self) -> None:
+        """Another state has been put in place: its volumes, and all of its stiffness."""
+        self._go_back()
+        self.elements.renew(self.amplitudes)
+
     def _go_back(self) -> None:
         """To the last committed state."""
         self.amplitudes[:], self.elements.pressures[:] = self._committed
@@ -207,6 +220,11 @@ class ReducedSolver(Solver):
     def _stiffness(self, frame: Frame, rates: np.ndarray) -> np.ndarray:
         """Minus the derivative of the wrench with the tool's pose, shape (6, 6)."""
         stiffness, held = self.contact.stiffness(frame, self._answer), self._lifting
+        if not held:
+            # Where the box has no size the modes know no answer: what would be left is the layer.
+            box = self.reduced.box
+            known = np.array([box.sideways > 0.0] * 2 + [True] + [box.turn > 0.0] * 3)
+            stiffness = np.where(known[:, None] & known, stiffness, 0.0)
         if held:
             # Of the contact only what the lifted modes move beside the held face is in the residual.
             forces = (self.elements.tangent + rates)[:held] @ self._answer + self.contact.rates_of_modes(frame)[:held]
@@ -220,7 +238,7 @@ class ReducedSolver(Solver):
         self._answer[:] = 0.0
         self.contact.forget()
         self._pose = self._start
-        self._go_back()
+        self._renew()
 
     def save(self) -> _Saved:
         """All that a committed step leaves behind, for `restore`."""
@@ -231,6 +249,7 @@ class ReducedSolver(Solver):
         for array, before in zip(self._kept, saved.arrays, strict=True):
             array[:] = before
         self._pose, self._largest_force = saved.pose, saved.largest_force
+        self._renew()
 
     @property
     def _kept(self) -> tuple[np.ndarray, ...]:
@@ -282,4 +301,9 @@ def make_solver(model: Model, *, resolution: str = "realtime", mesh: SolidMesh |
     if topology is not None:
         raise InputError("a reduced model has the geometry that it was made of; leave the topology out",
                          field="topology")
+    made_of = mesh.model.experiment
+    for name in ("specimen", "tool", "friction", "friction_base", "friction_wall", "approach"):
+        if getattr(model.experiment, name) != getattr(made_of, name):
+            raise InputError("a reduced solid has the one that it was made of; take the experiment of its model, or "
+                             "make another one", field=f"experiment.{name}")
     return ReducedSolver(mesh, model.material)

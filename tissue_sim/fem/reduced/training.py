@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tissue_sim.errors import ConvergenceError, InputError
+from tissue_sim.errors import ConvergenceError
 from tissue_sim.fem.reduced.model import PoseBox, ReducedModel
 from tissue_sim.fem.reduced.sampling import sparse_weights
 from tissue_sim.fem.reduced.solver import ReducedSolver
@@ -50,25 +50,6 @@ class Snapshots:
 
     displacements: np.ndarray
     wrenches: np.ndarray
-
-
-def check(model: Model, mesh: SolidMesh) -> None:
-    """Refuse what a reduced solid does not take.
-
-    Raises:
-        InputError: a plate, a base with friction, weight, layers.
-    """
-    experiment = model.experiment
-    if experiment.tool.is_plate:
-        raise InputError("a reduced solid is one under a needle; a plate moves along one line, for which "
-                         "the axisymmetric solver is fast enough", field="tool")
-    if experiment.base_interface not in ("bonded", "frictionless"):
-        raise InputError("a reduced solid stands on a base that is bonded or frictionless; use one of them",
-                         field="friction_base")
-    if experiment.specimen.specific_weight:
-        raise InputError("a reduced solid has no weight yet; leave gravity out", field="specimen.gravity")
-    if model.material.layers or getattr(mesh, "regions", None):
-        raise InputError("a reduced solid is of one material; leave layers and regions out", field="material.layers")
 
 
 def whole_solver(model: Model, mesh: SolidMesh) -> SolidSolver:

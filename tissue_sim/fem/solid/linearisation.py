@@ -84,7 +84,8 @@ class SolidLinearisation:
         start = Frame(solver.pose, solver.datum)
         springs = STIFFNESS * np.sqrt(np.maximum(contact.areas, 1e-3 * contact.areas.max(initial=0.0)))[mine]
         return ContactSurface(contact.places[mine].copy(), springs, friction, outlines, chains, shapes,
-                              contact.bound[mine].astype(np.int32), start.into(contact.places[mine]), solver.pose,
+                              contact.bound[mine].astype(np.int32),
+                              start.into(contact.places[mine]) + contact.anchors[mine], solver.pose,
                               solver.datum, solver._tolerance, solver.tissue.contact_radius, solver._floor, candidates)
 
     def set_material(self, material: Material) -> None:
@@ -102,6 +103,9 @@ class SolidLinearisation:
         solver = self._solver
         if state.epoch != self._epoch:
             solver.restore(self._untouched)
+            for array, rest in zip(solver._committed, solver._rest, strict=True):
+                array[:] = rest  # of the material as it is now
+            solver.tissue.prepare(0.0)
             self._epoch, self._factor, self._time = state.epoch, None, state.time
         if self._factor is None:
             solver._go_back()
