@@ -31,7 +31,9 @@ _FLOOR_SHARE = 0.02
 _DESCENT, _MOST_HALVINGS = 0.1, 5
 #: Groups of elements whose stiffness is computed at one time; in an iteration after the first, no stiffness is computed
 #: anew while the unbalanced forces shrink to this share each time.
-_GROUPS, _FAST = 8, 0.2
+_GROUPS, _FAST = 8, 0.3
+#: Groups that are computed anew in a slow iteration, and iterations from which on all are.
+_OLDEST, _PATIENT = 2, 4
 #: Smallest J of an element that is not about to turn inside out.
 _LEAST = 0.02
 
@@ -153,8 +155,8 @@ class ReducedSolver(Solver):
             if status is not None:
                 break
             if iterations and (unbalanced > _FAST * last or halvings):
-                # The stiffness is that of other states.
-                elements.evaluate(here, None, _GROUPS)
+                # The stiffness is that of other states: the oldest of it, or all where it led astray.
+                elements.evaluate(here, None, _GROUPS if halvings > 1 or iterations > _PATIENT else _OLDEST)
             last, halvings, base = unbalanced, 0, (here, elements.pressures.copy())
             step = np.zeros_like(here)
             step[free] = -np.linalg.solve((elements.tangent + rates)[free, free], residual[free])
