@@ -48,8 +48,13 @@ def read_reduced(arguments) -> ReducedModel | None:
         return None
     if arguments.solver != "axisymmetric":
         raise InputError("a reduced solid is stepped by a solver of its own; leave this out", field="--solver")
-    for name in ("tool", "friction", "friction_base", "friction_wall", "offset_mm", "tilt_deg"):
-        if getattr(arguments, name) is not None:
+    from tissue_sim.experiment.tools.tool import tool_sizes
+    from tissue_sim.specimen.specimen import specimen_sizes
+
+    stated = ("tool", "friction", "friction_base", "friction_wall", "offset_mm", "tilt_deg", "shape", "mesh", "gravity",
+              *tool_sizes(), *specimen_sizes())
+    for name in stated:
+        if getattr(arguments, name, None) not in (None, False):
             raise InputError("a reduced solid has it from its file; leave this out, or make another one",
                              field=f"--{name.replace('_', '-')}")
     from tissue_sim import load_reduced
