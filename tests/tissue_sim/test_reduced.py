@@ -93,28 +93,31 @@ class TestForces:
         count = len(mesh.connectivity)
         reduced = replace(reduced, elements=np.arange(count), shares=np.ones(count))
         small = ReducedSolver(reduced, MATERIAL)
+        small.least_tolerance = 1e-9
         for pose, wrench in zip(poses, taken.wrenches, strict=True):
             for part in np.linspace(0.75e-3, 0.0, 4):
-                step = small.step(ts.Pose.at_depth(pose.depth - part))
+                step = small.step(ts.Pose.at_depth(pose.depth - part), tolerance=1e-9)
                 assert step.status is StepStatus.CONVERGED
-            assert step.force == pytest.approx(wrench[2], rel=6e-4)  # of which 5e-4 is the iteration's
+            assert step.force == pytest.approx(wrench[2], rel=2e-4)
 
-    @pytest.mark.parametrize("which", ["held", "touched"])
-    def test_the_stiffness_is_the_derivative(self, which, request):
+    # Nodes at the limit of friction slip on one side of the difference and stick on the other.
+    @pytest.mark.parametrize(("which", "bound"), [("held", 2e-3), ("touched", 0.02)], ids=["held", "touched"])
+    def test_the_stiffness_is_the_derivative(self, which, bound, request):
         reduced = request.getfixturevalue(which)
         simulator = ReducedSolver(reduced, MATERIAL)
+        simulator.least_tolerance = 1e-10
         simulator.ask_for_stiffness()
         for depth in (0.5e-3, 1e-3, 1.5e-3, 2e-3):
-            step = simulator.step(ts.Pose.at_depth(depth))
+            step = simulator.step(ts.Pose.at_depth(depth), tolerance=1e-10)
         # Where nothing has moved since the last equilibrium, and with the stiffness of this state alone.
         for _ in range(10):
-            step = simulator.step(ts.Pose.at_depth(2e-3))
+            step = simulator.step(ts.Pose.at_depth(2e-3), tolerance=1e-10)
         saved, width = simulator.save(), 1e-6
         wrenches = []
         for depth in (2e-3 + width, 2e-3 - width):
             simulator.restore(saved)
-            wrenches.append(simulator.step(ts.Pose.at_depth(depth), tolerance=1e-9).force)
-        assert step.stiffness == pytest.approx((wrenches[0] - wrenches[1]) / (2 * width), rel=0.02)
+            wrenches.append(simulator.step(ts.Pose.at_depth(depth), tolerance=1e-10).force)
+        assert step.stiffness == pytest.approx((wrenches[0] - wrenches[1]) / (2 * width), rel=bound)
 
     def test_an_iteration_that_was_ended_goes_on(self, touched):
         """One linear solution at a time, as a budget leaves it, to the same equilibrium."""

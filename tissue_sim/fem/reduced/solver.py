@@ -52,12 +52,16 @@ class ReducedSolver(Solver):
         reduced: what was kept of the solid.
         material: law, parameters, bulk response; may differ from the one that it was made of.
 
+    Attributes:
+        least_tolerance: to which a step is solved, whatever smaller one it asks for.
+
     Raises:
         InputError: what it does not take of a material.
         MissingBackendError: Taichi is not there.
     """
 
     highest_order = 1
+    least_tolerance = TOLERANCE
 
     def __init__(self, reduced: ReducedModel, material: Material):
         experiment, mesh = reduced.model.experiment, reduced.mesh
@@ -137,7 +141,7 @@ class ReducedSolver(Solver):
             balanced = float(np.linalg.norm(pushed)) + float(np.linalg.norm(elements.forces[:held]))
             ratio = unbalanced / max(balanced, self._floor, _FLOOR_SHARE * self._largest_force)
             bad = not (elements.least > _LEAST and np.isfinite(ratio))
-            if ratio <= max(tolerance, TOLERANCE) and not bad:
+            if ratio <= max(tolerance, self.least_tolerance) and not bad:
                 status = StepStatus.CONVERGED
                 break
             if (bad or unbalanced > (1.0 - _DESCENT) * last) and halvings < _MOST_HALVINGS and (iterations or bad):
