@@ -96,6 +96,30 @@ def test_a_model_that_is_too_old_is_no_equilibrium_any_more():
     assert set(statuses[:95]) == {ForceStatus.CONVERGED} and set(statuses[105:]) == {ForceStatus.LATE}
 
 
+def test_before_a_second_model_a_long_way_is_no_equilibrium():
+    tissue = delayed(2.0)
+    answers = [tissue.step(Pose((0.0, 0.0, -depth)), DT) for depth in np.linspace(0.0, 3e-3, 60)]
+    assert tissue.models == 0 and answers[-1].status is ForceStatus.LATE
+
+
+def test_after_a_reset_models_come_as_at_first():
+    tissue, pose = delayed(), Pose((0.0, 0.0, -1e-3))
+    for _ in range(200):
+        tissue.step(pose, DT)
+    tissue.reset()
+    before = tissue.models
+    for _ in range(60):
+        tissue.step(pose, DT)
+    assert tissue.models > before
+
+
+def test_a_bulk_that_the_elements_do_not_take_is_refused_before_it_is_sent():
+    tissue = delayed()
+    with pytest.raises(ts.InputError, match="K/mu0"):
+        tissue.set_parameters(**{"bulk.bulk_ratio": 1.5})
+    assert tissue.step(Pose((0.0, 0.0, -1e-4)), DT).status is ForceStatus.CONVERGED
+
+
 def test_what_is_no_number_is_refused_and_changes_nothing():
     tissue, pose = delayed(), Pose((0.0, 0.0, -5e-4))
     before = tissue.step(pose, DT)
@@ -131,6 +155,7 @@ def test_a_bonded_tool_feels_the_whole_solid_with_its_bulk_in_another_process():
             time.sleep(1e-3)
         while answer.status is not ForceStatus.CONVERGED or any(tissue._offset):
             answer = tissue.step(pose, DT)
+            assert time.monotonic() < deadline
         np.testing.assert_allclose(answer.wrench, exact.step(pose, tolerance=1e-9).wrench, atol=1e-7)
         seen = tissue.snapshot()
         assert seen.place[:, 2].min() < -0.0699 and seen.fields.at_nodes("von_mises").max() > 0.0
