@@ -23,7 +23,8 @@ from calibration.fit.problem import Problem
 from calibration.fit.steps import Steps
 from calibration.fit.uncertainty import assess_uncertainty
 from calibration.forward.contract import InfeasibleError
-from calibration.forward.forms import REMAINDERS, remainder
+from calibration.forward.forms import remainder
+from calibration.forward.meshes import REMAINDERS
 from calibration.forward.solves import Solves
 from tissue_sim.errors import InputError
 

@@ -20,7 +20,8 @@ from calibration.effects.effect import Candidate
 from calibration.fit.problem import Problem
 from calibration.fit.uncertainty import assess_uncertainty
 from calibration.forward.contract import InfeasibleError
-from calibration.forward.forms import REMAINDERS, build_test, remainder
+from calibration.forward.forms import build_test, remainder
+from calibration.forward.meshes import REMAINDERS
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.specimen.cylinder import Cylinder

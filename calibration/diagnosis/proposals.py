@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from calibration.campaign.measured import MeasuredCurve
 from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.extended import change_of
 from calibration.effects.catalogue import CATALOGUE
@@ -188,9 +189,8 @@ def sharpened(proposal: Proposal, evidence: Evidence) -> Proposal:
     curves = [curve for curve in evidence.problem.measured
               if candidate.tests is None or curve.test.name in candidate.tests]
     deepest = max(float(curve.displacement.max()) for curve in curves)
-    finest = min(float(np.median(np.abs(np.diff(curve.displacement[curve.displacement > 0])))) for curve in curves)
     step = _COARSEST * deepest
-    while step > max(finest, _FINEST * deepest):
+    while step > max(step_of(curves), _FINEST * deepest):
         step *= 0.5
         for way in (-step, step):
             place = float(np.clip(candidate.shape[candidate.jump] + way, *candidate.bounds.get(
@@ -204,6 +204,11 @@ def sharpened(proposal: Proposal, evidence: Evidence) -> Proposal:
                 proposal = found
         candidate = proposal.candidate
     return proposal
+
+
+def step_of(curves: Sequence[MeasuredCurve]) -> float:
+    """How far a tool goes from sample to sample in the finest of some recordings, m."""
+    return min(float(np.median(np.abs(np.diff(curve.displacement[curve.displacement > 0])))) for curve in curves)
 
 
 def _direction(candidate: Candidate, change: np.ndarray, evidence: Evidence) -> Direction:

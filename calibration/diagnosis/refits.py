@@ -10,14 +10,15 @@ import numpy as np
 from calibration.campaign.campaign import Campaign
 from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.extended import extend, unknowns
-from calibration.diagnosis.proposals import Proposal, Proposals, sharpened
+from calibration.diagnosis.proposals import Proposal, Proposals, sharpened, step_of
 from calibration.effects.effect import Candidate, NotTestableError
 from calibration.fit.estimate import Estimate
 from calibration.fit.levenberg_marquardt import Descent, descend
 from calibration.fit.problem import Problem
 from calibration.fit.steps import Steps
 from calibration.forward.contract import InfeasibleError
-from calibration.forward.forms import REMAINDERS, remainder
+from calibration.forward.forms import remainder
+from calibration.forward.meshes import REMAINDERS
 from tissue_sim.errors import InputError
 
 #: How many effects are fitted, and at most where the scores of more are this near to the best; and from which value of
@@ -41,6 +42,9 @@ _SHORT = 1.0
 _ON_BOUND = 1e-4
 #: Shares of the size that the score says, from which a fit starts: the first that is better than no effect at all.
 _STARTS = (1.0, 0.3, 0.1)
+#: A jump is sought anew after a fit, which may have moved the contacts: so many steps between samples to either side,
+#: and as often as it moves, but so many times at most.
+_SOUGHT, _AGAIN = (0.25, 0.5, 1.0, 2.0), 3
 #: Fits are compared by their sums of squares, which these ends of a descent tell to far less than matters.
 _ENOUGH, _TOLERANCE = 0.1, 2e-5
 
@@ -216,8 +220,42 @@ def refit_one(problem: Problem, campaign: Campaign, proposal: Proposal, values: 
         # Nearly dependent numbers: a step that gains little may be followed by one that gains more.
         again = descend(extended, descent.theta, corrected=True, enough=0.0)
         descent = again if again.error < descent.error else descent
+    for _ in range(_AGAIN if candidate.jump else 0):
+        moved = _with_jump_moved(problem, campaign, proposal, extended, descent)
+        if moved is None:
+            break
+        proposal, extended, changed, descent = moved
     gain = error - _error_of(extended, descent) - _penalty(extended, problem, candidate, samples)
     return Refit(proposal, extended, changed, descent.theta, descent.error, gain, descent.failure)
+
+
+def _with_jump_moved(problem: Problem, campaign: Campaign, proposal: Proposal, extended: Problem, descent: Descent
+                     ) -> tuple[Proposal, Problem, Campaign, Descent] | None:
+    """The fit with its jump where it explains more, at the contacts that the fit has found; None: nowhere near by.
+
+    Args:
+        problem, campaign: without the effect. proposal: with the jump of the fit. extended: with the effect.
+    """
+    candidate, best = proposal.candidate, _error_of(extended, descent)
+    curves = [curve for curve in problem.measured if candidate.tests is None or curve.test.name in candidate.tests]
+    here = candidate.shape[candidate.jump]
+    low, high = candidate.bounds.get(candidate.jump, (0.0, max(float(c.displacement.max()) for c in curves)))
+    found = None
+    for share in (sign * share for share in _SOUGHT for sign in (-1, 1)):
+        other = replace(candidate, shape={**candidate.shape,
+                                          candidate.jump: float(np.clip(here + share * step_of(curves), low, high))})
+        moved, changed = extend(problem, campaign, other, free=True)
+        try:
+            evaluation = moved.evaluate(descent.theta)
+        except InfeasibleError:
+            continue
+        if evaluation.error + evaluation.log_determinant < best - _ENOUGH:
+            best, found = evaluation.error + evaluation.log_determinant, (replace(
+                proposal, candidate=other), moved, changed)
+    if found is None:
+        return None
+    again = descend(found[1], descent.theta, corrected=True, enough=_ENOUGH, tolerance=_TOLERANCE)
+    return (*found, again) if np.isfinite(again.error) else None
 
 
 def _error_of(problem: Problem, descent: Descent) -> float:

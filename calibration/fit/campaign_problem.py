@@ -10,7 +10,8 @@ from calibration.campaign.campaign import Campaign
 from calibration.campaign.measured import MeasuredCurve, usual_contact
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.problem import Problem
-from calibration.forward.forms import FAST_REMAINDERS, build_test, remainder
+from calibration.forward.forms import build_test, remainder
+from calibration.forward.meshes import FAST_REMAINDERS
 from calibration.forward.solves import Solves
 from calibration.statistics.jitter import Jitter
 

@@ -12,7 +12,8 @@ from calibration.fit.fit import Iteration, Minimum
 from calibration.fit.levenberg_marquardt import Descent, Listener, descend
 from calibration.fit.problem import Evaluation, Problem
 from calibration.forward.contract import InfeasibleError
-from calibration.forward.forms import FAST_REMAINDERS, REMAINDERS, remainder
+from calibration.forward.forms import remainder
+from calibration.forward.meshes import FAST_REMAINDERS, REMAINDERS
 from calibration.statistics.jitter import Jitter, estimate_jitter
 
 #: The difference of the meshes is computed again until that moves no parameter by more than this share of its size;

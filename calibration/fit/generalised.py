@@ -22,7 +22,8 @@ from calibration.fit.starts import starts
 from calibration.fit.steps import Steps
 from calibration.fit.uncertainty import assess_uncertainty
 from calibration.forward.contract import ForwardTest, InfeasibleError
-from calibration.forward.forms import FAST_REMAINDERS, REMAINDERS, build_test, remainder
+from calibration.forward.forms import build_test, remainder
+from calibration.forward.meshes import FAST_REMAINDERS, REMAINDERS
 from calibration.statistics.jitter import Jitter
 from calibration.statistics.statistics import MODEL_ERROR_RATIO, r_squared
 from calibration.statistics.uncertainty import Uncertainty

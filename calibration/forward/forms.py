@@ -12,17 +12,12 @@ from calibration.campaign.measured import MeasuredCurve, remembers
 from calibration.forward.closed import ClosedTest
 from calibration.forward.column import ColumnTest
 from calibration.forward.contract import ForwardTest
-from calibration.forward.meshes import meshes_of
+from calibration.forward.meshes import FINEST_REMAINDERS, LEFT_OF_DIFFERENCE, REMAINDERS, meshes_of
 from calibration.forward.motion import Loading, Timed
 from calibration.forward.simulated import SimulatedTest
 from calibration.forward.solves import content_key
 from tissue_sim.experiment.protocol import STUDY_SPEED, Protocol
 
-#: Standard deviation of the accurate mesh's own error relative to the force: what is left against independent
-#: solvers, see docs/simulation.md. Between plates, under a flat needle, under a round or pointed one.
-REMAINDERS = {"plate": 0.0005, "flat": 0.001, "other": 0.002}
-#: The same of the fast mesh, where the accurate one does not get through.
-FAST_REMAINDERS = {"plate": 0.003, "flat": 0.008, "other": 0.01}
 #: Of an analytical fit: histories are divided less finely than for a prediction, 1e-4 of the largest stress, below what
 #: is measured.
 FITTED_STEP = 0.01
@@ -85,5 +80,8 @@ def remainder(test: ForwardTest, of: Mapping[str, float]) -> float:
     """Relative standard deviation of what a mesh is off in this test; 0 where every mesh is exact."""
     if test.homogeneous or not isinstance(test, SimulatedTest):
         return 0.0
-    shape = test.experiment.tool.shape
-    return meshes_of(test.solver).remainder * of[shape if shape in of else "other"]
+    shape, error = test.experiment.tool.shape, test.mesh_error
+    known = meshes_of(test.solver).remainder * of[shape if shape in of else "other"]
+    if of is REMAINDERS and error is not None and shape in FINEST_REMAINDERS:
+        return min(known, max(FINEST_REMAINDERS[shape], LEFT_OF_DIFFERENCE * error.largest))
+    return known

@@ -2,26 +2,80 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
+
+import numpy as np
+
+from calibration.forward.motion import spline
+
+#: Standard deviation of the accurate mesh's own error relative to the force: what is left against independent
+#: solvers, see docs/simulation.md. Between plates, under a flat needle, under a round or pointed one.
+REMAINDERS = {"plate": 0.0005, "flat": 0.001, "other": 0.002}
+#: The same of the fast mesh, where the accurate one does not get through.
+FAST_REMAINDERS = {"plate": 0.003, "flat": 0.008, "other": 0.01}
+#: Of the finest mesh, where the accurate one's error was found and taken off: at least this, and this share of it.
+FINEST_REMAINDERS = {"plate": 0.0002, "flat": 0.0005}
+LEFT_OF_DIFFERENCE = 0.5
+#: A force below this share of the largest is too small to be divided by; knots that a course of shares needs.
+_FELT, _FEWEST = 1e-3, 4
 
 
 class Meshes(NamedTuple):
     """Resolutions of a solver that a fit uses, and how large their errors are.
 
     Attributes:
-        fast: on which parameters move. accurate: whose difference to it is added.
-        remainder: error of either against that of the axisymmetric solver, see `calibration.forward.forms`.
+        fast: on which parameters move. accurate: whose difference to it is added. finest: by which the accurate one's
+            own error is found once, at the first parameters; None: it is not.
+        remainder: error of either against that of the axisymmetric solver, see `REMAINDERS`.
     """
 
     fast: str
     accurate: str
+    finest: str | None = None
     remainder: float = 1.0
 
 
 #: By the name of the solver; of another one as of the axisymmetric.
-MESHES = {"axisymmetric": Meshes("fast", "accurate"), "solid": Meshes("realtime", "fast", 3.0)}
+MESHES = {"axisymmetric": Meshes("fast", "accurate", "finest"), "solid": Meshes("realtime", "fast", remainder=3.0)}
 
 
 def meshes_of(solver: str) -> Meshes:
     """What is used of a solver, by its name."""
     return MESHES.get(solver, MESHES["axisymmetric"])
+
+
+@dataclass(frozen=True, eq=False)
+class MeshError:
+    """By how much the accurate mesh errs along a loading, as the finest one shows: a share of the force, which hardly
+    depends on the parameters.
+
+    Attributes:
+        depth: of its knots, m, shape (k,). share: force of the finest mesh over that of the accurate one, less 1, (k,).
+    """
+
+    depth: np.ndarray
+    share: np.ndarray
+
+    @classmethod
+    def between(cls, depth: np.ndarray, accurate: np.ndarray, finest: np.ndarray) -> MeshError:
+        """From the forces of both meshes at the knots of one loading, N, shape (k,)."""
+        felt = np.abs(accurate) > _FELT * np.abs(accurate).max(initial=0.0)
+        share = finest[felt] / accurate[felt] - 1.0
+        return cls(depth[felt], share) if felt.sum() >= _FEWEST else cls.unknown()
+
+    @classmethod
+    def unknown(cls) -> MeshError:
+        """Where the finest mesh does not get through."""
+        return cls(np.zeros(0), np.zeros(0))
+
+    @property
+    def largest(self) -> float:
+        """Largest share; infinite where it is not known."""
+        return float(np.abs(self.share).max(initial=0.0)) if self.share.size else float("inf")
+
+    def factor(self, depth: np.ndarray) -> np.ndarray:
+        """What makes the force of the accurate mesh that of the finest, at places of the tool, m, any shape."""
+        if not self.share.size:
+            return np.ones(np.shape(depth))
+        return 1.0 + spline(self.depth, self.share)(np.clip(depth, self.depth[0], self.depth[-1]))

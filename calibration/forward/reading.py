@@ -12,10 +12,24 @@ from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.forward.motion import Course
 from calibration.forward.placed import PlacedCourse
-from tissue_sim.material.effect import ReducedEffect, ReducedForce
+from tissue_sim.material.effect import ReducedEffect
 from tissue_sim.model import Model
+from tissue_sim.parameters import with_values
 from tissue_sim.recording.recording import Recording
 from tissue_sim.rig.rig import Rig
+
+#: Width of a difference with what a rig does to readings, relative.
+_READING_WIDTH = 1e-6
+
+
+def away(value: float) -> float:
+    """Width of a difference with a number of the rig's readings, on which these depend almost linearly."""
+    return _READING_WIDTH * (abs(value) or 1.0)
+
+
+def only_read(rig: Rig, path: str, value: float) -> bool:
+    """Whether a number of a rig, about this value, leaves the motion of the tool alone."""
+    return with_values(rig, {path: value + away(value)}).motion_only == with_values(rig, {path: value}).motion_only
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,10 +99,25 @@ class Left:
         return replace(model, material=replace(material, puncture=puncture, effects=kept))
 
     def share(self, measured: MeasuredCurve, depth: np.ndarray) -> np.ndarray:
-        """Of the force at the samples of a recording where the tool is at these depths, m, shape (n,)."""
-        waits = np.zeros(depth.size) if measured.time is None else np.diff(measured.time, prepend=measured.time[0])
-        force = ReducedForce(self.effects)
-        return np.array([force.go(d, dt) for d, dt in zip(depth.tolist(), waits.tolist(), strict=True)])
+        """Of the force at the samples of a recording where the tool is at these depths, m, shape (n,) or (n, k)."""
+        deepest = np.maximum.accumulate(depth, axis=0)
+        clock = np.zeros(depth.shape[0]) if measured.time is None else measured.time - measured.time[0]
+        time = np.broadcast_to(clock.reshape(-1, *[1] * (depth.ndim - 1)), depth.shape)
+        share = np.ones(depth.shape)
+        for effect in self.effects:
+            share = share * effect.shares(depth, deepest, time)
+        return share
+
+
+def depth_in_tissue(course: Course | PlacedCourse, measured: MeasuredCurve, offset: float | np.ndarray) -> np.ndarray:
+    """Where the tool is in the tissue at the samples of a recording, m, shape (n,) or (n, offsets).
+
+    Args:
+        course: of its force. measured: the recording. offset: of its contact, m, one or shape (offsets,).
+    """
+    if isinstance(course, PlacedCourse):
+        return course.place(offset)
+    return measured.displacement - offset if np.ndim(offset) == 0 else measured.displacement[:, None] - offset
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,25 +12,23 @@ import numpy as np
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace, Unknown
 from calibration.forward.contract import InfeasibleError, Reached
-from calibration.forward.meshes import meshes_of
+from calibration.forward.meshes import FINEST_REMAINDERS, MeshError, meshes_of
 from calibration.forward.motion import Course, Loading, Timed, spline
 from calibration.forward.placed import PlaceCurve, PlacedCourse, at_stage, is_of_course, leaves, loading_to, needs_way
-from calibration.forward.reading import Left, Reading, SimulatedAnswer
+from calibration.forward.reached import reached_at, reached_in
+from calibration.forward.reading import Left, Reading, SimulatedAnswer, away, depth_in_tissue, only_read
 from calibration.forward.solves import Solves, content_key, simulate_curve
 from tissue_sim.closed_form.homogeneous import UNIAXIAL, ClosedForm
-from tissue_sim.errors import ConvergenceError, InputError
+from tissue_sim.errors import InputError
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.model import Model
 from tissue_sim.parameters import with_values
 from tissue_sim.rig.rig import Rig
-from tissue_sim.simulation import simulate
 from tissue_sim.specimen import Specimen
 
 #: A motion that goes back past its touch by this share of its depth pulls at a bonded face.
 _PULLS = 0.02
-#: Width of a difference with what a rig does to readings, relative.
-_READING_WIDTH = 1e-6
 
 
 @dataclass(eq=False)
@@ -48,6 +46,7 @@ class SimulatedTest:
         mesh: what it is known by; tests whose meshes have one name have one error of it. Empty: it has its own.
         along: whether the whole motion is simulated even where the force depends on the tool's place alone.
         solver: name of what simulates it.
+        mesh_error: what the accurate mesh errs by, where that has been found.
     """
 
     name: str
@@ -62,6 +61,7 @@ class SimulatedTest:
     mesh: str = ""
     along: bool = False
     solver: str = "axisymmetric"
+    mesh_error: MeshError | None = None
 
     #: What it is where it is homogeneous.
     closed_form: ClassVar[ClosedForm] = UNIAXIAL
@@ -167,7 +167,7 @@ class SimulatedTest:
             neighbours = {}
             for place, each in enumerate(space.varied, start=1):
                 if is_of_course(each.path) and each.acts_in(self.name, measured.name) and not self._reads(each, values):
-                    width = _away(values[each.name])
+                    width = away(values[each.name])
                     more = self._possible(space, values | {each.name: values[each.name] + width},
                                           self.motions[number], measured.name)
                     neighbours[place] = course(curves[mark], more), width
@@ -224,6 +224,10 @@ class SimulatedTest:
         for way in self.motions if loading is None else (loading,):
             fast, *_ = self._simulated(space, values, solves, way, "fast", rigid=rigid)
             accurate = self._accurate(space, values, solves, way, rigid=rigid)
+            if isinstance(way, Loading) and not self.experiment.depends_on_way:
+                self._find_mesh_error(space, values, solves, way, accurate, rigid=rigid)
+            if self.mesh_error is not None:
+                accurate = accurate * self.mesh_error.factor(way.protocol.displacement)
             found.append(accurate - fast)
             largest = max(largest, float(np.abs(found[-1]).max() / np.abs(accurate).max()))
         self.correction, self.placed_correction = found, None
@@ -233,6 +237,18 @@ class SimulatedTest:
             self.correction = [along(np.clip(motion.displacement, 0.0, loading.depth[-1]))
                                for motion in self._timed_motions]
         return largest
+
+    def _find_mesh_error(self, space: ParameterSpace, values: dict[str, float], solves: Solves, way: Loading,
+                         accurate: np.ndarray, *, rigid: bool) -> None:
+        """Hold the accurate mesh's force at the knots, shape (k,), against the finest one's, where nobody did."""
+        known = self.mesh_error is not None or self.experiment.tool.shape not in FINEST_REMAINDERS
+        if known or not meshes_of(self.solver).finest:
+            return
+        try:
+            finest, *_ = self._simulated(space, values, solves, way, "finest", rigid=rigid)
+            self.mesh_error = MeshError.between(way.depth, accurate, finest)
+        except InfeasibleError:
+            self.mesh_error = MeshError.unknown()
 
     def forget(self) -> None:
         """As `ForwardTest.forget`."""
@@ -255,7 +271,7 @@ class SimulatedTest:
     def _simulated(self, space: ParameterSpace, values: dict[str, float], solves: Solves, motion: Loading | Timed,
                    resolution: str, recording: str | None = None, *, rigid: bool = False
                    ) -> tuple[np.ndarray, np.ndarray, set[str]]:
-        """Force, shape (k,), derivatives with the free parameters, shape (k, p), none of the accurate mesh, and the
+        """Force, shape (k,), derivatives with the free parameters, shape (k, p), of the fast mesh alone, and the
         names of those that are differences; of a `rigid` rig the tool is where the motion says, and upright."""
         factor, proportional = 1.0, self.proportional and space.of_material_alone
         if proportional:
@@ -269,7 +285,7 @@ class SimulatedTest:
         topology = made(space.before_moving(values)) if space.shapes_mesh(self.name) else None
         left = Left.of(model)
         model, topology = left.simulated(model), topology and left.simulated(topology)
-        acting = {} if resolution == "accurate" else {
+        acting = {} if resolution != "fast" else {
             place: each.path for place, each in enumerate(space.varied)
             if each.acts_in(self.name, recording) and not self._reads(each, values) and not left.owns(each.path)
             and not (rigid and is_of_course(each.path))}
@@ -283,7 +299,7 @@ class SimulatedTest:
         if curve.problem:
             raise InfeasibleError(f"{self.name}: {curve.problem}")
         force = factor * np.array(curve.force)
-        rates = np.zeros((force.size, 0 if resolution == "accurate" else len(space.free)))
+        rates = np.zeros((force.size, 0 if resolution != "fast" else len(space.free)))
         if acting:
             scale = [1.0 if proportional and space.varied[place].is_modulus else factor for place in acting]
             rates[:, list(acting)] = np.array(curve.rates).reshape(force.size, len(acting)) * scale
@@ -306,9 +322,7 @@ class SimulatedTest:
         if not unknown.path.startswith("rig.") or not any(unknown.acts_in(self.name, each.name)
                                                           for each in self.measured):
             return False
-        path, value = unknown.path.removeprefix("rig."), values[unknown.name]
-        return with_values(self.rig, {path: value + _away(value)}).motion_only == with_values(
-            self.rig, {path: value}).motion_only
+        return only_read(self.rig, unknown.path.removeprefix("rig."), values[unknown.name])
 
     def evaluate(self, answer: SimulatedAnswer, recording: int, offset: float):
         """As `ForwardTest.evaluate`."""
@@ -328,7 +342,7 @@ class SimulatedTest:
         for place, unknown in enumerate(() if answer.space.of_material_alone else answer.space.varied):
             if unknown.acts_in(self.name, measured.name) and self._reads(unknown, answer.values):
                 path, value = unknown.path.removeprefix("rig."), answer.values[unknown.name]
-                width = _away(value)
+                width = away(value)
                 # One-sided: many faults cannot be less than absent.
                 more = Reading(with_values(rig, {path: value + width})).read(measured, simulated)
                 rates[:, place] = (more - force) / width
@@ -337,13 +351,12 @@ class SimulatedTest:
     def _left(self, answer: SimulatedAnswer, recording: int, offset: float, values: np.ndarray, rate: np.ndarray):
         """What effects in reduced form leave of force and rates, (n, 1 + p), and of the rate with the offset, (n,)."""
         left, measured, space = answer.left[recording], self.measured[recording], answer.space
-        course = answer.courses[recording]
-        depth = course.place(offset) if isinstance(course, PlacedCourse) else measured.displacement - offset
+        depth = depth_in_tissue(answer.courses[recording], measured, offset)
         share = left.share(measured, depth)
         scaled = share[:, None] * values
         for place, each in enumerate(space.varied, start=1):
             if each.acts_in(self.name, measured.name) and left.owns(each.path):
-                width = _away(answer.values[each.name])
+                width = away(answer.values[each.name])
                 more = self._possible(space, answer.values | {each.name: answer.values[each.name] + width},
                                       self.motions[self.motion_of[recording]], measured.name)
                 material, plate = more.material, more.experiment.tool.is_plate
@@ -360,9 +373,10 @@ class SimulatedTest:
         if answer.rigs[recording].reading is not None:
             return np.column_stack([self.evaluate(answer, recording, offset)[0] for offset in offsets])
         measured = self.measured[recording]
-        forces = answer.courses[recording].forces(self._time(recording), measured.displacement, offsets)
-        left = answer.left[recording]
-        return left.share(measured, measured.displacement)[:, None] * forces if left.effects else forces
+        course, left = answer.courses[recording], answer.left[recording]
+        forces = course.forces(self._time(recording), measured.displacement, offsets)
+        # A jump is at a depth of the tissue: another contact moves it to other samples.
+        return left.share(measured, depth_in_tissue(course, measured, offsets)) * forces if left.effects else forces
 
     def _time(self, recording: int) -> np.ndarray | None:
         """Of the samples, on the clock of their motion: motions that count as one may have begun at other times."""
@@ -373,27 +387,14 @@ class SimulatedTest:
         """Of the volume, without a hundredth at either end."""
         deepest = max(float(curve.displacement.max()) for curve in self.measured)
         if self.homogeneous:
-            low = 1 - deepest / self.specimen.height
-            return Reached(self.closed_form.mode, low, 1.0, self.closed_form.extremes(low, 1.0))
+            return reached_at(self.closed_form, 1 - deepest / self.specimen.height)
         points = max(3, self.motions[0].protocol.time.size // 2)
-        values = space.values(theta)
         experiment = replace(self.experiment, protocol=Protocol.ramp(deepest, points))
         try:
-            model = space.model(values, experiment, self.rig, test=self.name)
-            fields = simulate(replace(model, rig=Rig()), resolution=meshes_of(self.solver).fast, fields=True,
-                              solver=self.solver).fields
-        except (ConvergenceError, InputError):
-            fields = None
-        return _of_volume(*((1 - deepest / self.specimen.height, 1.0) if fields is None else fields.stretch_range()))
+            model = replace(space.model(space.values(theta), experiment, self.rig, test=self.name), rig=Rig())
+        except InputError:
+            model = None
+        return reached_in(model, self.solver, deepest / self.specimen.height)
 
     def _experiment(self, motion: Loading | Timed) -> Experiment:
         return replace(self.experiment, protocol=motion.protocol)
-
-
-def _away(value: float) -> float:
-    """Width of a difference with a number of the rig's readings, on which these depend almost linearly."""
-    return _READING_WIDTH * (abs(value) or 1.0)
-
-
-def _of_volume(low: float, high: float) -> Reached:
-    return Reached(None, low, high, (low, high))

@@ -12,6 +12,8 @@ from dataclasses import Field, dataclass
 from math import inf, prod
 from typing import Any, ClassVar
 
+import numpy as np
+
 from tissue_sim.parameters import declaring
 from tissue_sim.registry import Registry
 
@@ -60,6 +62,11 @@ class ReducedEffect(TissueEffect):
     @abstractmethod
     def share(self, history: ToolHistory) -> float:
         """Force of the tool over what it would be without the effect; 1 where the parameters are absent."""
+
+    def shares(self, depth: np.ndarray, deepest: np.ndarray, time: np.ndarray) -> np.ndarray:
+        """`share` at many places, those of a `ToolHistory`, all of one shape; an effect may have it faster."""
+        places = zip(depth.ravel().tolist(), deepest.ravel().tolist(), time.ravel().tolist(), strict=True)
+        return np.array([self.share(ToolHistory(*place)) for place in places]).reshape(depth.shape)
 
 
 class PointEffect(TissueEffect):

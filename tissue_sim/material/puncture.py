@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import inf
 
+import numpy as np
+
 from tissue_sim.errors import InputError
 from tissue_sim.material.effect import ReducedEffect, ToolHistory
 from tissue_sim.parameters import parameter
@@ -38,3 +40,7 @@ class Puncture(ReducedEffect):
     def share(self, history: ToolHistory) -> float:
         """What the puncture leaves of the force."""
         return 1.0 - self.drop if history.deepest > self.depth else 1.0
+
+    def shares(self, depth: np.ndarray, deepest: np.ndarray, time: np.ndarray) -> np.ndarray:
+        """As `ReducedEffect.shares`."""
+        return np.where(deepest > self.depth, 1.0 - self.drop, 1.0)

@@ -57,6 +57,8 @@ RESOLUTIONS = {
                        rubbed_edge=Grading(0.03, 1.875, 2.2)),
     "accurate": Resolution(((16, 20), (50.0, 25.0)), Grading(0.00625, 1.5, 1.5), Grading(0.08, 1.5, 1.35),
                            layer_elements=4),
+    "finest": Resolution(((22, 28), (150.0, 25.0)), Grading(0.005, 1.0, 1.4), Grading(0.05, 1.0, 1.25),
+                         layer_elements=6),
 }
 #: What a name stands for where nobody measures what the computer can do.
 UNMEASURED = {"realtime": "realtime_63"}
