@@ -10,6 +10,7 @@ import numpy as np
 
 from calibration.campaign.campaign import Campaign
 from calibration.campaign.measured import MeasuredCurve, scale_offsets
+from calibration.campaign.parameter_space import ParameterSpace
 from calibration.campaign.planned import as_simulated
 from calibration.diagnosis.diagnosis import CandidateStatement
 from calibration.diagnosis.evidence import Evidence
@@ -22,9 +23,9 @@ from calibration.fit.identifiability import not_identifiable
 from calibration.fit.problem import Problem
 from calibration.fit.steps import Steps
 from calibration.fit.uncertainty import assess_uncertainty
-from calibration.forward.contract import InfeasibleError
+from calibration.forward.contract import ForwardTest, InfeasibleError
 from calibration.forward.forms import remainder
-from calibration.forward.meshes import REMAINDERS
+from calibration.forward.meshes import FAST_REMAINDERS, REMAINDERS
 from calibration.forward.solves import Solves
 from tissue_sim.errors import InputError
 
@@ -96,12 +97,21 @@ def expected_evidence(campaign: Campaign, measured: Mapping[str, tuple[MeasuredC
                          "less depth", file=campaign.path, field="fit.start") from None
     # A scatter that nobody states goes with the force, which is known now.
     jitter = first_jitter(campaign, [curve for curves in known.values() for curve in curves])
-    # As after the correction by the accurate mesh.
     problem = Problem(space, tuple(replace(test, measured=known[test.name]) for test in problem.tests), solves,
-                      jitter, tuple(remainder(test, REMAINDERS) for test in problem.tests))
+                      jitter, tuple(_left_by_meshes(test, space, theta, solves) for test in problem.tests))
     evaluation = problem.evaluate(theta)
     estimate = Estimate(1, theta, evaluation.error, True, "", (), {}, 0.0, problem=problem)
     return Evidence(campaign, {**measured, **known}, estimate)
+
+
+def _left_by_meshes(test: ForwardTest, space: ParameterSpace, theta: np.ndarray, solves: Solves) -> float:
+    """What a fit would not know of the error of its meshes, see `calibration.forward.forms.remainder`."""
+    corrected = replace(test)
+    try:
+        corrected.refine(space, theta, solves)
+    except InfeasibleError:
+        return remainder(test, FAST_REMAINDERS)
+    return remainder(corrected, REMAINDERS)
 
 
 def design(campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]], steps: Steps,

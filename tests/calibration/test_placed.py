@@ -13,6 +13,9 @@ from calibration.fit.campaign_problem import build_problem
 from calibration.fit.levenberg_marquardt import descend
 from calibration.fit.problem import Problem
 from calibration.forward.contract import InfeasibleError
+from calibration.forward.forms import remainder
+from calibration.forward.meshes import FINEST_REMAINDERS, REMAINDERS
+from calibration.forward.motion import Loading
 from calibration.forward.placed import PlaceCurve, PlacedCourse
 from calibration.forward.solves import Solves
 from calibration.statistics.jitter import Jitter
@@ -215,3 +218,61 @@ def test_a_descent_that_runs_into_a_bound_ends_on_it(tmp_path):
     end = descend(problem, np.array([{"C10": 1350.0}.get(name, 1e-6) for name in space.free]), corrected=True,
                   enough=0.1, tolerance=2e-5)
     assert end.theta[list(space.free).index("C10")] == 1402.0
+
+
+@pytest.mark.parametrize(("kind", "tool"), [("bonded_compression", ""), (
+    "needle_indentation", 'tool = "flat"\ntool_radius_mm = 4.0\nfriction = "bonded"')])
+def test_the_accurate_mesh_errs_less_than_what_is_carried_of_it(tmp_path, kind, tool):
+    """What the finest mesh has more is found once, and taken off wherever the accurate one counts; what is left is less
+    than what covariances carry."""
+    test, space, solves = study(tmp_path, kind, tool)
+    test.refine(space, np.array([C10]), solves)
+    assert solves.counts["test", "finest"] == 1
+    knots, more = test.placed_correction
+    finest, *_ = test._simulated(space, {"C10": C10}, solves, Loading(knots, 1e-3), "finest", rigid=True)
+    fast, *_ = test._simulated(space, {"C10": C10}, solves, Loading(knots, 1e-3), "fast", rigid=True)
+    assert more == pytest.approx(finest - fast, abs=2e-5 * finest.max())
+    shape = "plate" if not tool else "flat"
+    assert FINEST_REMAINDERS[shape] <= remainder(test, REMAINDERS) < REMAINDERS[shape]
+    # At other parameters it is the same share of the force.
+    solves.counts.clear()
+    test.refine(space, np.array([1.1 * C10]), solves)
+    assert not solves.counts["test", "finest"]
+    assert test.placed_correction[1] == pytest.approx(1.1 * more, abs=1e-6 * finest.max())
+
+
+def test_where_the_finest_mesh_fails_the_error_of_the_accurate_one_is_carried(tmp_path, monkeypatch):
+    test, space, solves = study(tmp_path, "bonded_compression")
+    simulated = test._simulated
+
+    def failing(space, values, solves, motion, resolution, *others, **named):
+        if resolution == "finest":
+            raise InfeasibleError("no")
+        return simulated(space, values, solves, motion, resolution, *others, **named)
+
+    monkeypatch.setattr(test, "_simulated", failing)
+    test.refine(space, np.array([C10]), solves)
+    assert remainder(test, REMAINDERS) == REMAINDERS["plate"] and test.mesh_error.factor(DEPTH) == pytest.approx(1.0)
+
+
+def test_a_puncture_is_at_a_depth_of_the_tissue(tmp_path):
+    """Another contact moves the drop to other samples, where offsets are scanned too."""
+    test, space, solves = study(tmp_path, "needle_indentation", 'tool = "flat"\ntool_radius_mm = 4.0',
+                                fixed='fixed = { "puncture.drop" = 0.2, "puncture.depth_mm" = 2.0 }')
+    answer = test.solve(space, np.array([C10]), solves)
+    offsets = np.array([-0.1e-3, 0.0, 0.1e-3])
+    scanned = test.scan(answer, 0, offsets)
+    for column, offset in zip(scanned.T, offsets, strict=True):
+        assert column == pytest.approx(test.evaluate(answer, 0, offset)[0], abs=1e-9)
+        falls = np.flatnonzero(np.diff(column[TIME <= 15]) < 0)
+        assert falls.tolist() == [np.flatnonzero(DEPTH - offset > 2e-3)[0] - 1]
+
+
+def test_shares_of_an_effect_without_a_formula_of_its_own(tmp_path):
+    """`ReducedEffect.shares` is `share` at each place."""
+    depth = np.array([[0.0, 0.5e-3], [1e-3, 2e-3], [0.5e-3, 1e-3]])
+    deepest, time = np.maximum.accumulate(depth, axis=0), np.array([[0.0, 0.0], [1.0, 1.0], [2.0, 2.0]])
+    puncture = ts.Puncture(1e-3, 0.25)
+    assert np.array_equal(super(ts.Puncture, puncture).shares(depth, deepest, time),
+                          puncture.shares(depth, deepest, time))
+    assert puncture.shares(depth, deepest, time).tolist() == [[1, 1], [1, 0.75], [1, 0.75]]
