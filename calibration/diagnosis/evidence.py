@@ -23,6 +23,7 @@ from calibration.fit.steps import Steps
 from calibration.forward.solves import Solves
 from calibration.statistics.adequacy import span
 from calibration.statistics.jitter import Jitter
+from calibration.statistics.repetition import Repetition, repetition, variance_ratio
 from tissue_sim.errors import ConvergenceError, InputError
 
 #: A region disagrees where chance makes it, or any other of the tests, look so with less than this probability.
@@ -109,12 +110,9 @@ class Evidence:
         return all(region.adequate for region in self.regions)
 
     @cached_property
-    def coherence(self) -> dict[str, tuple[float, int, int]]:
-        """Test -> how much more its recordings leave behind in common than their scatter explains, 1 by chance; freedom
-        of the mean, and of the scatter. Of tests with recordings at the same places alone.
-
-        Source: analysis of variance, mean over recordings against their scatter; no level of the noise is needed.
-        """
+    def _left(self) -> dict[str, tuple[MeasuredCurve, np.ndarray]]:
+        """Test -> its first recording, and the whitened residuals of those that are at the same places, shape
+        (recordings, n); of tests with several such."""
         found = {}
         for number, test in enumerate(self.problem.tests):
             mine = [(curve, self.evaluation.residual[rows]) for (t, _), rows, curve in zip(
@@ -122,20 +120,47 @@ class Evidence:
             first = mine[0][0].displacement
             alike = [left for curve, left in mine if left.size == first.size
                      and np.abs(curve.displacement - first).max() < _SAME_PLACE * np.abs(first).max()]
-            if len(alike) < 2:
-                continue
-            left, count = np.array(alike), len(alike)
-            mean = left.mean(axis=0)
-            scatter = float(np.sum((left - mean)**2)) / (count - 1)
-            found[test.name] = count * float(mean @ mean) / max(scatter, 1e-300), mean.size, (count - 1) * mean.size
+            if len(alike) > 1:
+                found[test.name] = mine[0][0], np.array(alike)
         return found
 
     @cached_property
+    def coherence(self) -> dict[str, tuple[float, int, int]]:
+        """Test -> `calibration.statistics.repetition.variance_ratio` of its recordings; of those with several."""
+        return {name: variance_ratio(left) for name, (_, left) in self._left.items()}
+
+    @cached_property
+    def repetitions(self) -> dict[str, Repetition]:
+        """Test -> what its recordings leave behind in common, of those where it is more than chance: perhaps too rough
+        for the shapes of the regions, and for the estimate of the noise, which takes what is rough for noise."""
+        found = {}
+        for name, (curve, left) in self._left.items():
+            segments = _runs(curve.segment, left.shape[1])
+            most = repetition(left, segments)
+            if len(self._left) * most.p < REPEATED:
+                found[name] = most
+        return found
+
+    @property
     def repeated(self) -> list[str]:
-        """Tests whose recordings leave the same behind, sample by sample: more than chance, and perhaps too rough for
-        the shapes of the regions and for the estimate of the noise, which takes what is rough for noise."""
-        return [name for name, (ratio, *freedom) in self.coherence.items()
-                if len(self.coherence) * float(special.fdtrc(*freedom, ratio)) < REPEATED]
+        """Tests whose recordings leave the same behind."""
+        return list(self.repetitions)
+
+    @cached_property
+    def repeated_in_words(self) -> list[str]:
+        """Of each such test: ``needle (most at 5.1 mm)``, ``plates (a wave of 17 s)``."""
+        words = []
+        for name, each in self.repetitions.items():
+            curve = self._left[name][0]
+            inside = slice(each.first, each.last + 1)
+            if each.waves and curve.time is not None:
+                words.append(f"{name} (a wave of {np.ptp(curve.clock[inside]) / each.waves:.2g} s)")
+            elif each.last - each.first + 1 < curve.force.size and not each.waves:
+                place = float(np.mean(curve.displacement[inside]))
+                words.append(f"{name} (most at {f'strain {place:.2g}' if curve.stressed else f'{1e3 * place:.2g} mm'})")
+            else:
+                words.append(name)
+        return words
 
     @property
     def explained(self) -> bool:
@@ -153,6 +178,14 @@ class Evidence:
                 memory = float(np.exp(-step / curve.noise.correlation_time))
             total += curve.force.size * (1.0 - memory) / (1.0 + memory)
         return max(total, 2.0)
+
+
+def _runs(labels: np.ndarray | None, size: int) -> list[slice]:
+    """Where a label stays the same."""
+    if labels is None:
+        return [slice(0, size)]
+    ends = [0, *(np.flatnonzero(labels[1:] != labels[:-1]) + 1).tolist(), size]
+    return list(map(slice, ends[:-1], ends[1:]))
 
 
 def gather(campaign: Campaign, measured: Measured, solves: Solves, steps: Steps) -> Evidence:

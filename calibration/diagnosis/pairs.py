@@ -14,9 +14,9 @@ from calibration.fit.steps import Steps
 from calibration.statistics.scores import alike
 
 #: Weakest evidence of a second effect: the Schwarz criterion must be better by this with both than with either, and
-#: chance make any effect score so beside the first with less than this probability: there are many pairs, and two
-#: effects together make almost any gap smaller.
-SECOND, SECOND_LEVEL = 10.0, 1e-3
+#: chance make any effect score so beside the first with less than this probability. Two effects together make almost
+#: any gap smaller, and of fifty there are 1200 pairs: 2 ln 1200 against finding one among them, 2 ln 20 for its odds.
+SECOND, SECOND_LEVEL = 20.0, 1e-3
 #: Two effects act in different places where the cosine between their changes of the forces is less, and the second
 #: shows alone this share of what it shows beside the first.
 DIFFERENT, STEADY = 0.5, 0.5
