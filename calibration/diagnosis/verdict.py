@@ -16,8 +16,9 @@ from calibration.diagnosis.refits import LEAST_GAIN, ODDS, Refit, odds, refit
 from calibration.fit.fit import Region
 from calibration.fit.steps import Steps
 
-#: An effect whose form is not confirmed explains at least this share of the gap.
-MOSTLY = 0.9
+#: An effect whose form is not confirmed explains at least this share of the gap; beside one that is named scores show no
+#: more than what is missing to this share of what was gained.
+MOSTLY, NEARLY_ALL = 0.8, 0.9
 #: An effect beside which scores show another is the likeliest explanation where it gains this share of what both do.
 MOST_SCORED = 0.7
 #: What is left is far from chance where chance makes it in any region with less than this probability.
@@ -85,7 +86,7 @@ def judge(evidence: Evidence, proposals: Proposals, steps: Steps) -> Judgement:
     names = list(dict.fromkeys([*(each.name for each in possible), *_twins(best, proposals)]))
     if len(names) > 1:
         return Judgement("SET", refits, added, names, after)
-    alone = after.explained and left <= (1.0 - MOSTLY) * (gained + left)
+    alone = after.explained and left <= (1.0 - NEARLY_ALL) * (gained + left)
     return Judgement("NAMED" if alone else "LOOKS_LIKE", refits, added, names, after)
 
 

@@ -1,11 +1,11 @@
 """A tissue that stiffens more than the law can."""
 
-from calibration.effects.candidates import REACH
 from calibration.effects.effect import Candidate, Effect, Situation
 from calibration.effects.wider_law import WIDER, absent_order
 
-#: Share by which the new term changes the stress at the largest strain, which is tried first.
-_SHARE = 0.2
+#: Share by which the new term changes the stress at the largest strain, which is tried first, and the largest that a
+#: refit may find, in units of it: it grows so fast that most of the tissue knows little of it.
+_SHARE, _LARGEST = 0.2, 500.0
 
 
 class StrainStiffening(Effect):
@@ -23,4 +23,4 @@ class StrainStiffening(Effect):
         largest = max((situation.strain(test) for test in situation.simulated()), default=0.1)
         # Of C10 (I1 - 3) + Cn0 (I1 - 3)^n, whose I1 is about 3 + 3 strain^2.
         size = _SHARE * 0.5 * situation.modulus / (order * (3.0 * largest**2) ** (order - 1))
-        return [Candidate(self, {path: size}, absent={path: 0.0}, bounds={path: (0.0, REACH * size)}, law=WIDER)]
+        return [Candidate(self, {path: size}, absent={path: 0.0}, bounds={path: (0.0, _LARGEST * size)}, law=WIDER)]
