@@ -18,6 +18,8 @@ from scipy import special
 _NARROWEST, _FEWEST_WINDOWS, _FEWEST_WAVES = 2, 8, 3
 #: Frequencies on either side over which what recordings differ by is averaged, and samples of a segment that has waves.
 _AROUND, _SHORTEST = 10, 32
+#: A window or a wave that chance makes with less than this probability is told.
+_CLEAR = 1e-4
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,10 @@ def repetition(left: np.ndarray, segments: Sequence[slice]) -> Repetition:
     found = [Repetition(float(special.fdtrc(*freedom, ratio)), 0, whole.stop - 1), *_in_windows(left),
              *(wave for each in places for wave in _waves(left, each))]
     best = min(found, key=lambda each: each.p)
-    return replace(best, p=min(len(found) * best.p, 1.0))
+    # A place or a period says more than that it is everywhere.
+    clear = [each for each in found[1:] if len(found) * each.p < _CLEAR]
+    told = min(clear, key=lambda each: (each.p, -each.waves)) if clear else best
+    return replace(told, p=min(len(found) * best.p, 1.0))
 
 
 def _in_windows(left: np.ndarray) -> list[Repetition]:
