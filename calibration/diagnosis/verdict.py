@@ -16,8 +16,8 @@ from calibration.diagnosis.refits import LEAST_GAIN, ODDS, Refit, odds, refit
 from calibration.fit.fit import Region
 from calibration.fit.steps import Steps
 
-#: An effect whose form is not confirmed explains at least this share of the gap; beside one that is named scores show no
-#: more than what is missing to this share of what was gained.
+#: An effect whose form is not confirmed explains at least this share of the gap; beside one that is named, scores show
+#: no more than what is missing to this share of what was gained.
 MOSTLY, NEARLY_ALL = 0.8, 0.9
 #: An effect beside which scores show another is the likeliest explanation where it gains this share of what both do.
 MOST_SCORED = 0.7
