@@ -70,7 +70,8 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
     model = replace(model, rig=model.rig.motion_only)
     own = {f"material.{path}" for path in of_material}
     exact = np.array([parameter.path in own and _exact(model, parameter) for parameter in asked], dtype=bool)
-    options = {"resolution": resolution, "mesh": mesh, "solver": solver, "topology": topology or model}
+    options = {"resolution": resolution, "mesh": mesh, "solver": solver, "topology": topology or model,
+               "estimate_error": False}
     watch = _Watch([_pair(model, parameter) for parameter, one in zip(asked, exact, strict=True) if one],
                    model.experiment.approach)
     recording = simulate(model, watch=watch, **options)

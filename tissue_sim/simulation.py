@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import Any, Protocol
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.fem.solver import SOLVERS, Solver, Step, StepStatus
+from tissue_sim.force_error import WORTH_A_WARNING, ForceError, every_second, force_error
 from tissue_sim.laws import check_stability
 from tissue_sim.material.effect import ReducedForce
 from tissue_sim.model import Model
@@ -24,8 +25,15 @@ from tissue_sim.tilt import tilted
 _SMALLEST_CUT, _CREEPS = 2.0**-10, 2.0**-3
 #: Linear solves that a step may take, and one that creeps.
 _MOST_SOLVES, _MOST_OF_CREEP = 40, 24
+#: Unbalanced over balanced forces of an equilibrium; of a test that another one is compared with.
+_TOLERANCE, _ROUGH = 1e-9, 1e-3
+#: Linear solves of such a test over those of the other, and how many it may take in any case.
+_MOST_TO_COMPARE, _ALWAYS_TO_COMPARE = 4, 400
 #: The tool of a compliant rig is where it should be to this part of the travel; to the next one it is almost there.
 _PLACED, _NEARLY, _MANY_TRIALS, _MOST_TRIALS = 1e-7, 1e-3, 8, 20
+#: What shows whether a force errs as a warning says.
+_REMEDY = 'more samples show it'
+_REMEDIES = {"fast": 'the resolution "accurate" or more samples show it'}
 _NOTHING = Step.axial(StepStatus.CONVERGED, 0, 0.0, 0.0)
 #: Channels of a wrench that has more than a force along z.
 _WRENCH = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
@@ -43,13 +51,18 @@ class Watch(Protocol):
 
 def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields: bool = False,
              progress: Callable[[int, int], None] | None = None, watch: Watch | None = None,
-             solver: str = "axisymmetric", topology: Model | None = None) -> Recording:
+             solver: str = "axisymmetric", topology: Model | None = None,
+             estimate_error: bool = True) -> Recording:
     """Simulate a whole test quasi-statically.
 
     The protocol is the motion that the rig's stage reports; where the load train gives way the tool's true place is
     found together with its force. Of faces that slip in part the bonded and the frictionless test are simulated, each
     behind a load train of its own; fields are those of the bonded one. Between two samples the law's stress changes
     linearly in time.
+
+    How far the force errs is estimated from a second test on another mesh with every second sample, where the solver
+    knows a mesh to compare with; more than `force_error.WORTH_A_WARNING` of the largest force is a warning. On
+    ``"fast"`` that doubles the time, on ``"accurate"`` it adds about a fifth.
 
     Args:
         model: experiment, material, rig.
@@ -61,14 +74,15 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
         solver: name in `tissue_sim.fem.solver.SOLVERS`.
         topology: a model of another geometry: its mesh (or the one that is given, as one of it) is taken, with the
             nodes moved, so that a change of geometry does not change the elements.
+        estimate_error: of the force; not on a mesh of your own, and not for who simulates again and again.
 
     Returns:
         Recording at the times of the protocol, with its labels, as the model's rig reports it. Its displacement counts
         along the tool's way, and its force is the share against that way, as a load cell on the tool's stage feels it;
         where the wrench on the tool is more than a force along z, there are also the channels Fx to Tz in the frame of
-        the scene. ``metadata["solver"]`` holds status, message,
-        warnings, newton_iterations (linear solves), cuts, residual (the largest), dissipated_J (by a drag, where the
-        tissue was let creep to its next equilibrium), wall_s, element, mesh and resolution;
+        the scene. ``metadata["solver"]`` holds status, message, warnings, force_error (estimated, over the largest
+        force; None: not known), newton_iterations (linear solves), cuts, residual (the largest), dissipated_J (by a
+        drag, where the tissue was let creep to its next equilibrium), wall_s, element, mesh and resolution;
         with contact also penetration_mm (the largest violation of a contact condition) and penetration_tolerance_mm;
         with friction slipping_points (the most at once); of a specimen that weighs also self_weight {density_kg_m3,
         gravity_m_s2, height_is, sag_mm, moulded_height_mm}.
@@ -84,7 +98,8 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
     if share := model.experiment.slip:
         held, free = (
             simulate(replace(model, experiment=experiment, rig=rig.motion_only), resolution=resolution, mesh=mesh,
-                     fields=fields, progress=follow, watch=watched, solver=solver, topology=topology)
+                     fields=fields, progress=follow, watch=watched, solver=solver, topology=topology,
+                     estimate_error=estimate_error)
             for experiment, follow, watched in ((replace(model.experiment, slip=None), progress, watch),
                                                 (model.experiment.with_free_faces(), None, None)))
         return rig.read(slipped(held, free, share))
@@ -94,8 +109,8 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
     wrenches: list[Screw] = []
     travels: list[float] = []
     samples: list[Any] = []
-    report = {"newton_iterations": 0, "cuts": 0, "residual": 0.0, "dissipated_J": 0.0, **tissue.report(),
-              "resolution": "own mesh" if mesh is not None else resolution}
+    report = {"warnings": [], "force_error": None, "newton_iterations": 0, "cuts": 0, "residual": 0.0,
+              "dissipated_J": 0.0, **tissue.report(), "resolution": "own mesh" if mesh is not None else resolution}
     if "self_weight" in report:
         specimen = model.experiment.specimen
         report["self_weight"] = {"density_kg_m3": specimen.density, "gravity_m_s2": specimen.gravity,
@@ -103,8 +118,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
 
     def record(status: str, message: str) -> Recording:
         done, wrench = len(wrenches), np.array(wrenches).reshape(-1, 6)
-        solved = {"status": status, "message": message, "warnings": [], **report,
-                  "wall_s": time.perf_counter() - started}
+        solved = {"status": status, "message": message, **report, "wall_s": time.perf_counter() - started}
         channels = {"time": protocol.time[:done], "displacement": protocol.displacement[:done],
                     "force": np.array([model.experiment.resistance(one) for one in wrenches])}
         if wrench[:, [0, 1, 3, 4, 5]].any():
@@ -117,11 +131,8 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
     if progress:
         progress(0, protocol.displacement.size)
     drive = _Drive(tissue, model)
-    places = rig.tool_motion(protocol.displacement)
-    waits, first = _from_the_touch(places, protocol.time)
-    for sample, (place, dt) in enumerate(zip(places.tolist(), waits.tolist(), strict=True)):
-        # Before that the tool is in the air, and the specimen waits for it.
-        for step in drive.to(place, dt) if sample >= first else [_NOTHING]:
+    for sample, (place, dt, steps) in enumerate(drive.along(np.arange(protocol.time.size))):
+        for step in steps:
             report["newton_iterations"] += step.iterations
             report["cuts"] += step.status is not StepStatus.CONVERGED
             report["dissipated_J"] += step.dissipated
@@ -135,15 +146,44 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
                                    depth=depth)
         _note_largest(report, step)
         wrenches.append(drive.arrive(step.wrench, dt))
-        travels.append(min(place, 0.0) if sample < first else drive.travel)
+        travels.append(drive.travel)
         if watch:
             watch.sample(tissue, drive.share)
         if fields:
             samples.append(tissue.sample())
         if progress:
             progress(sample + 1, protocol.displacement.size)
+    if estimate_error and mesh is None:
+        found = _compare(tissue, model, np.array([model.experiment.resistance(one) for one in wrenches]), solver,
+                         resolution, topology, max(_ALWAYS_TO_COMPARE, _MOST_TO_COMPARE * report["newton_iterations"]))
+        if found is not None:
+            report["force_error"] = found.share
+            if found.share > WORTH_A_WARNING:
+                report["warnings"] = [found.in_words(protocol.displacement, _REMEDIES.get(resolution, _REMEDY))]
     cuts = report["cuts"]
     return record("converged", f"converged at every sample{f', step cuts: {cuts}' if cuts else ''}")
+
+
+def _compare(tissue: Solver, model: Model, force: np.ndarray, solver: str, resolution: str, topology: Model | None,
+             most_solves: int) -> ForceError | None:
+    """By how much a force (N, of each sample) errs, from the same test with every second sample on another mesh; None
+    where the solver knows none, or the tool does not get through to a sample there."""
+    comparison = tissue.comparison(resolution)
+    if comparison is None:
+        return None
+    samples, other, solves = every_second(model.experiment.protocol.displacement), [], 0
+    try:
+        drive = _Drive(SOLVERS.find(solver, "solver")(model, resolution=comparison.resolution, topology=topology),
+                       model, _ROUGH)
+    except ConvergenceError:
+        return None
+    for _, dt, steps in drive.along(samples):
+        for step in steps:
+            solves += step.iterations
+        if step.status is not StepStatus.CONVERGED or solves > most_solves:
+            break
+        other.append(model.experiment.resistance(drive.arrive(step.wrench, dt)))
+    return force_error(force, samples, np.array(other), comparison.share)
 
 
 def _note_largest(report: dict, step: Step) -> None:
@@ -191,8 +231,8 @@ class _Drive:
         travel: of the tool along its motion at the last sample, m.
     """
 
-    def __init__(self, solver: Solver, model: Model):
-        self._solver, self._experiment = solver, model.experiment
+    def __init__(self, solver: Solver, model: Model, tolerance: float = _TOLERANCE):
+        self._solver, self._model, self._experiment, self._tolerance = solver, model, model.experiment, tolerance
         self._train = _LoadTrain(model.rig.compliance)
         self._reduced = ReducedForce(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
         self.travel = 0.0
@@ -209,6 +249,17 @@ class _Drive:
         self._train.note(self.travel, self._experiment.resistance(wrench))
         return wrench
 
+    def along(self, samples: np.ndarray) -> Iterator[tuple[float, float, Iterable[Step]]]:
+        """For each of these samples of the protocol: place, m, time since the one before, s, and the steps to it."""
+        protocol = self._experiment.protocol
+        places = self._model.rig.tool_motion(protocol.displacement)[samples]
+        waits, first = _from_the_touch(places, protocol.time[samples])
+        for number, (place, dt) in enumerate(zip(places.tolist(), waits.tolist(), strict=True)):
+            if number < first:
+                # The tool is in the air, and the specimen waits for it.
+                self.travel = min(place, 0.0)
+            yield place, dt, self.to(place, dt) if number >= first else [_NOTHING]
+
     def to(self, place: float, dt: float) -> Iterator[Step]:
         """Steps to one sample; yields each, the last one is that of the sample.
 
@@ -219,7 +270,7 @@ class _Drive:
         solver, train = self._solver, self._train
         if not train.compliance:
             self.travel = place
-            yield from _approach(solver, self._pose(place), dt)
+            yield from _approach(solver, self._pose(place), dt, self._tolerance)
             return
         saved = solver.save()
         depth, growth = train.expect(place)
@@ -232,7 +283,7 @@ class _Drive:
             if trial and not near:
                 solver.restore(saved)
             self.travel = depth
-            for step in _approach(solver, self._pose(depth), 0.0 if near else dt):
+            for step in _approach(solver, self._pose(depth), 0.0 if near else dt, self._tolerance):
                 yield step
             if step.status is not StepStatus.CONVERGED:
                 return
@@ -250,7 +301,7 @@ class _Drive:
         return self._solver.follow(self._experiment.tool_pose(travel))
 
 
-def _approach(solver: Solver, target: Pose, dt: float = 0.0) -> Iterator[Step]:
+def _approach(solver: Solver, target: Pose, dt: float = 0.0, tolerance: float = _TOLERANCE) -> Iterator[Step]:
     """Steps to a pose along a rigid motion, halved where they fail and doubled where they succeed; yields each `Step`.
 
     Time passes evenly along the way, `dt` (s) in all.
@@ -262,10 +313,10 @@ def _approach(solver: Solver, target: Pose, dt: float = 0.0) -> Iterator[Step]:
         last = done + share >= 1.0 - 1e-9
         # Extrapolation leads astray where contact changes; the linear solution for the tool's way does not.
         goal = target if last else between(start, target, done + share)
-        step = solver.step(goal, share * dt, max_iterations=_MOST_SOLVES, predictor_order=order)
+        step = solver.step(goal, share * dt, tolerance=tolerance, max_iterations=_MOST_SOLVES, predictor_order=order)
         yield step
         if step.status is not StepStatus.CONVERGED and not order and length <= _CREEPS:
-            for step in solver.creep(goal, share * dt, max_iterations=_MOST_OF_CREEP):
+            for step in solver.creep(goal, share * dt, tolerance=tolerance, max_iterations=_MOST_OF_CREEP):
                 yield step
         if step.status is StepStatus.CONVERGED:
             if last:

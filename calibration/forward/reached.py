@@ -25,7 +25,8 @@ def reached_in(model: Model | None, solver: str, strain: float) -> Reached:
     fields = None
     if model is not None:
         try:
-            fields = simulate(model, resolution=meshes_of(solver).fast, fields=True, solver=solver).fields
+            fields = simulate(model, resolution=meshes_of(solver).fast, fields=True, solver=solver,
+                              estimate_error=False).fields
         except (ConvergenceError, InputError):
             fields = None
     low, high = (1.0 - strain, 1.0) if fields is None else fields.stretch_range()

@@ -152,7 +152,7 @@ def write_measured(model: ts.Model, test: str, folder: Path, random: np.random.G
     """Recordings of a model, each with its own noise, point of contact and zero, written as files."""
     from scipy.interpolate import PchipInterpolator
 
-    true = ts.simulate(model, resolution="accurate")
+    true = ts.simulate(model, resolution="accurate", estimate_error=False)
     clock = np.linspace(true.time[0], true.time[-1], SAMPLES)
     displacement = np.interp(clock, true.time, true.displacement)
     # Between knots as smooth as the tissue; a corner of the motion is a knot.

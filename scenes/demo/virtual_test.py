@@ -110,7 +110,7 @@ def _measure(kind: TestKind, folder: Path, seeds) -> list[ts.Recording]:
     """Three replicates of a test as the virtual rig reports them, written as recordings."""
     truth = ts.Material("reduced_polynomial_2", PHANTOM, ts.Bulk("bulk_ratio", BULK_RATIO), name="virtual phantom")
     experiment = kind.experiment(specimen=SPECIMEN, protocol=ts.Protocol.ramp(DEPTH, SAMPLES))
-    true = ts.simulate(ts.Model(experiment, truth), resolution="accurate")
+    true = ts.simulate(ts.Model(experiment, truth), resolution="accurate", estimate_error=False)
     replicates = []
     for number in range(1, REPLICATES + 1):
         rig = ts.Rig(force_noise=FORCE_NOISE, seed=next(seeds))
@@ -124,6 +124,7 @@ def _predict(kind: TestKind, measured: list[ts.Recording], material: ts.Material
     """The same motion with the calibrated material, written as a recording."""
     protocol = ts.Protocol(measured[0].time, measured[0].displacement)
     experiment = kind.experiment(specimen=SPECIMEN, protocol=protocol)
-    predicted = ts.simulate(ts.Model(experiment, material), resolution="accurate", fields=kind is NEEDLE)
+    predicted = ts.simulate(ts.Model(experiment, material), resolution="accurate", fields=kind is NEEDLE,
+                            estimate_error=False)
     ts.write_recording(predicted, output / f"predicted_{kind.name}.csv")
     return Comparison(kind, measured, predicted)

@@ -78,4 +78,4 @@ class ModelCurve:
 def simulate_test(model: ts.Model, resolution: str, solver: str,
                   reduced: ts.ReducedModel | None = None) -> ts.Recording:
     """The whole test, in the worker."""
-    return ts.simulate(model, resolution=resolution, solver=solver, mesh=reduced)
+    return ts.simulate(model, resolution=resolution, solver=solver, mesh=reduced, estimate_error=False)

@@ -108,6 +108,19 @@ class Rung:
     force_error: float
 
 
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """What tells how far the force of a resolution errs.
+
+    Attributes:
+        resolution: another one.
+        share: of the difference between the two, this one with twice as many samples, that is the error of this one.
+    """
+
+    resolution: str
+    share: float
+
+
 class Fields(Protocol):
     """Fields of the samples of a simulation, computed when asked for."""
 
@@ -249,6 +262,11 @@ class Solver(ABC):
         """Resolutions of a model for real time, the finest first, of which `Simulator` takes what the computer can do;
         empty of a solver that has none to choose from."""
         return ()
+
+    @classmethod
+    def comparison(cls, resolution: str) -> Comparison | None:
+        """With which resolution a test is compared to tell its error; None of a solver, or a mesh, that knows none."""
+        return None
 
     @abstractmethod
     def save(self) -> Any:

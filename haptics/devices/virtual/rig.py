@@ -57,7 +57,7 @@ class ElasticSpecimen:
             raise InputError("this specimen remembers how it was loaded; make a RememberingSpecimen of it",
                              field="model")
         ideal = replace(model, experiment=replace(model.experiment, protocol=Motion.ramp(depth, _POINTS)), rig=Rig())
-        curve = LoadingCurve(simulate(ideal, resolution=resolution))
+        curve = LoadingCurve(simulate(ideal, resolution=resolution, estimate_error=False))
         self._step = _BEYOND * depth / _TABLE
         motion = self._step * np.arange(_TABLE + 1)
         self._forces = curve.force_behind(motion, model.rig.compliance, np.zeros(motion.size)).tolist()

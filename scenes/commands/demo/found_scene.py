@@ -42,7 +42,7 @@ def before_and_after_scene(result: DiagnosisResult, measured: Path) -> Scene:
     if diagnosis.effects:
         name = f"without {' and '.join(each.title for each in diagnosis.effects)}"
         tested = replace(plain.experiment, protocol=motion(measurements[kind.name]))
-        compared = (name, ts.simulate(replace(plain, experiment=tested)))
+        compared = (name, ts.simulate(replace(plain, experiment=tested), estimate_error=False))
     source = "plain model" if diagnosis.fit_after is None else diagnosis.files["material"]
     return Scene(kind, found.experiment, found.material, source, measurements, rig=found.rig, compared=compared)
 

@@ -14,12 +14,12 @@ from tissue_sim.fem.axisymmetric.creep import creep
 from tissue_sim.fem.axisymmetric.equations import Equations
 from tissue_sim.fem.axisymmetric.fields import Fields
 from tissue_sim.fem.axisymmetric.predictor import extrapolation
-from tissue_sim.fem.axisymmetric.resolutions import realtime_rungs
+from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, realtime_rungs
 from tissue_sim.fem.axisymmetric.state import SavedState
 from tissue_sim.fem.axisymmetric.surface import DeformedSurface, deformed_surface
 from tissue_sim.fem.axisymmetric.touch import bring_down
 from tissue_sim.fem.inertia import Motion
-from tissue_sim.fem.solver import Neighbours, Rung, Solver, Step, StepStatus
+from tissue_sim.fem.solver import Comparison, Neighbours, Rung, Solver, Step, StepStatus
 from tissue_sim.material.material import Material
 from tissue_sim.mesh import Mesh
 from tissue_sim.model import Model
@@ -166,6 +166,11 @@ class AxisymmetricSolver(Solver):
     def realtime_rungs(cls, model: Model) -> Sequence[Rung]:
         """See `Solver.realtime_rungs`."""
         return realtime_rungs(model.experiment)
+
+    @classmethod
+    def comparison(cls, resolution: str) -> Comparison | None:
+        """See `Solver.comparison`."""
+        return RESOLUTIONS[resolution].comparison if resolution in RESOLUTIONS else None
 
     def differentiate(self, neighbours: Neighbours) -> Sensitivity | None:
         """Carry exact derivatives along from now on, before the first step; there are none with effects at points."""

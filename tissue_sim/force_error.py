@@ -1,0 +1,80 @@
+"""By how much the force of a simulated test errs, from the same test on another mesh and in longer steps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+#: From this share of the largest force on, an error is worth a warning.
+WORTH_A_WARNING = 0.025
+#: It reaches as far as this share of its largest.
+_REACHES = 0.5
+
+
+@dataclass(frozen=True)
+class ForceError:
+    """Where and by how much a force may err.
+
+    Attributes:
+        share: the largest, over the largest force.
+        first, last: samples between which it is more than half of that.
+    """
+
+    share: float
+    first: int
+    last: int
+
+    def in_words(self, displacement: np.ndarray, remedy: str) -> str:
+        """A sentence; of displacements, m, of all samples, and what shows the error."""
+        samples, places = f"sample {self.last + 1}", f"{displacement[self.last] * 1e3:.3g} mm"
+        if self.first != self.last:
+            there = displacement[self.first: self.last + 1] * 1e3
+            samples = f"samples {self.first + 1} to {self.last + 1}"
+            places = f"{there.min():.3g} to {there.max():.3g} mm"
+        return (f"the force may err by about {100 * self.share:.2g} % of its largest at {samples} ({places}): on another "
+                f"mesh and in longer steps it differs by so much; {remedy}")
+
+
+def every_second(displacement: np.ndarray) -> np.ndarray:
+    """Every second sample of a motion, with those at which it turns or begins or ends to rest, and the ends.
+
+    Args:
+        displacement: m, shape (n,).
+
+    Returns:
+        Their numbers, ascending.
+    """
+    way = np.sign(np.diff(displacement))
+    kept = [0]
+    for sample in range(1, displacement.size - 1):
+        if way[sample] != way[sample - 1] or sample - kept[-1] == 2:
+            kept.append(sample)
+    if displacement.size > 1:
+        kept.append(displacement.size - 1)
+    return np.array(kept)
+
+
+def force_error(force: np.ndarray, samples: np.ndarray, other: np.ndarray, share: float) -> ForceError | None:
+    """The error that a comparison stands for.
+
+    Args:
+        force: of the test, N, shape (n,).
+        samples: numbers of those that the other test has too.
+        other: its force there, N; it may have come to an end before.
+        share: of their difference that is the error of this test.
+
+    Returns:
+        None where nothing can be compared.
+    """
+    samples, largest = samples[: other.size], float(abs(force).max(initial=0.0))
+    if not samples.size or largest == 0.0:
+        return None
+    apart = share * abs(force[samples] - other) / largest
+    worst = first = last = int(np.argmax(apart))
+    far = apart > _REACHES * apart[worst]
+    while first > 0 and far[first - 1]:
+        first -= 1
+    while last + 1 < samples.size and far[last + 1]:
+        last += 1
+    return ForceError(float(apart[worst]), int(samples[first]), int(samples[last]))
