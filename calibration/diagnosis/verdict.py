@@ -16,9 +16,9 @@ from calibration.diagnosis.refits import LEAST_GAIN, ODDS, Refit, odds, refit
 from calibration.fit.fit import Region
 from calibration.fit.steps import Steps
 
-#: An effect whose form is not confirmed explains at least this share of the gap; beside one that is named, scores show
-#: no more than what is missing to this share of what was gained.
-MOSTLY, NEARLY_ALL = 0.8, 0.9
+#: An effect whose form is not confirmed explains at least this share of the gap, or the lesser one where every other
+#: effect gains no more than so much of what it does: two that explain alike much of a gap explain nothing.
+NEARLY_ALL, MOSTLY, RIVALLED = 0.9, 0.8, 0.75
 #: An effect beside which scores show another is the likeliest explanation where it gains this share of what both do.
 MOST_SCORED = 0.7
 #: What is left is far from chance where chance makes it in any region with less than this probability.
@@ -58,6 +58,8 @@ def judge(evidence: Evidence, proposals: Proposals, steps: Steps) -> Judgement:
     if not good:
         return Judgement("NONE" if evidence.explained else "UNKNOWN", refits, (), [], evidence)
     best = good[0]
+    rivals = (each.gain for each in good if each.proposal.candidate.effect.name != best.proposal.candidate.effect.name)
+    needed = MOSTLY if next(rivals, 0.0) < RIVALLED * best.gain else NEARLY_ALL
     added, after = _as_often_as_needed(best, evidence, steps)
     rest = beside(proposals, after, [best.name]).seen
     if rest or not after.adequate:
@@ -71,7 +73,7 @@ def judge(evidence: Evidence, proposals: Proposals, steps: Steps) -> Judgement:
                                  names, together)
         # Of a gap that is little more than noise a share means little.
         far = min(region.p for region in after.regions) < FAR or after.repeated
-        if far and share_explained(evidence.regions, after.regions) < MOSTLY:
+        if far and share_explained(evidence.regions, after.regions) < needed:
             return Judgement("UNKNOWN", refits, (), [], evidence)
     # What scores still show, beside what was gained.
     gained = sum(each.gain for each in added)
@@ -79,7 +81,7 @@ def judge(evidence: Evidence, proposals: Proposals, steps: Steps) -> Judgement:
     left = max(left, 0.0)
     if left > (1.0 - MOST_SCORED) * (gained + left):
         return Judgement("UNKNOWN", refits, (), [], evidence)
-    if after.repeated and share_repeated(evidence, after) < MOSTLY:
+    if after.repeated and share_repeated(evidence, after) < needed:
         return Judgement("UNKNOWN", refits, (), [], evidence)
     # What is as likely as the best counts, though alone it would be too little to be told from nothing.
     possible = [each for each in sound if odds(best, each) < ODDS]
