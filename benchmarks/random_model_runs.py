@@ -96,8 +96,8 @@ def warm_up() -> None:
 
 def run(one: Description, resolution: str, finer: int = 1, *, check: bool = True) -> dict:
     """A test, as plain values: status (of `ENDS`), message, samples and of how many, CPU seconds, force (N) and time
-    (s), newton_iterations, cuts, warnings; of the check worst and faults (see `equilibrium_check`), failed_samples, and
-    early."""
+    (s), newton_iterations, cuts, and with the check warnings and force_error; of the check worst and faults (see
+    `equilibrium_check`), failed_samples, and early."""
     clock, status, message, recording, samples, found = Clock(), "end", "", None, 0, None
     try:
         with clock.on():
@@ -105,7 +105,8 @@ def run(one: Description, resolution: str, finer: int = 1, *, check: bool = True
             samples = model.experiment.protocol.time.size
             found = EquilibriumCheck(model) if check else None
             recording = ts.simulate(model, resolution=resolution,
-                                    watch=None if found is None else _Watch(found, clock, one.seed))
+                                    watch=None if found is None else _Watch(found, clock, one.seed),
+                                    estimate_error=check)
     except ts.ConvergenceError as error:
         status, message, recording = "stopped", str(error), error.recording
     except ts.InputError as error:
@@ -115,13 +116,13 @@ def run(one: Description, resolution: str, finer: int = 1, *, check: bool = True
     except Exception as error:
         status, message = "exception", "".join(traceback.format_exception_only(error)).strip()
     entry = {"status": status, "message": message, "of": samples, "samples": 0, "cpu_s": clock.spent, "force": [],
-             "time": [], "newton_iterations": 0, "cuts": 0, "warnings": [], "worst": {}, "faults": [],
-             "failed_samples": 0, "early": 0.0}
+             "time": [], "newton_iterations": 0, "cuts": 0, "warnings": [], "force_error": None, "worst": {},
+             "faults": [], "failed_samples": 0, "early": 0.0}
     if recording is not None:
         solved = recording.metadata["solver"]
         entry |= {"samples": int(recording.force.size), "force": recording.force.tolist(),
                   "time": recording.time.tolist()}
-        entry |= {name: solved[name] for name in ("newton_iterations", "cuts", "warnings")}
+        entry |= {name: solved[name] for name in ("newton_iterations", "cuts", "warnings", "force_error")}
         if not np.isfinite(recording.force).all():
             entry |= {"status": "exception", "message": "a force is not a number"}
     if found is not None:
@@ -133,10 +134,10 @@ def run(one: Description, resolution: str, finer: int = 1, *, check: bool = True
 
 
 def run_quarter(one: Description, resolution: str, coarse: dict) -> dict:
-    """The test with `FINER` times as many samples: status, message, cpu_s, warnings, and where both reached the end
+    """The test with `FINER` times as many samples: status, message, cpu_s, and where both reached the end
     `difference`, the largest of common samples over the largest force."""
     fine = run(one, resolution, FINER, check=False)
-    answer = {name: fine[name] for name in ("status", "message", "cpu_s", "warnings")}
+    answer = {name: fine[name] for name in ("status", "message", "cpu_s")}
     if coarse["status"] == fine["status"] == "end":
         force, when = np.array(fine["force"]), np.array(fine["time"])
         same = np.abs(when[:, None] - np.array(coarse["time"])).argmin(axis=0)

@@ -14,6 +14,8 @@ from random_model_runs import ENDS
 
 #: Shares of the largest force by which longer steps may differ: worth a warning, and not worth one.
 APART, TOGETHER = 0.03, 0.01
+#: A warning is right where the error that it states is wrong by no more than this factor.
+RIGHT = 2.0
 
 
 def figures(entries: Sequence[dict]) -> dict:
@@ -40,7 +42,10 @@ def figures(entries: Sequence[dict]) -> dict:
             "finer_failed": [entry["seed"] for entry in entries
                              if entry["status"] == "end" and entry["quarter"]["status"] != "end"],
             "apart_unwarned": [entry["seed"] for entry, apart in quarters if apart > APART and not entry["warnings"]],
-            "apart_warned": [entry["seed"] for entry, apart in quarters if apart > APART and entry["warnings"]],
+            "apart_warned": [entry["seed"] for entry, apart in quarters if apart > APART and entry["warnings"]
+                             and apart / RIGHT <= entry["force_error"] <= apart * RIGHT],
+            "apart_misjudged": [entry["seed"] for entry, apart in quarters if apart > APART and entry["warnings"]
+                                and not apart / RIGHT <= entry["force_error"] <= apart * RIGHT],
             "together": sum(apart <= TOGETHER for _, apart in quarters),
             "together_warned": [entry["seed"] for entry, apart in quarters if apart <= TOGETHER and entry["warnings"]],
             "largest": max((apart for _, apart in quarters), default=0.0)}
@@ -84,8 +89,9 @@ def draw_runs(result: dict, console) -> None:
         console.print(
             f"Steps a quarter as long: {quarter['compared']} models reach the end both ways, and differ by at most "
             f"{quarter['largest']:.1%} of the largest force.\n"
-            f"By more than {APART:.0%} without a warning: {_numbers(quarter['apart_unwarned'])}; with one: "
-            f"{_numbers(quarter['apart_warned'])}.\nWithin {TOGETHER:.0%}: {quarter['together']}, of which warned: "
+            f"By more than {APART:.0%} without a warning: {_numbers(quarter['apart_unwarned'])}; with a "
+            f"right one: {_numbers(quarter['apart_warned'])}; with one that is wrong by more than {RIGHT:g} times: "
+            f"{_numbers(quarter['apart_misjudged'])}.\nWithin {TOGETHER:.0%}: {quarter['together']}, of which warned: "
             f"{_numbers(quarter['together_warned'])}.\nOnly the longer steps reach the end: "
             f"{_numbers(quarter['finer_failed'])}.")
     for failure in found["failures"]:

@@ -32,8 +32,8 @@ class ForceError:
             there = displacement[self.first: self.last + 1] * 1e3
             samples = f"samples {self.first + 1} to {self.last + 1}"
             places = f"{there.min():.3g} to {there.max():.3g} mm"
-        return (f"the force may err by about {100 * self.share:.2g} % of its largest at {samples} ({places}): on another "
-                f"mesh and in longer steps it differs by so much; {remedy}")
+        return (f"the force may err by about {100 * self.share:.2g} % of its largest at {samples} ({places}): on "
+                f"another mesh and in longer steps it differs by so much; {remedy}")
 
 
 def every_second(displacement: np.ndarray) -> np.ndarray:

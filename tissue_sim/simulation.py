@@ -25,8 +25,8 @@ from tissue_sim.tilt import tilted
 _SMALLEST_CUT, _CREEPS = 2.0**-10, 2.0**-3
 #: Linear solves that a step may take, and one that creeps.
 _MOST_SOLVES, _MOST_OF_CREEP = 40, 24
-#: Unbalanced over balanced forces of an equilibrium; of a test that another one is compared with.
-_TOLERANCE, _ROUGH = 1e-9, 1e-3
+#: Unbalanced over balanced forces of an equilibrium that another one is compared with.
+_ROUGH = 1e-3
 #: Linear solves of such a test over those of the other, and how many it may take in any case.
 _MOST_TO_COMPARE, _ALWAYS_TO_COMPARE = 4, 400
 #: The tool of a compliant rig is where it should be to this part of the travel; to the next one it is almost there.
@@ -174,7 +174,7 @@ def _compare(tissue: Solver, model: Model, force: np.ndarray, solver: str, resol
     samples, other, solves = every_second(model.experiment.protocol.displacement), [], 0
     try:
         drive = _Drive(SOLVERS.find(solver, "solver")(model, resolution=comparison.resolution, topology=topology),
-                       model, _ROUGH)
+                       model, tolerance=_ROUGH)
     except ConvergenceError:
         return None
     for _, dt, steps in drive.along(samples):
@@ -227,12 +227,15 @@ class _LoadTrain:
 class _Drive:
     """Takes the tool along the experiment's motion: through a load train that may give way, in steps that converge.
 
+    Args:
+        options: of each step of the solver, such as its tolerance.
+
     Attributes:
         travel: of the tool along its motion at the last sample, m.
     """
 
-    def __init__(self, solver: Solver, model: Model, tolerance: float = _TOLERANCE):
-        self._solver, self._model, self._experiment, self._tolerance = solver, model, model.experiment, tolerance
+    def __init__(self, solver: Solver, model: Model, **options: Any):
+        self._solver, self._model, self._experiment, self._options = solver, model, model.experiment, options
         self._train = _LoadTrain(model.rig.compliance)
         self._reduced = ReducedForce(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
         self.travel = 0.0
@@ -270,7 +273,7 @@ class _Drive:
         solver, train = self._solver, self._train
         if not train.compliance:
             self.travel = place
-            yield from _approach(solver, self._pose(place), dt, self._tolerance)
+            yield from _approach(solver, self._pose(place), dt, **self._options)
             return
         saved = solver.save()
         depth, growth = train.expect(place)
@@ -283,7 +286,7 @@ class _Drive:
             if trial and not near:
                 solver.restore(saved)
             self.travel = depth
-            for step in _approach(solver, self._pose(depth), 0.0 if near else dt, self._tolerance):
+            for step in _approach(solver, self._pose(depth), 0.0 if near else dt, **self._options):
                 yield step
             if step.status is not StepStatus.CONVERGED:
                 return
@@ -301,10 +304,10 @@ class _Drive:
         return self._solver.follow(self._experiment.tool_pose(travel))
 
 
-def _approach(solver: Solver, target: Pose, dt: float = 0.0, tolerance: float = _TOLERANCE) -> Iterator[Step]:
+def _approach(solver: Solver, target: Pose, dt: float = 0.0, **options: Any) -> Iterator[Step]:
     """Steps to a pose along a rigid motion, halved where they fail and doubled where they succeed; yields each `Step`.
 
-    Time passes evenly along the way, `dt` (s) in all.
+    Time passes evenly along the way, `dt` (s) in all. `options`: of each of the solver's steps.
     """
     start = solver.pose
     done, length, order = 0.0, 1.0, 2
@@ -313,10 +316,10 @@ def _approach(solver: Solver, target: Pose, dt: float = 0.0, tolerance: float = 
         last = done + share >= 1.0 - 1e-9
         # Extrapolation leads astray where contact changes; the linear solution for the tool's way does not.
         goal = target if last else between(start, target, done + share)
-        step = solver.step(goal, share * dt, tolerance=tolerance, max_iterations=_MOST_SOLVES, predictor_order=order)
+        step = solver.step(goal, share * dt, max_iterations=_MOST_SOLVES, predictor_order=order, **options)
         yield step
         if step.status is not StepStatus.CONVERGED and not order and length <= _CREEPS:
-            for step in solver.creep(goal, share * dt, tolerance=tolerance, max_iterations=_MOST_OF_CREEP):
+            for step in solver.creep(goal, share * dt, max_iterations=_MOST_OF_CREEP, **options):
                 yield step
         if step.status is StepStatus.CONVERGED:
             if last:

@@ -36,7 +36,7 @@ def test_json_is_alone_and_right(material, capsys):
                  "--json"]) == 0
     out, err = capsys.readouterr()
     answer = json.loads(out)
-    assert err == "" and set(answer) == KEYS | {"penetration_mm", "penetration_tolerance_mm"}
+    assert err == "" and set(answer) == KEYS | {"penetration_mm", "penetration_tolerance_mm", "force_error"}
     np.testing.assert_allclose(answer["displacement_mm"], range(6), atol=1e-12)
     np.testing.assert_allclose(answer["time_s"], np.arange(6) / 0.248)
     assert answer["force_N"][2] == pytest.approx(1.5417, rel=0.01)
@@ -150,6 +150,21 @@ def test_the_bulge_meets_the_plates(material, capsys):
     assert answer["force_N"][-1] == pytest.approx(31.96, rel=0.01) and answer["warnings"] == []
 
 
+def test_a_force_that_errs_is_warned_of_in_both_outputs(tmp_path, capsys):
+    ts.write_material_file(ts.MaterialFile.of(ts.Material("neo_hooke", {"C10": 13989.0}, ts.Bulk("bulk_ratio", 740.0))),
+                           tmp_path / "m.material.json")
+    words = ["simulate", "needle_indentation", "--material", str(tmp_path / "m.material.json"), "--radius-mm", "37.9",
+             "--height-mm", "10.5", "--tool", "flat", "--tool-radius-mm", "1.968", "--edge-radius-mm", "0.984",
+             "--friction", "stick", "--friction-wall", "0.3", "--depth-mm", "2.7315", "--points", "16"]
+    assert main([*words, "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    warning, = answer["warnings"]
+    assert warning.startswith("the force may err by about ") and answer["force_error"] > 0.03
+    assert main(words) == 0
+    out, err = capsys.readouterr()
+    assert err == f"tissue-sim: warning: {warning}\n" and "of its largest, by comparison" in " ".join(out.split())
+
+
 def test_material_beyond_its_range_and_stability_is_warned_of(tmp_path, capsys):
     material = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": -100.0}, ts.Bulk("bulk_ratio", 1e4))
     ts.write_material_file(ts.MaterialFile.of(material, valid_range={"stretch": (0.9, 1.0)}),
@@ -222,7 +237,7 @@ def simulate_json(capsys, material, *words) -> dict:
 def test_needle(material, capsys):
     """The independent reference: 0.3601, 0.9363 and 2.078 N at 2, 5 and 10 mm; `fast` within 1 %."""
     answer = simulate_json(capsys, material, "needle_indentation", "--points", "11")
-    assert set(answer) == KEYS | {"penetration_mm", "penetration_tolerance_mm"}
+    assert set(answer) == KEYS | {"penetration_mm", "penetration_tolerance_mm", "force_error"}
     np.testing.assert_allclose(np.array(answer["force_N"])[[2, 5, 10]], [0.3601, 0.9363, 2.078], rtol=0.01)
     assert 0 <= answer["penetration_mm"] <= answer["penetration_tolerance_mm"] < 0.01
 

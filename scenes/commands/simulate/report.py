@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 #: Rows of a printed curve; of a longer one, some samples are left out.
 MOST_ROWS = 60
 #: Entries of the solver's report that are there where they apply.
-OF_CONTACT_AND_WEIGHT = ("penetration_mm", "penetration_tolerance_mm", "slipping_points", "self_weight")
+WHERE_THEY_APPLY = ("force_error", "penetration_mm", "penetration_tolerance_mm", "slipping_points", "self_weight")
 
 
 def as_json(recordings: Sequence[Recording], resolution: str, failure: Exception | None, warnings: list[str], *,
@@ -43,7 +43,7 @@ def as_json(recordings: Sequence[Recording], resolution: str, failure: Exception
         "wall_s": solver.get("wall_s"),
         "mesh": solver.get("mesh"),
         "resolution": solver.get("resolution", resolution),
-        **{key: solver[key] for key in OF_CONTACT_AND_WEIGHT if key in solver},
+        **{key: solver[key] for key in WHERE_THEY_APPLY if solver.get(key) is not None},
     }
     if replicates:
         answer["replicates"] = [{"displacement_mm": (one.displacement * 1e3).tolist(), "force_N": one.force.tolist(),
@@ -103,7 +103,7 @@ def shown_rows(recording: Recording) -> np.ndarray:
 
 
 def print_solver(recording: Recording, console: Console) -> None:
-    """Print size and cost of the solution, and what was assumed of contact and weight."""
+    """Print size and cost of the solution, how far it errs, and what was assumed of contact and weight."""
     solver = recording.metadata.get("solver")
     if not solver:
         return
@@ -115,7 +115,10 @@ def print_solver(recording: Recording, console: Console) -> None:
 
 
 def remarks(solver: dict) -> Iterator[str]:
-    """What was assumed of contact and weight, a sentence each."""
+    """How far the force errs, and what was assumed of contact and weight, a sentence each."""
+    if solver.get("force_error") is not None:
+        yield (f"the force errs by about {100 * solver['force_error']:.2g} % of its largest, by comparison with "
+               "another mesh and longer steps")
     if "penetration_mm" in solver:
         yield (f"the surface enters the tool by {solver['penetration_mm']:.2g} mm at most "
                f"(tolerance {solver['penetration_tolerance_mm']:.2g} mm)")

@@ -1,0 +1,103 @@
+"""How far a simulated force errs: what is said of it against finer meshes, shorter steps and independent solvers."""
+
+import numpy as np
+import pytest
+
+import tissue_sim as ts
+from tissue_sim.fem.axisymmetric.discretisation import build_mesh
+from tissue_sim.force_error import WORTH_A_WARNING, ForceError, every_second, force_error
+
+STUDY = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
+PLATES = {"tool": ts.Tool("plate"), "friction": "bonded", "friction_base": "bonded"}
+NEEDLE = {"tool": ts.Tool("flat", radius=8e-3), "friction": "bonded"}
+
+
+def study(depth=10e-3, points=11, **options):
+    return ts.Model(ts.Experiment(ts.Specimen(0.040, 0.070), ts.Protocol.ramp(depth, points), **options), STUDY)
+
+
+def rolls_over_an_edge(points=16):
+    """Tissue that sticks to a needle with a round edge; elements at the edge are as large as it."""
+    needle = ts.Tool("flat", radius=1.968e-3, edge_radius=0.984e-3)
+    experiment = ts.Experiment(ts.Specimen(0.0379, 0.0105), ts.Protocol.ramp(2.7315e-3, points), tool=needle,
+                               friction="stick", friction_wall=0.3)
+    return ts.Model(experiment, ts.Material("neo_hooke", {"C10": 13989.0}, ts.Bulk("bulk_ratio", 740.0)))
+
+
+def turns_back(points=11):
+    """Tissue that creeps, without friction round an edge, and is drawn along as the needle turns back."""
+    law = ts.Material("reduced_polynomial_3", {"C10": 227.6, "C20": 91.88, "C30": 32.27}, ts.Bulk("bulk_ratio", 6409.0),
+                      viscoelastic=ts.Prony((ts.PronyTerm(0.1355, 0.6542), ts.PronyTerm(0.0558, 18.784))))
+    needle = ts.Tool("flat", radius=3.535e-3, edge_radius=7.07e-5)
+    experiment = ts.Experiment(ts.Specimen(7.181e-3, 7.967e-3),
+                               ts.Protocol.parse("ramp 2.7886mm @0.1315mm/s; unload", points=points), tool=needle,
+                               friction="frictionless", friction_base="frictionless")
+    return ts.Model(experiment, law)
+
+
+def solver_says(recording):
+    return recording.metadata["solver"]
+
+
+@pytest.mark.parametrize(("name", "depth", "options"), [
+    ("bonded_RP", 10e-3, PLATES),
+    ("friction0.7_30mm_RP", 30e-3, PLATES | {"friction": 0.7, "friction_base": 0.7}),
+    ("punch_bonded_face_side_wall_RP", 10e-3, NEEDLE)])
+def test_it_is_of_the_size_of_the_error_against_an_independent_solver(reference, name, depth, options):
+    """Taylor-Hood elements of another program, finer than `accurate`, which err by up to 0.1 % themselves."""
+    d, force = np.loadtxt(reference / f"{name}.csv", delimiter=",")[:, :2].T
+    recording = ts.simulate(study(depth, **options))
+    error = abs(recording.force - np.interp(recording.displacement * 1e3, d, force)).max() / force.max()
+    assert error / 3 < solver_says(recording)["force_error"] < 3 * error and not solver_says(recording)["warnings"]
+
+
+def test_a_coarse_mesh_is_warned_of_by_how_much_the_accurate_one_differs():
+    model = rolls_over_an_edge()
+    recording, accurate = (ts.simulate(model, resolution=resolution) for resolution in ("fast", "accurate"))
+    error = abs(recording.force - accurate.force).max() / accurate.force.max()
+    assert error > 0.05 and error / 2 < solver_says(recording)["force_error"] < 2 * error
+    warning, = solver_says(recording)["warnings"]
+    assert warning.startswith(f"the force may err by about {100 * solver_says(recording)['force_error']:.2g} %")
+    assert "sample" in warning and "mm" in warning and '"accurate"' in warning
+
+
+def test_long_steps_are_warned_of_by_how_much_quarter_steps_differ():
+    recording, fine = ts.simulate(turns_back()), ts.simulate(turns_back(41), estimate_error=False)
+    error = abs(recording.force - fine.force[::4]).max() / fine.force.max()
+    assert error > WORTH_A_WARNING and error / 2 < solver_says(recording)["force_error"] < 2 * error
+    assert len(solver_says(recording)["warnings"]) == 1
+
+
+def test_forces_are_the_same_with_and_without():
+    model = rolls_over_an_edge()
+    plain = ts.simulate(model, estimate_error=False)
+    assert (plain.force == ts.simulate(model).force).all()
+    assert solver_says(plain)["force_error"] is None and solver_says(plain)["warnings"] == []
+
+
+def test_a_mesh_of_the_users_own_is_compared_with_none():
+    model = rolls_over_an_edge()
+    assert solver_says(ts.simulate(model, mesh=build_mesh(model.experiment)))["force_error"] is None
+
+
+def test_a_sensor_keeps_the_warning():
+    model = rolls_over_an_edge()
+    read = ts.simulate(ts.Model(model.experiment, model.material, ts.Rig(force_noise=0.01, sampling_rate=2.0)))
+    assert len(solver_says(read)["warnings"]) == 1
+
+
+def test_every_second_sample_and_all_that_turn():
+    motion = np.array([0.0, 1, 2, 3, 4, 5, 5, 5, 5, 3, 1, 0])
+    kept = every_second(motion)
+    assert kept.tolist() == [0, 2, 4, 5, 7, 8, 10, 11]
+    assert every_second(np.array([0.0])).tolist() == [0]
+
+
+def test_the_error_is_said_where_it_is():
+    samples, force = np.arange(0, 9, 2), np.linspace(0.0, 2.0, 9)
+    other = force[samples] + [0.0, 0.01, 0.2, 0.12, 0.0]
+    found = force_error(force, samples, other, 0.5)
+    assert found == ForceError(pytest.approx(0.05), 4, 6)
+    assert "samples 5 to 7 (4 to 6 mm)" in found.in_words(1e-3 * np.arange(9.0), "more samples show it")
+    ended = force_error(force, samples, other[:2], 1.0)
+    assert ended == ForceError(pytest.approx(0.005), 2, 2) and force_error(force, samples, other[:0], 1.0) is None
