@@ -88,8 +88,8 @@ class Tissue:
         """
         for name in material.regions:
             if name not in self._mesh.regions:
-                raise InputError(f"the mesh has no region {name!r}{nearest(name, self._mesh.regions)}",
-                                 field="material.regions")
+                known = nearest(name, self._mesh.regions) if self._mesh.regions else "; it names none"
+                raise InputError(f"the mesh has no region {name!r}{known}", field="material.regions")
         materials = [material.regions.get(region.name, material) for region in self._regions]
         bulks = [bulk_modulus(each, self._mesh) for each in materials]
         self.material = material
