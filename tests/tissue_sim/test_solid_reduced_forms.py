@@ -29,7 +29,7 @@ def simulated(protocol, *, tool=NEEDLE, friction="bonded", specimen=CYLINDER, ap
 
 @pytest.mark.parametrize(("options", "radius"), [
     ({"mesh": cylinder()}, 8e-3), ({"mesh": cylinder((10e-3, 0.0)), "approach": ts.Approach(10e-3, 0.2)}, 8e-3),
-    ({"tool": PLATE, "specimen": ts.Block(0.03, 0.05, 0.04)}, 0.015)], ids=["needle", "oblique needle", "plates on a block"])
+    ({"tool": PLATE, "specimen": ts.Block(0.03, 0.05, 0.04)}, 0.015)], ids=["needle", "oblique needle", "block"])
 def test_a_hold_drains_with_the_square_of_the_contact(options, radius):
     """After a sudden ramp the force falls by phi with tau = a^2 / D, as nothing moves; of a block, a is half its
     shorter side."""

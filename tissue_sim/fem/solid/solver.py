@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -12,16 +12,19 @@ from tissue_sim.fem.history import Memory
 from tissue_sim.fem.linear.sparse import Factor, SparseSolver
 from tissue_sim.fem.solid.contact import ALL, Body, ContactNodes, Look
 from tissue_sim.fem.solid.fields import SolidFields
-from tissue_sim.fem.solid.frame import Frame, turned_with
+from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.solid.free_part import FreePart
+from tissue_sim.fem.solid.mass import Mass
 from tissue_sim.fem.solid.sensitivity import SolidParts, SolidSensitivity
+from tissue_sim.fem.solid.state import Sample, SavedState
 from tissue_sim.fem.solid.surface import SolidSurface
 from tissue_sim.fem.solid.tissue import Tissue
+from tissue_sim.fem.solid.tool_wrench import Grip, rows
 from tissue_sim.fem.solver import Neighbours, Solver, Step, StepStatus
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.pose import Pose, Screw
-from tissue_sim.tool_force import Matrix
+from tissue_sim.tool_force import Matrix, NextForce
 
 #: A step that turns an element inside out is halved so often.
 _HALVINGS = 4
@@ -33,23 +36,6 @@ _FLOOR_SHARE = 0.1
 _NO_WAY = 1e-14
 #: Friction below this share of the floor is none.
 _FRICTION_FLOOR = 1e-6
-
-
-@dataclass(frozen=True, eq=False)
-class Sample:
-    """A committed state: displacements, m, shape (nodes, 3), pressure amplitudes, Pa, (elements, modes), and the
-    isochoric stresses of its memory where it has one; see `SolidFields`."""
-
-    displacement: np.ndarray
-    pressures: np.ndarray
-    stresses: np.ndarray | None
-
-
-@dataclass(frozen=True, eq=False)
-class _Saved:
-    arrays: tuple[np.ndarray, ...]
-    pose: Pose
-    largest_force: float
 
 
 class SolidSolver(Solver):
@@ -116,6 +102,10 @@ class SolidSolver(Solver):
         self._largest_force, self._asked, self._modulus, self._least = 0.0, False, 0.0, 0.0
         self._committed, self._rest = (tuple(array.copy() for array in self._state) for _ in range(2))
         self._derivatives: SolidSensitivity | None = None
+        self._mass: Mass | None = None
+        self._last: Step | None = None
+        # How everything goes with the tool at the last equilibrium whose stiffness was asked for, shape (freedoms, 6).
+        self._along: np.ndarray | None = None
         #: Of the tool where the state that is worked on belongs to it.
         self._here = Frame(start, datum)
         self.set_material(material)
@@ -152,19 +142,27 @@ class SolidSolver(Solver):
     def step(self, pose: Pose, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
              predictor_order: int = 2, inertial: bool = False, resumes: bool = False,
              own_stiffness: bool = True) -> Step:
-        """Move the tool to a pose and find equilibrium; see `Solver.step`. There is no mass, and no predictor
-        but the linear solution for the tool's way."""
+        """Move the tool to a pose and find equilibrium; see `Solver.step`. There is no predictor but the linear
+        solution for the tool's way."""
         self.tissue.prepare(dt)
+        if self._mass is not None:
+            self._mass.prepare(self._committed[0], dt, inertial)
         frame = Frame(pose, self.datum)
         if not resumes:
             self._go_back()
         outcome = self._iterate(frame, tolerance, max_iterations)
         if outcome.status is StepStatus.CONVERGED:
+            if inertial and self._mass is not None and self._asked:
+                own = self._own_stiffness(frame) if own_stiffness and outcome.iterations < max_iterations else None
+                outcome = replace(outcome, step_stiffness_matrix=outcome.stiffness_matrix, stiffness_matrix=own)
+            if self._mass is not None:
+                self._mass.motion.commit(self._committed[0], self.x, dt, inertial)
             self.contact.commit()
             self.tissue.commit()
             self._committed = self.x.copy(), self.batches.pressures.copy(), self.contact.forces.copy()
             self._pose = pose
             self._largest_force = max(self._largest_force, float(np.linalg.norm(outcome.wrench[:3])))
+            self._last = outcome
         return outcome
 
     def _go_back(self) -> None:
@@ -227,7 +225,7 @@ class SolidSolver(Solver):
             elif first_ratio is not None and iterations > 3 and ratio > 1e3 * max(first_ratio, 1.0):
                 status = StepStatus.DIVERGED
             if status is not None and not (status is StepStatus.CONVERGED and self._asked):
-                return self._answer(status, iterations, ratio, look, residual, frame, None)
+                return self._answer(status, iterations, ratio, look, frame)
             self._matrix.add(contact.rates)
             factor = self._sparse.factorise(self._matrix.free, symmetric=not look.slipping)
             if factor is None or not factor.definite:
@@ -236,9 +234,9 @@ class SolidSolver(Solver):
                     continue
                 if status is None:
                     status = StepStatus.INDEFINITE
-                return self._answer(status, iterations, ratio, look, residual, frame, None)
+                return self._answer(status, iterations, ratio, look, frame)
             if status is not None:
-                return self._answer(status, iterations, ratio, look, residual, frame, self._stiffness(factor, frame))
+                return self._answer(status, iterations, ratio, look, frame, factor)
             if iterations == 1:
                 first_ratio = ratio
             right = residual
@@ -277,44 +275,47 @@ class SolidSolver(Solver):
 
     def _assemble(self, tangent: bool = True) -> None:
         self._least = self.tissue.assemble(tangent)
+        if self._mass is not None:
+            self._mass.resist(self.x, self.batches.residual[:-1], self._matrix.all)
 
-    def _answer(self, status: StepStatus, iterations: int, ratio: float, look: Look, residual: np.ndarray, frame: Frame,
-                stiffness: np.ndarray | None) -> Step:
-        rates = [frame.rates(self.mesh.nodes[self._bonded] + self.x.reshape(-1, 3)[self._bonded]),
-                 frame.rates(self._places()[self.contact.moves])]
-        # The residual of what the tool holds is the force that it needs.
-        forces = [-self.batches.residual[:-1][self._moved].reshape(-1, 3), self.contact.forces[self.contact.moves]]
-        wrench = sum(np.einsum("nik,ni->k", rate, force) for rate, force in zip(rates, forces, strict=True))
-        return Step(status, iterations, ratio, cast("Screw", tuple(np.asarray(wrench).tolist())),
-                    None if stiffness is None else cast("Matrix", tuple(map(tuple, stiffness.tolist()))),
-                    look.violation, look.slipping)
+    def _grip(self, frame: Frame) -> Grip:
+        return Grip(frame, self._moved, self._places_of(self._bonded),
+                    self.batches.residual[:-1][self._moved].reshape(-1, 3), self.contact, self._places())
 
-    def _stiffness(self, factor: Factor, frame: Frame) -> np.ndarray:
-        """Minus the derivative of the wrench with the tool's place and rotation, shape (6, 6)."""
-        contact, matrix, size = self.contact, self._matrix.all, self.x.size
-        moved = np.zeros((size, 6))
-        levers = frame.rates(self._places_of(self._bonded))
-        moved[self._moved] = levers.reshape(-1, 6)
-        way, turned = np.zeros((2, len(contact.nodes), 3, 6))
-        way[contact.moves] = frame.rates(self._places()[contact.moves])
-        # The forces of what touches the tool turn with it.
-        turned[contact.moves] = turned_with(contact.forces[contact.moves])
-        # Forces of the nodes when the tool moves and the tissue does not yet; the matrix holds the rates of contact.
-        pushed = matrix @ moved
-        np.add.at(pushed.reshape(-1, 3, 6), contact.nodes, turned - np.einsum("nij,njk->nik", contact.rates, way))
-        answer = moved.copy()
-        answer[self._free] = -factor.solve(pushed[self._free])
-        on_tool = turned + np.einsum("nij,njk->nik", contact.rates, answer.reshape(-1, 3, 6)[contact.nodes] - way)
-        held = self.batches.residual[:-1][self._moved].reshape(-1, 3)
-        reactions = (matrix @ answer)[self._moved].reshape(-1, 3, 6)
-        wrench_rate = np.einsum("nia,nib->ab", levers, -reactions)
-        wrench_rate += np.einsum("nia,nib->ab", way[contact.moves], on_tool[contact.moves])
-        # The levers of the torque change, too: a node goes its way, and the tool's deepest point the tool's.
-        apart = np.concatenate([levers, answer.reshape(-1, 3, 6)[contact.nodes[contact.moves]]])
-        apart[:, :, :3] -= np.eye(3)
-        forces = np.concatenate([-held, contact.forces[contact.moves]])
-        wrench_rate[3:] += np.cross(apart, forces[:, :, None], axisa=1, axisb=1, axisc=1).sum(axis=0)
-        return -wrench_rate
+    def _answer(self, status: StepStatus, iterations: int, ratio: float, look: Look, frame: Frame,
+                factor: Factor | None = None) -> Step:
+        """The step, with its stiffness where there is a factor of the last matrix."""
+        stiffness, grip = None, self._grip(frame)
+        if factor is not None:
+            stiffness, self._along = grip.stiffness(self._matrix.all, factor, self._free)
+        return Step(status, iterations, ratio, cast("Screw", tuple(grip.wrench().tolist())),
+                    None if stiffness is None else rows(stiffness), look.violation, look.slipping)
+
+    def _own_stiffness(self, frame: Frame) -> Matrix | None:
+        """That of the tissue without its mass, just after an inertial step; None where it would not stand so."""
+        assert self._mass is not None
+        self._mass.rate, rate = 0.0, self._mass.rate
+        self._assemble()
+        self._mass.rate = rate
+        self._matrix.add(self.contact.rates)
+        factor = self._sparse.factorise(self._matrix.free, symmetric=not self.contact.state.slides.any())
+        if factor is None or not factor.definite:
+            return None
+        return rows(self._grip(frame).stiffness(self._matrix.all, factor, self._free)[0])
+
+    def follow_motion(self, density: float) -> bool:
+        """Let the tissue have a mass (kg/m3) from now on, in all its regions alike; it has one."""
+        self._mass = Mass(self.mesh, self.batches.weights, density, self._matrix.all)
+        return True
+
+    def ahead(self, dt: float) -> NextForce | None:
+        """See `Solver.ahead`, and that of the axisymmetric solver for how."""
+        last = self._last
+        if self._mass is None or self._along is None or last is None or last.step_stiffness_matrix is None:
+            return None
+        more, stiffer = self._mass.ahead(self.x, dt, self._along)
+        return NextForce(cast("Screw", tuple((np.array(last.wrench) - more).tolist())),
+                         rows(np.array(last.step_stiffness_matrix) + stiffer))
 
     def _places_of(self, nodes: np.ndarray) -> np.ndarray:
         return self.mesh.nodes[nodes] + self.x.reshape(-1, 3)[nodes]
@@ -337,14 +338,16 @@ class SolidSolver(Solver):
         for array, rest in zip(self._committed, self._rest, strict=True):
             array[:] = rest
         self.contact.forget()
+        if self._mass is not None:
+            self._mass.motion.stop()
         self._pose = self._start
         self._go_back()
 
-    def save(self) -> _Saved:
+    def save(self) -> SavedState:
         """All that a committed step leaves behind, for `restore`."""
-        return _Saved(tuple(array.copy() for array in self._kept), self._pose, self._largest_force)
+        return SavedState(tuple(array.copy() for array in self._kept), self._pose, self._largest_force)
 
-    def restore(self, saved: _Saved) -> None:
+    def restore(self, saved: SavedState) -> None:
         """Go back to where `save` was called."""
         for array, before in zip(self._kept, saved.arrays, strict=True):
             array[:] = before
@@ -352,7 +355,8 @@ class SolidSolver(Solver):
 
     @property
     def _kept(self) -> tuple[np.ndarray, ...]:
-        return (*self._committed, *self.contact.kept, *self.tissue.kept)
+        moving = () if self._mass is None else self._mass.motion.kept
+        return (*self._committed, *self.contact.kept, *self.tissue.kept, *moving)
 
     def rest_here(self) -> None:
         """Let the committed state be the one without a tool."""
