@@ -56,7 +56,8 @@ def require_reducible(model: Model) -> None:
     """Refuse what a reduced solid does not take.
 
     Raises:
-        InputError: a plate, a base with friction, weight, layers, a tool or a specimen from a file of its own.
+        InputError: a plate, a base with friction, weight, laws of contact, layers, a tool or a specimen from a file of
+            its own.
     """
     experiment = model.experiment
     if experiment.tool.is_plate:
@@ -71,6 +72,9 @@ def require_reducible(model: Model) -> None:
         if from_file:
             raise InputError(f"the shape of the {kind} is in a file of its own, which a reduced solid does not keep; "
                              "use a shape by its sizes", field=kind)
+    if experiment.acting_laws:
+        raise InputError("a reduced solid takes no adhesion or other laws of contact yet; leave them out",
+                         field="contact_laws")
     require_one_material(model.material)
 
 

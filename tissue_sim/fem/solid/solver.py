@@ -11,9 +11,10 @@ import numpy as np
 from tissue_sim.fem.history import Memory
 from tissue_sim.fem.linear.sparse import Factor, SparseSolver
 from tissue_sim.fem.solid.contact import ALL, Body, ContactNodes, Look
+from tissue_sim.fem.solid.contact_laws import NodeLaws
 from tissue_sim.fem.solid.fields import SolidFields
 from tissue_sim.fem.solid.frame import Frame
-from tissue_sim.fem.solid.free_part import FreePart
+from tissue_sim.fem.solid.free_part import FreePart, staying
 from tissue_sim.fem.solid.mass import Mass
 from tissue_sim.fem.solid.sensitivity import SolidParts, SolidSensitivity
 from tissue_sim.fem.solid.state import Sample, SavedState
@@ -48,7 +49,7 @@ class SolidSolver(Solver):
         bonded: nodes that the tool holds, shape (n,).
         pins: nodes and axes, ``"xy"``, along which they stay where they are, where nothing else keeps the solid from
             sliding off or turning.
-        bodies: what the surface may meet.
+        bodies: what the surface may meet. laws: of contact with the tool.
         tolerance: how far a contact condition may be violated, m.
         start: of the tool, where it first touches, in the frame of the scene.
         datum: height of that frame's origin in that of the mesh, m.
@@ -67,8 +68,8 @@ class SolidSolver(Solver):
     highest_order = 0
 
     def __init__(self, mesh: SolidMesh, material: Material, fixed: dict[str, str], bonded: np.ndarray, *,
-                 bodies: Sequence[Body] = (), tolerance: float = 0.0, start: Pose, datum: float = 0.0,
-                 contact_radius: float = 1.0, pins: Sequence[tuple[int, str]] = (),
+                 bodies: Sequence[Body] = (), laws: NodeLaws | None = None, tolerance: float = 0.0, start: Pose,
+                 datum: float = 0.0, contact_radius: float = 1.0, pins: Sequence[tuple[int, str]] = (),
                  element_layers: np.ndarray | None = None, specific_weight: float = 0.0,
                  settled: SolidSolver | None = None, lift: np.ndarray | None = None):
         self.mesh, self.datum, self._tolerance = mesh, datum, tolerance
@@ -79,12 +80,7 @@ class SolidSolver(Solver):
             self.x[:], self.batches.pressures[:] = settled.x, settled.batches.pressures
         self._start = self._pose = start
         freedoms = np.arange(self.x.size).reshape(-1, 3)
-        stays = np.zeros_like(freedoms, dtype=bool)
-        for name, axes in fixed.items():
-            for axis in axes:
-                stays[mesh.sets[name], "xyz".index(axis)] = True
-        for node, axes in pins:
-            stays[node, ["xyz".index(axis) for axis in axes]] = True
+        stays = staying(mesh, fixed, pins)
         self._bonded = np.asarray(bonded, dtype=np.intp)
         moved = np.zeros_like(stays)
         moved[self._bonded] = True
@@ -93,7 +89,7 @@ class SolidSolver(Solver):
         self._moved = freedoms[self._bonded].ravel()
         # Where what is bonded stands in the tool's frame.
         self._held_at = Frame(start, datum).into(self._places_of(self._bonded))
-        self.contact = ContactNodes(bodies, mesh.nodes, mesh.node_areas)
+        self.contact = ContactNodes(bodies, mesh.nodes, mesh.node_areas, laws)
         if lift is not None:
             self.contact.places[self.contact.moves, 2] -= lift[self.contact.nodes[self.contact.moves]]
         self.contact.bring_down(start, datum, self.x.reshape(-1, 3), None if settled is None else settled.contact)
@@ -193,12 +189,14 @@ class SolidSolver(Solver):
                     array[:] = 0.5 * (array + earlier)
                 continue
             displacement = x.reshape(-1, 3)[contact.nodes]
-            look = contact.look(displacement, here if pending else frame, changeable, 1e-9 if pending else 0.0, bending,
+            # At first what just touches counts as pressed: the tool is about to move, or a law pulls.
+            slack = 1e-9 if pending or (contact.laws.strength > 0.0 and iterations == 0) else 0.0
+            look = contact.look(displacement, here if pending else frame, changeable, slack, bending,
                                 _FRICTION_FLOOR * floor, self._tolerance)
             residual = batches.residual[:-1].copy()
-            np.add.at(residual.reshape(-1, 3), contact.nodes, contact.forces)
+            np.add.at(residual.reshape(-1, 3), contact.nodes, contact.acting)
             unbalanced = float(np.linalg.norm(residual[self._free]))
-            balanced = float(np.hypot(np.linalg.norm(residual[self._reacting]), np.linalg.norm(contact.forces)))
+            balanced = float(np.hypot(np.linalg.norm(residual[self._reacting]), np.linalg.norm(contact.acting)))
             ratio = unbalanced / max(balanced, floor)
             status = None
             if not self._least > 0.0 or self._least >= 1e30:
@@ -322,10 +320,10 @@ class SolidSolver(Solver):
 
     def differentiate(self, neighbours: Neighbours) -> SolidSensitivity | None:
         """Carry exact derivatives along from now on; see `Solver.differentiate`. There are none of a mesh of several
-        materials, nor of tissue that weighs."""
+        materials, of tissue that weighs, nor with laws of contact."""
         tissue = self.tissue
         inputs = tissue.inputs
-        if inputs is None or tissue.specific_weight:
+        if inputs is None or tissue.specific_weight or self.contact.laws:
             return None
         parts = SolidParts(self.x, self._free, self._moved, self.batches, self.contact, self.memory, self._matrix,
                            inputs, self._assemble)

@@ -34,7 +34,7 @@ class Grip(NamedTuple):
         moves = self.contact.moves
         rates = np.concatenate([self.frame.rates(self.held), self.frame.rates(self.places[moves])])
         # The residual of what the tool holds is the force that it needs.
-        forces = np.concatenate([-self.forces, self.contact.forces[moves]])
+        forces = np.concatenate([-self.forces, self.contact.acting[moves]])
         return np.einsum("nik,ni->k", rates, forces)
 
     def stiffness(self, matrix: Any, factor: Factor, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -52,7 +52,7 @@ class Grip(NamedTuple):
         way, turned = np.zeros((2, len(contact.nodes), 3, 6))
         way[moves] = frame.rates(self.places[moves])
         # The forces of what touches the tool turn with it.
-        turned[moves] = turned_with(contact.forces[moves])
+        turned[moves] = turned_with(contact.acting[moves])
         # Forces of the nodes when the tool moves and the tissue does not yet; the matrix holds the rates of contact.
         pushed = matrix @ moved
         np.add.at(pushed.reshape(-1, 3, 6), contact.nodes, turned - np.einsum("nij,njk->nik", contact.rates, way))
@@ -65,7 +65,7 @@ class Grip(NamedTuple):
         # The levers of the torque change, too: a node goes its way, and the tool's deepest point the tool's.
         apart = np.concatenate([levers, answer.reshape(-1, 3, 6)[contact.nodes[moves]]])
         apart[:, :, :3] -= np.eye(3)
-        forces = np.concatenate([-self.forces, contact.forces[moves]])
+        forces = np.concatenate([-self.forces, contact.acting[moves]])
         wrench_rate[3:] += np.cross(apart, forces[:, :, None], axisa=1, axisb=1, axisc=1).sum(axis=0)
         return -wrench_rate, answer
 
