@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import InputError
+from tissue_sim.material.effect import PointEffect
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
@@ -79,7 +80,10 @@ def require_reducible(model: Model) -> None:
 
 
 def require_one_material(material: Material) -> None:
-    """Raises InputError: layers or regions."""
+    """Raises InputError: layers, regions, or effects at the points."""
+    if any(isinstance(effect, PointEffect) for effect in material.effects.values()):
+        raise InputError("a reduced solid takes no effects that are added at the points; leave them out",
+                         field="material.effects")
     if material.layers or material.regions:
         raise InputError("a reduced solid is of one material; leave layers and regions out",
                          field="material.layers" if material.layers else "material.regions")
