@@ -1,4 +1,4 @@
-"""An effect at the points from one file in the solid in space: a Maxwell branch, which must be the built-in Prony term."""
+"""An effect at the points from one file in the solid in space: a Maxwell branch, which is the built-in Prony term."""
 
 from dataclasses import replace
 
