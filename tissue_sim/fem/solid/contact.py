@@ -244,6 +244,27 @@ class ContactNodes:
         self.held[:], self.held_at[:] = self.bound, self.anchors
         self.pressed[:], self.slips[:], self._ways[:] = False, self.slipped, self.ways_before
 
+    def _measure(self, displacement: np.ndarray, frame: Frame) -> tuple[np.ndarray, ...]:
+        """How far each node has come in the frame of its body since the tool touched, gap, curvature, whether the shaft
+        is near, turn of that frame, meridian; notes the normals."""
+        n = len(self.nodes)
+        travel, gap, curved, shaft = np.zeros((n, 3)), np.zeros(n), np.zeros((n, 3, 3)), np.zeros(n, dtype=bool)
+        meridians = np.zeros((n, 3))
+        turn = np.broadcast_to(np.eye(3), (n, 3, 3)).copy()
+        pressed_in = bool(frame.origin[2] <= self._first.origin[2])
+        for body, own in zip(self.bodies, self._of_body, strict=True):
+            places = self.places[own]
+            moved = places + displacement[own]
+            at = frame.into(moved) if body.moves else moved
+            travel[own] = at - (self._first.into(places) if body.moves else places)
+            found = nearest(body, at, pressed_in)
+            gap[own], shaft[own] = found.gap, found.on_shaft
+            rotation = frame.rotation if body.moves else np.eye(3)
+            turn[own] = rotation
+            self.normals[own], meridians[own] = found.normal @ rotation.T, found.meridian @ rotation.T
+            curved[own] = rotation @ found.curvature @ rotation.T
+        return travel, gap, curved, shaft, turn, meridians
+
     def look(self, displacement: np.ndarray, frame: Frame, changeable: int, slack: float, bending: float,
              negligible: float, tolerance: float) -> Look:
         """Note forces, rates and what the constraints miss at a state.
@@ -259,22 +280,7 @@ class ContactNodes:
         """
         n = len(self.nodes)
         self.rates[:], self.missing[:] = 0.0, 0.0
-        travel, gap, curved, shaft = np.zeros((n, 3)), np.zeros(n), np.zeros((n, 3, 3)), np.zeros(n, dtype=bool)
-        meridians = np.zeros((n, 3))
-        turn = np.broadcast_to(np.eye(3), (n, 3, 3)).copy()
-        pressed_in = bool(frame.origin[2] <= self._first.origin[2])
-        for body, own in zip(self.bodies, self._of_body, strict=True):
-            places = self.places[own]
-            moved = places + displacement[own]
-            at = frame.into(moved) if body.moves else moved
-            # How far a node has come in the frame of its body since the tool touched.
-            travel[own] = at - (self._first.into(places) if body.moves else places)
-            found = nearest(body, at, pressed_in)
-            gap[own], shaft[own] = found.gap, found.on_shaft
-            rotation = frame.rotation if body.moves else np.eye(3)
-            turn[own] = rotation
-            self.normals[own], meridians[own] = found.normal @ rotation.T, found.meridian @ rotation.T
-            curved[own] = rotation @ found.curvature @ rotation.T
+        travel, gap, curved, shaft, turn, meridians = self._measure(displacement, frame)
         normals, forces, springs = self.normals, self.forces, self.springs
         mu = np.where(shaft, self._friction[:, 1], self._friction[:, 0])
         held = self.held == HELD
