@@ -18,7 +18,8 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 from tissue_sim.errors import InputError, nearest
 
 _KEY = "tissue_sim.parameter"
-_TOKEN = re.compile(r"([A-Za-z_]\w*)|\[(0|[1-9]\d{0,5})\]")
+#: Names of parts are those that others gave them, such as ``part:1`` of a mesh.
+_TOKEN = re.compile(r"([^.\[\]]+)|\[(0|[1-9]\d{0,5})\]")
 Part = TypeVar("Part")
 
 

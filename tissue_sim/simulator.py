@@ -64,8 +64,8 @@ class Simulator:
         mesh: a mesh of your own instead.
         budget: wall time of a step, s, after which it answers what it knows (`ForceStatus.LATE`); None: however long
             it takes, and the same motion gives the same forces bit for bit.
-        inertia: ``"auto"``: the mass of the tissue counts where the tool is faster than `INERTIAL_SPEED`; ``"on"``,
-            ``"off"``.
+        inertia: ``"auto"``: the mass of the tissue counts where the tool is faster than `INERTIAL_SPEED` and the
+            solver knows of mass; ``"on"``, ``"off"``.
         tolerance: unbalanced over balanced nodal forces.
         solver: name in `tissue_sim.fem.solver.SOLVERS`.
         looks_ahead: whether answers in which the mass counts say what the next step would answer (`ToolForce.ahead`),
@@ -76,8 +76,8 @@ class Simulator:
         force_error: largest known error of the force on that mesh, over the force; None where nobody knows.
 
     Raises:
-        InputError: an unknown solver, resolution or inertia, a tool that leans or slips in part, a modulus that is
-            none of tissue, a bulk response or layers that do not fit.
+        InputError: an unknown solver, resolution or inertia, inertia that must be on where a solver has none, a tool
+            that leans or slips in part, a modulus that is none of tissue, a bulk response or layers that do not fit.
         ConvergenceError: the specimen does not stand under its own weight.
         MissingBackendError: Taichi is not there.
     """
@@ -106,8 +106,10 @@ class Simulator:
         self.force_error = {rung.resolution: rung.force_error for rung in rungs}.get(resolution)
         self._solver.ask_for_stiffness()
         self.density = model.experiment.specimen.density or model.material.density or DENSITY
-        if inertia != "off":
-            self._solver.follow_motion(self.density)
+        # Whether the solver knows of mass.
+        self._weighs = inertia != "off" and self._solver.follow_motion(self.density)
+        if inertia == "on" and not self._weighs:
+            raise InputError(f"the solver {solver!r} knows no mass of the tissue; use 'auto' or 'off'", field="inertia")
         # Whether the tool stays on the tissue, and whether the tissue can pull at it.
         self._bonded = model.experiment.friction == "bonded"
         self._pulls = self._bonded or bool(model.experiment.acting_laws)
@@ -247,9 +249,9 @@ class Simulator:
             target, dt = between(here, pose, share), 0.0 if self._leaps else share * self._waiting
             if resumes and self._attempt is not None:
                 target, dt = self._attempt
-            weighs = inertial and dt > 0.0 and creep is None
+            weighs = inertial and self._weighs and dt > 0.0 and creep is None
             # Across a change of contact extrapolation leads astray, but less so where mass is in the way.
-            order = min(2, max(solver.unchanged, weighs)) if self._extrapolates else 0
+            order = min(solver.highest_order, max(solver.unchanged, weighs)) if self._extrapolates else 0
             most = allowed = _MOST_SOLVES[order > 0] - (self._spent if resumes else 0)
             asks = self._equilibrium.stiffness_age + 1 >= self._stiffness_lasts
             if self.budget is not None:

@@ -232,7 +232,7 @@ def real_time_tissue(model: Model, *, solver: str, resolution: str, budget: floa
         return partial(simulator, model, resolution=resolution, inertia=inertia, looks_ahead=looks_ahead, budget=budget,
                        solver=solver, **given)
     if inertia == "on":
-        raise InputError(f"the solver {solver!r} has no mass in real time yet; leave it out", field="inertia")
+        raise InputError(f"a solid by two rates has no mass ({solver!r}); use 'auto' or 'off'", field="inertia")
     return partial(MultiRateTissue, model, solver=solver, resolution=resolution, mesh=mesh)
 
 

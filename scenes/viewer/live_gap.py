@@ -21,12 +21,14 @@ class LiveGap:
         force: N. depth: where, m.
         speed: of the tool where it moved in the newest way in and out, median, m/s.
         late: share of their points whose force was carried on by late ticks.
+        inertial: share of them at which the mass of the tissue counted.
     """
 
     force: float
     depth: float
     speed: float
     late: float
+    inertial: float
 
 
 def live_gap(trace: Trace, grid: np.ndarray, live: Pair, model: Pair) -> LiveGap | None:
@@ -40,9 +42,10 @@ def live_gap(trace: Trace, grid: np.ndarray, live: Pair, model: Pair) -> LiveGap
     speeds = np.concatenate([np.abs(np.diff(each.depth) / np.diff(each.time)) for each in branches]) \
         if branches else np.zeros(1)
     moving = speeds[speeds > _STANDS]
-    late = np.concatenate([each.late for each in branches]) if branches else np.zeros(1)
+    late, inertial = (np.concatenate([getattr(each, name) for each in branches]) if branches else np.zeros(1)
+                      for name in ("late", "inertial"))
     return LiveGap(float(gaps[worst]), float(grid[worst % grid.size]), float(np.median(moving)) if moving.size else 0.0,
-                   float(late.mean()))
+                   float(late.mean()), float(inertial.mean()))
 
 
 def late_forces(trace: Trace, grid: np.ndarray) -> np.ndarray:

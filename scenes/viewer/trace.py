@@ -24,9 +24,9 @@ DEPTH_STEP, FORCE_SHARE = 0.02e-3, 0.01
 MOST_POINTS = 20_000
 #: Statuses of ticks whose force is drawn; a recording has no LATE ones, which are carried on from an equilibrium.
 OF_TISSUE = (ForceStatus.CONVERGED, ForceStatus.LATE)
-#: Of a kept point: time, depth, force, pose (7), wrench (6), rendered force, status; and the channels of a recording of
-#: the wrench.
-_ROWS, _POSE, _WRENCH, _RENDERED, _STATUS = 18, slice(3, 10), slice(10, 16), 16, 17
+#: Of a kept point: time, depth, force, pose (7), wrench (6), rendered force, status, inertial; and the channels of a
+#: recording of the wrench.
+_ROWS, _POSE, _WRENCH, _RENDERED, _STATUS, _INERTIAL = 19, slice(3, 10), slice(10, 16), 16, 17, 18
 _CHANNELS = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 #: A branch that ends on a point of a grid may miss it by so much, m.
 _ROUNDING = 1e-12
@@ -34,12 +34,14 @@ _ROUNDING = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """Points of one way in or out; s, m and N, each of shape (n,), and whether the force is that of a late tick."""
+    """Points of one way in or out; s, m and N, each of shape (n,), and whether the force is that of a late tick, and
+    of tissue whose mass counted."""
 
     time: np.ndarray
     depth: np.ndarray
     force: np.ndarray
     late: np.ndarray
+    inertial: np.ndarray
 
 
 def on_grid(depth: np.ndarray, force: np.ndarray, direction: int, grid: np.ndarray) -> np.ndarray:
@@ -107,8 +109,9 @@ class Trace:
         self._bin = int(bins[-1])
         before = self._gone + self._end
         records = records[chosen]
-        for point in np.column_stack([records[name] for name in ("time", "tool_depth", "tissue_force", "tool_pose",
-                                                                 "tissue_wrench", "force", "status")]).tolist():
+        for point in np.column_stack([records[name] for name in (
+                "time", "tool_depth", "tissue_force", "tool_pose", "tissue_wrench", "force", "status",
+                "inertial")]).tolist():
             if self._differs(*point[:3]):
                 self._keep(point)
         return self._gone + self._end - before
@@ -152,6 +155,11 @@ class Trace:
     def late(self) -> np.ndarray:
         """Whether the budget of the tick ended before equilibrium, so that its force is carried on, shape (n,)."""
         return self._points[_STATUS, self._first:self._end] == ForceStatus.LATE
+
+    @property
+    def inertial(self) -> np.ndarray:
+        """Whether the mass of the tissue was taken into account, shape (n,)."""
+        return self._points[_INERTIAL, self._first:self._end] != 0.0
 
     @property
     def rendered_force(self) -> np.ndarray:
@@ -229,7 +237,8 @@ class Trace:
 
     def _branch(self, first: int, last: int) -> Branch:
         part = slice(first, last + 1)
-        return Branch(self.time[part], self.depth[part], self.force[part], self.late[part])
+        return Branch(self.time[part], self.depth[part], self.force[part], self.late[part],
+                      self.inertial[part])
 
 
 def recording_csv(recording: Recording) -> bytes:

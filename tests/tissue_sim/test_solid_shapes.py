@@ -189,7 +189,7 @@ class TestRegions:
         assert model.material.regions["left"].parameters["C10"] == 500.0
         assert model.material.regions["right"] == self.PARTS["right"]
 
-    def test_what_they_cannot_be(self, tmp_path):
+    def test_what_they_cannot_be(self):
         mesh = self.mesh()
         with pytest.raises(ts.InputError, match="the mesh has no region 'lift'; did you mean 'left'"):
             make_solver(self.model({"lift": MATERIAL}), mesh=mesh)
@@ -198,8 +198,6 @@ class TestRegions:
             make_solver(self.model(self.PARTS), mesh=twice)
         with pytest.raises(ts.InputError, match="a region has no layers"):
             replace(MATERIAL, regions={"left": replace(MATERIAL, layers=(ts.Layer(1e-3, 2.0),))})
-        with pytest.raises(ts.InputError, match="a file holds one material"):
-            ts.MaterialFile.of(replace(MATERIAL, regions=self.PARTS))
         cylinder = replace(self.model(self.PARTS).experiment, specimen=ts.Specimen(0.02, 0.02))
         with pytest.raises(ts.InputError, match=r"no regions; .*--solid"):
             ts.simulate(ts.Model(cylinder, replace(MATERIAL, regions=self.PARTS)))

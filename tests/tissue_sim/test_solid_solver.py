@@ -203,8 +203,6 @@ def test_an_approach_that_does_not_fit_is_refused(changes, expected):
 
 
 def test_what_it_does_not_take_is_refused_by_name():
-    with pytest.raises(ts.InputError, match="takes no adhesion or other laws of contact yet"):
-        make_solver(model(friction="stick", adhesion=ts.Adhesion(0.02, 1e-4)), mesh=coarse())
     with pytest.raises(ts.InputError, match="unknown resolution 'fats'; did you mean 'fast'"):
         make_solver(model(), resolution="fats")
     with pytest.raises(ts.InputError, match="on its axis only"):

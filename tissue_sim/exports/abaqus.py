@@ -32,6 +32,7 @@ def export(material: Material) -> str:
     """
     for what, part in (("softening on first load (its Mullins effect has an error function where ours has tanh)",
                         material.softening), ("layers in a material", material.layers),
+                       ("regions in a material (export each by itself)", material.regions),
                        ("drainage in this form", material.poroelasticity), ("a puncture", material.puncture),
                        (f"the effect {next(iter(material.effects), '')!r}", material.effects)):
         if part:

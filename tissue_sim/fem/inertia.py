@@ -80,7 +80,8 @@ class Motion:
         self._earlier_place[:] = before[:size]
         self._before[:] = dt
 
-    def ahead(self, state: np.ndarray, dt: float, mass: np.ndarray, direction: np.ndarray) -> tuple[float, float]:
+    def ahead(self, state: np.ndarray, dt: float, mass: np.ndarray, direction: np.ndarray) -> tuple[
+            np.ndarray, np.ndarray]:
         """By how much the inertial forces along a direction, N, and their stiffness, N/m, would be larger in a next
         step of dt (s) in which nothing moves, just after an inertial step was committed; the next step must `prepare`
         anew.
@@ -88,14 +89,15 @@ class Motion:
         Args:
             state: where everything is.
             mass: of every freedom, kg, shape (freedoms,).
-            direction: how far each goes for a metre of the tool.
+            direction: how far each goes for a metre of the tool, or as much of each of n motions of it, shape
+                (freedoms,) or (freedoms, n); the answers are of the shapes () and (), or (n,) and (n, n).
         """
         rate = self.prepare(state, dt)
-        change, weighted = self._scratch, mass * direction
+        change, weighted = self._scratch, mass * direction.T
         np.subtract(state[: change.size], self._rest, out=change)
         change *= rate
         change -= self._acceleration
-        return float(weighted @ change), float(weighted @ direction) * (rate - self._rate)
+        return weighted @ change, weighted @ direction * (rate - self._rate)
 
     def stop(self) -> None:
         """Stand still."""

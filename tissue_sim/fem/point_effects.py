@@ -48,7 +48,7 @@ class PointEffects:
         formulas = tuple(Formula.of(effect) for effect in points)
         if formulas != self.formulas:
             for formula in formulas:
-                _try(formula)
+                require_formula(formula)
             self.formulas = formulas
             self._allocate(tuple(value for effect in points for value in effect.rest))
         numbers = (formula.numbers(effect) for formula, effect in zip(formulas, points, strict=True))
@@ -73,7 +73,7 @@ class PointEffects:
         return self.states[..., -4:]
 
 
-def _try(formula: Formula[PointEffect]) -> None:
+def require_formula(formula: Formula[PointEffect]) -> None:
     """Run a formula once without a kernel.
 
     Raises:

@@ -293,9 +293,10 @@ class Solver(ABC):
     def ask_for_stiffness(self) -> None:
         """Let every step answer its stiffness matrix from now on."""
 
-    def follow_motion(self, density: float) -> None:  # noqa: B027
-        """Let the tissue have a mass (kg/m3) from now on, for steps that are inertial; a solver without mass ignores
-        it."""
+    def follow_motion(self, density: float) -> bool:
+        """Let the tissue have a mass (kg/m3) from now on, for steps that are inertial; whether the solver knows of
+        mass."""
+        return False
 
     def ahead(self, dt: float) -> NextForce | None:
         """What a next step of dt (s) would answer, just after an inertial one that converged; None where the solver

@@ -18,17 +18,16 @@ from tissue_sim.atomic_write import write_text
 from tissue_sim.decode import as_json_types, decode, read_json, require_schema, require_writable
 from tissue_sim.errors import InputError, located, nearest
 from tissue_sim.laws import Law, check_stability, find_law
+from tissue_sim.material.law_entry import BulkEntry, Entry, ParameterEntry, law_entries, parameters_in_SI, values_of
 from tissue_sim.material.material import Bulk, Material
 from tissue_sim.material.population import PopulationEntry, checked_population, population_entry
 from tissue_sim.material.schema import (
-    BulkEntry,
     CovarianceEntry,
-    Entry,
     LayerEntry,
-    ParameterEntry,
     PoroelasticityEntry,
     Provenance,
     PunctureEntry,
+    RegionEntry,
     SofteningEntry,
     StabilityEntry,
     ValidRange,
@@ -38,14 +37,13 @@ from tissue_sim.material.schema import (
     parts_of,
 )
 from tissue_sim.parameters import Parameter, parameters, tokens
-from tissue_sim.units import UNITS, to_si
 from tissue_sim.version import __version__
 
 #: Version 1 had a law and a bulk response only; such files are read as they are.
 VERSION = 2
 SCHEMA = f"tissue_sim/material/{VERSION}"
 #: Keys of what a material has beside these.
-EFFECTS = ("viscoelastic", "softening", "layers", "poroelasticity", "puncture", "effects")
+EFFECTS = ("viscoelastic", "softening", "layers", "poroelasticity", "puncture", "effects", "regions")
 
 
 class MaterialFile(Entry, frozen=True, kw_only=True):
@@ -67,6 +65,7 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
     poroelasticity: PoroelasticityEntry | None = None
     puncture: PunctureEntry | None = None
     effects: dict[str, dict[str, Any]] | None = None
+    regions: dict[str, RegionEntry] | None = None
     population: PopulationEntry | None = None
     density_kg_m3: float | None = None
     valid_range: ValidRange | None = None
@@ -93,9 +92,6 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
         Raises:
             InputError: a value that the schema refuses, by its dotted field path.
         """
-        if material.regions:
-            raise InputError("a file holds one material, and this one has regions of others; write each to a file of "
-                             "its own", field="regions")
         law, known = material.energy_law, _with_errors(material)
         errors = {name: float(error) for name, error in (standard_errors or {}).items()}
         for name in (*errors, *others):
@@ -116,13 +112,9 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
         given = as_json_types(provenance or {})
         history = {"software": "tissue-sim", "version": __version__,
                    "date": datetime.now(UTC).isoformat(timespec="seconds"), **given}
-        bulk: dict[str, Any] = {material.bulk.kind: True if material.bulk.value is None else float(material.bulk.value)}
         return checked(cls(
-            schema=SCHEMA, name=material.name, law=law.name,
-            parameters={name: ParameterEntry(value=value, unit=law.units[name],
-                                             standard_error=float(errors[name]) if name in errors else None)
-                        for name, value in material.parameters.items()},
-            covariance=stated, population=specimens, bulk=BulkEntry(**bulk), **entries_of(material, errors),
+            schema=SCHEMA, name=material.name, **law_entries(material, errors),
+            covariance=stated, population=specimens, **entries_of(material, errors),
             density_kg_m3=material.density,
             valid_range=decode(as_json_types(valid_range), ValidRange | None, "valid_range"),
             stability=StabilityEntry(stable_from=stability.stable_from, stable_to=stability.stable_to,
@@ -132,10 +124,7 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
     @property
     def material(self) -> Material:
         """The material, for `tissue_sim.Model`."""
-        kind, value = next((kind, value) for kind, value in msgspec.structs.asdict(self.bulk).items()
-                           if value is not None)
-        return Material(self.law, {name: entry.value for name, entry in self.parameters.items()},
-                        Bulk(kind, None if kind == "incompressible" else value), self.density_kg_m3, self.name,
+        return Material(self.law, values_of(self.parameters), self.bulk.part, self.density_kg_m3, self.name,
                         **parts_of(self._effects))
 
     @property
@@ -144,10 +133,9 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
         stated, content = {}, msgspec.to_builtins(self)
         for path, each in _with_errors(self.material).items():
             *place, key = tokens(each.file_path)
-            if place:
-                error = reduce(getitem, place, content).get("standard_errors", {}).get(key)
-            else:
-                error = self.parameters[path].standard_error
+            entry = reduce(getitem, place, content)
+            own = entry.get("parameters", {})
+            error = own[key].get("standard_error") if key in own else entry.get("standard_errors", {}).get(key)
             if error is not None:
                 stated[path] = each.declaration.factor * error
         return stated
@@ -202,12 +190,23 @@ def write_material_file(material_file: MaterialFile, path: str | Path) -> None:
 def decode_material_file(data: Any) -> MaterialFile:
     """A `MaterialFile` from decoded JSON; see `read_material_file`."""
     require_schema(data, "material", VERSION)
-    parameters = data.get("parameters")
-    if isinstance(parameters, dict):
-        # One by one: msgspec names no keys of maps in its messages.
-        for name, entry in parameters.items():
-            decode(entry, ParameterEntry, f"parameters.{name}")
+    _decode_one_by_one(data, "parameters", ParameterEntry)
+    regions = data.get("regions")
+    if isinstance(regions, dict):
+        for name, entry in regions.items():
+            with located(field=f"regions.{name}"):
+                if isinstance(entry, dict):
+                    _decode_one_by_one(entry, "parameters", ParameterEntry)
+                decode(entry, RegionEntry)
     return checked(decode(data, MaterialFile, ""))
+
+
+def _decode_one_by_one(data: dict[str, Any], key: str, kind: type[Entry]) -> None:
+    """Refuse what is wrong in a map by its name there: msgspec names no keys of maps in its messages."""
+    entries = data.get(key)
+    if isinstance(entries, dict):
+        for name, entry in entries.items():
+            decode(entry, kind, f"{key}.{name}")
 
 
 def checked(file: MaterialFile) -> MaterialFile:
@@ -220,19 +219,12 @@ def checked(file: MaterialFile) -> MaterialFile:
     require_schema(content, "material", VERSION)
     require_writable(content)
     law = find_law(file.law)
-    factors = {}
-    for name, entry in file.parameters.items():
-        if name not in law.units:
-            raise InputError(f"law {law.name} has no parameter {name!r}{nearest(name, law.parameters)}",
-                             field=f"parameters.{name}")
-        with located(field=f"parameters.{name}.unit"):
-            factors[name], _ = to_si(entry.unit, UNITS[law.units[name]][0])
-        if entry.standard_error is not None and entry.standard_error < 0:
-            raise InputError(f"{entry.standard_error:g} is negative; give a standard deviation",
-                             field=f"parameters.{name}.standard_error")
-    stated = [kind for kind, value in msgspec.structs.asdict(file.bulk).items() if value is not None]
-    if len(stated) != 1 or file.bulk.incompressible is False:
-        raise InputError("expected exactly one of K_Pa, D1_per_Pa, bulk_ratio, or incompressible: true", field="bulk")
+    parameters, factors = parameters_in_SI(law.name, file.parameters)
+    regions = {}
+    for name, region in (file.regions or {}).items():
+        regions[name], more = region.in_SI(f"regions.{name}")
+        factors |= more
+    _ = file.bulk.part
     _check_ranges(file)
     if file.provenance is not None and file.provenance.date is not None:
         try:
@@ -240,10 +232,7 @@ def checked(file: MaterialFile) -> MaterialFile:
         except ValueError:
             raise InputError(f"{file.provenance.date!r} is not an ISO 8601 date such as 2026-01-31T12:00:00+00:00",
                              field="provenance.date") from None
-    file = msgspec.structs.replace(file, schema=SCHEMA, parameters={
-        name: ParameterEntry(value=factors[name] * entry.value, unit=law.units[name], standard_error=(
-            None if entry.standard_error is None else factors[name] * entry.standard_error))
-        for name, entry in file.parameters.items()})
+    file = msgspec.structs.replace(file, schema=SCHEMA, parameters=parameters, regions=regions or None)
     _ = file.material  # refuses missing parameters, a shear modulus <= 0, a bulk or density <= 0
     if file.covariance is not None:
         order = file.covariance.order
@@ -264,7 +253,7 @@ def checked(file: MaterialFile) -> MaterialFile:
 
 def _with_errors(material: Material) -> dict[str, Parameter]:
     """Path -> parameter, of those whose uncertainty a file can state: all but the bulk response."""
-    return {path: each for path, each in parameters(material).items() if not path.startswith("bulk.")}
+    return {path: each for path, each in parameters(material).items() if each.part is not Bulk}
 
 
 def _check_order(order: Sequence[str], law: Law, known: Sequence[str]) -> None:

@@ -125,6 +125,9 @@ class Material:
     def __post_init__(self):
         object.__setattr__(self, "regions", read_only(dict(self.regions)))
         for name, own in self.regions.items():
+            if not name or set(name) & set(".[]"):
+                raise InputError(f"{name!r} cannot be the name of a region: it is part of the paths of its parameters; "
+                                 "give it one without dots and brackets, in the mesh, too", field="regions")
             if own.layers or own.regions or own.effects or own.puncture is not None:
                 raise InputError("a region has no layers, regions, effects or puncture of its own; leave them out",
                                  field=f"regions.{name}")

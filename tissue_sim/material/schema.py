@@ -16,6 +16,7 @@ import numpy as np
 from tissue_sim.decode import decode
 from tissue_sim.errors import InputError, located
 from tissue_sim.material.effect import EFFECTS
+from tissue_sim.material.law_entry import BulkEntry, Entry, ParameterEntry, law_entries, parameters_in_SI, values_of
 from tissue_sim.material.layer import Layer
 from tissue_sim.material.material import Material
 from tissue_sim.material.poroelasticity import Poroelasticity
@@ -27,32 +28,11 @@ from tissue_sim.parameters import declared, from_keys
 Range = tuple[float, float]
 
 
-class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """How every part of the file is read: unknown keys are errors, absent ones are not written."""
-
-
-class ParameterEntry(Entry, frozen=True, kw_only=True):
-    """A parameter; value and standard error share the unit."""
-
-    value: float
-    unit: str
-    standard_error: float | None = None
-
-
 class CovarianceEntry(Entry, frozen=True, kw_only=True):
     """Covariance of the parameters in `order`, in the product of their units."""
 
     order: tuple[str, ...]
     matrix: tuple[tuple[float, ...], ...]
-
-
-class BulkEntry(Entry, frozen=True, kw_only=True):
-    """Exactly one of the four; see `tissue_sim.Bulk`."""
-
-    K_Pa: float | None = None
-    D1_per_Pa: float | None = None
-    bulk_ratio: float | None = None
-    incompressible: bool | None = None
 
 
 class ValidRange(Entry, frozen=True, kw_only=True):
@@ -185,17 +165,56 @@ def entries_of(material: Material, errors: Mapping[str, float]) -> dict[str, Any
             "viscoelastic": None if prony is None else ViscoelasticEntry.of(prony, "viscoelastic", errors),
             "layers": tuple(entry(layer, f"layers[{i}]") for i, layer in enumerate(material.layers)) or None,
             "effects": {name: msgspec.to_builtins(entry(effect, f"effects.{name}"))
-                        for name, effect in material.effects.items()} or None}
+                        for name, effect in material.effects.items()} or None,
+            "regions": {name: RegionEntry.of(own, f"regions.{name}", errors)
+                        for name, own in material.regions.items()} or None}
 
 
 def parts_of(entries: Mapping[str, Any]) -> dict[str, Any]:
     """Keyword arguments of `Material` from what `entries_of` made; errors as `PartEntry.part`."""
     single = {key: entry.part(key) for key, entry in entries.items()
-              if entry is not None and key not in ("layers", "effects")}
+              if entry is not None and key not in ("layers", "effects", "regions")}
     layers = tuple(layer.part(f"layers[{i}]") for i, layer in enumerate(entries["layers"] or ()))
     effects = {name: _effect(name, content).part(f"effects.{name}")
                for name, content in (entries["effects"] or {}).items()}
-    return {**single, "layers": layers, "effects": effects}
+    regions = {name: entry.part(f"regions.{name}") for name, entry in (entries["regions"] or {}).items()}
+    return {**single, "layers": layers, "effects": effects, "regions": regions}
+
+
+class RegionEntry(Entry, frozen=True, kw_only=True):
+    """What the tissue is in a region of the mesh: all of a material that a region may have."""
+
+    name: str = ""
+    law: str
+    parameters: dict[str, ParameterEntry]
+    bulk: BulkEntry
+    viscoelastic: ViscoelasticEntry | None = None
+    softening: SofteningEntry | None = None
+    poroelasticity: PoroelasticityEntry | None = None
+    density_kg_m3: float | None = None
+
+    @classmethod
+    def of(cls, material: Material, place: str, errors: Mapping[str, float]) -> RegionEntry:
+        """The entry of a region's material; `errors` as in `PartEntry.of`."""
+        mine = {path.removeprefix(f"{place}."): error for path, error in errors.items()
+                if path.startswith(f"{place}.")}
+        parts = {key: entry for key, entry in entries_of(material, mine).items() if entry is not None}
+        return cls(name=material.name, **law_entries(material, mine), **parts, density_kg_m3=material.density)
+
+    def in_SI(self, field: str) -> tuple[RegionEntry, dict[str, float]]:
+        """The entry in SI, and the factors of its parameters' units by their paths; errors as `parameters_in_SI`."""
+        with located(field=field):
+            parameters, factors = parameters_in_SI(self.law, self.parameters)
+        return (msgspec.structs.replace(self, parameters=parameters),
+                {f"{field}.{name}": factor for name, factor in factors.items()})
+
+    def part(self, field: str) -> Material:
+        """The material, of an entry in SI; errors as `PartEntry.part`, and what `Material` refuses."""
+        with located(field=field):
+            parts = {key: entry.part(key) for key in ("viscoelastic", "softening", "poroelasticity")
+                     if (entry := getattr(self, key)) is not None}
+            return Material(self.law, values_of(self.parameters), self.bulk.part, self.density_kg_m3, self.name,
+                            **parts)
 
 
 def _effect(name: str, content: Any) -> PartEntry:

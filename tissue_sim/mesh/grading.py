@@ -21,7 +21,7 @@ class Grading:
     """Sizes of elements that lead away from the edge of a tool's face, or from the edges under a plate.
 
     Attributes:
-        element: element type.
+        element: element type; a mesh of a file takes those of its own of the same order.
         smallest, growth, largest: of the intervals, m; see `growing_line`.
         around: elements along a quarter of the edge of a needle's face.
         radius: of the circle under a needle, m; None: a plate covers the whole top.

@@ -53,6 +53,10 @@ class Hexahedron(SolidElement):
         return np.array([0, side - 1, side**2 - 1, side**2 - side])
 
     @cached_property
+    def face_middles(self) -> np.ndarray:
+        return np.array([1, 5, 7, 3] if self.order == 2 else [], dtype=np.intp)
+
+    @cached_property
     def face_shares(self) -> np.ndarray:
         """Of Simpson's rule, or that of trapezoids."""
         line = np.array([1.0, 4.0, 1.0]) / 6.0 if self.order == 2 else np.array([0.5, 0.5])

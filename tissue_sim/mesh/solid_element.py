@@ -50,6 +50,12 @@ class SolidElement(ABC):
 
     @property
     @abstractmethod
+    def face_middles(self) -> np.ndarray:
+        """Places of the middles of a side's edges among its nodes, from each of the `face_corners` to the next; none of
+        elements whose edges are straight."""
+
+    @property
+    @abstractmethod
     def face_shares(self) -> np.ndarray:
         """Share of a side's area that each of its nodes stands for, all positive, shape (nodes of a side,)."""
 

@@ -65,6 +65,10 @@ class Tetrahedron(SolidElement):
         return np.arange(3)
 
     @cached_property
+    def face_middles(self) -> np.ndarray:
+        return np.arange(3, 6) if self.order == 2 else np.zeros(0, dtype=np.intp)
+
+    @cached_property
     def face_shares(self) -> np.ndarray:
         """The integrals of the shape functions; all positive, which those of six nodes are not."""
         return np.repeat(*((11 / 60, 9 / 20), (3, 1)) if self.order == 1 else ((1 / 20, 2 / 15, 9 / 20), (3, 3, 1)))

@@ -10,6 +10,7 @@ from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, new_
 from tissue_sim.errors import InputError
 
 if TYPE_CHECKING:
+    from tissue_sim.material.material import Material
     from tissue_sim.material.viscoelasticity import Prony
 
 SUMMARY = "make, read, check and export material files"
@@ -50,6 +51,9 @@ def add_arguments(parser: Parser) -> None:
                           "time in s; 1 to 4 times")
     new.add_argument("--moduli", choices=("instantaneous", "long_term"), default="instantaneous",
                      help="what the parameters of a law with --prony stand for (default: %(default)s)")
+    new.add_argument("--region", action="append", default=[], metavar="NAME=FILE",
+                     help="what the tissue is in a region of the specimen's mesh: the material of another file, which "
+                          "is copied; once for each region")
     new.add_argument("--name", default="", help="name for people")
     new.add_argument("--density-kg-m3", type=positive, metavar="N", help="density")
     new.add_argument("-o", dest="output", type=Path, required=True, metavar="FILE", help="NAME.material.json")
@@ -75,7 +79,8 @@ def run_new(arguments) -> int:
     else:
         bulk = ts.Bulk()
     material = ts.Material(arguments.law, read_settings(arguments.settings), bulk, density=arguments.density_kg_m3,
-                           name=arguments.name, viscoelastic=read_prony(arguments.prony, arguments.moduli))
+                           name=arguments.name, viscoelastic=read_prony(arguments.prony, arguments.moduli),
+                           regions=read_regions(arguments.region))
     check_bulk(material, "--bulk-ratio" if arguments.bulk_ratio is not None else "--bulk-modulus-pa")
     ts.write_material_file(ts.MaterialFile.of(material), arguments.output)
     if arguments.json:
@@ -149,6 +154,25 @@ def read_prony(terms: list[str], moduli: Literal["instantaneous", "long_term"]) 
         return Prony(tuple(PronyTerm(*pair) for pair in pairs), moduli)
     except InputError as error:
         raise error.located(field="--prony") from None
+
+
+def read_regions(regions: list[str]) -> dict[str, Material]:
+    """``["tumour=stiff.material.json"]`` -> the material of that file, by the name of the region.
+
+    Raises:
+        InputError: no ``=``, a name given twice, or a file that is no material.
+    """
+    from tissue_sim import load_material
+
+    read: dict[str, Material] = {}
+    for region in regions:
+        name, sign, file = region.partition("=")
+        if not sign or not name or not file:
+            raise InputError(f"{region!r} is not NAME=FILE; write it like tumour=stiff.material.json", field="--region")
+        if name in read:
+            raise InputError(f"{name} is given twice; give it once", field="--region")
+        read[name] = load_material(file)
+    return read
 
 
 def run_show(arguments) -> int:

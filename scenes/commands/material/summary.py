@@ -58,10 +58,12 @@ def loss_of_stability(material_file: MaterialFile) -> str | None:
     material = material_file.material
     low, high = valid_stretches(material_file)
     searched = (min(low, 1.0), max(high, 1.0))
-    stability = check_stability(material.energy_law, material.values, searched)
-    if stability.stable and np.all(np.isfinite(material.values)):
-        return None
-    return f"unstable inside its valid range of stretches {low:g} to {high:g}: {stability.describe()}"
+    for region, own in {"": material, **material.regions}.items():
+        stability = check_stability(own.energy_law, own.values, searched)
+        if not (stability.stable and np.all(np.isfinite(own.values))):
+            where = f"region {region} is " if region else ""
+            return f"{where}unstable inside its valid range of stretches {low:g} to {high:g}: {stability.describe()}"
+    return None
 
 
 def doubts(material_file: MaterialFile, recording: Recording, height: float) -> list[str]:
@@ -121,11 +123,17 @@ def effects(summary: dict[str, Any]) -> list[str]:
     if hole := summary["puncture"]:
         lines.append(f"puncture at {_with_error(hole, 'depth_mm')} mm: the force drops by {_with_error(hole, 'drop')} "
                      "of itself")
+    for name, region in (summary["regions"] or {}).items():
+        numbers = [f"{key} {_with_error(parameter, 'value')} {parameter['unit'].replace('1', '')}".strip()
+                   for key, parameter in region["parameters"].items()]
+        beside = [key for key in EFFECTS if region.get(key)]
+        lines.append(f"region {name}: {', '.join([region['law'], *numbers])}"
+                     f"{', with ' + ', '.join(beside) if beside else ''}")
     return lines
 
 
 def _with_error(entry: dict[str, Any], key: str, absent: float | None = None) -> str:
-    error = entry.get("standard_errors", {}).get(key)
+    error = entry.get("standard_error", entry.get("standard_errors", {}).get(key))
     return f"{entry.get(key, absent):.6g}" + ("" if error is None else f" +- {error:.2g}")
 
 

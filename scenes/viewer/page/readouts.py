@@ -65,8 +65,8 @@ _MEANING = {
     "mesh": "of the tissue, and the largest known error of its force",
 }
 _RED, _GREY = "#C0392B", "#777777"
-#: Below it the mass of the tissue does not count, m/s.
-_SLOW = 5e-3
+#: Share of the points that is worth a reason.
+_SOME = 0.0005
 
 
 def _badge(word: str, meaning: str, colour: str) -> str:
@@ -143,9 +143,9 @@ def live_gap_html(gap: LiveGap | None) -> str:
     if gap is None:
         return ""
     reasons = []
-    if gap.speed > _SLOW:
+    if gap.inertial > _SOME:
         reasons.append(f"at {gap.speed * 1e3:.2g} mm/s the tissue's mass counts")
-    if gap.late > 0.0005:
+    if gap.late > _SOME:
         reasons.append(f"{gap.late:.1%} carried on by late ticks (grey)")
     words = f"live \u2212 model: up to {_number(gap.force, 3)} N at {gap.depth * 1e3:.3g} mm"
     return ('<div data-testid="live-gap" title="live is felt on a coarser mesh than the model is computed on" '

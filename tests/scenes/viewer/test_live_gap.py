@@ -19,6 +19,7 @@ def felt(late_from=np.inf, late_to=np.inf):
     records["time"], records["tool_depth"] = time, np.minimum(SPEED * time, 4e-3)
     depth = records["tool_depth"]
     records["tissue_force"] = 200.0 * depth + np.where((depth > 2e-3) & (depth < 3e-3), 0.1, 0.0)
+    records["inertial"] = depth > 2e-3
     records["status"][(depth > late_from) & (depth < late_to)] = ForceStatus.LATE
     trace = Trace()
     trace.append(records)
@@ -30,6 +31,7 @@ def test_the_largest_gap_its_depth_and_the_speed_of_the_tool():
     gap = live_gap(trace, GRID, trace.newest_passes(GRID), model)
     assert gap.force == pytest.approx(0.1, rel=0.01) and 2e-3 < gap.depth < 3e-3
     assert gap.speed == pytest.approx(SPEED, rel=0.05) and gap.late == 0.0
+    assert gap.inertial == pytest.approx(0.5, abs=0.1)
     assert live_gap(trace, GRID, trace.newest_passes(GRID), (np.full(101, np.nan),) * 2) is None
 
 

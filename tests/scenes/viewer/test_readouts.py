@@ -106,8 +106,10 @@ def test_the_title_names_test_specimen_tool_and_material(shape):
 
 def test_the_gap_to_the_model_has_its_reasons():
     assert live_gap_html(None) == ""
-    fast = texts(live_gap_html(LiveGap(0.1234, 3.35e-3, 20e-3, 0.012)))["live-gap"]
+    fast = texts(live_gap_html(LiveGap(0.1234, 3.35e-3, 20e-3, 0.012, 0.8)))["live-gap"]
     assert fast == ("live \u2212 model: up to 0.123 N at 3.35 mm; at 20 mm/s the tissue's mass counts; 1.2% carried on "
                     "by late ticks (grey)")
-    slow = texts(live_gap_html(LiveGap(-0.001, 1e-3, 1e-3, 0.0)))["live-gap"]
+    slow = texts(live_gap_html(LiveGap(-0.001, 1e-3, 1e-3, 0.0, 0.0)))["live-gap"]
     assert slow == "live \u2212 model: up to -0.001 N at 1 mm"
+    # Of a tissue that has no mass, however fast the tool is.
+    assert "mass" not in live_gap_html(LiveGap(0.1, 1e-3, 20e-3, 0.0, 0.0))

@@ -136,12 +136,13 @@ class AxisymmetricSolver(Solver):
         """Steps to a depth, m, or that of a pose, against a drag that is let go; see `Solver.creep`."""
         return creep(self, depth_of(pose), dt, tolerance, max_iterations)
 
-    def follow_motion(self, density: float) -> None:
-        """Let the tissue have a mass (kg/m3) from now on, for steps that are inertial."""
+    def follow_motion(self, density: float) -> bool:
+        """Let the tissue have a mass (kg/m3) from now on, for steps that are inertial; it has one."""
         equations = self.equations
         self.committed.motion = Motion(equations.masses, equations.rest, density * equations.node_masses)
         equations.settings[newton.DENSITY] = density
         self._masses = density * equations.all_masses()
+        return True
 
     def ahead(self, dt: float) -> NextForce | None:
         """See `Solver.ahead`. The tissue's equations, along the way that it goes with the tool within a step.
@@ -155,7 +156,7 @@ class AxisymmetricSolver(Solver):
         _, _, _, force, _, _, stiffness = equations.report.tolist()
         if motion is None or stiffness <= 0.0:
             return None
-        more, stiffer = motion.ahead(self.committed.latest, dt, self._masses, equations.along_with_tool())
+        more, stiffer = map(float, motion.ahead(self.committed.latest, dt, self._masses, equations.along_with_tool()))
         return NextForce(axial_wrench(force + more), axial_stiffness(max(stiffness + stiffer, 0.0)))
 
     def ask_for_stiffness(self) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import InputError
+from tissue_sim.material.effect import PointEffect
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
@@ -56,7 +57,8 @@ def require_reducible(model: Model) -> None:
     """Refuse what a reduced solid does not take.
 
     Raises:
-        InputError: a plate, a base with friction, weight, layers, a tool or a specimen from a file of its own.
+        InputError: a plate, a base with friction, weight, laws of contact, layers, a tool or a specimen from a file of
+            its own.
     """
     experiment = model.experiment
     if experiment.tool.is_plate:
@@ -71,11 +73,17 @@ def require_reducible(model: Model) -> None:
         if from_file:
             raise InputError(f"the shape of the {kind} is in a file of its own, which a reduced solid does not keep; "
                              "use a shape by its sizes", field=kind)
+    if experiment.acting_laws:
+        raise InputError("a reduced solid takes no adhesion or other laws of contact yet; leave them out",
+                         field="contact_laws")
     require_one_material(model.material)
 
 
 def require_one_material(material: Material) -> None:
-    """Raises InputError: layers or regions."""
+    """Raises InputError: layers, regions, or effects at the points."""
+    if any(isinstance(effect, PointEffect) for effect in material.effects.values()):
+        raise InputError("a reduced solid takes no effects that are added at the points; leave them out",
+                         field="material.effects")
     if material.layers or material.regions:
         raise InputError("a reduced solid is of one material; leave layers and regions out",
                          field="material.layers" if material.layers else "material.regions")

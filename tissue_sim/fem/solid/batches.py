@@ -121,8 +121,8 @@ class ElementBatches:
         pattern = (holds.T @ holds).tocsc()
         pattern.sort_indices()
         # Of each pair of nodes that an element has, its place among the blocks of the column of the second.
-        places = _places(pattern, connectivity[:, a], connectivity[:, c])
-        mirrored = _places(pattern, connectivity[:, c], connectivity[:, a])
+        places = places_of(pattern, connectivity[:, a], connectivity[:, c])
+        mirrored = places_of(pattern, connectivity[:, c], connectivity[:, a])
         starts, rows = pattern.indptr.astype(np.int64), pattern.indices
         blocks = np.diff(starts)
         i, k = np.tile(np.arange(3), 3), np.repeat(np.arange(3), 3)
@@ -194,7 +194,7 @@ class ElementBatches:
         return np.moveaxis(own[self._elements], 1, -1)
 
 
-def _places(pattern, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+def places_of(pattern, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Where these entries stand in the data of a matrix by columns with sorted rows."""
     count = pattern.shape[0]
     keys = np.repeat(np.arange(count, dtype=np.int64), np.diff(pattern.indptr)) * count + pattern.indices

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissue_sim.experiment.tools.outline import Profile
+from tissue_sim.fem.solid.contact_laws import NodeLaws
 from tissue_sim.fem.solid.contact_state import ContactState
 from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.pose import Pose
@@ -67,12 +68,14 @@ class Body:
 @dataclass(frozen=True)
 class Nearest:
     """Of points in the frame of their body: signed distance, m, shape (n,), outward normal, (n, 3), how it turns with
-    the place, 1/m, (n, 3, 3), and whether the nearest place belongs to the shaft, (n,)."""
+    the place, 1/m, (n, 3, 3), whether the nearest place belongs to the shaft, (n,), and the direction along the outline
+    there, (n, 3)."""
 
     gap: np.ndarray
     normal: np.ndarray
     curvature: np.ndarray
     on_shaft: np.ndarray
+    meridian: np.ndarray
 
 
 def nearest(body: Body, points: np.ndarray, pressed_in: bool) -> Nearest:
@@ -120,7 +123,7 @@ def nearest(body: Body, points: np.ndarray, pressed_in: bool) -> Nearest:
                  + hoop[:, None, None] * around[:, :, None] * around[:, None])
     rounded = beyond & (profile.rounding > 0.0)
     return Nearest(sign * distance - profile.rounding, normal, curvature,
-                   (best + first >= profile.shaft) & ~rounded)
+                   (best + first >= profile.shaft) & ~rounded, meridian)
 
 
 @dataclass(frozen=True)
@@ -148,20 +151,22 @@ class ContactNodes:
         bodies: who may be met.
         places: of all nodes of the mesh, undeformed, m, shape (nodes, 3).
         areas: that each node of the mesh stands for on the surface, m2, shape (nodes,).
+        laws: of contact with the tool, beside friction.
 
     Attributes:
         nodes: numbers, shape (n,). moves: whether the body of each does, shape (n,).
         bound: `FREE`, `HELD` or `TOUCHED`; anchors: where, as a displacement in the body's frame, m, shape (n, 3).
         pressed, slips: states of a step, shape (n,); slipped: which slipped at the last equilibrium.
-        forces: on the bodies, N, in the frame of the mesh, shape (n, 3).
-        rates: of the forces with the motion of the nodes against their bodies, N/m, shape (n, 3, 3); missing: what
+        forces: of contact and friction on the bodies, N, in the frame of the mesh, shape (n, 3).
+        rates: of all forces with the motion of the nodes against their bodies, N/m, shape (n, 3, 3); missing: what
             their constraints still miss, N, shape (n, 3).
         state: what each does where it was looked at last.
     """
 
     state: ContactState
 
-    def __init__(self, bodies: Sequence[Body], places: np.ndarray, areas: np.ndarray):
+    def __init__(self, bodies: Sequence[Body], places: np.ndarray, areas: np.ndarray,
+                 laws: NodeLaws | None = None):
         taken: dict[bool, set[int]] = {True: set(), False: set()}
         nodes, owners = [], []
         for number, body in enumerate(bodies):
@@ -188,6 +193,13 @@ class ContactNodes:
         self.forces, self.missing = np.zeros((2, n, 3))
         self.rates = np.zeros((n, 3, 3))
         self.normals = np.zeros((n, 3))
+        self.laws = laws or NodeLaws()
+        self._law_forces, self._law_rates = np.zeros((n, 3)), np.zeros((n, 3, 3))
+
+    @property
+    def acting(self) -> np.ndarray:
+        """All forces on the bodies as they were looked at last, those of the laws too, N, shape (n, 3)."""
+        return self.forces + self._law_forces if self.laws else self.forces
 
     @property
     def has_friction(self) -> bool:
@@ -232,6 +244,27 @@ class ContactNodes:
         self.held[:], self.held_at[:] = self.bound, self.anchors
         self.pressed[:], self.slips[:], self._ways[:] = False, self.slipped, self.ways_before
 
+    def _measure(self, displacement: np.ndarray, frame: Frame) -> tuple[np.ndarray, ...]:
+        """How far each node has come in the frame of its body since the tool touched, gap, curvature, whether the shaft
+        is near, turn of that frame, meridian; notes the normals."""
+        n = len(self.nodes)
+        travel, gap, curved, shaft = np.zeros((n, 3)), np.zeros(n), np.zeros((n, 3, 3)), np.zeros(n, dtype=bool)
+        meridians = np.zeros((n, 3))
+        turn = np.broadcast_to(np.eye(3), (n, 3, 3)).copy()
+        pressed_in = bool(frame.origin[2] <= self._first.origin[2])
+        for body, own in zip(self.bodies, self._of_body, strict=True):
+            places = self.places[own]
+            moved = places + displacement[own]
+            at = frame.into(moved) if body.moves else moved
+            travel[own] = at - (self._first.into(places) if body.moves else places)
+            found = nearest(body, at, pressed_in)
+            gap[own], shaft[own] = found.gap, found.on_shaft
+            rotation = frame.rotation if body.moves else np.eye(3)
+            turn[own] = rotation
+            self.normals[own], meridians[own] = found.normal @ rotation.T, found.meridian @ rotation.T
+            curved[own] = rotation @ found.curvature @ rotation.T
+        return travel, gap, curved, shaft, turn, meridians
+
     def look(self, displacement: np.ndarray, frame: Frame, changeable: int, slack: float, bending: float,
              negligible: float, tolerance: float) -> Look:
         """Note forces, rates and what the constraints miss at a state.
@@ -241,27 +274,13 @@ class ContactNodes:
             frame: of the tool.
             changeable: who may change its state: 0 none, `ALL`, or a number that draws some.
             slack: what is nearer than this counts as touching, m.
-            bending: 1 where the curvature of the bodies takes part in the rates, 0 where not.
+            bending: 1 where the curvature of the bodies, and the fall of a pull, take part in the rates, 0 where not.
             negligible: friction below this is none, N.
             tolerance: how far a condition may be violated, m.
         """
         n = len(self.nodes)
         self.rates[:], self.missing[:] = 0.0, 0.0
-        travel, gap, curved, shaft = np.zeros((n, 3)), np.zeros(n), np.zeros((n, 3, 3)), np.zeros(n, dtype=bool)
-        turn = np.broadcast_to(np.eye(3), (n, 3, 3)).copy()
-        pressed_in = bool(frame.origin[2] <= self._first.origin[2])
-        for body, own in zip(self.bodies, self._of_body, strict=True):
-            places = self.places[own]
-            moved = places + displacement[own]
-            at = frame.into(moved) if body.moves else moved
-            # How far a node has come in the frame of its body since the tool touched.
-            travel[own] = at - (self._first.into(places) if body.moves else places)
-            found = nearest(body, at, pressed_in)
-            gap[own], shaft[own] = found.gap, found.on_shaft
-            rotation = frame.rotation if body.moves else np.eye(3)
-            turn[own] = rotation
-            self.normals[own] = found.normal @ rotation.T
-            curved[own] = rotation @ found.curvature @ rotation.T
+        travel, gap, curved, shaft, turn, meridians = self._measure(displacement, frame)
         normals, forces, springs = self.normals, self.forces, self.springs
         mu = np.where(shaft, self._friction[:, 1], self._friction[:, 0])
         held = self.held == HELD
@@ -331,11 +350,23 @@ class ContactNodes:
         self.rates[pressed], self.missing[pressed], found_forces[pressed] = (
             rates[pressed], missing[pressed], pushed[pressed])
         forces[:] = found_forces
+        near = self.moves & (self.held == TOUCHED) & (gap < self.laws.reach)
+        if self.laws:
+            self._law_forces[:], self._law_rates[:] = 0.0, 0.0
+            self._law_forces[near], self._law_rates[near] = self.laws.act(
+                self.nodes[near], gap[near], normal[near], along[near], normals[near], meridians[near], curved[near],
+                bending)
+            self.rates += self._law_rates
         # What it would be bound to at an equilibrium here.
         surface = travel - np.einsum("nji,nj->ni", turn, gap[:, None] * normals)
         touches = pressed | ((mu > 0.0) & (gap <= 1e-3 * tolerance))
         self._met[:] = np.where(touches & (mu < 0.0) & pressed, HELD, np.where(touches & (mu > 0.0), TOUCHED, FREE))
         keeps = sticks | (touches & ~pressed & (self.held == TOUCHED))
+        if self.laws:
+            # What has touched the tool remembers it up to the reach of the laws, and slips on from there.
+            others = self.moves & ~held & (self._met == FREE) & (pressed | near)
+            self._met[others] = TOUCHED
+            keeps = keeps | (others & (mu == 0.0) & (self.held == TOUCHED))
         self._met_at[:] = np.where(keeps[:, None], self.held_at, surface)
         self.state = ContactState(held, pressed, sticks, sliding, goes, keeps, self._met != FREE, normal, limit, mu,
                                   springs, HOLD * springs, normals, slip, ways, curved, turn)
@@ -343,12 +374,14 @@ class ContactNodes:
 
     def follow(self, motion: np.ndarray) -> None:
         """Let the forces follow a linear solution in which the nodes moved so against their bodies, m, shape (n, 3)."""
-        self.forces += self.missing + np.einsum("nij,nj->ni", self.rates, motion)
+        rates = self.rates - self._law_rates if self.laws else self.rates
+        self.forces += self.missing + np.einsum("nij,nj->ni", rates, motion)
 
     def release(self) -> int:
         """Let go of nodes that are held and pull at an equilibrium; returns how many there are."""
-        pulls = (self.held == HELD) & ~self._stays & (np.einsum("ni,ni->n", self.forces, self.normals) > 0.0)
-        self.held[pulls] = FREE
+        bears = np.where(self.moves, self.laws.pull_of(self.nodes), 0.0)
+        pulls = (self.held == HELD) & ~self._stays & (np.einsum("ni,ni->n", self.forces, self.normals) > bears)
+        self.held[pulls] = np.where(self.moves[pulls] & (self.laws.reach > 0.0), TOUCHED, FREE)
         return int(pulls.sum())
 
     def hold(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ from tissue_sim.experiment.tools.outline import Profile
 from tissue_sim.experiment.tools.plate import PLATE_RADIUS
 from tissue_sim.fem.solid.contact import STICK, Body
 from tissue_sim.fem.solid.contact import nearest as nearest_surface
+from tissue_sim.fem.solid.contact_laws import NodeLaws
 from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.solid.settling import settle
 from tissue_sim.fem.solid.solver import SolidSolver
@@ -94,7 +96,8 @@ def make_solver(model: Model, *, resolution: str = "fast", mesh: SolidMesh | Non
     if settled is not None:
         top = top + settled.x.reshape(-1, 3)[mesh.sets["top"]]
     datum = _touching_height(top, bodies, start, float(np.ptp(mesh.nodes[:, 2])))
-    return SolidSolver(mesh, model.material, _fixed(experiment), bonded, bodies=bodies, tolerance=tolerance,
+    laws = NodeLaws(experiment.acting_laws, np.pi * experiment.contact_radius**2, _law_areas(experiment, mesh))
+    return SolidSolver(mesh, model.material, _fixed(experiment), bonded, bodies=bodies, laws=laws, tolerance=tolerance,
                        start=start, datum=datum, contact_radius=experiment.contact_radius,
                        pins=_pins(experiment, mesh), element_layers=layers, specific_weight=weight, settled=settled,
                        lift=_lift(mesh, top, datum) if weight and tool.is_plate else None)
@@ -151,9 +154,6 @@ def _require(experiment: Experiment) -> None:
         if experiment.tool.is_plate and experiment.friction == "bonded":
             raise InputError(f"a plate cannot be bonded to the curved top of {shape}; use 'stick', 'frictionless' or "
                              "a coefficient of friction", field="friction")
-    if experiment.acting_laws:
-        raise InputError("the solid in space takes no adhesion or other laws of contact yet; leave them out",
-                         field="contact_laws")
 
 
 def build_mesh(experiment: Experiment, resolution: str = "fast", layers: tuple[Layer, ...] = (),
@@ -244,6 +244,18 @@ def tool_contact(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray) ->
     mesh where it first touches, m; `bonded` are the nodes that it holds."""
     bodies, start = _moving(experiment, mesh, bonded), experiment.tool_pose(0.0)
     return bodies, _touching_height(mesh.nodes[mesh.sets["top"]], bodies, start, float(np.ptp(mesh.nodes[:, 2])))
+
+
+def _law_areas(experiment: Experiment, mesh: SolidMesh) -> np.ndarray:
+    """Area on which each node stands for tractions of the tool, m2, shape (nodes,): at the rim of the top that of the
+    top alone, at the edge of a flat face that of the face."""
+    areas, top = mesh.areas("side"), mesh.sets["top"]
+    areas[top] = mesh.areas("top")[top]
+    if experiment.tool.face_radius:
+        face = mesh.sets["face"]
+        under = mesh.faces["top"][np.isin(mesh.faces["top"], face).all(axis=1)]
+        areas[face] = replace(mesh, faces={"face": under}).areas("face")[face]
+    return areas
 
 
 def _side(mesh: SolidMesh) -> np.ndarray:

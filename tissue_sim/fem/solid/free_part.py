@@ -1,10 +1,27 @@
-"""The free part of a sparse matrix, with the rates of contact forces."""
+"""Which freedoms are free, and the part of a sparse matrix that belongs to them, with the rates of contact forces."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+
+from tissue_sim.mesh.solid import SolidMesh
+
+
+def staying(mesh: SolidMesh, fixed: Mapping[str, str], pins: Sequence[tuple[int, str]]) -> np.ndarray:
+    """Whether each node stays where it is along x, y and z, shape (nodes, 3).
+
+    Args:
+        mesh: of the nodes. fixed: node set -> axes, ``"z"`` or ``"xyz"``. pins: nodes and axes.
+    """
+    stays = np.zeros((len(mesh.nodes), 3), dtype=bool)
+    held: list[tuple[Any, str]] = [*((mesh.sets[name], axes) for name, axes in fixed.items()), *pins]
+    for nodes, axes in held:
+        for axis in axes:
+            stays[nodes, "xyz".index(axis)] = True
+    return stays
 
 
 class FreePart:

@@ -52,6 +52,9 @@ class SolidLinearisation:
         self._solver, contact = solver, solver.contact
         self._holds = bool(solver._bonded.size)
         self._mine = np.flatnonzero(contact.moves)
+        if contact.laws:
+            raise InputError("a solid by two rates takes no adhesion or other laws of contact; leave them out",
+                             field="contact_laws")
         if any(not body.moves and body.stays for body in contact.bodies):
             raise InputError("the base slides or can lift off, and the bulk would hold on to nothing; use 'bonded', or "
                              "'frictionless' under a tool that is bonded", field="friction_base")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -11,17 +11,21 @@ import numpy as np
 from tissue_sim.fem.history import Memory
 from tissue_sim.fem.linear.sparse import Factor, SparseSolver
 from tissue_sim.fem.solid.contact import ALL, Body, ContactNodes, Look
+from tissue_sim.fem.solid.contact_laws import NodeLaws
 from tissue_sim.fem.solid.fields import SolidFields
-from tissue_sim.fem.solid.frame import Frame, turned_with
-from tissue_sim.fem.solid.free_part import FreePart
+from tissue_sim.fem.solid.frame import Frame
+from tissue_sim.fem.solid.free_part import FreePart, staying
+from tissue_sim.fem.solid.mass import Mass
 from tissue_sim.fem.solid.sensitivity import SolidParts, SolidSensitivity
+from tissue_sim.fem.solid.state import Sample, SavedState
 from tissue_sim.fem.solid.surface import SolidSurface
 from tissue_sim.fem.solid.tissue import Tissue
+from tissue_sim.fem.solid.tool_wrench import Grip, rows
 from tissue_sim.fem.solver import Neighbours, Solver, Step, StepStatus
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.pose import Pose, Screw
-from tissue_sim.tool_force import Matrix
+from tissue_sim.tool_force import Matrix, NextForce
 
 #: A step that turns an element inside out is halved so often.
 _HALVINGS = 4
@@ -35,23 +39,6 @@ _NO_WAY = 1e-14
 _FRICTION_FLOOR = 1e-6
 
 
-@dataclass(frozen=True, eq=False)
-class Sample:
-    """A committed state: displacements, m, shape (nodes, 3), pressure amplitudes, Pa, (elements, modes), and the
-    isochoric stresses of its memory where it has one; see `SolidFields`."""
-
-    displacement: np.ndarray
-    pressures: np.ndarray
-    stresses: np.ndarray | None
-
-
-@dataclass(frozen=True, eq=False)
-class _Saved:
-    arrays: tuple[np.ndarray, ...]
-    pose: Pose
-    largest_force: float
-
-
 class SolidSolver(Solver):
     """Stateful Newton solver of one boundary-value problem in space.
 
@@ -62,7 +49,7 @@ class SolidSolver(Solver):
         bonded: nodes that the tool holds, shape (n,).
         pins: nodes and axes, ``"xy"``, along which they stay where they are, where nothing else keeps the solid from
             sliding off or turning.
-        bodies: what the surface may meet.
+        bodies: what the surface may meet. laws: of contact with the tool.
         tolerance: how far a contact condition may be violated, m.
         start: of the tool, where it first touches, in the frame of the scene.
         datum: height of that frame's origin in that of the mesh, m.
@@ -81,8 +68,8 @@ class SolidSolver(Solver):
     highest_order = 0
 
     def __init__(self, mesh: SolidMesh, material: Material, fixed: dict[str, str], bonded: np.ndarray, *,
-                 bodies: Sequence[Body] = (), tolerance: float = 0.0, start: Pose, datum: float = 0.0,
-                 contact_radius: float = 1.0, pins: Sequence[tuple[int, str]] = (),
+                 bodies: Sequence[Body] = (), laws: NodeLaws | None = None, tolerance: float = 0.0, start: Pose,
+                 datum: float = 0.0, contact_radius: float = 1.0, pins: Sequence[tuple[int, str]] = (),
                  element_layers: np.ndarray | None = None, specific_weight: float = 0.0,
                  settled: SolidSolver | None = None, lift: np.ndarray | None = None):
         self.mesh, self.datum, self._tolerance = mesh, datum, tolerance
@@ -93,12 +80,7 @@ class SolidSolver(Solver):
             self.x[:], self.batches.pressures[:] = settled.x, settled.batches.pressures
         self._start = self._pose = start
         freedoms = np.arange(self.x.size).reshape(-1, 3)
-        stays = np.zeros_like(freedoms, dtype=bool)
-        for name, axes in fixed.items():
-            for axis in axes:
-                stays[mesh.sets[name], "xyz".index(axis)] = True
-        for node, axes in pins:
-            stays[node, ["xyz".index(axis) for axis in axes]] = True
+        stays = staying(mesh, fixed, pins)
         self._bonded = np.asarray(bonded, dtype=np.intp)
         moved = np.zeros_like(stays)
         moved[self._bonded] = True
@@ -107,7 +89,7 @@ class SolidSolver(Solver):
         self._moved = freedoms[self._bonded].ravel()
         # Where what is bonded stands in the tool's frame.
         self._held_at = Frame(start, datum).into(self._places_of(self._bonded))
-        self.contact = ContactNodes(bodies, mesh.nodes, mesh.node_areas)
+        self.contact = ContactNodes(bodies, mesh.nodes, mesh.node_areas, laws)
         if lift is not None:
             self.contact.places[self.contact.moves, 2] -= lift[self.contact.nodes[self.contact.moves]]
         self.contact.bring_down(start, datum, self.x.reshape(-1, 3), None if settled is None else settled.contact)
@@ -116,6 +98,10 @@ class SolidSolver(Solver):
         self._largest_force, self._asked, self._modulus, self._least = 0.0, False, 0.0, 0.0
         self._committed, self._rest = (tuple(array.copy() for array in self._state) for _ in range(2))
         self._derivatives: SolidSensitivity | None = None
+        self._mass: Mass | None = None
+        self._last: Step | None = None
+        # How everything goes with the tool at the last equilibrium whose stiffness was asked for, shape (freedoms, 6).
+        self._along: np.ndarray | None = None
         #: Of the tool where the state that is worked on belongs to it.
         self._here = Frame(start, datum)
         self.set_material(material)
@@ -152,19 +138,27 @@ class SolidSolver(Solver):
     def step(self, pose: Pose, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
              predictor_order: int = 2, inertial: bool = False, resumes: bool = False,
              own_stiffness: bool = True) -> Step:
-        """Move the tool to a pose and find equilibrium; see `Solver.step`. There is no mass, and no predictor
-        but the linear solution for the tool's way."""
+        """Move the tool to a pose and find equilibrium; see `Solver.step`. There is no predictor but the linear
+        solution for the tool's way."""
         self.tissue.prepare(dt)
+        if self._mass is not None:
+            self._mass.prepare(self._committed[0], dt, inertial)
         frame = Frame(pose, self.datum)
         if not resumes:
             self._go_back()
         outcome = self._iterate(frame, tolerance, max_iterations)
         if outcome.status is StepStatus.CONVERGED:
+            if inertial and self._mass is not None and self._asked:
+                own = self._own_stiffness(frame) if own_stiffness and outcome.iterations < max_iterations else None
+                outcome = replace(outcome, step_stiffness_matrix=outcome.stiffness_matrix, stiffness_matrix=own)
+            if self._mass is not None:
+                self._mass.motion.commit(self._committed[0], self.x, dt, inertial)
             self.contact.commit()
             self.tissue.commit()
             self._committed = self.x.copy(), self.batches.pressures.copy(), self.contact.forces.copy()
             self._pose = pose
             self._largest_force = max(self._largest_force, float(np.linalg.norm(outcome.wrench[:3])))
+            self._last = outcome
         return outcome
 
     def _go_back(self) -> None:
@@ -195,12 +189,14 @@ class SolidSolver(Solver):
                     array[:] = 0.5 * (array + earlier)
                 continue
             displacement = x.reshape(-1, 3)[contact.nodes]
-            look = contact.look(displacement, here if pending else frame, changeable, 1e-9 if pending else 0.0, bending,
+            # At first what just touches counts as pressed: the tool is about to move, or a law pulls.
+            slack = 1e-9 if pending or (contact.laws.strength > 0.0 and iterations == 0) else 0.0
+            look = contact.look(displacement, here if pending else frame, changeable, slack, bending,
                                 _FRICTION_FLOOR * floor, self._tolerance)
             residual = batches.residual[:-1].copy()
-            np.add.at(residual.reshape(-1, 3), contact.nodes, contact.forces)
+            np.add.at(residual.reshape(-1, 3), contact.nodes, contact.acting)
             unbalanced = float(np.linalg.norm(residual[self._free]))
-            balanced = float(np.hypot(np.linalg.norm(residual[self._reacting]), np.linalg.norm(contact.forces)))
+            balanced = float(np.hypot(np.linalg.norm(residual[self._reacting]), np.linalg.norm(contact.acting)))
             ratio = unbalanced / max(balanced, floor)
             status = None
             if not self._least > 0.0 or self._least >= 1e30:
@@ -227,7 +223,7 @@ class SolidSolver(Solver):
             elif first_ratio is not None and iterations > 3 and ratio > 1e3 * max(first_ratio, 1.0):
                 status = StepStatus.DIVERGED
             if status is not None and not (status is StepStatus.CONVERGED and self._asked):
-                return self._answer(status, iterations, ratio, look, residual, frame, None)
+                return self._answer(status, iterations, ratio, look, frame)
             self._matrix.add(contact.rates)
             factor = self._sparse.factorise(self._matrix.free, symmetric=not look.slipping)
             if factor is None or not factor.definite:
@@ -236,9 +232,9 @@ class SolidSolver(Solver):
                     continue
                 if status is None:
                     status = StepStatus.INDEFINITE
-                return self._answer(status, iterations, ratio, look, residual, frame, None)
+                return self._answer(status, iterations, ratio, look, frame)
             if status is not None:
-                return self._answer(status, iterations, ratio, look, residual, frame, self._stiffness(factor, frame))
+                return self._answer(status, iterations, ratio, look, frame, factor)
             if iterations == 1:
                 first_ratio = ratio
             right = residual
@@ -277,54 +273,57 @@ class SolidSolver(Solver):
 
     def _assemble(self, tangent: bool = True) -> None:
         self._least = self.tissue.assemble(tangent)
+        if self._mass is not None:
+            self._mass.resist(self.x, self.batches.residual[:-1], self._matrix.all)
 
-    def _answer(self, status: StepStatus, iterations: int, ratio: float, look: Look, residual: np.ndarray, frame: Frame,
-                stiffness: np.ndarray | None) -> Step:
-        rates = [frame.rates(self.mesh.nodes[self._bonded] + self.x.reshape(-1, 3)[self._bonded]),
-                 frame.rates(self._places()[self.contact.moves])]
-        # The residual of what the tool holds is the force that it needs.
-        forces = [-self.batches.residual[:-1][self._moved].reshape(-1, 3), self.contact.forces[self.contact.moves]]
-        wrench = sum(np.einsum("nik,ni->k", rate, force) for rate, force in zip(rates, forces, strict=True))
-        return Step(status, iterations, ratio, cast("Screw", tuple(np.asarray(wrench).tolist())),
-                    None if stiffness is None else cast("Matrix", tuple(map(tuple, stiffness.tolist()))),
-                    look.violation, look.slipping)
+    def _grip(self, frame: Frame) -> Grip:
+        return Grip(frame, self._moved, self._places_of(self._bonded),
+                    self.batches.residual[:-1][self._moved].reshape(-1, 3), self.contact, self._places())
 
-    def _stiffness(self, factor: Factor, frame: Frame) -> np.ndarray:
-        """Minus the derivative of the wrench with the tool's place and rotation, shape (6, 6)."""
-        contact, matrix, size = self.contact, self._matrix.all, self.x.size
-        moved = np.zeros((size, 6))
-        levers = frame.rates(self._places_of(self._bonded))
-        moved[self._moved] = levers.reshape(-1, 6)
-        way, turned = np.zeros((2, len(contact.nodes), 3, 6))
-        way[contact.moves] = frame.rates(self._places()[contact.moves])
-        # The forces of what touches the tool turn with it.
-        turned[contact.moves] = turned_with(contact.forces[contact.moves])
-        # Forces of the nodes when the tool moves and the tissue does not yet; the matrix holds the rates of contact.
-        pushed = matrix @ moved
-        np.add.at(pushed.reshape(-1, 3, 6), contact.nodes, turned - np.einsum("nij,njk->nik", contact.rates, way))
-        answer = moved.copy()
-        answer[self._free] = -factor.solve(pushed[self._free])
-        on_tool = turned + np.einsum("nij,njk->nik", contact.rates, answer.reshape(-1, 3, 6)[contact.nodes] - way)
-        held = self.batches.residual[:-1][self._moved].reshape(-1, 3)
-        reactions = (matrix @ answer)[self._moved].reshape(-1, 3, 6)
-        wrench_rate = np.einsum("nia,nib->ab", levers, -reactions)
-        wrench_rate += np.einsum("nia,nib->ab", way[contact.moves], on_tool[contact.moves])
-        # The levers of the torque change, too: a node goes its way, and the tool's deepest point the tool's.
-        apart = np.concatenate([levers, answer.reshape(-1, 3, 6)[contact.nodes[contact.moves]]])
-        apart[:, :, :3] -= np.eye(3)
-        forces = np.concatenate([-held, contact.forces[contact.moves]])
-        wrench_rate[3:] += np.cross(apart, forces[:, :, None], axisa=1, axisb=1, axisc=1).sum(axis=0)
-        return -wrench_rate
+    def _answer(self, status: StepStatus, iterations: int, ratio: float, look: Look, frame: Frame,
+                factor: Factor | None = None) -> Step:
+        """The step, with its stiffness where there is a factor of the last matrix."""
+        stiffness, grip = None, self._grip(frame)
+        if factor is not None:
+            stiffness, self._along = grip.stiffness(self._matrix.all, factor, self._free)
+        return Step(status, iterations, ratio, cast("Screw", tuple(grip.wrench().tolist())),
+                    None if stiffness is None else rows(stiffness), look.violation, look.slipping)
+
+    def _own_stiffness(self, frame: Frame) -> Matrix | None:
+        """That of the tissue without its mass, just after an inertial step; None where it would not stand so."""
+        assert self._mass is not None
+        self._mass.rate, rate = 0.0, self._mass.rate
+        self._assemble()
+        self._mass.rate = rate
+        self._matrix.add(self.contact.rates)
+        factor = self._sparse.factorise(self._matrix.free, symmetric=not self.contact.state.slides.any())
+        if factor is None or not factor.definite:
+            return None
+        return rows(self._grip(frame).stiffness(self._matrix.all, factor, self._free)[0])
+
+    def follow_motion(self, density: float) -> bool:
+        """Let the tissue have a mass (kg/m3) from now on, in all its regions alike; it has one."""
+        self._mass = Mass(self.mesh, self.batches.weights, density, self._matrix.all)
+        return True
+
+    def ahead(self, dt: float) -> NextForce | None:
+        """See `Solver.ahead`, and that of the axisymmetric solver for how."""
+        last = self._last
+        if self._mass is None or self._along is None or last is None or last.step_stiffness_matrix is None:
+            return None
+        more, stiffer = self._mass.ahead(self.x, dt, self._along)
+        return NextForce(cast("Screw", tuple((np.array(last.wrench) - more).tolist())),
+                         rows(np.array(last.step_stiffness_matrix) + stiffer))
 
     def _places_of(self, nodes: np.ndarray) -> np.ndarray:
         return self.mesh.nodes[nodes] + self.x.reshape(-1, 3)[nodes]
 
     def differentiate(self, neighbours: Neighbours) -> SolidSensitivity | None:
         """Carry exact derivatives along from now on; see `Solver.differentiate`. There are none of a mesh of several
-        materials, nor of tissue that weighs."""
+        materials, of tissue that weighs, nor with laws of contact."""
         tissue = self.tissue
         inputs = tissue.inputs
-        if inputs is None or tissue.specific_weight:
+        if inputs is None or tissue.specific_weight or self.contact.laws:
             return None
         parts = SolidParts(self.x, self._free, self._moved, self.batches, self.contact, self.memory, self._matrix,
                            inputs, self._assemble)
@@ -337,14 +336,16 @@ class SolidSolver(Solver):
         for array, rest in zip(self._committed, self._rest, strict=True):
             array[:] = rest
         self.contact.forget()
+        if self._mass is not None:
+            self._mass.motion.stop()
         self._pose = self._start
         self._go_back()
 
-    def save(self) -> _Saved:
+    def save(self) -> SavedState:
         """All that a committed step leaves behind, for `restore`."""
-        return _Saved(tuple(array.copy() for array in self._kept), self._pose, self._largest_force)
+        return SavedState(tuple(array.copy() for array in self._kept), self._pose, self._largest_force)
 
-    def restore(self, saved: _Saved) -> None:
+    def restore(self, saved: SavedState) -> None:
         """Go back to where `save` was called."""
         for array, before in zip(self._kept, saved.arrays, strict=True):
             array[:] = before
@@ -352,7 +353,8 @@ class SolidSolver(Solver):
 
     @property
     def _kept(self) -> tuple[np.ndarray, ...]:
-        return (*self._committed, *self.contact.kept, *self.tissue.kept)
+        moving = () if self._mass is None else self._mass.motion.kept
+        return (*self._committed, *self.contact.kept, *self.tissue.kept, *moving)
 
     def rest_here(self) -> None:
         """Let the committed state be the one without a tool."""

@@ -9,9 +9,9 @@ from tissue_sim.fem.history import Memory
 from tissue_sim.fem.solid.assembly import assembly_kernel
 from tissue_sim.fem.solid.batches import LANES, ElementBatches
 from tissue_sim.fem.solid.element import ADDS, KAPPA, REMEMBERS, TANGENT
+from tissue_sim.fem.solid.point_effects import SolidEffects
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
-from tissue_sim.material.effect import PointEffect
 from tissue_sim.material.layer import Layer
 from tissue_sim.material.material import BULK_RATIOS, Material, incompressible_ratio
 from tissue_sim.mesh.solid import SolidMesh
@@ -42,6 +42,7 @@ class Tissue:
         batches: forces, pressures and the matrix of the elements.
         bulk_moduli: of the batches, Pa, shape (batches,).
         specific_weight: density times gravity, N/m3, towards -z.
+        effects: at the points of the elements in no region.
         material: that of the elements in no region.
     """
 
@@ -60,6 +61,8 @@ class Tissue:
         self._layers = np.zeros(count, dtype=np.intp) if element_layers is None else element_layers
         self.bulk_moduli = np.zeros(self.batches.batches)
         self.specific_weight = 0.0
+        # A region that is named has none.
+        self.effects = SolidEffects(self.batches, mesh.connectivity, named.get("", np.zeros(0, dtype=np.intp)))
 
     @property
     def memory(self) -> Memory:
@@ -73,8 +76,9 @@ class Tissue:
 
     @property
     def inputs(self) -> tuple[np.ndarray, ...] | None:
-        """What a material sets and the forces depend on; None where there are several materials."""
-        if len(self._regions) > 1:
+        """What a material sets and the forces depend on; None where there are several materials, or effects at the
+        points."""
+        if len(self._regions) > 1 or self.effects:
             return None
         region = self._regions[0]
         return region.settings[KAPPA : KAPPA + 1], region.coefficients, self.batches.moduli
@@ -83,15 +87,16 @@ class Tissue:
         """Change parameters, bulk responses or laws.
 
         Raises:
-            InputError: what is not taken of a material, a region that the mesh does not have, or a bulk ratio outside
-                `BULK_RATIOS`; nothing is changed.
+            InputError: an effect that no kernel can take over, a region that the mesh does not have, or a bulk ratio
+                outside `BULK_RATIOS`; nothing is changed.
         """
         for name in material.regions:
             if name not in self._mesh.regions:
-                raise InputError(f"the mesh has no region {name!r}{nearest(name, self._mesh.regions)}",
-                                 field="material.regions")
+                known = nearest(name, self._mesh.regions) if self._mesh.regions else "; it names none"
+                raise InputError(f"the mesh has no region {name!r}{known}", field="material.regions")
         materials = [material.regions.get(region.name, material) for region in self._regions]
         bulks = [bulk_modulus(each, self._mesh) for each in materials]
+        self.effects.set_effects(material.effects.values())
         self.material = material
         ratios = np.array([*(layer.ratio for layer in material.layers), 1.0])
         self.batches.set_moduli(ratios[np.minimum(self._layers, ratios.size - 1)])
@@ -103,7 +108,7 @@ class Tissue:
                 region.coefficients = np.array(coefficients)
             memory = region.memory
             memory.set_material(own.relaxation(self.contact_radius), own.softening, own.instantaneous_factor)
-            region.settings[KAPPA], region.settings[REMEMBERS] = bulk, memory.works
+            region.settings[KAPPA], region.settings[REMEMBERS] = bulk, memory.works or bool(self.effects)
             region.settings[ADDS] = region is not self._regions[0]
             self.bulk_moduli[part] = bulk
             with LOCK:
@@ -120,6 +125,8 @@ class Tissue:
             for region in self._regions:
                 region.settings[TANGENT] = tangent
                 region.kernel()
+        if self.effects:
+            self.effects.add(self._x, tangent)
         if self.specific_weight:
             self.batches.residual[2:-1:3] += self.specific_weight * self.batches.volumes
         return min(float(region.least[0]) for region in self._regions)
@@ -144,25 +151,31 @@ class Tissue:
         """Before a step; see `Memory.prepare`."""
         for region in self._regions:
             region.memory.prepare(dt)
+        self.effects.prepare(dt)
 
     def commit(self) -> None:
         """After a step that converged."""
         for region in self._regions:
             region.memory.commit()
+        if self.effects:
+            self.effects.commit()
 
     @property
     def kept(self) -> tuple[np.ndarray, ...]:
         """All that the memory of a committed step is; to go back there, fill them with what they were."""
-        return tuple(array for region in self._regions for array in region.memory.kept)
+        added = (self.effects.states, self.effects.stress) if self.effects else ()
+        return (*(array for region in self._regions for array in region.memory.kept), *added)
 
     def stresses(self) -> np.ndarray | None:
         """Isochoric second Piola stress of the last committed step where some of the tissue remembers, Pa, shape
         (elements, q, 6); None where none does."""
-        if not any(region.memory.works for region in self._regions):
+        if not self.effects and not any(region.memory.works for region in self._regions):
             return None
         found = np.zeros((*self.batches.weights.shape, 6))
         for region in self._regions:
             found[region.elements] = region.memory.total()
+            if self.effects and region.name == "":
+                found[region.elements] += self.effects.stress
         return found
 
 
@@ -175,11 +188,8 @@ def bulk_modulus(material: Material, mesh: SolidMesh) -> float:
     """Bulk modulus with which a material is computed on a mesh, Pa.
 
     Raises:
-        InputError: added effects at the points, or a bulk ratio outside `BULK_RATIOS`.
+        InputError: a bulk ratio outside `BULK_RATIOS`.
     """
-    if any(isinstance(effect, PointEffect) for effect in material.effects.values()):
-        raise InputError("the solid in space takes no added effects of the tissue yet; leave them out, or use the "
-                         "axisymmetric solver", field="material.effects")
     bulk = material.bulk_modulus
     if np.isinf(bulk):
         wide, _, high = np.ptp(mesh.nodes, axis=0).tolist()
