@@ -68,6 +68,11 @@ class SampledElements:
         return self._forces[: self.modes]
 
     @property
+    def are_known(self) -> bool:
+        """Whether all of the stiffness has been computed since the material or the state was last put in place."""
+        return self._next >= 0
+
+    @property
     def least(self) -> float:
         """The smallest J there."""
         return float(self._least[0])
