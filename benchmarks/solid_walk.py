@@ -1,14 +1,14 @@
 """Random walks of a tool in solids in space, in the 1 kHz loop with the viewer's page open.
 
     python benchmarks/solid_walk.py [--seconds 60] [--cases NAME ...] [--needle FILE] [--ball FILE] [--chromium]
-                                    [--every 25] [--json]
+                                    [--every 10] [--json]
 
 A flat needle that holds tissue and a ball with friction on reduced solids (files of `tissue-sim reduce`, made where
 none are given), and that ball on a solid by two rates: pressed, dragged aside and lifted off at up to 50 mm/s, as
 `haptics.devices.motions.SpatialWalk` goes. A client reads the page meanwhile (`viewer_client`), or Chromium draws it.
 Afterwards the poses of the ticks are gone through again without a clock: reduced solids tick by tick, and the whole
-solid at every so many ticks. Counted are deadlines that were missed, statuses, statuses that were wrong, and the
-largest change of the force in a tick beyond that of the replay.
+solid at every so many ticks, from touch to lift-off. Counted are deadlines that were missed, statuses, statuses that
+were wrong, and the largest change of the force in a tick beyond that of the replay.
 """
 
 from __future__ import annotations
@@ -39,7 +39,9 @@ from scenes.viewer.session import Session
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.fem.solid.discretisation import make_solver
-from tissue_sim.fem.solver import StepStatus
+from tissue_sim.fem.solid.solver import SolidSolver
+from tissue_sim.fem.solver import Step, StepStatus
+from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.pose import Pose, between
 
 DEPTH, SIDEWAYS, TURN, SPEED = 4e-3, 3e-3, 0.087, 0.05
@@ -178,71 +180,99 @@ def replayed(reduced: ts.ReducedModel, case: Case, ticks: np.ndarray) -> tuple[n
     return forces, found
 
 
-def solved(case: Case, mesh: object, ticks: np.ndarray, every: int) -> dict[int, np.ndarray]:
-    """The whole solid's forces at every so many ticks, N, by the number of the tick."""
-    solver = make_solver(case.model(), mesh=mesh) if mesh is not None else make_solver(case.model())
-    poses, forces, here = poses_of(ticks), {}, None
-    for number in range(0, len(poses), every):
-        pose = poses[number]
-        for cut in _CUTS:
-            steps = (solver.step(between(here or pose, pose, (k + 1) / cut), tolerance=1e-6, max_iterations=40)
-                     for k in range(cut))
-            if all((step := each).status is StepStatus.CONVERGED for each in steps):
-                forces[number], here = np.array(step.wrench[:3]), pose
+def pieces(case: Case, ticks: np.ndarray, every: int, most: int) -> list[np.ndarray]:
+    """Ticks at which the whole solid is solved, about `most`, in pieces that begin on tissue which remembers nothing.
+
+    A tool that lifts off leaves no friction behind: from touch to lift-off, evenly chosen ones of these.
+    """
+    if case.holds:
+        return [np.arange(0, len(ticks), max(every, len(ticks) // most))]
+    down = np.flatnonzero(ticks["tool_pose"][:, 2] < 0.0)
+    touches = np.split(down, np.flatnonzero(np.diff(down) > 1) + 1)
+    touches = [np.arange(touch[0], touch[-1] + 1, every) for touch in touches if touch.size > every]
+    order = np.random.default_rng(0).permutation(len(touches))
+    chosen: list[int] = []
+    for number in order.tolist():
+        if sum(touches[each].size for each in chosen) < most:
+            chosen.append(number)
+    return [touches[each] for each in sorted(chosen)]
+
+
+def solved(case: Case, mesh: SolidMesh | None, ticks: np.ndarray, places: list[np.ndarray]) -> list[np.ndarray]:
+    """The whole solid's forces, N, shape (n, 3) for each piece; NaN from where it found no equilibrium."""
+    solver = make_solver(case.model(), mesh=mesh)
+    poses, found = poses_of(ticks), []
+    for numbers in places:
+        solver.lift_off()
+        forces, here = np.full((len(numbers), 3), np.nan), poses[numbers[0]]
+        for row, number in enumerate(numbers.tolist()):
+            step = _step(solver, here, poses[number])
+            if step is None:
                 break
-    return forces
+            forces[row], here = step.wrench[:3], poses[number]
+        found.append(forces)
+    return found
+
+
+def _step(solver: SolidSolver, here: Pose, pose: Pose) -> Step | None:
+    """To a pose, in parts where it does not come through at once."""
+    for cut in _CUTS:
+        steps = (solver.step(between(here, pose, (k + 1) / cut), tolerance=1e-6, max_iterations=40) for k in range(cut))
+        if all((step := each).status is StepStatus.CONVERGED for each in steps):
+            return step
+    return None
 
 
 def beyond(forces: np.ndarray, expected: np.ndarray, ticks: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    """Changes of the force from tick to tick beyond the largest of the expected ones around them, N, shape (n - 1,).
+    """Changes of the force in the ticks between two samples beyond the largest of the expected ones around them, N.
 
     Args:
-        forces: of the ticks, shape (n, 3).
-        expected: at some of them, shape (m, 3); numbers: at which, shape (m,).
+        forces: of all ticks, shape (n, 3).
+        expected: at some of them, shape (m, 3); numbers: at which, ascending, shape (m,).
     """
+    first, last = numbers[0], numbers[-1]
+    rate = np.linalg.norm(np.diff(forces[first : last + 1], axis=0), axis=1)
     # Where a deadline was missed the tool has gone on for two.
-    rate = np.linalg.norm(np.diff(forces, axis=0), axis=1)
-    passed = np.diff(ticks["tick"].astype(float))
-    between_them = np.diff(ticks["tick"][numbers].astype(float))
-    slopes = np.linalg.norm(np.diff(expected, axis=0), axis=1) / between_them
+    passed = np.diff(ticks["tick"][first : last + 1].astype(float))
+    slopes = np.linalg.norm(np.diff(expected, axis=0), axis=1) / np.diff(ticks["tick"][numbers].astype(float))
     around = np.maximum(slopes, np.maximum(np.append(slopes[1:], 0.0), np.append(0.0, slopes[:-1])))
-    place = np.clip(np.searchsorted(numbers, np.arange(len(rate)), side="right") - 1, 0, len(around) - 1)
+    place = np.searchsorted(numbers, np.arange(first, last), side="right") - 1
     return rate - around[place] * passed
 
 
-def judged(case: Case, reduced: ts.ReducedModel | None, ticks: np.ndarray, every: int) -> dict:
+def judged(case: Case, reduced: ts.ReducedModel | None, ticks: np.ndarray, asked: argparse.Namespace) -> dict:
     """What the replays say of the ticks."""
     forces, good = ticks["tissue_wrench"][:, :3], ticks["status"] == ts.ForceStatus.CONVERGED
-    whole = solved(case, None if reduced is None else reduced.mesh, ticks, every)
-    numbers = np.array(sorted(whole))
-    true = np.array([whole[number] for number in numbers])
+    places = pieces(case, ticks, asked.every, asked.samples)
+    found = solved(case, None if reduced is None else reduced.mesh, ticks, places)
+    kept = [np.isfinite(each).all(axis=1) for each in found]
+    numbers = np.concatenate([one[which] for one, which in zip(places, kept, strict=True)])
+    true = np.concatenate([one[which] for one, which in zip(found, kept, strict=True)])
     rms = float(np.sqrt((true**2).sum(axis=1).mean()))
-    row: dict = {"rms_force_N": rms, "samples": len(numbers)}
+    missed = np.linalg.norm(forces[numbers] - true, axis=1)[good[numbers]]
+    row: dict = {"rms_force_N": rms, "samples": len(numbers), "samples_not_solved": int(sum((~k).sum() for k in kept)),
+                 "rms_percent": 100.0 / rms * float(np.sqrt((missed**2).mean())),
+                 "p99_percent": 100.0 / rms * float(np.quantile(missed, 0.99)),
+                 "largest_percent": 100.0 / rms * float(missed.max()),
+                 "largest_change_N": float(np.linalg.norm(np.diff(forces, axis=0), axis=1).max())}
     if reduced is None:
-        error = np.linalg.norm(forces[numbers] - true, axis=1)
-        allowed = np.maximum(ERROR_FLOOR, ERROR_SHARE * np.linalg.norm(true, axis=1))
-        row["wrong_statuses"] = int((good[numbers] & (error > allowed)).sum())
-        row["looked_at"] = int(good[numbers].sum())
-        jumps = beyond(forces, true, ticks, numbers)
+        allowed = np.maximum(ERROR_FLOOR, ERROR_SHARE * np.linalg.norm(true, axis=1))[good[numbers]]
+        row |= {"wrong_statuses": int((missed > allowed).sum()), "looked_at": int(good[numbers].sum())}
+        jumps = np.concatenate([beyond(forces, one[which], ticks, place[which])
+                                for one, which, place in zip(found, kept, places, strict=True) if which.sum() > 1])
     else:
-        expected, found = replayed(reduced, case, ticks)
+        expected, answered = replayed(reduced, case, ticks)
         error = np.linalg.norm(forces - expected, axis=1)
         start, box = case.model().experiment.tool_pose(0.0), reduced.box
         inside = np.array([box.holds(pose, start) or (not case.holds and pose.depth < 0.0) for pose in poses_of(ticks)])
         # An answer that is none without a clock either, or a stop inside of the box.
         stopped = ticks["status"] == ts.ForceStatus.STOPPED
-        row["wrong_statuses"] = int((good & found & (error > SHARE * rms)).sum() + (stopped & inside).sum()
-                                    + (good & ~found).sum())
-        row["looked_at"], row["largest_from_replay_N"] = len(ticks), float(error[good & found].max())
+        wrong = (good & answered & (error > SHARE * rms)) | (good & ~answered) | (stopped & inside)
+        row |= {"wrong_statuses": int(wrong.sum()), "looked_at": len(ticks),
+                "largest_from_replay_N": float(error[good & answered].max())}
         jumps = beyond(forces, expected, ticks, np.arange(len(ticks)))
-    missed = np.linalg.norm(forces[numbers] - true, axis=1)[good[numbers]]
-    row |= {"rms_percent": 100.0 / rms * float(np.sqrt((missed**2).mean())),
-            "p99_percent": 100.0 / rms * float(np.quantile(missed, 0.99)),
-            "largest_percent": 100.0 / rms * float(missed.max()),
-            "largest_change_N": float(np.linalg.norm(np.diff(forces, axis=0), axis=1).max()),
-            "beyond_N": float(jumps.max()), "ticks_beyond": int((jumps > JUMP).sum()),
-            "p99.9_beyond_N": float(np.quantile(jumps, 0.999))}
-    return row
+    return row | {"beyond_N": float(jumps.max()), "ticks_beyond": int((jumps > JUMP).sum()),
+                  "p99.9_beyond_N": float(np.quantile(jumps, 0.999)), "ticks_looked_at": len(jumps)}
 
 
 def counted(ticks: np.ndarray) -> dict:
@@ -263,11 +293,19 @@ def measure(name: str, file: Path | None, asked: argparse.Namespace) -> dict:
     if case.solver == "reduced":
         reduced = ts.load_reduced(file) if file else ts.reduce_solid(
             case.model(), ts.PoseBox(SIDEWAYS, DEPTH, case.turn))
-    ticks, page = walked(case, reduced, asked.seconds, asked.seed, asked.chromium)
-    row = {"case": name, "load": os.getloadavg()[0], **counted(ticks), **page}
-    if asked.keep:
-        np.savez(asked.keep / f"{name}.npz", ticks=ticks)
-    return row | judged(case, reduced, ticks, asked.every)
+    kept = None if asked.keep is None else asked.keep / f"{name}.npz"
+    if asked.judge and kept is not None:
+        with np.load(kept) as stored:
+            ticks, page = stored["ticks"], {}
+    else:
+        ticks, page = walked(case, reduced, asked.seconds, asked.seed, asked.chromium)
+        page["load"] = os.getloadavg()[0]
+    row = {"case": name, **counted(ticks), **page}
+    if kept is not None and not asked.judge:
+        np.savez(kept, ticks=ticks)
+    if asked.walk_only:
+        return row
+    return row | judged(case, reduced, ticks, asked)
 
 
 def draw(result: dict, console) -> None:
@@ -281,9 +319,12 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0, help="of each walk (default: 60)")
     parser.add_argument("--cases", nargs="+", default=list(CASES), choices=list(CASES))
     parser.add_argument("--seed", type=int, default=0, help="of the walks")
-    parser.add_argument("--every", type=int, default=25, help="ticks between two that the whole solid is solved at")
+    parser.add_argument("--every", type=int, default=10, help="ticks between two that the whole solid is solved at")
+    parser.add_argument("--samples", type=int, default=600, help="ticks that it is solved at, about")
     parser.add_argument("--chromium", action="store_true", help="Chromium looks at the page, in place of a client")
     parser.add_argument("--keep", type=Path, help="folder for the ticks")
+    parser.add_argument("--walk-only", action="store_true", help="judge the ticks later, with --judge")
+    parser.add_argument("--judge", action="store_true", help="judge the ticks in the folder, and walk no more")
     for name in ("needle", "ball"):
         parser.add_argument(f"--{name}", type=Path, help="its reduced solid, a file of `tissue-sim reduce`")
     asked = parser.parse_args()

@@ -104,6 +104,12 @@ class LayerContact:
             return np.zeros(6)
         return np.einsum("nik,ni->k", self._way(frame), -self.forces[self._touching])
 
+    def force_of(self, change: np.ndarray) -> np.ndarray:
+        """How the force on the tool, N, shape (3,), changes with the amplitudes, shape (modes,)."""
+        if not self._touching.size:
+            return np.zeros(3)
+        return np.einsum("nij,nj->i", self._rates[self._touching], self._touching_rows @ change)
+
     def _way(self, frame: Frame) -> np.ndarray:
         """How what touches would move if it were fixed to the tool, shape (n, 3, 6)."""
         return frame.rates((self.places + self._moved)[self._touching])

@@ -79,12 +79,14 @@ class ReducedSolver(Solver):
         self._first = Frame(self._start, self.datum)
         modes = reduced.basis.shape[1]
         self._lifting = reduced.lifting
+        #: The modes that are solved for, and those and what is watched.
+        self._free, self._wider = slice(reduced.lifting, modes - reduced.watched), slice(reduced.lifting, None)
         self.amplitudes = np.zeros(modes)
         #: How they follow the tool at the last equilibrium.
         self._answer = np.zeros((modes, 6))
         self._committed = self.amplitudes.copy(), self.elements.pressures.copy()
-        #: Of the elements on the modes there.
-        self._forces = np.zeros(modes)
+        #: Of the elements on the modes there; and steps in which stiffness was computed since it came to rest.
+        self._forces, self._rested = np.zeros(modes), 0
         self._largest_force, self._asked, self._modulus = 0.0, False, 0.0
         self.set_material(material)
 
@@ -125,9 +127,10 @@ class ReducedSolver(Solver):
         if not inside:
             # It touches nothing: near to where it rests.
             self.amplitudes[:], elements.pressures[:] = 0.0, 0.0
-            elements.renew(self.amplitudes)
+            if not elements.memory.works:
+                return self._rest(pose)
         elements.memory.prepare(dt)
-        held, free = self._lifting, slice(self._lifting, None)
+        held, free = self._lifting, self._free
         # It begins by going with the tool as it would if the contact did not change, or where the last step ended.
         way = np.array(motion(self._pose, pose)) if (
             predictor_order and inside and not resumes) else np.zeros(6)
@@ -140,7 +143,7 @@ class ReducedSolver(Solver):
             here, pushed, rates = self._balance(here, base[0], self._forces, frame, pressed_in, tolerance)
         else:
             pushed, rates = self._press(here, frame, pressed_in)
-        change: np.ndarray | None = here - base[0]
+        change: np.ndarray | None = here - base[0] if inside else None
         while status is None:
             elements.evaluate(here, change, anew)
             residual = elements.forces + pushed
@@ -174,10 +177,11 @@ class ReducedSolver(Solver):
             change, anew = here - base[0], 0
             iterations += 1
         self.amplitudes[:] = here
-        stiffness, wrench = None, np.zeros(6)
+        stiffness, error, wrench = None, None, np.zeros(6)
         if status is StepStatus.CONVERGED:
             wrench = contact.wrench(frame) - self._lifted_rates(frame).T @ residual[:held]
             self._answer[:] = self._follows(frame, rates)
+            error = self._force_error(frame, rates, residual, wrench)
             if self._asked:
                 stiffness = self._stiffness(frame, rates)
             contact.commit()
@@ -187,7 +191,22 @@ class ReducedSolver(Solver):
             self._largest_force = max(self._largest_force, balanced)
         return Step(status, iterations, ratio, cast("Screw", tuple(wrench.tolist())),
                     None if stiffness is None else cast("Matrix", tuple(map(tuple, stiffness.tolist()))),
-                    contact.violation, contact.slipping)
+                    contact.violation, contact.slipping, force_error=error)
+
+    def _rest(self, pose: Pose) -> Step:
+        """Elastic tissue that nothing touches, in a tick that has time to compute some of the stiffness at rest."""
+        if self._committed[0].any():
+            self._rested = 0
+        if self._rested < _GROUPS:
+            self._rested += 1
+            self.elements.evaluate(self.amplitudes, None, 1)
+        self._committed, self._forces = (self.amplitudes.copy(), self.elements.pressures.copy()), 0.0 * self._forces
+        self._answer[:] = 0.0
+        self.contact.forget()
+        self._pose = pose
+        stiffness = ((0.0,) * 6,) * 6 if self._asked else None
+        return Step(StepStatus.CONVERGED, 0, 0.0, (0.0,) * 6, cast("Matrix | None", stiffness),
+                    force_error=0.0 if self.reduced.watched else None)
 
     def _press(self, amplitudes: np.ndarray, frame: Frame, pressed_in: bool) -> tuple[np.ndarray, np.ndarray]:
         """The contact's forces on the modes, and their derivatives."""
@@ -213,7 +232,7 @@ class ReducedSolver(Solver):
         Returns:
             Amplitudes, the contact's forces there, and their derivatives.
         """
-        free, tangent = slice(self._lifting, None), self.elements.tangent
+        free, tangent = self._free, self.elements.tangent
         goal = _INNER * max(tolerance, self.least_tolerance)
         at, before, last, halvings, solves = guess, guess, np.inf, 0, 0
         while True:
@@ -263,13 +282,29 @@ class ReducedSolver(Solver):
 
     def _follows(self, frame: Frame, rates: np.ndarray) -> np.ndarray:
         """How the amplitudes follow the position and a rotation of the tool, shape (modes, 6)."""
-        held = self._lifting
+        held, free = self._lifting, self._free
         tangent = self.elements.tangent + rates
         answer = np.zeros((tangent.shape[0], 6))
         answer[:held] = self._lifted_rates(frame)
         pushed = self.contact.rates_of_modes(frame)
-        answer[held:] = -np.linalg.solve(tangent[held:, held:], pushed[held:] + tangent[held:, :held] @ answer[:held])
+        answer[free] = -np.linalg.solve(tangent[free, free], pushed[free] + tangent[free, :held] @ answer[:held])
         return answer
+
+    def _force_error(self, frame: Frame, rates: np.ndarray, residual: np.ndarray, wrench: np.ndarray) -> float | None:
+        """How far the force may be off, N: what it would change by if the tissue gave way in what is watched, too, and
+        a share of it.
+
+        Source: hierarchical estimates, Bank and Weiser, Math. Comp. 44 (1985) 283; calibrated by `training.verify`.
+        """
+        if not self.reduced.watched:
+            return None
+        held, rest = self._lifting, self._wider
+        tangent = self.elements.tangent + rates
+        change = np.zeros(len(residual))
+        change[rest] = -np.linalg.solve(tangent[rest, rest], residual[rest])
+        force = self.contact.force_of(change) - (self._lifted_rates(frame).T @ (tangent[:held] @ change))[:3]
+        changed, own = self.reduced.error_factors
+        return changed * float(np.linalg.norm(force)) + own * float(np.linalg.norm(wrench[:3]))
 
     def _stiffness(self, frame: Frame, rates: np.ndarray) -> np.ndarray:
         """Minus the derivative of the wrench with the tool's pose, shape (6, 6)."""
