@@ -96,7 +96,7 @@ def measure(size: int, asked) -> dict:
     """One mesh: ours with the study's law and with a law like the peer's, and the peer."""
     mesh = mesh_of(size)
     row = {"mesh": size, "ours": ours(STUDY, mesh), "peer": []}
-    for poisson in RATIOS:
+    for poisson in asked.poisson:
         found = mujoco(asked.mujoco, poisson, mesh, asked.seconds)
         if found is None:
             break
@@ -169,6 +169,7 @@ def main() -> None:
     parser = option_parser(__doc__)
     parser.add_argument("--mujoco", metavar="PYTHON", default=sys.executable, help="a Python that has MuJoCo")
     parser.add_argument("--sizes", type=int, nargs="+", default=[1800, 3300, 5800], help="of `multirate.MESHES`")
+    parser.add_argument("--poisson", type=float, nargs="+", default=list(RATIOS), help="MuJoCo's ratios")
     parser.add_argument("--seconds", type=float, default=120.0, help="that MuJoCo may take for a depth")
     parser.add_argument("--figure", type=Path, help="draw the curves into this file")
     asked = parser.parse_args()

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 #: Time step, s; damping of the elasticity, s; springs of the face, N/m; density, kg/m3; what counts as rest, m/s.
-STEP, DAMPING, SPRING, DENSITY, REST = 0.01, 0.1, 1e4, 1000.0, 2e-6
+STEP, DAMPING, SPRING, DENSITY, REST = 0.01, 0.1, 1e4, 1000.0, 1e-5
 MOST_STEPS = 400
 
 

@@ -26,12 +26,14 @@ from pathlib import Path
 
 import numpy as np
 from measure import about, option_parser, show, table
+from multirate import MESHES, mesh_of
 from viewer_processes import looked_at, reading
 
 import tissue_sim as ts
 from haptics.devices.motions import SpatialWalk
-from haptics.loop.multirate import ERROR_FLOOR, ERROR_SHARE
-from haptics.loop.ring import RingReader
+from haptics.loop.bulk_link import DelayedBulk
+from haptics.loop.multirate import ERROR_FLOOR, ERROR_SHARE, MultiRateTissue
+from haptics.loop.ring import TICK, RingReader
 from scenes.viewer.frame import Frame, Phase, Viewer
 from scenes.viewer.page import Page
 from scenes.viewer.scene import Scene
@@ -39,6 +41,7 @@ from scenes.viewer.session import Session
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.fem.solid.discretisation import make_solver
+from tissue_sim.fem.solid.linearisation import SolidLinearisation
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import Step, StepStatus
 from tissue_sim.mesh.solid import SolidMesh
@@ -52,7 +55,7 @@ PATIENCE = 300.0
 JUMP, SHARE = 0.02, 0.01
 #: Parts into which a step of the whole solid is cut where it does not come through.
 _CUTS = (1, 4, 16)
-_KEPT = ("tick", "time", "status", "tool_pose", "tissue_wrench", "compute_time", "lateness", "missed")
+_KEPT = ("tick", "time", "status", "tool_pose", "tissue_wrench", "compute_time", "lateness", "missed", "age")
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,8 @@ class Case:
     turn: float
     solver: str
     bulk_ratio: float
+    #: Not in the loop: models of the bulk come so long after they were asked for, s; None: when they are there.
+    delay: float | None = None
 
     @property
     def holds(self) -> bool:
@@ -83,6 +88,8 @@ CASES = {
     "needle": Case(ts.Tool("flat", radius=8e-3), "bonded", TURN, "reduced", 1e3),
     "ball": Case(ts.Tool("round", radius=8e-3), 0.3, 0.0, "reduced", 1e3),
     "two_rates": Case(ts.Tool("round", radius=8e-3), 0.3, 0.0, "solid", 1e4),
+    "two_rates_16_ms": Case(ts.Tool("round", radius=8e-3), 0.3, 0.0, "solid", 1e4, 0.016),
+    "two_rates_33_ms": Case(ts.Tool("round", radius=8e-3), 0.3, 0.0, "solid", 1e4, 0.033),
 }
 
 
@@ -152,6 +159,26 @@ def walked(case: Case, reduced: ts.ReducedModel | None, seconds: float, seed: in
     finally:
         session.close()
     return np.concatenate(watched.records), {**shown, "ticks_not_seen": watched.lost}
+
+
+def stepped(case: Case, seconds: float, seed: int) -> tuple[np.ndarray, SolidMesh]:
+    """Ticks without a loop, on the smallest mesh of `multirate`, whose models of the bulk are as late as the case
+    says: the same on any computer, however busy it is."""
+    mesh, motion = mesh_of(min(MESHES)), case.motion(seed)
+    bulk = SolidLinearisation(make_solver(case.model(), mesh=mesh))
+    tissue = MultiRateTissue(case.model(), link=DelayedBulk(bulk, case.delay or 0.0))
+    tissue.warm_up()
+    ticks = np.zeros(round(seconds / 1e-3), dtype=[(name, TICK[name]) for name in _KEPT])
+    for number, tick in enumerate(ticks):
+        pose = motion.pose(1e-3 * number)
+        began, seen = time.process_time(), tissue._link.linearising
+        answer = tissue.step(pose, 1e-3)
+        spent = time.process_time() - began - (tissue._link.linearising - seen)
+        for name, value in (("tick", number + 1), ("time", 1e-3 * number), ("status", answer.status),
+                            ("tool_pose", pose.position + pose.orientation), ("tissue_wrench", answer.wrench),
+                            ("compute_time", spent), ("age", answer.age)):
+            tick[name] = value
+    return ticks, mesh
 
 
 def _running(session: Session) -> Frame:
@@ -240,11 +267,12 @@ def beyond(forces: np.ndarray, expected: np.ndarray, ticks: np.ndarray, numbers:
     return rate - around[place] * passed
 
 
-def judged(case: Case, reduced: ts.ReducedModel | None, ticks: np.ndarray, asked: argparse.Namespace) -> dict:
+def judged(case: Case, reduced: ts.ReducedModel | None, mesh: SolidMesh | None, ticks: np.ndarray,
+           asked: argparse.Namespace) -> dict:
     """What the replays say of the ticks."""
     forces, good = ticks["tissue_wrench"][:, :3], ticks["status"] == ts.ForceStatus.CONVERGED
     places = pieces(case, ticks, asked.every, asked.samples)
-    found = solved(case, None if reduced is None else reduced.mesh, ticks, places)
+    found = solved(case, mesh, ticks, places)
     kept = [np.isfinite(each).all(axis=1) for each in found]
     numbers = np.concatenate([one[which] for one, which in zip(places, kept, strict=True)])
     true = np.concatenate([one[which] for one, which in zip(found, kept, strict=True)])
@@ -282,6 +310,8 @@ def counted(ticks: np.ndarray) -> dict:
     return {"ticks": len(ticks), "missed": missed, "missed_percent": 100.0 * missed / deadlines,
             "p50_ms": float(np.median(spent)), "p99_ms": float(np.quantile(spent, 0.99)),
             "p999_ms": float(np.quantile(spent, 0.999)), "largest_ms": float(spent.max()),
+            "age_p50_ms": 1e3 * float(np.median(ticks["age"])),
+            "age_p99_ms": 1e3 * float(np.quantile(ticks["age"], 0.99)),
             "statuses": {status.name: int((ticks["status"] == status).sum()) for status in ts.ForceStatus
                          if (ticks["status"] == status).any()}}
 
@@ -293,8 +323,11 @@ def measure(name: str, file: Path | None, asked: argparse.Namespace) -> dict:
     if case.solver == "reduced":
         reduced = ts.load_reduced(file) if file else ts.reduce_solid(
             case.model(), ts.PoseBox(SIDEWAYS, DEPTH, case.turn))
+    mesh = None if reduced is None else reduced.mesh
     kept = None if asked.keep is None else asked.keep / f"{name}.npz"
-    if asked.judge and kept is not None:
+    if case.delay is not None:
+        (ticks, mesh), page = stepped(case, asked.seconds, asked.seed), {}
+    elif asked.judge and kept is not None:
         with np.load(kept) as stored:
             ticks, page = stored["ticks"], {}
     else:
@@ -305,7 +338,7 @@ def measure(name: str, file: Path | None, asked: argparse.Namespace) -> dict:
         np.savez(kept, ticks=ticks)
     if asked.walk_only:
         return row
-    return row | judged(case, reduced, ticks, asked)
+    return row | judged(case, reduced, mesh, ticks, asked)
 
 
 def draw(result: dict, console) -> None:
