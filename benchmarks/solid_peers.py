@@ -56,15 +56,21 @@ def nearly_as_the_peer(poisson: float) -> ts.Material:
 
 def ours(material: ts.Material, mesh: SolidMesh) -> dict:
     """Forces at the depths, N, and CPU seconds of a step of 1 mm, the largest and the median."""
-    solver, forces, spent = make_solver(model(material), mesh=mesh), [], []
+    solver, forces, spent, before = make_solver(model(material), mesh=mesh), [], [], 0.0
     solver.step(ts.Pose.at_depth(1e-6))  # kernels
     for depth in DEPTHS.tolist():
         began = time.process_time()
-        step = solver.step(ts.Pose.at_depth(depth), tolerance=1e-6, max_iterations=40)
+        for parts in (1, 4, 16):
+            ways = [before + (depth - before) * (k + 1) / parts for k in range(parts)]
+            steps = [solver.step(ts.Pose.at_depth(way), tolerance=1e-6, max_iterations=40) for way in ways]
+            step = steps[-1]
+            if step.status is StepStatus.CONVERGED:
+                break
         spent.append(time.process_time() - began)
         if step.status is not StepStatus.CONVERGED:
             break
         forces.append(step.force)
+        before = depth
     return {"freedoms": 3 * len(mesh.nodes), "depths": DEPTHS[: len(forces)].tolist(), "forces": forces,
             "step_cpu_s": float(np.median(spent)), "ended": "" if len(forces) == len(DEPTHS) else step.status.message}
 
@@ -135,7 +141,7 @@ def draw(result: dict, console) -> None:
 
 
 def picture(result: dict, path: Path) -> None:
-    """Force over depth, and its error over the time of a millimetre."""
+    """Force over depth, and its error over the time of the first millimetre."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 4.2), layout="constrained")
@@ -154,13 +160,18 @@ def picture(result: dict, path: Path) -> None:
                 continue
             forces.plot([0.0, *(1e3 * np.array(curve["depths"]))], [0.0, *curve["forces"]], line, color=colour,
                         label=label)
-            at = curve["depths"][-1]
-            error = abs(curve["forces"][-1] / np.interp(at, true["depths"], true["forces"]) - 1.0)
-            spent = curve["step_cpu_s"] * (np.median(curve["steps"]) if curve.get("steps") else 1.0)
+            # Where laws hardly differ.
+            at = curve["depths"][0]
+            error = abs(curve["forces"][0] / np.interp(at, true["depths"], true["forces"]) - 1.0)
+            spent = curve["step_cpu_s"] * (curve["steps"][0] if curve.get("steps") else 1.0)
             times.loglog(1e3 * spent, 100.0 * error, mark, color=colour)
     forces.set(xlabel="depth [mm]", ylabel="force [N]", xlim=(0.0, 10.2), ylim=(0.0, None))
     forces.legend(fontsize=7)
-    times.set(xlabel="CPU time of a millimetre [ms]", ylabel="force off the truth where it ends [%]")
+    times.set(xlabel="CPU time of the first millimetre [ms]", ylabel="force off the truth there [%]",
+              xticks=[30, 100, 300, 1000], yticks=[1, 3, 10, 30, 100])
+    for axis in (times.xaxis, times.yaxis):
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter("")
     times.grid(alpha=0.3, which="both")
     figure.savefig(path, dpi=150)
 

@@ -205,7 +205,7 @@ class ReducedSolver(Solver):
         self.contact.forget()
         self._pose = pose
         stiffness = ((0.0,) * 6,) * 6 if self._asked else None
-        return Step(StepStatus.CONVERGED, 0, 0.0, (0.0,) * 6, cast("Matrix | None", stiffness),
+        return Step(StepStatus.CONVERGED, 0, 0.0, (0.0,) * 6, stiffness,
                     force_error=0.0 if self.reduced.watched else None)
 
     def _press(self, amplitudes: np.ndarray, frame: Frame, pressed_in: bool) -> tuple[np.ndarray, np.ndarray]:
