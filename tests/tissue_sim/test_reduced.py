@@ -231,6 +231,14 @@ class TestBox:
         step = solver.step(ts.Pose((5e-3, 0.0, 1e-3)))
         assert step.status is StepStatus.CONVERGED and step.force == pytest.approx(0.0, abs=1e-6)
 
+    def test_a_tool_that_lifts_off_is_never_outside(self, touched):
+        """Micrometre by micrometre through the layer, whose upper half is above the box."""
+        solver, top = ReducedSolver(touched, MATERIAL), touched.softness * touched.model.experiment.contact_radius
+        solver.step(ts.Pose.at_depth(0.2e-3))
+        steps = [solver.step(ts.Pose.at_depth(depth)) for depth in np.linspace(3 * top, -3 * top, 25)]
+        assert all(step.status is StepStatus.CONVERGED for step in steps)
+        assert steps[0].force > steps[11].force > steps[-1].force == 0.0
+
     def test_in_the_air_nothing_is_computed(self, touched, monkeypatch):
         """But for the stiffness of tissue at rest, a part in each of the first ticks; the next touch is a first one."""
         solver, fresh = ReducedSolver(touched, MATERIAL), ReducedSolver(touched, MATERIAL)

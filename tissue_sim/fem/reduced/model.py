@@ -51,6 +51,11 @@ class PoseBox:
         return (max(abs(x), abs(y)) <= self.sideways * most + little and -little <= -z <= self.depth * most
                 and math.hypot(*turn) <= self.turn * most + slack)
 
+    def is_under(self, pose: Pose, start: Pose) -> bool:
+        """Whether a pose is over the box of a tool that begins at `start`."""
+        (x, y, z), (_, _, top) = pose.position, start.position
+        return z > top and self.holds(Pose((x, y, top), pose.orientation), start)
+
 
 def require_reducible(model: Model) -> None:
     """Refuse what a reduced solid does not take.

@@ -79,8 +79,8 @@ class ReducedSolver(Solver):
         self._first = Frame(self._start, self.datum)
         modes = reduced.basis.shape[1]
         self._lifting = reduced.lifting
-        #: The modes that are solved for, and those and what is watched.
-        self._free, self._wider = slice(reduced.lifting, modes - reduced.watched), slice(reduced.lifting, None)
+        #: The modes that are solved for.
+        self._free = slice(reduced.lifting, modes - reduced.watched)
         self.amplitudes = np.zeros(modes)
         #: How they follow the tool at the last equilibrium.
         self._answer = np.zeros((modes, 6))
@@ -119,10 +119,13 @@ class ReducedSolver(Solver):
         elements, contact = self.elements, self.contact
         if not resumes:
             self._go_back()
-        frame = Frame(pose, self.datum)
+        frame, box = Frame(pose, self.datum), self.reduced.box
         pressed_in = bool(frame.origin[2] <= self._first.origin[2])
-        inside = self.reduced.box.holds(pose, self._start)
-        if not inside and not self._is_clear_of(frame):
+        inside = box.holds(pose, self._start)
+        clear = not inside and self._is_clear_of(frame)
+        # A tool that goes up out of the box takes leave of the tissue within the width of the layer.
+        inside = inside or (not (clear or self._lifting) and box.is_under(pose, self._start))
+        if not (inside or clear):
             return Step(StepStatus.OUTSIDE, 0, 0.0, (0.0,) * 6)
         if not inside:
             # It touches nothing: near to where it rests.
@@ -291,14 +294,13 @@ class ReducedSolver(Solver):
         return answer
 
     def _force_error(self, frame: Frame, rates: np.ndarray, residual: np.ndarray, wrench: np.ndarray) -> float | None:
-        """How far the force may be off, N: what it would change by if the tissue gave way in what is watched, too, and
-        a share of it.
+        """How far the force may be off, N: shares of it, and of its change if what is watched were made, too.
 
         Source: hierarchical estimates, Bank and Weiser, Math. Comp. 44 (1985) 283; calibrated by `training.verify`.
         """
         if not self.reduced.watched:
             return None
-        held, rest = self._lifting, self._wider
+        held, rest = self._lifting, slice(self._lifting, None)
         tangent = self.elements.tangent + rates
         change = np.zeros(len(residual))
         change[rest] = -np.linalg.solve(tangent[rest, rest], residual[rest])
