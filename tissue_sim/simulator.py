@@ -74,6 +74,7 @@ class Simulator:
     Attributes:
         resolution: which of the solver's names it has come to; "own mesh" where it was given.
         force_error: largest known error of the force on that mesh, over the force; None where nobody knows.
+        error: estimate of how far the force of the last equilibrium may be off, N; None where the solver has none.
 
     Raises:
         InputError: an unknown solver, resolution or inertia, inertia that must be on where a solver has none, a tool
@@ -122,6 +123,7 @@ class Simulator:
         self._clock = StepClock()
         self._answer = ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
         self._equilibrium = AT_REST
+        self.error: float | None = None
         # Where the tool is said to be; whether it has touched the tissue; time since the last equilibrium, and since
         # the tool was fast; and the share of the largest part that works.
         self._pose, self._touched = self._solver.pose, False
@@ -332,6 +334,7 @@ class Simulator:
         """Keep what an equilibrium answers."""
         left = self._left = self._reduced.go(self._solver.pose.depth, dt)
         self._equilibrium = self._equilibrium.followed_by(step, self._solver.pose, left, inertial)
+        self.error = None if step.force_error is None else left * step.force_error
 
     def reset(self) -> None:
         """Back to the specimen that nobody has touched."""
@@ -347,6 +350,7 @@ class Simulator:
     def restore(self, state: SimulatorState) -> None:
         """Go back to where `save` was called, in this simulator or in one of the same model and mesh."""
         self._stop_creeping()
+        self.error = None
         self._solver.restore(state.solver)
         self._answer, self._equilibrium = state.answer, state.equilibrium
         self._pose, self._leaps = state.pose, state.leaps

@@ -263,6 +263,10 @@ class HapticDevice(ABC):
         """Go on from here, where another source has left the tool: of motions that can begin anywhere."""
         return
 
+    def go_along(self, approach: Approach | None) -> None:
+        """Let the way be told from this approach of a tool: of motions that were made for none."""
+        return
+
     def aim(self, depth: float, across: tuple[float, float] | None = None) -> None:
         """Go to a depth, m: of motions that are steered by somebody.
 
@@ -282,20 +286,24 @@ class HapticDevice(ABC):
 
 
 class Motion(HapticDevice):
-    """A device that ignores the force: the same poses for the same times."""
+    """A device that ignores the force: the same poses for the same times.
+
+    Attributes:
+        approach: of the tool whose way it tells: where its axis is, and how it leans; None: it is that of the scene.
+    """
+
+    approach: Approach | None = None
 
     def render(self, wrench: Screw) -> None:
         return
 
+    def go_along(self, approach: Approach | None) -> None:
+        if self.approach is None:
+            self.approach = approach
+
 
 class AxialMotion(Motion):
-    """A motion along the tool's own axis.
-
-    Attributes:
-        approach: where that axis is, and how it leans; None: it is that of the scene.
-    """
-
-    approach: Approach | None = None
+    """A motion along the tool's own axis."""
 
     @abstractmethod
     def depth(self, time: float) -> float | None:

@@ -11,7 +11,7 @@ from haptics.devices.settings import read_settings
 from tissue_sim import Protocol
 from tissue_sim.errors import InputError, require_length
 from tissue_sim.experiment.approach import Approach
-from tissue_sim.pose import Pose
+from tissue_sim.pose import Pose, turned
 
 #: Share of the depth by which a random or sine motion lifts off, where nothing else is said.
 _LIFT = 0.2
@@ -104,13 +104,22 @@ class HandMotion(Motion):
         self._speed, self._response = speed, response
         self._goes_on = start is None
         self._time = 0.0
+        self._velocity = [0.0, 0.0, 0.0]
+        self._begin(approach, start or 0.0, start or 0.0)
+
+    def _begin(self, approach: Approach | None, start: float, target: float) -> None:
+        """At rest, so far along an axis, m, on the way to another depth."""
+        self.approach = approach
         # The tool's axis meets the height of the touch at x and y, and the tool is so far along it.
         begun = Pose.at_depth(0.0) if approach is None else approach.pose(0.0)
         self._turn_as(begun)
-        self._place: list[float] = [begun.position[0], begun.position[1], start or 0.0]
-        self._velocity = [0.0, 0.0, 0.0]
+        self._place: list[float] = [begun.position[0], begun.position[1], start]
         self._target = list(self._place)
-        self.aim(self._place[2])
+        self.aim(target)
+
+    def go_along(self, approach: Approach | None) -> None:
+        if self.approach is None and approach is not None and not self._goes_on:
+            self._begin(approach, self._place[2], self._target[2])
 
     def _turn_as(self, pose: Pose) -> None:
         """Keep the orientation of a pose; `_lean` is the way along x and y of a way along the axis, and its depth."""
@@ -178,9 +187,10 @@ class RandomWalk(AxialMotion):
         deepest: m.
         highest: m; below zero is above the touch.
         speed: largest, m/s.
+        start: where it begins; None: at the upper depth.
 
     Raises:
-        InputError: depths in the wrong order, or a speed that is not positive.
+        InputError: depths in the wrong order, a start that is not between them, or a speed that is not positive.
     """
 
     #: s between two points.
@@ -188,15 +198,20 @@ class RandomWalk(AxialMotion):
     #: Share of the velocity that stays from one point to the next, and of the vigour.
     _INERTIA, _MOOD = 0.6, 0.95
 
-    def __init__(self, seed: int = 0, deepest: float = 8e-3, highest: float = -2e-3, speed: float = 0.2):
+    def __init__(self, seed: int | str = 0, deepest: float = 8e-3, highest: float = -2e-3, speed: float = 0.2,
+                 start: float | None = None):
         _require_range(highest, deepest)
         require_length(speed, "speed")  # m/s, but finite and above zero all the same
+        start = highest if start is None else start
+        if not highest <= start <= deepest:
+            raise InputError(f"{start:g} m is not between {highest:g} and {deepest:g} m, where the motion stays",
+                             field="start")
         self._random = random.Random(seed)
         self._highest, self._deepest = highest, deepest
         self._longest_step = speed * self.SPACING
         self._step, self._mood = 0.0, 0.0
         #: It begins at rest: four equal points.
-        self._points = [highest] * 4
+        self._points = [start] * 4
 
     def depth(self, time: float) -> float:
         place = max(time, 0.0) / self.SPACING
@@ -224,17 +239,71 @@ class RandomWalk(AxialMotion):
         return point
 
 
+class SpatialWalk(Motion):
+    """Irregular motion in space, as of a hand: into the tissue, aside and turned at once, each as `RandomWalk` goes.
+
+    The tool's deepest point stays in a box of depths and of places beside the touch; its axis in a cone. Like a
+    `RandomWalk` it is a function of seed and time alone. It begins upright above the touch, and at rest.
+
+    Args:
+        seed: another motion for each.
+        deepest, highest: m; below zero is above the touch.
+        sideways: from the touch, along x and y either way, m.
+        turn: of the tool from its first orientation, about any axis, rad; 0: it is never turned.
+        speed: largest of the deepest point, m/s.
+        turn_speed: largest, rad/s.
+        approach: of the tool; None: along the axis of the scene.
+
+    Raises:
+        InputError: depths in the wrong order, or a size or a speed that is not positive.
+    """
+
+    def __init__(self, seed: int = 0, deepest: float = 8e-3, highest: float = -2e-3, sideways: float = 5e-3,
+                 turn: float = 0.0, speed: float = 0.2, turn_speed: float = math.radians(60.0),
+                 approach: Approach | None = None):
+        if not 0.0 <= sideways < math.inf:
+            raise InputError(f"{sideways:g} m; give a length of 0 or more", field="sideways")
+        require_length(speed, "speed")  # m/s and rad/s, but finite and above zero all the same
+        require_length(turn_speed, "turn_speed")
+        if not 0.0 <= turn < math.pi:
+            raise InputError(f"{turn:g} rad; give 0 or more, and less than half a turn", field="turn")
+        self.approach = approach
+        # Three at right angles to each other are no longer together than this share of the largest each.
+        share = 1.0 / math.sqrt(3.0)
+        self._depth = RandomWalk(f"{seed} depth", deepest, highest, share * speed)
+        self._across = [RandomWalk(f"{seed} {axis}", sideways, -sideways, share * speed, 0.0) for axis in "xy"
+                        ] if sideways else []
+        self._turns = [RandomWalk(f"{seed} about {axis}", share * turn, -share * turn, share * turn_speed, 0.0)
+                       for axis in "xyz"] if turn else []
+
+    def pose(self, time: float) -> Pose:
+        depth = self._depth.depth(time)
+        begun = Pose.at_depth(depth) if self.approach is None else self.approach.pose(depth)
+        x, y, z = begun.position
+        across, aside = (walk.depth(time) for walk in self._across) if self._across else (0.0, 0.0)
+        moved = Pose((x + across, y + aside, z), begun.orientation)
+        if not self._turns:
+            return moved
+        about_x, about_y, about_z = (walk.depth(time) for walk in self._turns)
+        return turned(moved, (about_x, about_y, about_z))
+
+
 def _require_range(highest: float, deepest: float) -> None:
     if not -math.inf < highest < deepest < math.inf:
         raise InputError(f"a motion from {highest:g} to {deepest:g} m; give the upper depth first, and a deeper one",
                          field="deepest")
 
 
-def open_random(text: str) -> RandomWalk:
-    """``random:depth_mm=10,lift=0.2,top_speed_mm_s=200,seed=0``; `lift` is a share of the depth."""
-    given = read_settings(text, depth_mm=10.0, lift=_LIFT, top_speed_mm_s=200.0, seed=0)
-    depth = given["depth_mm"] * 1e-3
-    return RandomWalk(int(given["seed"]), depth, -given["lift"] * depth, given["top_speed_mm_s"] * 1e-3)
+def open_random(text: str) -> RandomWalk | SpatialWalk:
+    """``random:depth_mm=10,lift=0.2,top_speed_mm_s=200,seed=0,sideways_mm=0,turn_deg=0,turn_deg_s=60``; `lift` is a
+    share of the depth."""
+    given = read_settings(text, depth_mm=10.0, lift=_LIFT, top_speed_mm_s=200.0, seed=0, sideways_mm=0.0, turn_deg=0.0,
+                          turn_deg_s=60.0)
+    depth, speed, seed = given["depth_mm"] * 1e-3, given["top_speed_mm_s"] * 1e-3, int(given["seed"])
+    if not (given["sideways_mm"] or given["turn_deg"]):
+        return RandomWalk(seed, depth, -given["lift"] * depth, speed)
+    return SpatialWalk(seed, depth, -given["lift"] * depth, given["sideways_mm"] * 1e-3,
+                       math.radians(given["turn_deg"]), speed, math.radians(given["turn_deg_s"]))
 
 
 def open_sine(text: str) -> SineMotion:

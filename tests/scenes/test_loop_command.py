@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from haptics.devices.motions import ProtocolMotion, RandomWalk, SineMotion
+from haptics.devices.motions import ProtocolMotion, RandomWalk, SineMotion, SpatialWalk
 from haptics.devices.virtual.hand import VirtualHand
 from haptics.loop.process import LoopProcess
 from haptics.loop.ring import RingReader, RingWriter
@@ -128,6 +128,47 @@ def test_the_motion_is_the_one_asked_for(asked):
     assert source.depth(0.125) == pytest.approx(2e-3), "what stands in the name counts"
     _, source, *_ = asked("--device", "virtual:hand:depth_mm=3")
     assert isinstance(source, VirtualHand) and source.pose(0.0).depth == 0.0
+
+
+def test_a_random_motion_goes_aside_and_turns_as_asked_for(asked):
+    _, source, *_ = asked("--solid", "--depth-mm", "4", "--sideways-mm", "3", "--turn-deg", "5", "--seed", "2",
+                          "--top-speed-mm-s", "50", "--offset-mm", "12", "--tilt-deg", "10", "--tool", "round")
+    twin = SpatialWalk(2, 4e-3, -0.8e-3, 3e-3, np.radians(5.0), 0.05, approach=ts.Approach(12e-3, np.radians(10.0)))
+    assert isinstance(source, SpatialWalk)
+    assert [source.pose(t) for t in range(9)] == [twin.pose(t) for t in range(9)]
+
+
+@pytest.mark.parametrize("words", [("--motion", "sine"), ("--protocol", "ramp 4mm; unload"), ("--motion", "random"),
+                                   ("--device", "virtual:sine")])
+def test_every_motion_begins_where_the_tool_touches(words, asked):
+    """The tool of --offset-mm and --tilt-deg: its first pose is on the way of the approach."""
+    _, source, *_ = asked("--solid", "--offset-mm", "12", "--tilt-deg", "10", "--tool", "round", *words)
+    pose, approach = source.pose(0.0), ts.Approach(12e-3, np.radians(10.0))
+    assert pose.orientation == approach.pose(0.0).orientation
+    assert pose.position == pytest.approx(approach.pose(pose.depth / np.cos(np.radians(10.0))).position, abs=1e-12)
+
+
+@pytest.mark.parametrize("friction", ["bonded", 0.3])
+def test_no_motion_leaves_the_box_of_a_reduced_solid(friction, asked, monkeypatch):
+    """Unless it is told to; and no tool that holds tissue pulls at it."""
+    holds = friction == "bonded"
+    experiment = ts.KINDS["needle_indentation"].experiment(
+        specimen=ts.Specimen(0.04, 0.07), protocol=ts.Protocol.ramp(3e-3, 3), friction=friction,
+        tool=ts.Tool("flat" if holds else "round", radius=8e-3), approach=ts.Approach(5e-3))
+    material = ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e3))
+    box = ts.PoseBox(2e-3, 3e-3, 0.1)
+    file = ts.ReducedModel(ts.Model(experiment, material), None, None, 12 if holds else 0, None, None, box, 1e-3, 300.0)
+    monkeypatch.setattr("tissue_sim.load_reduced", lambda path: file)
+    start = experiment.tool_pose(0.0)
+    for motion in ("random", "sine"):
+        _, source, *_ = asked("--reduced", "any.reduced.npz", "--motion", motion, "--top-speed-mm-s", "50")
+        poses = [source.pose(t) for t in np.arange(0.0, 20.0, 0.05)]
+        assert all(box.holds(pose, start) for pose in poses if holds or pose.depth >= 0.0)
+        assert (min(pose.depth for pose in poses) < 0.0) is not holds, "it lifts off what it does not hold"
+        if motion == "random":
+            assert np.ptp([pose.position[1] for pose in poses]) > 2e-3 and isinstance(source, SpatialWalk)
+    _, source, *_ = asked("--reduced", "any.reduced.npz", "--sideways-mm", "0", "--turn-deg", "0")
+    assert isinstance(source, RandomWalk) and source.pose(1.0).position[0] == 5e-3
 
 
 def test_flags_reach_model_settings_and_limits(asked, tmp_path):

@@ -60,6 +60,7 @@ class Step:
         slipping: how many points of the surface slip against friction.
         dissipated: by the drag of a step that crept, J.
         step_stiffness_matrix: the same within an inertial step, which its mass resists; None: no other.
+        force_error: estimate of how far the force may be off, N; None: the solver has none.
     """
 
     status: StepStatus
@@ -71,6 +72,7 @@ class Step:
     slipping: int = 0
     dissipated: float = 0.0
     step_stiffness_matrix: Matrix | None = None
+    force_error: float | None = None
 
     @classmethod
     def axial(cls, status: StepStatus, iterations: int, residual: float, force: float, violation: float = 0.0,

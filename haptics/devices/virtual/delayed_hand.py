@@ -10,6 +10,7 @@ from typing import Any
 from haptics.devices.contracts import HapticDevice
 from haptics.devices.virtual.hand import VirtualHand
 from tissue_sim.errors import InputError
+from tissue_sim.experiment.approach import Approach
 from tissue_sim.pose import Pose, Screw
 
 
@@ -77,6 +78,9 @@ class DelayedHand(HapticDevice):
     def stop(self) -> None:
         self._under_way.clear()
         self._hand.stop()
+
+    def go_along(self, approach: Approach | None) -> None:
+        self._hand.go_along(approach)
 
     def aim(self, depth: float, across: tuple[float, float] | None = None) -> None:
         self._hand.aim(depth, across)

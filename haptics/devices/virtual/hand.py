@@ -9,6 +9,7 @@ from typing import Any
 from haptics.devices.back_ends import open_motion
 from haptics.devices.contracts import HapticDevice, Motion
 from tissue_sim.errors import InputError
+from tissue_sim.experiment.approach import Approach
 from tissue_sim.pose import Pose, Screw, Vector
 
 #: Roots of the motion that are closer than this, as a share of their size, are taken apart: the formula divides by
@@ -125,6 +126,9 @@ class VirtualHand(HapticDevice):
 
     def stop(self) -> None:
         self._force = (0.0, 0.0, -self._push)
+
+    def go_along(self, approach: Approach | None) -> None:
+        self._motion.go_along(approach)
 
     def aim(self, depth: float, across: tuple[float, float] | None = None) -> None:
         self._motion.aim(depth, across)

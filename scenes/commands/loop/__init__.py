@@ -59,6 +59,12 @@ def add_arguments(parser: Parser) -> None:
     source.add_argument("--top-speed-mm-s", type=positive, metavar="N", default=200.0,
                         help="that a random motion never exceeds (default: 200)")
     source.add_argument("--frequency-hz", type=positive, metavar="N", default=1.0, help="of a sine (default: 1)")
+    source.add_argument("--sideways-mm", type=not_negative, metavar="N",
+                        help="how far aside a random motion goes, along x and y either way (default: 0, or as far as "
+                             "the box of --reduced)")
+    source.add_argument("--turn-deg", type=not_negative, metavar="N",
+                        help="how far a random motion turns the tool, about any axis (default: 0, or as far as that "
+                             "box)")
     source.add_argument("--seed", type=at_least(0), metavar="N", default=0, help="of a random motion (default: 0)")
     timing = parser.add_argument_group("timing and safety")
     timing.add_argument("--spin-us", type=not_negative, metavar="N", default=0.0,
@@ -113,7 +119,10 @@ def run(arguments) -> int:
     model = Model(reduced.model.experiment if reduced else make_experiment(arguments, protocol, material), material)
     settings = LoopSettings(seconds=arguments.seconds, spin=arguments.spin_us * 1e-6,
                             real_time=not arguments.no_real_time)
-    device = open_named(arguments, name, protocol)
+    if reduced:
+        stay_in_box(arguments, reduced)
+    device = open_named(arguments, name, protocol, lifts=reduced is None or reduced.lifting == 0)
+    device.go_along(model.experiment.approach)
     rendering = make_rendering(arguments, device.largest_force)
     # Behind a coupling the mass of the tissue is stable in time; but where it makes most answers late, the force is up
     # to six times too large (docs/haptic_rendering.md).
@@ -136,8 +145,19 @@ def run(arguments) -> int:
     return INTERRUPTED if interrupted else 0
 
 
-def open_named(arguments, name: str, protocol):
+def stay_in_box(arguments, reduced) -> None:
+    """Let a random motion go as far as a reduced solid knows, where nothing else is said."""
+    box = reduced.box
+    for name, size in (("sideways_mm", box.sideways * 1e3), ("turn_deg", math.degrees(box.turn))):
+        if getattr(arguments, name) is None:
+            setattr(arguments, name, size)
+
+
+def open_named(arguments, name: str, protocol, *, lifts: bool = True):
     """The motion or the device that the flags ask for.
+
+    Args:
+        lifts: whether a random motion or a sine lifts the tool off.
 
     Raises:
         InputError: no such motion or device, or what it refuses.
@@ -149,8 +169,9 @@ def open_named(arguments, name: str, protocol):
         return open_haptic(name)
     if name == "protocol":
         return follow_protocol(protocol)
-    depth = f"depth_mm={arguments.depth_mm or DEPTH_MM!r}"
-    by_flags = {"random": f"random:{depth},top_speed_mm_s={arguments.top_speed_mm_s!r},seed={arguments.seed}",
+    depth = f"depth_mm={arguments.depth_mm or DEPTH_MM!r}" + ("" if lifts else ",lift=0")
+    by_flags = {"random": f"random:{depth},top_speed_mm_s={arguments.top_speed_mm_s!r},seed={arguments.seed},"
+                          f"sideways_mm={arguments.sideways_mm or 0.0!r},turn_deg={arguments.turn_deg or 0.0!r}",
                 "sine": f"sine:{depth},frequency_hz={arguments.frequency_hz!r}"}
     return open_motion(by_flags.get(name, name))
 

@@ -1,6 +1,7 @@
 """Motions without a device: the same for the same seed and time, within their bounds of depth, speed and frequency."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -10,12 +11,14 @@ from hypothesis import strategies as st
 
 import tissue_sim as ts
 from haptics.devices.back_ends import MOTIONS, open_motion
-from haptics.devices.motions import HandMotion, ProtocolMotion, RandomWalk, SineMotion
+from haptics.devices.motions import HandMotion, ProtocolMotion, RandomWalk, SineMotion, SpatialWalk
+from haptics.devices.virtual.hand import VirtualHand
 from tissue_sim.errors import InputError
-from tissue_sim.pose import Pose
+from tissue_sim.pose import Pose, motion
 
 
-@pytest.mark.parametrize("name", ["random:seed=3", "sine", "protocol:ramp 4mm @2mm/s; unload", "hand:depth_mm=2"])
+@pytest.mark.parametrize("name", ["random:seed=3", "random:sideways_mm=4,turn_deg=5", "sine",
+                                  "protocol:ramp 4mm @2mm/s; unload", "hand:depth_mm=2"])
 class TestMotions(MotionContract):
     @pytest.fixture
     def device(self, name):
@@ -26,6 +29,9 @@ def test_every_built_in_motion_is_opened_by_its_name():
     assert list(MOTIONS) == ["random", "sine", "protocol", "hand"]
     walk = open_motion("random:seed=7,depth_mm=6,lift=0.5,top_speed_mm_s=100")
     np.testing.assert_array_equal(depths(walk, range(9)), depths(RandomWalk(7, 6e-3, -3e-3, 0.1), range(9)))
+    in_space = open_motion("random:seed=7,depth_mm=6,lift=0,top_speed_mm_s=100,sideways_mm=3,turn_deg=9,turn_deg_s=90")
+    twin = SpatialWalk(7, 6e-3, -0.0, 3e-3, math.radians(9.0), 0.1, math.radians(90.0))
+    assert [in_space.pose(time) for time in range(9)] == [twin.pose(time) for time in range(9)]
     np.testing.assert_allclose(depths(open_motion("sine:depth_mm=5,frequency_hz=2"), [0.0, 0.25]), [-1e-3, 5e-3])
     repeated = open_motion("protocol:ramp 4mm @2mm/s; unload")
     assert repeated.depth(6.0) == pytest.approx(4e-3), "it repeats where it closes"
@@ -124,10 +130,75 @@ def test_a_random_walk_is_as_irregular_as_a_hand(seed):
     assert np.count_nonzero(np.diff(np.sign(np.diff(path)))) > 120, "reversals"
 
 
+def turned_by(pose):
+    """How far a pose is turned, rad."""
+    return 2.0 * math.acos(min(1.0, abs(pose.orientation[0])))
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 2**32), deepest=st.floats(1e-3, 20e-3), lift=st.floats(0, 5e-3), aside=st.floats(0, 20e-3),
+       turn=st.floats(0, 1.0), speed=st.floats(0.01, 0.5), turn_speed=st.floats(0.1, 3.0))
+def test_a_walk_in_space_keeps_its_bounds(seed, deepest, lift, aside, turn, speed, turn_speed):
+    walk = SpatialWalk(seed, deepest, -lift, aside, turn, speed, turn_speed)
+    poses = [walk.pose(time) for time in np.arange(0, 4, 4e-3)]
+    path = np.array([pose.position for pose in poses])
+    assert -path[:, 2].min() <= deepest + 1e-12 and path[:, 2].max() <= lift + 1e-12
+    assert np.abs(path[:, :2]).max() <= aside + 1e-12
+    assert np.linalg.norm(np.diff(path, axis=0), axis=1).max() <= speed * 4e-3 * (1 + 1e-9)
+    assert max(turned_by(pose) for pose in poses) <= turn + 1e-7
+    # Between two orientations whose rotation vectors differ by d the angle is at most d.
+    assert all(math.hypot(*motion(one, other)[3:]) <= turn_speed * 4e-3 * (1 + 1e-6) + 1e-9
+               for one, other in pairwise(poses))
+    assert poses[0].position == pytest.approx((0.0, 0.0, lift), abs=1e-15) and turned_by(poses[0]) == 0.0, "upright"
+    assert np.abs(path[1] - path[0]).max() < 1e-6, "and at rest"
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_walk_in_space_comes_everywhere(seed):
+    """Over a minute: most of each direction of the box and of the cone, lift-offs, and drags while it presses; the
+    three ways know nothing of each other."""
+    walk = SpatialWalk(seed, 4e-3, -0.8e-3, 3e-3, 0.1, speed=0.05)
+    poses = [walk.pose(time) for time in np.arange(0, 60, 4e-3)]
+    path = np.array([pose.position for pose in poses])
+    assert (np.ptp(path, axis=0) > [4e-3, 4e-3, 3.5e-3]).all()
+    assert max(turned_by(pose) for pose in poses) > 0.05
+    pressed = path[:, 2] < 0
+    assert 0.05 < (~pressed).mean() < 0.6 and np.count_nonzero(np.diff(pressed.astype(int)) == 1) > 10
+    aside = np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1)[pressed[1:]] / 4e-3
+    assert aside.max() > 0.02, "it is dragged"
+    assert np.abs(np.corrcoef(path.T) - np.eye(3)).max() < 0.4
+
+
+def test_a_walk_in_space_depends_on_seed_and_time_alone():
+    times = np.linspace(0, 20, 111)
+    walk, backwards = SpatialWalk(7, turn=0.1), SpatialWalk(7, turn=0.1)
+    path = [walk.pose(time) for time in times]
+    assert [backwards.pose(time) for time in times[::-1]] == path[::-1]
+    assert SpatialWalk(8, turn=0.1).pose(5.0) != walk.pose(5.0)
+
+
+@pytest.mark.parametrize("name", ["random:seed=3,sideways_mm=4", "random:seed=3", "sine", "hand:depth_mm=-1",
+                                  "protocol:ramp 4mm @2mm/s; unload"])
+def test_motions_by_name_go_along_the_approach_of_the_tool(name):
+    """Off the axis, leaning: the same way from the approach's touch on; and whoever has an approach keeps it."""
+    approach, plain, leaning = ts.Approach(12e-3, math.radians(20.0)), open_motion(name), open_motion(name)
+    leaning.go_along(approach)
+    leaning.go_along(ts.Approach(-12e-3))
+    followed = VirtualHand(open_motion(name), grip=400.0)
+    followed.go_along(approach)
+    assert followed.pose(0.0).position == pytest.approx(leaning.pose(0.0).position, abs=1e-15)
+    for time in (0.0, 0.31, 0.8, 2.0):
+        x, y, z = plain.pose(time).position
+        pose = leaning.pose(time)
+        assert pose.position == pytest.approx(np.add(approach.pose(-z).position, (x, y, 0.0)), abs=1e-12)
+        assert pose.orientation == approach.pose(0.0).orientation
+
+
 @pytest.mark.parametrize("wrong", [
     lambda: SineMotion(0.0, 1e-3), lambda: SineMotion(1e-3, frequency=0.0), lambda: SineMotion(math.nan),
     lambda: RandomWalk(deepest=-3e-3), lambda: RandomWalk(speed=0.0), lambda: RandomWalk(speed=math.inf),
-    lambda: RandomWalk(highest=-math.inf),
+    lambda: RandomWalk(highest=-math.inf), lambda: RandomWalk(start=9e-3), lambda: SpatialWalk(sideways=-1e-3),
+    lambda: SpatialWalk(turn=math.pi), lambda: SpatialWalk(turn_speed=0.0), lambda: SpatialWalk(speed=math.nan),
 ])
 def test_motions_that_make_no_sense_are_refused(wrong):
     with pytest.raises(InputError):

@@ -59,6 +59,9 @@ class LayerContact:
         self.anchors, self._new_anchors, self.forces = np.zeros((3, n, 3))
         self._rates, self.gaps, self._moved = np.zeros((n, 3, 3)), np.zeros(n), np.zeros((n, 3))
         self._touching = np.zeros(0, dtype=np.intp)
+        #: Of the tool's place at the last evaluation, which is the frame that the others are asked with.
+        self._levers: np.ndarray | None = None
+        self._driven: np.ndarray | None = None
         self._arrays = {
             "settings": self._settings, "vertices": np.ascontiguousarray(profile.vertices),
             "shaft": np.array([profile.shaft], dtype=np.int32), "places": self.places, "moved": self._moved,
@@ -84,11 +87,14 @@ class LayerContact:
         with LOCK:
             self._press()
         self._touching = np.flatnonzero(self._states)
+        self._levers = self._driven = None
 
     def on_modes(self) -> tuple[np.ndarray, np.ndarray]:
         """Forces of the tissue on the tool, on the modes, shape (modes,), and their derivatives, (modes, modes)."""
-        rows = self._touching_rows
-        pushed = np.matmul(self._rates[self._touching], rows)
+        rows, rates = self._touching_rows, self._rates[self._touching]
+        # Written out: a product of stacks of small matrices takes several times as long.
+        pushed = rates[:, :, 0, None] * rows[:, None, 0] + rates[:, :, 1, None] * rows[:, None, 1] \
+            + rates[:, :, 2, None] * rows[:, None, 2]
         flat = rows.reshape(-1, rows.shape[-1])
         return -(self.forces[self._touching].ravel() @ flat), flat.T @ pushed.reshape(flat.shape)
 
@@ -102,14 +108,25 @@ class LayerContact:
             return np.zeros(6)
         return np.einsum("nik,ni->k", self._way(frame), -self.forces[self._touching])
 
+    def force_of(self, change: np.ndarray) -> np.ndarray:
+        """How the force on the tool, N, shape (3,), changes with the amplitudes, shape (modes,)."""
+        if not self._touching.size:
+            return np.zeros(3)
+        return np.einsum("nij,nj->i", self._rates[self._touching], self._touching_rows @ change)
+
     def _way(self, frame: Frame) -> np.ndarray:
         """How what touches would move if it were fixed to the tool, shape (n, 3, 6)."""
-        return frame.rates((self.places + self._moved)[self._touching])
+        if self._levers is None:
+            self._levers = frame.rates((self.places + self._moved)[self._touching])
+        return self._levers
 
     def pushed_by(self, frame: Frame) -> np.ndarray:
         """How the forces of the touching nodes on the tissue change as the tool moves and turns and the tissue does
         not, shape (n, 3, 6)."""
-        return np.matmul(self._rates[self._touching], self._way(frame)) + turned_with(self.forces[self._touching])
+        if self._driven is None:
+            self._driven = np.matmul(self._rates[self._touching], self._way(frame)) + turned_with(
+                self.forces[self._touching])
+        return self._driven
 
     def stiffness(self, frame: Frame, answer: np.ndarray) -> np.ndarray:
         """Minus the derivative of the wrench with the pose of the tool, (6, 6), where the amplitudes answer it so,

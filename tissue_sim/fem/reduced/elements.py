@@ -59,6 +59,7 @@ class SampledElements:
         self._wanted, self._tangents = np.zeros(groups), np.zeros((groups, even, even))
         # The group whose turn is next; below 0 all are due.
         self._next = -1
+        self._tangent: np.ndarray | None = None
         self._coefficients = np.zeros(0)
         self._kernel: BoundKernel | None = None
 
@@ -66,6 +67,11 @@ class SampledElements:
     def forces(self) -> np.ndarray:
         """On the modes at the last evaluation, N m per m, shape (modes,)."""
         return self._forces[: self.modes]
+
+    @property
+    def are_known(self) -> bool:
+        """Whether all of the stiffness has been computed since the material or the state was last put in place."""
+        return self._next >= 0
 
     @property
     def least(self) -> float:
@@ -118,6 +124,8 @@ class SampledElements:
         self._wanted[:] = 0.0
         self._wanted[np.arange(self._next, self._next + anew) % groups] = 1.0
         self._next = (self._next + anew) % groups
+        if anew:
+            self._tangent = None
         assert self._kernel is not None
         with LOCK:
             self._kernel()
@@ -131,5 +139,7 @@ class SampledElements:
     @property
     def tangent(self) -> np.ndarray:
         """Stiffness between the modes, shape (modes, modes)."""
-        upper = self._tangents.sum(axis=0)[: self.modes, : self.modes]
-        return upper + np.triu(upper, 1).T
+        if self._tangent is None:
+            upper = self._tangents.sum(axis=0)[: self.modes, : self.modes]
+            self._tangent = upper + np.triu(upper, 1).T
+        return self._tangent

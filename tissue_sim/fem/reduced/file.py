@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import zipfile
 import zlib
 from pathlib import Path
@@ -57,7 +58,8 @@ def _description(reduced: ReducedModel) -> dict[str, Any]:
     return {
         "schema": "tissue_sim.reduced", "version": VERSION, "element": reduced.mesh.element.name,
         "lifting": reduced.lifting, "softness": reduced.softness,
-        "bulk_ratio": reduced.bulk_ratio, "report": reduced.report,
+        "bulk_ratio": reduced.bulk_ratio, "watched": reduced.watched, "error_factors": reduced.error_factors,
+        "report": reduced.report,
         "box": {"sideways": box.sideways, "depth": box.depth, "turn": box.turn},
         "material": msgspec.to_builtins(MaterialFile.of(reduced.model.material)),
         "experiment": {
@@ -105,6 +107,9 @@ def _checked(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> Redu
         faces = {name.removeprefix("faces "): each for name, each in arrays.items() if name.startswith("faces ")}
         lifting, report = description["lifting"], description["report"]
         softness, bulk_ratio = float(description["softness"]), float(description["bulk_ratio"])
+        # Files from before there was an estimate have none.
+        watched, (changed, own) = description.get("watched", 0), description.get("error_factors", (1.0, 0.0))
+        error_factors = float(changed), float(own)
         box = PoseBox(**description["box"])
         material = decode_material_file(description["material"]).material
         experiment = _experiment(description["experiment"], box)
@@ -121,7 +126,8 @@ def _checked(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> Redu
                     for each in (connectivity, *sets.values(), *faces.values()))
             and elements.min() >= 0 and elements.max() < len(connectivity)
             and basis.ndim == 2 and len(basis) == nodes.size and elements.shape == shares.shape
-            and lifting in (0, 12) and lifting < basis.shape[1]
+            and lifting in (0, 12) and isinstance(watched, int) and 0 <= watched < basis.shape[1] - lifting
+            and all(0.0 <= factor < math.inf for factor in error_factors)
             and {"top", "base", "side", "face", "free"} <= sets.keys()
             and all(np.isfinite(each).all() for each in reals) and bool((shares > 0.0).all())
             and 0.0 < softness < 1.0 and bulk_ratio >= 1.0 and isinstance(report, dict))
@@ -130,7 +136,7 @@ def _checked(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> Redu
     sets, faces = ({name: each.astype(np.intp) for name, each in group.items()} for group in (sets, faces))
     mesh = SolidMesh(element, nodes, connectivity.astype(np.intp), sets, faces)
     return ReducedModel(Model(experiment, material), mesh, basis, lifting, elements.astype(np.intp), shares, box,
-                        softness, bulk_ratio, report)
+                        softness, bulk_ratio, report, watched, error_factors)
 
 
 def _experiment(stated: dict[str, Any], box: PoseBox) -> Experiment:

@@ -52,6 +52,11 @@ class PoseBox:
         return (max(abs(x), abs(y)) <= self.sideways * most + little and -little <= -z <= self.depth * most
                 and math.hypot(*turn) <= self.turn * most + slack)
 
+    def is_under(self, pose: Pose, start: Pose) -> bool:
+        """Whether a pose is over the box of a tool that begins at `start`."""
+        (x, y, z), (_, _, top) = pose.position, start.position
+        return z > top and self.holds(Pose((x, y, top), pose.orientation), start)
+
 
 def require_reducible(model: Model) -> None:
     """Refuse what a reduced solid does not take.
@@ -104,6 +109,9 @@ class ReducedModel:
         bulk_ratio: bulk modulus at most, over mu0. What is added up of modes changes its volume a little, and a stiffer
             bulk would make that resist; the force itself hardly depends on it.
         softness: share of the contact's reach by which the layer between tool and tissue gives way.
+        watched: the last so many modes are none that it makes: what is unbalanced on them says how far it is off.
+        error_factors: of what the force would change by with what is watched, and of the force itself; their sum
+            estimates how far the force is off, as on motions that it was not made of.
         report: how it was made and how good it is: ``freedoms``, ``modes``, ``elements``, ``snapshots``,
             ``force_rms_error`` and ``force_largest_error`` over the rms force, on motions that it was not made of.
     """
@@ -118,3 +126,5 @@ class ReducedModel:
     softness: float
     bulk_ratio: float
     report: dict[str, Any] = field(default_factory=dict)
+    watched: int = 0
+    error_factors: tuple[float, float] = (1.0, 0.0)

@@ -80,8 +80,8 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
         bulk_ratio=BULK_RATIO[holds],
         progress=lambda elements, error: tell("elements", elements, count, note=f"error {100 * error:.2g} %"))
     numbers = range(training.UNSEEN, training.UNSEEN + tried)
-    report = training.verify(reduced, solver, numbers, lambda done, of: tell("trial", done, of))
-    return training.with_report(reduced, strokes=strokes, **report)
+    report, factors = training.verify(reduced, solver, numbers, lambda done, of: tell("trial", done, of))
+    return training.with_report(reduced, factors, strokes=strokes, **report)
 
 
 class _Store:

@@ -29,6 +29,8 @@ TOLERANCE = 5e-4
 _FLOOR_SHARE = 0.02
 #: A linear solution is halved where it does not make the unbalanced forces smaller by this share of itself.
 _DESCENT, _MOST_HALVINGS = 0.1, 5
+#: The contact is solved on linear tissue to this share of the tolerance, in so many solutions at most.
+_INNER, _MOST_SOLVES = 0.3, 12
 #: Groups of elements whose stiffness is computed at one time; in an iteration after the first, no stiffness is computed
 #: anew while the unbalanced forces shrink to this share each time.
 _GROUPS, _FAST = 8, 0.3
@@ -77,10 +79,14 @@ class ReducedSolver(Solver):
         self._first = Frame(self._start, self.datum)
         modes = reduced.basis.shape[1]
         self._lifting = reduced.lifting
+        #: The modes that are solved for.
+        self._free = slice(reduced.lifting, modes - reduced.watched)
         self.amplitudes = np.zeros(modes)
         #: How they follow the tool at the last equilibrium.
         self._answer = np.zeros((modes, 6))
         self._committed = self.amplitudes.copy(), self.elements.pressures.copy()
+        #: Of the elements on the modes there; and steps in which stiffness was computed since it came to rest.
+        self._forces, self._rested = np.zeros(modes), 0
         self._largest_force, self._asked, self._modulus = 0.0, False, 0.0
         self.set_material(material)
 
@@ -113,33 +119,40 @@ class ReducedSolver(Solver):
         elements, contact = self.elements, self.contact
         if not resumes:
             self._go_back()
-        frame = Frame(pose, self.datum)
+        frame, box = Frame(pose, self.datum), self.reduced.box
         pressed_in = bool(frame.origin[2] <= self._first.origin[2])
-        inside = self.reduced.box.holds(pose, self._start)
-        if not inside and not self._is_clear_of(frame):
+        inside = box.holds(pose, self._start)
+        clear = not inside and self._is_clear_of(frame)
+        # A tool that goes up out of the box takes leave of the tissue within the width of the layer.
+        inside = inside or (not (clear or self._lifting) and box.is_under(pose, self._start))
+        if not (inside or clear):
             return Step(StepStatus.OUTSIDE, 0, 0.0, (0.0,) * 6)
         if not inside:
             # It touches nothing: near to where it rests.
             self.amplitudes[:], elements.pressures[:] = 0.0, 0.0
-            elements.renew(self.amplitudes)
+            if not elements.memory.works:
+                return self._rest(pose)
         elements.memory.prepare(dt)
-        held, free = self._lifting, slice(self._lifting, None)
+        held, free = self._lifting, self._free
         # It begins by going with the tool as it would if the contact did not change, or where the last step ended.
         way = np.array(motion(self._pose, pose)) if (
             predictor_order and inside and not resumes) else np.zeros(6)
         here = self.amplitudes + self._answer @ way
         here[:held] = self._lifted(frame)
-        change: np.ndarray | None = here - self.amplitudes
         iterations, ratio, last, anew, halvings, status = 0, 0.0, np.inf, 1, 0, None
         base = self.amplitudes.copy(), elements.pressures.copy()
+        if elements.are_known and inside and not (held or resumes):
+            # First the contact on the tissue as the last step left it: lift-off, touch and friction are what changes.
+            here, pushed, rates = self._balance(here, base[0], self._forces, frame, pressed_in, tolerance)
+        else:
+            pushed, rates = self._press(here, frame, pressed_in)
+        change: np.ndarray | None = here - base[0] if inside else None
         while status is None:
             elements.evaluate(here, change, anew)
-            contact.evaluate(here, frame, pressed_in)
-            pushed, rates = contact.on_modes()
             residual = elements.forces + pushed
             unbalanced = float(np.linalg.norm(residual[free]))
-            balanced = float(np.linalg.norm(pushed)) + float(np.linalg.norm(elements.forces[:held]))
-            ratio = unbalanced / max(balanced, self._floor, _FLOOR_SHARE * self._largest_force)
+            balanced = self._balanced(pushed)
+            ratio = unbalanced / self._scale(balanced)
             bad = not (elements.least > _LEAST and np.isfinite(ratio))
             if ratio <= max(tolerance, self.least_tolerance) and not bad:
                 status = StepStatus.CONVERGED
@@ -151,6 +164,7 @@ class ReducedSolver(Solver):
                 here[:held] = self._lifted(frame)
                 elements.pressures[:] = 0.5 * (elements.pressures + base[1])
                 change = None
+                pushed, rates = self._press(here, frame, pressed_in)
                 continue
             if bad:
                 status = StepStatus.INVERTED
@@ -162,25 +176,81 @@ class ReducedSolver(Solver):
                 # The stiffness is that of other states: the oldest of it, or all where it led astray.
                 elements.evaluate(here, None, _GROUPS if halvings > 1 or iterations > _PATIENT else _OLDEST)
             last, halvings, base = unbalanced, 0, (here, elements.pressures.copy())
-            step = np.zeros_like(here)
-            step[free] = -np.linalg.solve((elements.tangent + rates)[free, free], residual[free])
-            here, change, anew = here + step, step, 0
+            here, pushed, rates = self._balance(here, here, elements.forces.copy(), frame, pressed_in, tolerance)
+            change, anew = here - base[0], 0
             iterations += 1
         self.amplitudes[:] = here
-        stiffness, wrench = None, np.zeros(6)
+        stiffness, error, wrench = None, None, np.zeros(6)
         if status is StepStatus.CONVERGED:
             wrench = contact.wrench(frame) - self._lifted_rates(frame).T @ residual[:held]
             self._answer[:] = self._follows(frame, rates)
+            error = self._force_error(frame, rates, residual, wrench)
             if self._asked:
                 stiffness = self._stiffness(frame, rates)
             contact.commit()
             elements.memory.commit()
-            self._committed = here.copy(), elements.pressures.copy()
+            self._committed, self._forces = (here.copy(), elements.pressures.copy()), elements.forces.copy()
             self._pose = pose
             self._largest_force = max(self._largest_force, balanced)
         return Step(status, iterations, ratio, cast("Screw", tuple(wrench.tolist())),
                     None if stiffness is None else cast("Matrix", tuple(map(tuple, stiffness.tolist()))),
-                    contact.violation, contact.slipping)
+                    contact.violation, contact.slipping, force_error=error)
+
+    def _rest(self, pose: Pose) -> Step:
+        """Elastic tissue that nothing touches, in a tick that has time to compute some of the stiffness at rest."""
+        if self._committed[0].any():
+            self._rested = 0
+        if self._rested < _GROUPS:
+            self._rested += 1
+            self.elements.evaluate(self.amplitudes, None, 1)
+        self._committed, self._forces = (self.amplitudes.copy(), self.elements.pressures.copy()), 0.0 * self._forces
+        self._answer[:] = 0.0
+        self.contact.forget()
+        self._pose = pose
+        stiffness = ((0.0,) * 6,) * 6 if self._asked else None
+        return Step(StepStatus.CONVERGED, 0, 0.0, (0.0,) * 6, stiffness,
+                    force_error=0.0 if self.reduced.watched else None)
+
+    def _press(self, amplitudes: np.ndarray, frame: Frame, pressed_in: bool) -> tuple[np.ndarray, np.ndarray]:
+        """The contact's forces on the modes, and their derivatives."""
+        self.contact.evaluate(amplitudes, frame, pressed_in)
+        return self.contact.on_modes()
+
+    def _balanced(self, pushed: np.ndarray) -> float:
+        """What the contact and the held face are pressed with."""
+        return float(np.linalg.norm(pushed)) + float(np.linalg.norm(self.elements.forces[: self._lifting]))
+
+    def _scale(self, balanced: float) -> float:
+        """What unbalanced forces are measured against."""
+        return max(balanced, self._floor, _FLOOR_SHARE * self._largest_force)
+
+    def _balance(self, guess: np.ndarray, known: np.ndarray, forces: np.ndarray, frame: Frame, pressed_in: bool,
+                 tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Solve the contact on tissue whose forces grow linearly from a state where they are known.
+
+        Args:
+            guess: amplitudes to begin with; their first ones, which the tool's pose says, stay.
+            known: amplitudes at which the elements have these forces on the modes, shape (modes,).
+
+        Returns:
+            Amplitudes, the contact's forces there, and their derivatives.
+        """
+        free, tangent = self._free, self.elements.tangent
+        goal = _INNER * max(tolerance, self.least_tolerance)
+        at, before, last, halvings, solves = guess, guess, np.inf, 0, 0
+        while True:
+            pushed, rates = self._press(at, frame, pressed_in)
+            residual = (forces + tangent @ (at - known) + pushed)[free]
+            unbalanced = float(np.linalg.norm(residual))
+            if unbalanced <= goal * self._scale(self._balanced(pushed)) or solves >= _MOST_SOLVES:
+                return at, pushed, rates
+            if unbalanced > (1.0 - _DESCENT) * last and halvings < _MOST_HALVINGS:
+                at, halvings = 0.5 * (at + before), halvings + 1
+                continue
+            before, last, halvings = at, unbalanced, 0
+            at = at.copy()
+            at[free] -= np.linalg.solve((tangent + rates)[free, free], residual)
+            solves += 1
 
     def _is_clear_of(self, frame: Frame) -> bool:
         """Whether a tool there touches neither the tissue as it is nor as it would rest."""
@@ -215,13 +285,28 @@ class ReducedSolver(Solver):
 
     def _follows(self, frame: Frame, rates: np.ndarray) -> np.ndarray:
         """How the amplitudes follow the position and a rotation of the tool, shape (modes, 6)."""
-        held = self._lifting
+        held, free = self._lifting, self._free
         tangent = self.elements.tangent + rates
         answer = np.zeros((tangent.shape[0], 6))
         answer[:held] = self._lifted_rates(frame)
         pushed = self.contact.rates_of_modes(frame)
-        answer[held:] = -np.linalg.solve(tangent[held:, held:], pushed[held:] + tangent[held:, :held] @ answer[:held])
+        answer[free] = -np.linalg.solve(tangent[free, free], pushed[free] + tangent[free, :held] @ answer[:held])
         return answer
+
+    def _force_error(self, frame: Frame, rates: np.ndarray, residual: np.ndarray, wrench: np.ndarray) -> float | None:
+        """How far the force may be off, N: shares of it, and of its change if what is watched were made, too.
+
+        Source: hierarchical estimates, Bank and Weiser, Math. Comp. 44 (1985) 283; calibrated by `training.verify`.
+        """
+        if not self.reduced.watched:
+            return None
+        held, rest = self._lifting, slice(self._lifting, None)
+        tangent = self.elements.tangent + rates
+        change = np.zeros(len(residual))
+        change[rest] = -np.linalg.solve(tangent[rest, rest], residual[rest])
+        force = self.contact.force_of(change) - (self._lifted_rates(frame).T @ (tangent[:held] @ change))[:3]
+        changed, own = self.reduced.error_factors
+        return changed * float(np.linalg.norm(force)) + own * float(np.linalg.norm(wrench[:3]))
 
     def _stiffness(self, frame: Frame, rates: np.ndarray) -> np.ndarray:
         """Minus the derivative of the wrench with the tool's pose, shape (6, 6)."""

@@ -33,6 +33,8 @@ _MOST_SOLVES, _CUTS = 40, 3
 #: States whose forces are less than this share of the largest are left out where elements are chosen, and so many of
 #: the others are looked at.
 _LEAST_FORCE, _LOOKED_AT = 0.02, 240
+#: Motions that are watched beside the modes, for the estimate of the error; an even number of them.
+WATCHED = 4
 #: Steps of the reduced solid on the way of one of the whole.
 _FINER = 8
 #: Strokes on which a reduced solid is tried are those from here on.
@@ -126,11 +128,11 @@ def modes(states: np.ndarray, lifted: np.ndarray, amplitudes: np.ndarray, count:
     return np.hstack([lifted, found]), singular
 
 
-def sample_elements(solver: SolidSolver, basis: np.ndarray, lifting: int, states: np.ndarray, amplitudes: np.ndarray,
-                    wrenches: np.ndarray, tolerance: float, bulk: float,
+def sample_elements(solver: SolidSolver, basis: np.ndarray, lifting: int, watched: int, states: np.ndarray,
+                    amplitudes: np.ndarray, wrenches: np.ndarray, tolerance: float, bulk: float,
                     progress: Callable[[int, float], None] | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Elements that stand for all, and for how many each: their forces on the modes at the states that the modes hold,
-    with a bulk modulus, Pa.
+    """Elements that stand for all, and for how many each: their forces on the modes, the last `watched` ones, too, at
+    the states that the others hold, with a bulk modulus, Pa.
 
     Returns:
         Numbers and shares, shape (n,).
@@ -145,7 +147,7 @@ def sample_elements(solver: SolidSolver, basis: np.ndarray, lifting: int, states
         len(mesh.connectivity), -1, basis.shape[1])
     contributions = []
     for state in looked_at:
-        lifted, rest = basis[:, :lifting], basis[:, lifting:]
+        lifted, rest = basis[:, :lifting], basis[:, lifting : basis.shape[1] - watched]
         own = rest @ (rest.T @ (states[state] - lifted @ amplitudes[state]))
         on_nodes = element_forces(solver, lifted @ amplitudes[state] + own, bulk)
         contributions.append(np.einsum("eir,ei->re", rows, on_nodes) / forces[state])
@@ -155,16 +157,18 @@ def sample_elements(solver: SolidSolver, basis: np.ndarray, lifting: int, states
 
 
 def verify(reduced: ReducedModel, solver: SolidSolver, numbers: Sequence[int],
-           progress: Callable[[int, int], None] | None = None) -> dict[str, float]:
+           progress: Callable[[int, int], None] | None = None) -> tuple[dict[str, float], tuple[float, float]]:
     """How far the reduced solid is from the whole one on strokes that it was not made of.
 
     Returns:
         ``force_rms_error`` and ``force_largest_error`` over the rms force of the whole, its rms ``force_rms_N``, and
-        ``not_converged``, the share of steps that were not.
+        ``not_converged``, the share of steps that were not; and ``error_factors`` that fit, see `ReducedModel`.
     """
+    from scipy.optimize import nnls
+
     experiment = reduced.model.experiment
-    small = ReducedSolver(reduced, reduced.model.material)
-    missed, forces, lost, steps = [], [], 0, 0
+    small = ReducedSolver(replace(reduced, error_factors=(1.0, 0.0)), reduced.model.material)
+    missed, forces, estimates, lost, steps = [], [], [], 0, 0
     for done, number in enumerate(numbers):
         poses = stroke(number, reduced.box, experiment.tool_pose(0.0), holds=reduced.lifting > 0,
                        reach=experiment.contact_radius)
@@ -179,12 +183,15 @@ def verify(reduced: ReducedModel, solver: SolidSolver, numbers: Sequence[int],
             here = pose
             missed.append(np.subtract(step.wrench[:3], wrench[:3]))
             forces.append(wrench[:3])
+            estimates.append(step.force_error or 0.0)
         if progress:
             progress(done + 1, len(numbers))
     error, force = (np.linalg.norm(np.array(each), axis=1) for each in (missed, forces))
     rms = float(np.sqrt(np.mean(force**2)))
+    factors, _ = nnls(np.column_stack([estimates, force]) / rms, error / rms)
     return {"force_rms_error": float(np.sqrt(np.mean(error**2))) / rms,
-            "force_largest_error": float(error.max()) / rms, "force_rms_N": rms, "not_converged": lost / steps}
+            "force_largest_error": float(error.max()) / rms, "force_rms_N": rms,
+            "not_converged": lost / steps}, (float(factors[0]), float(factors[1]))
 
 
 def assemble(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[Snapshots],
@@ -205,19 +212,21 @@ def assemble(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[Snapsh
     lifted = lifted_modes(solver)
     lifting = lifted.shape[1]
     amplitudes = np.array([lifted_amplitudes(solver, pose) for each in poses for pose in each])[:, :lifting]
-    basis, singular = modes(states, lifted, amplitudes, count)
+    basis, singular = modes(states, lifted, amplitudes, count + WATCHED)
+    watched = max(0, basis.shape[1] - lifting - count)
     bulk = min(bulk_modulus(model.material, mesh), bulk_ratio * model.material.mu0)
-    elements, shares = sample_elements(solver, basis, lifting, states, amplitudes, wrenches, tolerance, bulk, progress)
-    kept = basis.shape[1] - lifting
+    elements, shares = sample_elements(solver, basis, lifting, watched, states, amplitudes, wrenches, tolerance, bulk,
+                                       progress)
+    kept = basis.shape[1] - lifting - watched
     report = {"freedoms": int(states.shape[1]), "modes": kept, "elements": int(elements.size),
               "elements_of_all": len(mesh.connectivity), "snapshots": int(states.shape[0]),
               "energy_left_out": float((singular[kept:] ** 2).sum() / (singular**2).sum())}
-    return ReducedModel(model, mesh, basis, lifting, elements, shares, box, softness, bulk_ratio, report)
+    return ReducedModel(model, mesh, basis, lifting, elements, shares, box, softness, bulk_ratio, report, watched)
 
 
-def with_report(reduced: ReducedModel, **more: float) -> ReducedModel:
-    """With more in its report."""
-    return replace(reduced, report={**reduced.report, **more})
+def with_report(reduced: ReducedModel, factors: tuple[float, float], **more: float) -> ReducedModel:
+    """With more in its report, and factors of its estimate of the error."""
+    return replace(reduced, report={**reduced.report, **more}, error_factors=factors)
 
 
 def training_mesh(model: Model, box: PoseBox, resolution: str) -> SolidMesh:
