@@ -19,7 +19,7 @@ from tissue_sim.pose import Pose, Screw, between, motion
 from tissue_sim.realtime_ladder import choose, measure_tick
 from tissue_sim.simulator_state import AT_REST, NEVER, Creep, SimulatorState
 from tissue_sim.snapshot import Snapshot, snapshot
-from tissue_sim.step_clock import StepClock
+from tissue_sim.step_clock import LEAST_SOLVES, Allowance, StepClock, solves_in
 from tissue_sim.tool_force import (
     ForceStatus,
     NextForce,
@@ -70,6 +70,9 @@ class Simulator:
         solver: name in `tissue_sim.fem.solver.SOLVERS`.
         looks_ahead: whether answers in which the mass counts say what the next step would answer (`ToolForce.ahead`),
             for a virtual coupling; a tenth of the step's time.
+        max_solves: linear solutions of a step, those of its stiffness included, after which it answers what it knows
+            (`ForceStatus.LATE`); the same motion gives the same forces all the same. None: with a budget as many as
+            fit into it by what `warm_up` finds a solution to take, else however many it takes.
 
     Attributes:
         resolution: which of the solver's names it has come to; "own mesh" where it was given.
@@ -84,11 +87,14 @@ class Simulator:
 
     def __init__(self, model: Model, *, resolution: str = "realtime", mesh: Any = None,
                  budget: float | None = None, inertia: str = "auto", tolerance: float = TOLERANCE,
-                 solver: str = "axisymmetric", looks_ahead: bool = False):
+                 solver: str = "axisymmetric", looks_ahead: bool = False, max_solves: int | None = None):
         if inertia not in ("auto", "on", "off"):
             raise InputError(f"{inertia!r} is not a choice of inertia; use 'auto', 'on' or 'off'", field="inertia")
         if budget is not None and not budget > 0:
             raise InputError(f"{budget:g} s is not a time to compute in; give a positive one or None", field="budget")
+        if max_solves is not None and not max_solves >= LEAST_SOLVES:
+            raise InputError(f"no step comes to an end in {max_solves} linear solutions; give at least {LEAST_SOLVES} "
+                             "or None", field="max_solves")
         if model.experiment.tilt:
             raise InputError("a tilted tool is a correction of whole recordings and has no place in real time; leave "
                              "the tilt out", field="tilt")
@@ -117,7 +123,8 @@ class Simulator:
         self._reduced = ReducedForce(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
         # What the effects on the whole force left of it at the last equilibrium.
         self._left = 1.0
-        self._clock = StepClock()
+        # Wall time of a solve when it was warmed up, s.
+        self._clock, self._most, self._solve = StepClock(), max_solves, None
         self._answer = ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
         self._equilibrium = AT_REST
         # Where the tool is said to be; whether it has touched the tissue; time since the last equilibrium, and since
@@ -143,6 +150,11 @@ class Simulator:
     def solve_time(self) -> float:
         """Wall time of a linear solve with all that belongs to it, s, as it is known after `warm_up`."""
         return self._clock.solve
+
+    @property
+    def max_solves(self) -> int | None:
+        """Linear solutions of a step at most; None: no bound."""
+        return self._most or solves_in(self.budget, self._solve)
 
     def warm_up(self) -> None:
         """Compile what a step needs, or load it from the cache, choose a mesh where there is one to choose, and leave
@@ -174,7 +186,7 @@ class Simulator:
         if rung.resolution not in made:
             return
         one = made[rung.resolution]
-        self._solver, self._clock, self._start = one._solver, one._clock, one._start
+        self._solver, self._clock, self._solve, self._start = one._solver, one._clock, one._solve, one._start
         self.resolution, self.force_error = rung.resolution, rung.force_error
         self.restore(self._start)
 
@@ -188,7 +200,8 @@ class Simulator:
             step = self._solver.step(replace(pose, position=(x, y, z - way * self._radius)), 1e-3,
                                      tolerance=self.tolerance)
             spent.append((time.perf_counter() - started) / (1 + step.iterations))
-        self._clock.begin(min(spent))
+        self._solve = min(spent)
+        self._clock.begin(self._solve)
         # What the first touch is carried on with, where it comes late.
         touch = replace(AT_REST, stiffness=AT_REST.followed_by(step, AT_REST.pose, 1.0, False).stiffness)
         self._start = replace(self._start, equilibrium=touch)
@@ -236,6 +249,7 @@ class Simulator:
         solver, status, solves, residual = self._solver, None, 0, self._answer.residual
         inertial = self.inertia == "on" or (self.inertia == "auto" and self._lingers < _LINGERS)
         resumes = self._attempt is not None
+        allowance = Allowance(self._clock, self.max_solves, None if self.budget is None else began + self.budget)
         anew, outside = not self._bonded, False
         while status is None:
             started, creep = time.perf_counter(), self._creep
@@ -250,26 +264,24 @@ class Simulator:
             weighs = inertial and dt > 0.0 and creep is None
             # Across a change of contact extrapolation leads astray, but less so where mass is in the way.
             order = min(2, max(solver.unchanged, weighs)) if self._extrapolates else 0
-            most = allowed = _MOST_SOLVES[order > 0] - (self._spent if resumes else 0)
-            asks = self._equilibrium.stiffness_age + 1 >= self._stiffness_lasts
-            if self.budget is not None:
-                # The own stiffness takes as long as a step without solves.
-                asks &= self._clock.fitting(began + self.budget - started - self._clock.fixed) > 0
-                allowed = min(most, self._clock.fitting(began + self.budget - started, first=solves == 0))
-            if allowed < 1:
+            most = _MOST_SOLVES[order > 0] - (self._spent if resumes else 0)
+            asks = self._equilibrium.stiffness_age + 1 >= self._stiffness_lasts and allowance.fitting(answers=2) > 0
+            fitting = allowance.fitting()
+            if fitting < 1:
                 status = ForceStatus.LATE
-                if solves == 0:
-                    self._clock.doubt()
+                allowance.end()
                 break
+            allowed = min(most, fitting)
             if creep is None:
                 step = solver.step(target, dt, tolerance=self.tolerance, max_iterations=allowed, predictor_order=order,
                                    inertial=weighs, resumes=resumes, own_stiffness=asks)
-            elif (crept := next(creep.steps, None)) is not None:
-                step = creep.last = crept
+            elif (crept := creep.go_on(fitting)) is not None:
+                step = crept
             else:
                 # It has arrived, or will not.
                 step, target, dt, self._creep = replace(creep.last, iterations=0), creep.pose, creep.dt, None
             solves, residual = solves + step.iterations, step.residual
+            allowance.take(step.iterations, 1 + step.found_own_stiffness)
             if not step.found_own_stiffness:
                 self._clock.follow(time.perf_counter() - started, step.iterations)
             if self._creep is not None:
@@ -294,8 +306,9 @@ class Simulator:
                 # After a hold parts are as short as they may be, and no shorter.
                 self._attempt, self._spent, resumes = None, 0, False
                 self._share = max(_SMALLEST_CUT, min(self._share, way / self._largest_part))
-                self._creep = Creep(target, dt, solver.creep(target, dt, tolerance=self.tolerance,
-                                                              max_iterations=_MOST_OF_CREEP), step)
+                creep = self._creep = Creep(target, dt, step)
+                creep.steps = solver.creep(target, dt, tolerance=self.tolerance, max_iterations=_MOST_OF_CREEP,
+                                           allowed=lambda creep=creep: creep.allowed)
             else:
                 self._attempt, self._spent, resumes = None, 0, False
                 self._share, self._extrapolates = 0.5 * self._share, True

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from tissue_sim.fem.solver import Step
@@ -56,12 +56,21 @@ AT_REST = Equilibrium(Pose.at_depth(0.0), axial_wrench(0.0), axial_stiffness(0.0
 
 @dataclass(slots=True)
 class Creep:
-    """The tissue on its way to an equilibrium at a pose, a time step (s) later, and its last step there."""
+    """The tissue on its way to an equilibrium at a pose, a time step (s) later, and its last step there; until the
+    next one it may take so many linear solves."""
 
     pose: Pose
     dt: float
-    steps: Generator[Step]
     last: Step
+    allowed: int = 1
+    steps: Generator[Step] = field(init=False)
+
+    def go_on(self, allowed: int) -> Step | None:
+        """The next step, or as much of it as so many linear solves bring; None: it was the last one."""
+        self.allowed = allowed
+        step = next(self.steps, None)
+        self.last = step or self.last
+        return step
 
 
 @dataclass(frozen=True, eq=False)
