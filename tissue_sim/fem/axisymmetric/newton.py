@@ -113,6 +113,8 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
             iterations, tangent, factorised, halvings = 0, 1, 0, HALVINGS
             # Far from equilibrium the surface's curvature would make the tangent indefinite.
             bending = 1.0 if max_iterations == 0 else 0.0
+            if counts[KEEPS] == 2:
+                bending = float(counts[BENDING])
             first, first_ratio, last_ratio, axial = 1, 0.0, 0.0, 0.0
             # The status lives in the report: Taichi 1.7.4 loses a local variable that a branch of such a loop sets.
             # Each solve may need more passes: for halves of it, for a tangent that was skipped, for points that have to
