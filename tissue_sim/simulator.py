@@ -17,7 +17,7 @@ from tissue_sim.model import Model
 from tissue_sim.parameters import with_values
 from tissue_sim.pose import Pose, Screw, between, motion
 from tissue_sim.realtime_ladder import choose, measure_tick
-from tissue_sim.simulator_state import AT_REST, NEVER, Creep, SimulatorState
+from tissue_sim.simulator_state import AT_REST, NEVER, Attempt, Creep, SimulatorState
 from tissue_sim.snapshot import Snapshot, snapshot
 from tissue_sim.step_clock import LEAST_SOLVES, Allowance, StepClock, solves_in
 from tissue_sim.tool_force import (
@@ -32,6 +32,8 @@ from tissue_sim.tool_force import (
 TOLERANCE = 1e-6
 #: Linear solves that a part of a step may take: after an extrapolation, which is right or leads astray, and without.
 _MOST_SOLVES = {True: 6, False: 30}
+#: So many after an extrapolation that has led so near, unbalanced over balanced forces.
+_MOST_IF_NEAR, _NEAR = 12, 1e-2
 #: A tool that moves further in one step than this share of the contact's radius is followed in parts.
 _LARGEST_PART = 0.0625
 #: That no part is made for.
@@ -133,10 +135,11 @@ class Simulator:
         self._waiting, self._lingers, self._share = 0.0, math.inf, 1.0
         # Whether a step without time has yet to arrive: on the way tissue has no mass, however many ticks it takes.
         self._leaps = False
-        # Pose and time step of an iteration that the budget ended, and its linear solves; whether one may begin with an
-        # extrapolation, after which it is right soon or led astray.
-        self._attempt: tuple[Pose, float] | None = None
-        self._spent, self._extrapolates = 0, True
+        # An iteration to go on with, and whether one may begin with an extrapolation.
+        self._attempt: Attempt | None = None
+        self._extrapolates = True
+        # Whether the tool may be lifted off and pressed anew where no other way is left.
+        self._anew = not self._bonded
         self._creep: Creep | None = None
         self._stiffness_lasts = _STIFFNESS_LASTS
         self._start = self.save()
@@ -248,9 +251,8 @@ class Simulator:
         """Step to a pose in as many parts as it takes; the next step is thought as long as this tick, s."""
         solver, status, solves, residual = self._solver, None, 0, self._answer.residual
         inertial = self.inertia == "on" or (self.inertia == "auto" and self._lingers < _LINGERS)
-        resumes = self._attempt is not None
         allowance = Allowance(self._clock, self.max_solves, None if self.budget is None else began + self.budget)
-        anew, outside = not self._bonded, False
+        outside = False
         while status is None:
             started, creep = time.perf_counter(), self._creep
             here = solver.pose
@@ -259,12 +261,14 @@ class Simulator:
             share = 1.0 / max(1, math.ceil(way / part - _ROUNDING)) if way else 1.0
             # The last part ends where the tool is, without rounding.
             target, dt = between(here, pose, share), 0.0 if self._leaps else share * self._waiting
-            if resumes and self._attempt is not None:
-                target, dt = self._attempt
+            if (attempt := self._attempt) is not None:
+                target, dt = attempt.pose, attempt.dt
             weighs = inertial and dt > 0.0 and creep is None
-            # Across a change of contact extrapolation leads astray, but less so where mass is in the way.
-            order = min(2, max(solver.unchanged, weighs)) if self._extrapolates else 0
-            most = _MOST_SOLVES[order > 0] - (self._spent if resumes else 0)
+            if attempt is None:
+                # Across a change of contact extrapolation leads astray, but less so where mass is in the way.
+                order = min(2, max(solver.unchanged, weighs)) if self._extrapolates else 0
+                attempt = Attempt(target, dt, order, _MOST_SOLVES[order > 0])
+            most = attempt.limit - attempt.spent
             asks = self._equilibrium.stiffness_age + 1 >= self._stiffness_lasts and allowance.fitting(answers=2) > 0
             fitting = allowance.fitting()
             if fitting < 1:
@@ -273,51 +277,53 @@ class Simulator:
                 break
             allowed = min(most, fitting)
             if creep is None:
-                step = solver.step(target, dt, tolerance=self.tolerance, max_iterations=allowed, predictor_order=order,
-                                   inertial=weighs, resumes=resumes, own_stiffness=asks)
+                step = solver.step(target, dt, tolerance=self.tolerance, max_iterations=allowed, own_stiffness=asks,
+                                   predictor_order=attempt.order, inertial=weighs, resumes=attempt is self._attempt)
             elif (crept := creep.go_on(fitting)) is not None:
                 step = crept
             else:
                 # It has arrived, or will not.
                 step, target, dt, self._creep = replace(creep.last, iterations=0), creep.pose, creep.dt, None
             solves, residual = solves + step.iterations, step.residual
-            allowance.take(step.iterations, 1 + step.found_own_stiffness)
+            # Its own stiffness, whether it was found or not.
+            allowance.take(step.iterations, 1 + (weighs and asks and step.iterations < allowed))
             if not step.found_own_stiffness:
                 self._clock.follow(time.perf_counter() - started, step.iterations)
             if self._creep is not None:
                 continue
+            attempt, self._attempt = replace(attempt, spent=attempt.spent + step.iterations), None
             if step.status is StepStatus.CONVERGED:
                 self._take(step, dt, weighs)
                 self._waiting = max(0.0, self._waiting - dt)
-                self._share, self._attempt, self._spent = min(1.0, 2.0 * self._share), None, 0
-                self._extrapolates, resumes = True, False
+                self._share, self._extrapolates = min(1.0, 2.0 * self._share), True
                 if target == pose and (creep is not None or share == 1.0 or self._waiting == 0.0):
                     self._waiting, self._leaps, status = 0.0, False, ForceStatus.CONVERGED
+                    self._anew = not self._bonded
             elif creep is None and step.status is StepStatus.SLOW and allowed < most:
                 # The next step goes on with this iteration, and with what is left of the way then.
-                self._attempt, self._spent = (target, dt), self._spent * resumes + step.iterations
-                status = ForceStatus.LATE
+                self._attempt, status = attempt, ForceStatus.LATE
             elif step.status is StepStatus.OUTSIDE:
                 # No shorter part leads there; the tissue waits where it is, and what it would do is not guessed.
-                self._attempt, self._spent, status, outside = None, 0, ForceStatus.STOPPED, True
-            elif creep is None and order:
-                self._attempt, self._spent, resumes, self._extrapolates = None, 0, False, False
+                status, outside = ForceStatus.STOPPED, True
+            elif creep is None and attempt.order:
+                if step.status is StepStatus.SLOW and step.residual <= _NEAR and attempt.limit < _MOST_IF_NEAR:
+                    self._attempt = replace(attempt, limit=_MOST_IF_NEAR)
+                else:
+                    self._extrapolates = False
             elif creep is None and min(self._share, way / self._largest_part) < _CREEPS:
                 # After a hold parts are as short as they may be, and no shorter.
-                self._attempt, self._spent, resumes = None, 0, False
                 self._share = max(_SMALLEST_CUT, min(self._share, way / self._largest_part))
                 creep = self._creep = Creep(target, dt, step)
                 creep.steps = solver.creep(target, dt, tolerance=self.tolerance, max_iterations=_MOST_OF_CREEP,
                                            allowed=lambda creep=creep: creep.allowed)
             else:
-                self._attempt, self._spent, resumes = None, 0, False
                 self._share, self._extrapolates = 0.5 * self._share, True
-                if self._share < _SMALLEST_CUT and anew:
+                if self._share < _SMALLEST_CUT and self._anew:
                     # Press anew from the touch on; what friction remembers begins there.
                     solver.lift_off()
-                    self._share, self._leaps, anew = 1.0, True, False
+                    self._share, self._leaps, self._anew = 1.0, True, False
                 elif self._share < _SMALLEST_CUT:
-                    self._share, status = _SMALLEST_CUT, ForceStatus.STOPPED
+                    self._share, self._anew, status = _SMALLEST_CUT, not self._bonded, ForceStatus.STOPPED
         at = self._equilibrium
         wrench, ahead, within = at.wrench, None, None
         if status is ForceStatus.CONVERGED:
@@ -363,7 +369,7 @@ class Simulator:
         self._pose, self._leaps = state.pose, state.leaps
         self._waiting, self._lingers, self._share = state.waiting, state.lingers, state.share
         self._touched, self._reduced.history = state.touched, state.history
-        self._attempt, self._spent, self._extrapolates = None, 0, True
+        self._attempt, self._extrapolates, self._anew = None, True, not self._bonded
 
     def _stop_creeping(self) -> None:
         """Back to the equilibrium from which the tissue crept away."""

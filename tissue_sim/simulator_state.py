@@ -54,6 +54,22 @@ class Equilibrium:
 AT_REST = Equilibrium(Pose.at_depth(0.0), axial_wrench(0.0), axial_stiffness(0.0), False, NEVER)
 
 
+@dataclass(frozen=True, slots=True)
+class Attempt:
+    """An iteration for the equilibrium at a pose, a time step (s) later, that the next step or part goes on with.
+
+    Attributes:
+        order: highest one of the extrapolation with which it began.
+        limit: how many linear solves there may be; spent: so far.
+    """
+
+    pose: Pose
+    dt: float
+    order: int
+    limit: int
+    spent: int = 0
+
+
 @dataclass(slots=True)
 class Creep:
     """The tissue on its way to an equilibrium at a pose, a time step (s) later, and its last step there; until the
