@@ -19,7 +19,7 @@ from tissue_sim.pose import Pose, Screw, between, motion
 from tissue_sim.realtime_ladder import choose, measure_tick
 from tissue_sim.simulator_state import AT_REST, NEVER, Attempt, Creep, SimulatorState
 from tissue_sim.snapshot import Snapshot, snapshot
-from tissue_sim.step_clock import LEAST_SOLVES, Allowance, StepClock, solves_in
+from tissue_sim.step_clock import Allowance, StepClock, require_solves, solves_in
 from tissue_sim.tool_force import (
     ForceStatus,
     NextForce,
@@ -73,8 +73,7 @@ class Simulator:
         looks_ahead: whether answers in which the mass counts say what the next step would answer (`ToolForce.ahead`),
             for a virtual coupling; a tenth of the step's time.
         max_solves: linear solutions of a step, those of its stiffness included, after which it answers what it knows
-            (`ForceStatus.LATE`); the same motion gives the same forces all the same. None: with a budget as many as
-            fit into it by what `warm_up` finds a solution to take, else however many it takes.
+            (`ForceStatus.LATE`). None: with a budget as many as `warm_up` finds to fit into it, else no bound.
 
     Attributes:
         resolution: which of the solver's names it has come to; "own mesh" where it was given.
@@ -94,9 +93,7 @@ class Simulator:
             raise InputError(f"{inertia!r} is not a choice of inertia; use 'auto', 'on' or 'off'", field="inertia")
         if budget is not None and not budget > 0:
             raise InputError(f"{budget:g} s is not a time to compute in; give a positive one or None", field="budget")
-        if max_solves is not None and not max_solves >= LEAST_SOLVES:
-            raise InputError(f"no step comes to an end in {max_solves} linear solutions; give at least {LEAST_SOLVES} "
-                             "or None", field="max_solves")
+        require_solves(max_solves)
         if model.experiment.tilt:
             raise InputError("a tilted tool is a correction of whole recordings and has no place in real time; leave "
                              "the tilt out", field="tilt")
@@ -125,8 +122,8 @@ class Simulator:
         self._reduced = ReducedForce(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
         # What the effects on the whole force left of it at the last equilibrium.
         self._left = 1.0
-        # Wall time of a solve when it was warmed up, s.
-        self._clock, self._most, self._solve = StepClock(), max_solves, None
+        self._solve: float | None = None  # wall time of one when it was warmed up, s
+        self._clock, self._most = StepClock(), max_solves
         self._answer = ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
         self._equilibrium = AT_REST
         # Where the tool is said to be; whether it has touched the tissue; time since the last equilibrium, and since
@@ -135,11 +132,10 @@ class Simulator:
         self._waiting, self._lingers, self._share = 0.0, math.inf, 1.0
         # Whether a step without time has yet to arrive: on the way tissue has no mass, however many ticks it takes.
         self._leaps = False
-        # An iteration to go on with, and whether one may begin with an extrapolation.
+        # An iteration to go on with; whether one may begin with an extrapolation; and whether the tool may be pressed
+        # anew where no other way is left.
         self._attempt: Attempt | None = None
-        self._extrapolates = True
-        # Whether the tool may be lifted off and pressed anew where no other way is left.
-        self._anew = not self._bonded
+        self._extrapolates, self._anew = True, not self._bonded
         self._creep: Creep | None = None
         self._stiffness_lasts = _STIFFNESS_LASTS
         self._start = self.save()
@@ -203,8 +199,8 @@ class Simulator:
             step = self._solver.step(replace(pose, position=(x, y, z - way * self._radius)), 1e-3,
                                      tolerance=self.tolerance)
             spent.append((time.perf_counter() - started) / (1 + step.iterations))
-        self._solve = min(spent)
-        self._clock.begin(self._solve)
+        self._clock.begin(min(spent))
+        self._solve = self._clock.solve
         # What the first touch is carried on with, where it comes late.
         touch = replace(AT_REST, stiffness=AT_REST.followed_by(step, AT_REST.pose, 1.0, False).stiffness)
         self._start = replace(self._start, equilibrium=touch)
@@ -249,17 +245,15 @@ class Simulator:
 
     def _follow(self, pose: Pose, tick: float, began: float) -> ToolForce:
         """Step to a pose in as many parts as it takes; the next step is thought as long as this tick, s."""
-        solver, status, solves, residual = self._solver, None, 0, self._answer.residual
+        solver, status, solves, residual, outside = self._solver, None, 0, self._answer.residual, False
         inertial = self.inertia == "on" or (self.inertia == "auto" and self._lingers < _LINGERS)
         allowance = Allowance(self._clock, self.max_solves, None if self.budget is None else began + self.budget)
-        outside = False
         while status is None:
-            started, creep = time.perf_counter(), self._creep
-            here = solver.pose
+            started, creep, here = time.perf_counter(), self._creep, solver.pose
             way, part = self._distance(here, pose), self._share * self._largest_part
             # Parts of one length: the mass of the tissue resists a short one as a blow.
             share = 1.0 / max(1, math.ceil(way / part - _ROUNDING)) if way else 1.0
-            # The last part ends where the tool is, without rounding.
+            # Without rounding the last part ends where the tool is.
             target, dt = between(here, pose, share), 0.0 if self._leaps else share * self._waiting
             if (attempt := self._attempt) is not None:
                 target, dt = attempt.pose, attempt.dt
@@ -281,8 +275,7 @@ class Simulator:
                                    predictor_order=attempt.order, inertial=weighs, resumes=attempt is self._attempt)
             elif (crept := creep.go_on(fitting)) is not None:
                 step = crept
-            else:
-                # It has arrived, or will not.
+            else:  # it has arrived, or will not
                 step, target, dt, self._creep = replace(creep.last, iterations=0), creep.pose, creep.dt, None
             solves, residual = solves + step.iterations, step.residual
             # Its own stiffness, whether it was found or not.
@@ -297,8 +290,8 @@ class Simulator:
                 self._waiting = max(0.0, self._waiting - dt)
                 self._share, self._extrapolates = min(1.0, 2.0 * self._share), True
                 if target == pose and (creep is not None or share == 1.0 or self._waiting == 0.0):
-                    self._waiting, self._leaps, status = 0.0, False, ForceStatus.CONVERGED
-                    self._anew = not self._bonded
+                    self._waiting, self._leaps, self._anew = 0.0, False, not self._bonded
+                    status = ForceStatus.CONVERGED
             elif creep is None and step.status is StepStatus.SLOW and allowed < most:
                 # The next step goes on with this iteration, and with what is left of the way then.
                 self._attempt, status = attempt, ForceStatus.LATE
@@ -313,9 +306,9 @@ class Simulator:
             elif creep is None and min(self._share, way / self._largest_part) < _CREEPS:
                 # After a hold parts are as short as they may be, and no shorter.
                 self._share = max(_SMALLEST_CUT, min(self._share, way / self._largest_part))
-                creep = self._creep = Creep(target, dt, step)
-                creep.steps = solver.creep(target, dt, tolerance=self.tolerance, max_iterations=_MOST_OF_CREEP,
-                                           allowed=lambda creep=creep: creep.allowed)
+                self._creep = Creep(target, dt, step)
+                self._creep.steps = solver.creep(target, dt, tolerance=self.tolerance, max_iterations=_MOST_OF_CREEP,
+                                                 allowed=self._creep.may_take)
             else:
                 self._share, self._extrapolates = 0.5 * self._share, True
                 if self._share < _SMALLEST_CUT and self._anew:

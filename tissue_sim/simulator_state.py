@@ -72,18 +72,21 @@ class Attempt:
 
 @dataclass(slots=True)
 class Creep:
-    """The tissue on its way to an equilibrium at a pose, a time step (s) later, and its last step there; until the
-    next one it may take so many linear solves."""
+    """The tissue on its way to an equilibrium at a pose, a time step (s) later, and its last step there."""
 
     pose: Pose
     dt: float
     last: Step
-    allowed: int = 1
     steps: Generator[Step] = field(init=False)
+    _allowed: int = field(init=False, default=1)
+
+    def may_take(self) -> int:
+        """Linear solves until the next step is yielded, or what there is of it."""
+        return self._allowed
 
     def go_on(self, allowed: int) -> Step | None:
         """The next step, or as much of it as so many linear solves bring; None: it was the last one."""
-        self.allowed = allowed
+        self._allowed = allowed
         step = next(self.steps, None)
         self.last = step or self.last
         return step

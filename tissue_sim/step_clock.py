@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 
+from tissue_sim.errors import InputError
+
 #: How fast the guess of what a step costs beside its solves follows one that took longer, or shorter.
 _LEARNS, _FORGETS = 0.5, 0.1
 #: A step that took this many times as long as it was thought to counts no more than that: it met the computer in a bad
@@ -13,8 +15,6 @@ _SPIKE = 2.0
 _WEIGHT, _SEEN = 0.02, 0.1
 #: Least cost of a solve, as a share of that of a step with none.
 _LEAST = 0.25
-
-
 #: A step that is bounded may make one linear solution and answer at least.
 LEAST_SOLVES = 2
 #: Without any bound.
@@ -62,6 +62,17 @@ class StepClock:
     def doubt(self) -> None:
         """Where nothing was tried because of the guess: it may be from a bad moment."""
         self.fixed *= 0.5
+
+
+def require_solves(most: int | None) -> None:
+    """Refuse a bound within which no step can end.
+
+    Raises:
+        InputError: fewer than `LEAST_SOLVES`.
+    """
+    if most is not None and not most >= LEAST_SOLVES:
+        raise InputError(f"no step comes to an end in {most} linear solutions; give at least {LEAST_SOLVES} or None",
+                         field="max_solves")
 
 
 def solves_in(budget: float | None, solve: float | None) -> int | None:
