@@ -1,7 +1,8 @@
 """A random model in the hand: irregular motion with lift-off and a jump far too deep, tick by tick through `Simulator`.
 
 What must hold: forces are numbers; every tick is in equilibrium, and is so by other means than the solver's; and after
-all that, and some time in the air, the tissue pushes as that of a new simulator does.
+all that, and some time in the air, the tissue pushes as that of a new simulator does. Where the work of a tick is
+bounded, some are late: what they are told, and what the next equilibrium answers, is compared with ticks without bound.
 """
 
 from __future__ import annotations
@@ -33,17 +34,21 @@ AGAIN, STEPS, AWAY, REST = 0.6, 100, 2.0, 1e4
 AS_NEW = 0.01
 #: Linear solves of a tick that are many.
 MANY = 12
+#: Ticks in which a bounded simulator catches up after the jump, at most.
+CATCH_UP = 500
 
 
-def motion(one: Description, resolution: str) -> dict:
+def motion(one: Description, resolution: str, max_solves: int | None = None) -> dict:
     """What became of a model, as plain values: stratum, law, extra, status ("end", "time-out" or "exception"), message,
     ticks, elements, nan, statuses, longest_ms (without an equilibrium), solves (median, p99, largest), many (ticks of
-    more than `MANY` solves), tick_ms (median, p99, largest), faults, recovered (difference, see `AS_NEW`)."""
+    more than `MANY` solves), tick_ms (median, p99, largest), faults, recovered (difference, see `AS_NEW`); with
+    `max_solves` apart (largest difference of forces from those without bound over the largest force: of equilibria, of
+    late ticks)."""
     clock = Clock()
     known = {"stratum": stratum(one), "law": one.law, "extra": list(one.extra), "status": "end", "message": ""}
     try:
         with clock.on():
-            known |= _walk(one, resolution, clock)
+            known |= _walk(one, resolution, clock, max_solves)
     except OutOfTimeError:
         known |= {"status": "time-out", "message": "the ticks took too long"}
     except Exception as error:
@@ -51,11 +56,13 @@ def motion(one: Description, resolution: str) -> dict:
     return known
 
 
-def _walk(one: Description, resolution: str, clock: Clock) -> dict:
+def _walk(one: Description, resolution: str, clock: Clock, max_solves: int | None) -> dict:
     model = build(one)
     check = EquilibriumCheck(model, TOLERANCE)
-    simulator = ts.Simulator(model, resolution=resolution, inertia="off")
+    simulator = ts.Simulator(model, resolution=resolution, inertia="off", max_solves=max_solves)
     simulator.warm_up()
+    free = None if max_solves is None else ts.Simulator(model, resolution=resolution, inertia="off")
+    unbounded = []
     with clock.off():
         check.begin(simulator._solver)
     source = RandomWalk(one.seed, one.depth, -LIFT * one.depth, SPEED)
@@ -68,12 +75,19 @@ def _walk(one: Description, resolution: str, clock: Clock) -> dict:
         answer = simulator.step(place, DT)
         spent.append(1e3 * (time.perf_counter() - began))
         answers.append(answer)
+        if free is not None and k < TICKS:
+            unbounded.append(free.step(place, DT).force)
         touches = answer.status is ts.ForceStatus.CONVERGED and simulator._touched
         if touches and (k % CHECKED == 0 or k > TICKS):
             with clock.off():
                 # On the way to where it jumped, too.
                 check.largest = simulator._solver.committed.largest_force
                 check.sample(simulator._solver, 1.0)
+    for _ in range(CATCH_UP):
+        if answers[-1].status is ts.ForceStatus.LATE:
+            answers.append(simulator.step(places[-1], DT))
+    if free is not None:
+        free.restore(simulator.save())
     waits = np.cumsum([answer.status is ts.ForceStatus.CONVERGED for answer in answers[:TICKS]])
     solves = np.array([answer.iterations for answer in answers[:TICKS]])
     statuses = Counter(answer.status.name.lower() for answer in answers[:TICKS])
@@ -87,7 +101,16 @@ def _walk(one: Description, resolution: str, clock: Clock) -> dict:
             "faults": [f"{fault.check} {fault.value:.1e}" for fault in check.found.faults.values()],
             # Friction keeps what weighs where it came to lie.
             "recovered": 0.0 if "weight" in one.extra and not isinstance(model.experiment.base_interface, str)
-            else _differs_from_new(model, simulator, resolution, one.depth)}
+            else _differs_from_new(model, free or simulator, resolution, one.depth),
+            "apart": None if free is None else _apart(answers[:TICKS], unbounded)}
+
+
+def _apart(answers: Sequence[ts.ToolForce], unbounded: Sequence[float]) -> list[float]:
+    """Largest difference of equilibria and of other answers from forces without bound, over the largest of these."""
+    expected = np.array(unbounded)
+    apart = np.abs([answer.force for answer in answers] - expected) / max(float(np.abs(expected).max()), 1e-300)
+    settled = np.array([answer.status is ts.ForceStatus.CONVERGED for answer in answers])
+    return [float(apart[chosen].max(initial=0.0)) for chosen in (settled, ~settled)]
 
 
 def _differs_from_new(model: ts.Model, used: ts.Simulator, resolution: str, depth: float) -> float:
@@ -127,6 +150,10 @@ def motion_figures(entries: Sequence[dict]) -> dict:
             "not_in_equilibrium": {entry["seed"]: entry["faults"] for entry in ended if entry["faults"]},
             "after_the_jump": seeds(lambda entry: entry["after_the_jump"] != "converged"),
             "not_as_new": {entry["seed"]: entry["recovered"] for entry in ended if not entry["recovered"] <= AS_NEW},
+            "late": {entry["seed"]: [entry["statuses"]["late"], entry["longest_ms"], *entry["apart"]]
+                     for entry in ended if "late" in entry["statuses"] and entry["apart"]},
+            "not_as_unbounded": {entry["seed"]: entry["apart"][0] for entry in ended
+                                 if entry["apart"] and entry["apart"][0] > AS_NEW},
             "many": sum(entry["many"] for entry in ended), "models_with_many": seeds(lambda entry: entry["many"]),
             "most_solves": max((entry["solves"][2] for entry in ended), default=0),
             "p50_ms": statistics.median([entry["tick_ms"][0] for entry in ended] or [0.0]),
@@ -135,7 +162,7 @@ def motion_figures(entries: Sequence[dict]) -> dict:
 
 
 def draw_motion(result: dict, console) -> None:
-    """The table of `motion_figures`."""
+    """The tables of `motion_figures`."""
     found = result["figures"]
 
     def seeds(known) -> str:
@@ -150,7 +177,13 @@ def draw_motion(result: dict, console) -> None:
               ("an equilibrium is none, by other means", found["not_in_equilibrium"]),
               (f"none after a jump to {JUMP:g} depths", found["after_the_jump"]),
               (f"differs by more than {AS_NEW:.0%} from a new one after it", found["not_as_new"]),
+              (f"an equilibrium differs by more than {AS_NEW:.0%} from that without bound", found["not_as_unbounded"]),
               (f"ticks of more than {MANY} linear solves: {found['many']}", found["models_with_many"]))])
+    if result["max_solves"] is not None:
+        table(console, f"Late ticks with at most {result['max_solves']} linear solutions in each",
+              ["seed", "late", "longest, ms", "equilibria apart, %", "late ones apart, %"],
+              [[str(seed), str(count), str(longest), f"{100 * settled:.2g}", f"{100 * late:.2g}"]
+               for seed, (count, longest, settled, late) in found["late"].items()])
     console.print(f"Ticks: {found['statuses']}; longest without equilibrium {found['longest_ms']} ms; at most "
                   f"{found['most_solves']} linear solves; a tick, median of models: {found['p50_ms']:.2f} ms "
                   f"(p99 {found['p99_ms']:.2f}), largest median {found['largest_p50_ms']:.2f} ms", highlight=False)

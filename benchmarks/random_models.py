@@ -2,13 +2,14 @@
 
     python benchmarks/random_models.py [--seeds 1:401] [--resolution fast] [--quarter] [--resume FILE] [--json]
     python benchmarks/random_models.py --identities [--seeds 1:101] ...
-    python benchmarks/random_models.py --motion --resolution realtime [--seeds 1:101] ...
+    python benchmarks/random_models.py --motion --resolution realtime [--max-solves N] [--seeds 1:101] ...
 
 A seed stands for one model (`random_model_generator`). Whoever does not reach the last sample has failed: it stopped,
 was refused, took longer than 90 s of CPU, or ended in an exception. Every sample is checked by other means than the
 solver's (`equilibrium_check`); that is counted apart. --quarter also takes steps a quarter as long and compares the
 samples that both have. --identities checks what must hold of any solver instead, of the elastic models on an ideal rig;
---motion leads each through 2 s of irregular motion, tick by tick (`random_model_motion`).
+--motion leads each through 2 s of irregular motion, tick by tick (`random_model_motion`), with --max-solves of at most
+so many linear solutions a tick, beside the same without bound.
 With --resume a run that was stopped goes on where it was; a file holds what one state of the program did.
 """
 
@@ -78,6 +79,7 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--quarter", action="store_true", help="also with four times as many samples")
     parser.add_argument("--identities", action="store_true", help="instead: what must hold of any solver")
     parser.add_argument("--motion", action="store_true", help="instead: irregular motion in real time")
+    parser.add_argument("--max-solves", type=int, metavar="N", help="of a tick of --motion (default: no bound)")
     parser.add_argument("--resume", type=Path, metavar="FILE", help="of JSON lines, one a model")
     return parser
 
@@ -89,7 +91,7 @@ def _of(seed: int, asked: dict) -> dict:
     if asked["identities"]:
         return entry | {"identities": identities(one, asked["resolution"])}
     if asked["motion"]:
-        return entry | motion(one, asked["resolution"])
+        return entry | motion(one, asked["resolution"], asked["max_solves"])
     entry |= run(one, asked["resolution"])
     return entry | {"quarter": run_quarter(one, asked["resolution"], entry)} if asked["quarter"] else entry
 
@@ -115,7 +117,7 @@ def _said(entry: dict) -> str:
 def main(arguments: Sequence[str] | None = None) -> None:
     chosen = options().parse_args(arguments)
     asked = {"resolution": chosen.resolution, "quarter": chosen.quarter, "identities": chosen.identities,
-             "motion": chosen.motion}
+             "motion": chosen.motion, "max_solves": chosen.max_solves}
     lines = Lines(chosen.resume, asked)
     left = [seed for seed in chosen.seeds if seed not in lines.known]
     if left:

@@ -3,11 +3,26 @@
 from __future__ import annotations
 
 from tissue_sim.errors import InputError
+from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.material.material import Material
 from tissue_sim.parameters import parameters
 
 #: Moduli, Pa, that are stepped: softer than any gel, stiffer than any tissue.
 SOFTEST, STIFFEST = 1e-2, 1e9
+
+
+def require_live(experiment: Experiment) -> None:
+    """Refuse what is a correction of whole recordings.
+
+    Raises:
+        InputError: a tool that leans, or slips in part.
+    """
+    if experiment.tilt:
+        raise InputError("a tilted tool is a correction of whole recordings and has no place in real time; leave "
+                         "the tilt out", field="tilt")
+    if experiment.slip:
+        raise InputError("a face that slips in part is a correction of whole recordings and has no place in real "
+                         "time; leave the slip out, or use a coefficient of friction", field="slip")
 
 
 def require_tissue(material: Material) -> None:

@@ -11,27 +11,23 @@ import numpy as np
 
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.fem.solver import SOLVERS, Rung, Step, StepStatus, Surface
-from tissue_sim.live_material import require_same_layers, require_tissue
+from tissue_sim.live_material import require_live, require_same_layers, require_tissue
 from tissue_sim.material.effect import ReducedForce
 from tissue_sim.model import Model
 from tissue_sim.parameters import with_values
 from tissue_sim.pose import Pose, Screw, between, motion
 from tissue_sim.realtime_ladder import choose, measure_tick
-from tissue_sim.simulator_state import AT_REST, NEVER, Creep, SimulatorState
+from tissue_sim.simulator_state import AT_REST, NEVER, Attempt, Creep, SimulatorState
 from tissue_sim.snapshot import Snapshot, snapshot
-from tissue_sim.step_clock import StepClock
-from tissue_sim.tool_force import (
-    ForceStatus,
-    NextForce,
-    ToolForce,
-    carried_on,
-    pose_of,
-)
+from tissue_sim.step_clock import Allowance, StepClock, require_solves, solves_in
+from tissue_sim.tool_force import ForceStatus, NextForce, ToolForce, carried_on, pose_of
 
 #: Unbalanced over balanced forces at which an equilibrium is one.
 TOLERANCE = 1e-6
 #: Linear solves that a part of a step may take: after an extrapolation, which is right or leads astray, and without.
 _MOST_SOLVES = {True: 6, False: 30}
+#: So many after an extrapolation that has led so near, unbalanced over balanced forces.
+_MOST_IF_NEAR, _NEAR = 12, 1e-2
 #: A tool that moves further in one step than this share of the contact's radius is followed in parts.
 _LARGEST_PART = 0.0625
 #: That no part is made for.
@@ -70,6 +66,8 @@ class Simulator:
         solver: name in `tissue_sim.fem.solver.SOLVERS`.
         looks_ahead: whether answers in which the mass counts say what the next step would answer (`ToolForce.ahead`),
             for a virtual coupling; a tenth of the step's time.
+        max_solves: linear solutions of a step, those of its stiffness included, after which it answers what it knows
+            (`ForceStatus.LATE`). None: with a budget as many as `warm_up` finds to fit into it, else no bound.
 
     Attributes:
         resolution: which of the solver's names it has come to; "own mesh" where it was given.
@@ -85,17 +83,13 @@ class Simulator:
 
     def __init__(self, model: Model, *, resolution: str = "realtime", mesh: Any = None,
                  budget: float | None = None, inertia: str = "auto", tolerance: float = TOLERANCE,
-                 solver: str = "axisymmetric", looks_ahead: bool = False):
+                 solver: str = "axisymmetric", looks_ahead: bool = False, max_solves: int | None = None):
         if inertia not in ("auto", "on", "off"):
             raise InputError(f"{inertia!r} is not a choice of inertia; use 'auto', 'on' or 'off'", field="inertia")
         if budget is not None and not budget > 0:
             raise InputError(f"{budget:g} s is not a time to compute in; give a positive one or None", field="budget")
-        if model.experiment.tilt:
-            raise InputError("a tilted tool is a correction of whole recordings and has no place in real time; leave "
-                             "the tilt out", field="tilt")
-        if model.experiment.slip:
-            raise InputError("a face that slips in part is a correction of whole recordings and has no place in real "
-                             "time; leave the slip out, or use a coefficient of friction", field="slip")
+        require_solves(max_solves)
+        require_live(model.experiment)
         require_tissue(model.material)
         self.model, self.budget, self.inertia, self.tolerance = model, budget, inertia, tolerance
         self.looks_ahead = looks_ahead
@@ -120,7 +114,8 @@ class Simulator:
         self._reduced = ReducedForce(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
         # What the effects on the whole force left of it at the last equilibrium.
         self._left = 1.0
-        self._clock = StepClock()
+        self._solve: float | None = None  # wall time of one when it was warmed up, s
+        self._clock, self._most = StepClock(), max_solves
         self._answer = ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
         self._equilibrium = AT_REST
         self.error: float | None = None
@@ -130,10 +125,10 @@ class Simulator:
         self._waiting, self._lingers, self._share = 0.0, math.inf, 1.0
         # Whether a step without time has yet to arrive: on the way tissue has no mass, however many ticks it takes.
         self._leaps = False
-        # Pose and time step of an iteration that the budget ended, and its linear solves; whether one may begin with an
-        # extrapolation, after which it is right soon or led astray.
-        self._attempt: tuple[Pose, float] | None = None
-        self._spent, self._extrapolates = 0, True
+        # An iteration to go on with; whether one may begin with an extrapolation; and whether the tool may be pressed
+        # anew where no other way is left.
+        self._attempt: Attempt | None = None
+        self._extrapolates, self._anew = True, not self._bonded
         self._creep: Creep | None = None
         self._stiffness_lasts = _STIFFNESS_LASTS
         self._start = self.save()
@@ -147,6 +142,11 @@ class Simulator:
     def solve_time(self) -> float:
         """Wall time of a linear solve with all that belongs to it, s, as it is known after `warm_up`."""
         return self._clock.solve
+
+    @property
+    def max_solves(self) -> int | None:
+        """Linear solutions of a step at most; None: no bound."""
+        return self._most or solves_in(self.budget, self._solve)
 
     def warm_up(self) -> None:
         """Compile what a step needs, or load it from the cache, choose a mesh where there is one to choose, and leave
@@ -178,7 +178,7 @@ class Simulator:
         if rung.resolution not in made:
             return
         one = made[rung.resolution]
-        self._solver, self._clock, self._start = one._solver, one._clock, one._start
+        self._solver, self._clock, self._solve, self._start = one._solver, one._clock, one._solve, one._start
         self.resolution, self.force_error = rung.resolution, rung.force_error
         self.restore(self._start)
 
@@ -193,6 +193,7 @@ class Simulator:
                                      tolerance=self.tolerance)
             spent.append((time.perf_counter() - started) / (1 + step.iterations))
         self._clock.begin(min(spent))
+        self._solve = self._clock.solve
         # What the first touch is carried on with, where it comes late.
         touch = replace(AT_REST, stiffness=AT_REST.followed_by(step, AT_REST.pose, 1.0, False).stiffness)
         self._start = replace(self._start, equilibrium=touch)
@@ -237,78 +238,78 @@ class Simulator:
 
     def _follow(self, pose: Pose, tick: float, began: float) -> ToolForce:
         """Step to a pose in as many parts as it takes; the next step is thought as long as this tick, s."""
-        solver, status, solves, residual = self._solver, None, 0, self._answer.residual
+        solver, status, solves, residual, outside = self._solver, None, 0, self._answer.residual, False
         inertial = self.inertia == "on" or (self.inertia == "auto" and self._lingers < _LINGERS)
-        resumes = self._attempt is not None
-        anew, outside = not self._bonded, False
+        allowance = Allowance(self._clock, self.max_solves, None if self.budget is None else began + self.budget)
         while status is None:
-            started, creep = time.perf_counter(), self._creep
-            here = solver.pose
+            started, creep, here = time.perf_counter(), self._creep, solver.pose
             way, part = self._distance(here, pose), self._share * self._largest_part
             # Parts of one length: the mass of the tissue resists a short one as a blow.
             share = 1.0 / max(1, math.ceil(way / part - _ROUNDING)) if way else 1.0
-            # The last part ends where the tool is, without rounding.
+            # Without rounding the last part ends where the tool is.
             target, dt = between(here, pose, share), 0.0 if self._leaps else share * self._waiting
-            if resumes and self._attempt is not None:
-                target, dt = self._attempt
+            if (attempt := self._attempt) is not None:
+                target, dt = attempt.pose, attempt.dt
             weighs = inertial and self._weighs and dt > 0.0 and creep is None
-            # Across a change of contact extrapolation leads astray, but less so where mass is in the way.
-            order = min(solver.highest_order, max(solver.unchanged, weighs)) if self._extrapolates else 0
-            most = allowed = _MOST_SOLVES[order > 0] - (self._spent if resumes else 0)
-            asks = self._equilibrium.stiffness_age + 1 >= self._stiffness_lasts
-            if self.budget is not None:
-                # The own stiffness takes as long as a step without solves.
-                asks &= self._clock.fitting(began + self.budget - started - self._clock.fixed) > 0
-                allowed = min(most, self._clock.fitting(began + self.budget - started, first=solves == 0))
-            if allowed < 1:
+            if attempt is None:
+                # Across a change of contact extrapolation leads astray, but less so where mass is in the way.
+                order = min(solver.highest_order, max(solver.unchanged, weighs)) if self._extrapolates else 0
+                attempt = Attempt(target, dt, order, _MOST_SOLVES[order > 0])
+            most = attempt.limit - attempt.spent
+            asks = self._equilibrium.stiffness_age + 1 >= self._stiffness_lasts and allowance.fitting(answers=2) > 0
+            fitting = allowance.fitting()
+            if fitting < 1:
                 status = ForceStatus.LATE
-                if solves == 0:
-                    self._clock.doubt()
+                allowance.end()
                 break
+            allowed = min(most, fitting)
             if creep is None:
-                step = solver.step(target, dt, tolerance=self.tolerance, max_iterations=allowed, predictor_order=order,
-                                   inertial=weighs, resumes=resumes, own_stiffness=asks)
-            elif (crept := next(creep.steps, None)) is not None:
-                step = creep.last = crept
-            else:
-                # It has arrived, or will not.
+                step = solver.step(target, dt, tolerance=self.tolerance, max_iterations=allowed, own_stiffness=asks,
+                                   predictor_order=attempt.order, inertial=weighs, resumes=attempt is self._attempt)
+            elif (crept := creep.go_on(fitting)) is not None:
+                step = crept
+            else:  # it has arrived, or will not
                 step, target, dt, self._creep = replace(creep.last, iterations=0), creep.pose, creep.dt, None
             solves, residual = solves + step.iterations, step.residual
+            # Its own stiffness, whether it was found or not.
+            allowance.take(step.iterations, 1 + (weighs and asks and step.iterations < allowed))
             if not step.found_own_stiffness:
                 self._clock.follow(time.perf_counter() - started, step.iterations)
             if self._creep is not None:
                 continue
+            attempt, self._attempt = replace(attempt, spent=attempt.spent + step.iterations), None
             if step.status is StepStatus.CONVERGED:
                 self._take(step, dt, weighs)
                 self._waiting = max(0.0, self._waiting - dt)
-                self._share, self._attempt, self._spent = min(1.0, 2.0 * self._share), None, 0
-                self._extrapolates, resumes = True, False
+                self._share, self._extrapolates = min(1.0, 2.0 * self._share), True
                 if target == pose and (creep is not None or share == 1.0 or self._waiting == 0.0):
-                    self._waiting, self._leaps, status = 0.0, False, ForceStatus.CONVERGED
+                    self._waiting, self._leaps, self._anew = 0.0, False, not self._bonded
+                    status = ForceStatus.CONVERGED
             elif creep is None and step.status is StepStatus.SLOW and allowed < most:
                 # The next step goes on with this iteration, and with what is left of the way then.
-                self._attempt, self._spent = (target, dt), self._spent * resumes + step.iterations
-                status = ForceStatus.LATE
+                self._attempt, status = attempt, ForceStatus.LATE
             elif step.status is StepStatus.OUTSIDE:
                 # No shorter part leads there; the tissue waits where it is, and what it would do is not guessed.
-                self._attempt, self._spent, status, outside = None, 0, ForceStatus.STOPPED, True
-            elif creep is None and order:
-                self._attempt, self._spent, resumes, self._extrapolates = None, 0, False, False
+                status, outside = ForceStatus.STOPPED, True
+            elif creep is None and attempt.order:
+                if step.status is StepStatus.SLOW and step.residual <= _NEAR and attempt.limit < _MOST_IF_NEAR:
+                    self._attempt = replace(attempt, limit=_MOST_IF_NEAR)
+                else:
+                    self._extrapolates = False
             elif creep is None and min(self._share, way / self._largest_part) < _CREEPS:
                 # After a hold parts are as short as they may be, and no shorter.
-                self._attempt, self._spent, resumes = None, 0, False
                 self._share = max(_SMALLEST_CUT, min(self._share, way / self._largest_part))
-                self._creep = Creep(target, dt, solver.creep(target, dt, tolerance=self.tolerance,
-                                                              max_iterations=_MOST_OF_CREEP), step)
+                self._creep = Creep(target, dt, step)
+                self._creep.steps = solver.creep(target, dt, tolerance=self.tolerance, max_iterations=_MOST_OF_CREEP,
+                                                 allowed=self._creep.may_take)
             else:
-                self._attempt, self._spent, resumes = None, 0, False
                 self._share, self._extrapolates = 0.5 * self._share, True
-                if self._share < _SMALLEST_CUT and anew:
+                if self._share < _SMALLEST_CUT and self._anew:
                     # Press anew from the touch on; what friction remembers begins there.
                     solver.lift_off()
-                    self._share, self._leaps, anew = 1.0, True, False
+                    self._share, self._leaps, self._anew = 1.0, True, False
                 elif self._share < _SMALLEST_CUT:
-                    self._share, status = _SMALLEST_CUT, ForceStatus.STOPPED
+                    self._share, self._anew, status = _SMALLEST_CUT, not self._bonded, ForceStatus.STOPPED
         at = self._equilibrium
         wrench, ahead, within = at.wrench, None, None
         if status is ForceStatus.CONVERGED:
@@ -356,7 +357,7 @@ class Simulator:
         self._pose, self._leaps = state.pose, state.leaps
         self._waiting, self._lingers, self._share = state.waiting, state.lingers, state.share
         self._touched, self._reduced.history = state.touched, state.history
-        self._attempt, self._spent, self._extrapolates = None, 0, True
+        self._attempt, self._extrapolates, self._anew = None, True, not self._bonded
 
     def _stop_creeping(self) -> None:
         """Back to the equilibrium from which the tissue crept away."""

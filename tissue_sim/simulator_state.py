@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from tissue_sim.fem.solver import Step
@@ -54,14 +54,42 @@ class Equilibrium:
 AT_REST = Equilibrium(Pose.at_depth(0.0), axial_wrench(0.0), axial_stiffness(0.0), False, NEVER)
 
 
+@dataclass(frozen=True, slots=True)
+class Attempt:
+    """An iteration for the equilibrium at a pose, a time step (s) later, that the next step or part goes on with.
+
+    Attributes:
+        order: highest one of the extrapolation with which it began.
+        limit: how many linear solves there may be; spent: so far.
+    """
+
+    pose: Pose
+    dt: float
+    order: int
+    limit: int
+    spent: int = 0
+
+
 @dataclass(slots=True)
 class Creep:
     """The tissue on its way to an equilibrium at a pose, a time step (s) later, and its last step there."""
 
     pose: Pose
     dt: float
-    steps: Generator[Step]
     last: Step
+    steps: Generator[Step] = field(init=False)
+    _allowed: int = field(init=False, default=1)
+
+    def may_take(self) -> int:
+        """Linear solves until the next step is yielded, or what there is of it."""
+        return self._allowed
+
+    def go_on(self, allowed: int) -> Step | None:
+        """The next step, or as much of it as so many linear solves bring; None: it was the last one."""
+        self._allowed = allowed
+        step = next(self.steps, None)
+        self.last = step or self.last
+        return step
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,10 @@
-"""How long a step takes: what a budget in wall time means in linear solves."""
+"""How long a step takes: what a budget in wall time means in linear solves, and what a step may still take of it."""
 
 from __future__ import annotations
+
+import time
+
+from tissue_sim.errors import InputError
 
 #: How fast the guess of what a step costs beside its solves follows one that took longer, or shorter.
 _LEARNS, _FORGETS = 0.5, 0.1
@@ -11,6 +15,10 @@ _SPIKE = 2.0
 _WEIGHT, _SEEN = 0.02, 0.1
 #: Least cost of a solve, as a share of that of a step with none.
 _LEAST = 0.25
+#: A step that is bounded may make one linear solution and answer at least.
+LEAST_SOLVES = 2
+#: Without any bound.
+_UNBOUNDED = 1 << 30
 
 
 class StepClock:
@@ -54,3 +62,57 @@ class StepClock:
     def doubt(self) -> None:
         """Where nothing was tried because of the guess: it may be from a bad moment."""
         self.fixed *= 0.5
+
+
+def require_solves(most: int | None) -> None:
+    """Refuse a bound within which no step can end.
+
+    Raises:
+        InputError: fewer than `LEAST_SOLVES`.
+    """
+    if most is not None and not most >= LEAST_SOLVES:
+        raise InputError(f"no step comes to an end in {most} linear solutions; give at least {LEAST_SOLVES} or None",
+                         field="max_solves")
+
+
+def solves_in(budget: float | None, solve: float | None) -> int | None:
+    """How many linear solutions of so many s there are in a budget, s, and no less than `LEAST_SOLVES`; None: no
+    budget, or nobody knows."""
+    if budget is None or solve is None:
+        return None
+    return max(LEAST_SOLVES, int(min(budget / solve, _UNBOUNDED)))
+
+
+class Allowance:
+    """What a step may still take: a number of linear solutions, and time.
+
+    Each part of a step is a call of the solver, which answers a stiffness by a linear solution beside those that its
+    iteration takes; the bound is on all of them.
+
+    Args:
+        clock: knows what they take.
+        most: linear solutions of the step; None: as many as it takes.
+        ends: when its time ends, on `time.perf_counter`; None: never.
+    """
+
+    def __init__(self, clock: StepClock, most: int | None, ends: float | None):
+        self._clock, self._ends, self._left = clock, ends, _UNBOUNDED if most is None else most
+        self._begins = True
+
+    def fitting(self, answers: int = 1) -> int:
+        """How many solves the next part may take beside its answers; below one: it may not begin."""
+        fits = self._left - answers
+        if self._ends is not None:
+            left = self._ends - time.perf_counter() - (answers - 1) * self._clock.fixed
+            fits = min(fits, self._clock.fitting(left, first=self._begins))
+        return fits
+
+    def take(self, solves: int, answers: int = 1) -> None:
+        """Take note of a part."""
+        self._left -= solves + answers
+        self._begins = self._begins and solves == 0
+
+    def end(self) -> None:
+        """No part fits any more; where none was begun the clock may be wrong."""
+        if self._begins and self._left > 1:
+            self._clock.doubt()

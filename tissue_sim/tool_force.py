@@ -59,8 +59,9 @@ class ForceStatus(IntEnum):
         """What it means, and what to do."""
         return {
             ForceStatus.CONVERGED: "in equilibrium at this pose",
-            ForceStatus.LATE: "the time budget ended before equilibrium: the last equilibrium's force and stiffness, "
-                              "carried on to this pose; the next step goes on from there",
+            ForceStatus.LATE: "the time or the solutions that a step may take ended before equilibrium: the last "
+                              "equilibrium's force and stiffness, carried on to this pose; the next step goes on from "
+                              "there",
             ForceStatus.STOPPED: "no equilibrium was found on the way to this pose: the last one's force and "
                                  "stiffness, carried on to this pose; move the tool back, or reset",
             ForceStatus.REFUSED: "the pose or the time step is no number, or beyond what the scene can hold: the last "

@@ -48,15 +48,17 @@ def test_arrives_at_the_same_force(monkeypatch, expected):
     assert answer.force == pytest.approx(expected, rel=1e-4)
 
 
-def test_within_a_budget_it_goes_on_from_step_to_step(monkeypatch, expected):
+@pytest.mark.parametrize("bound", [{"budget": 1e-3}, {"max_solves": 4}], ids=["time", "number"])
+def test_within_a_bound_it_goes_on_from_step_to_step(monkeypatch, expected, bound):
     """All the while the force is that of the last equilibrium, carried on, and not that of a drag."""
-    barred = Barred(monkeypatch, budget=1e-3)
+    barred = Barred(monkeypatch, **bound)
     answers = [barred.simulator.step(BARRED, 1e-3)]
     while answers[-1].status is ts.ForceStatus.LATE and len(answers) < 2000:
         answers.append(barred.simulator.step(BARRED, 1e-3))
     *late, last = answers
     assert last.status is ts.ForceStatus.CONVERGED and last.force == pytest.approx(expected, rel=1e-4)
     assert late and all(answer.status is ts.ForceStatus.LATE and answer.age > 0.0 for answer in late)
+    assert all(answer.iterations < (barred.simulator.max_solves or 99) for answer in answers)
     assert [answer.depth for answer in late] == [barred.last.depth] * len(late)
     assert [answer.force for answer in late] == pytest.approx([late[0].force] * len(late))
     assert late[0].force == pytest.approx(expected, rel=0.02)
@@ -106,3 +108,16 @@ def test_where_no_creep_helps_it_stops_and_says_so(monkeypatch):
     monkeypatch.setattr(barred.solver, "creep", lambda *arguments, **options: iter(()))
     answer = barred.simulator.step(BARRED, 1e-3)
     assert answer.status is ts.ForceStatus.STOPPED and answer.depth < BARRED
+
+
+def test_where_nothing_helps_it_stops_however_little_fits_into_a_step(monkeypatch):
+    """Pressed anew once, and not once in every step: it would come late for ever."""
+    barred = Barred(monkeypatch, max_solves=4)
+    monkeypatch.setattr(barred.solver, "creep", lambda *arguments, **options: iter(()))
+    answers = [barred.simulator.step(BARRED, 1e-3)]
+    while answers[-1].status is ts.ForceStatus.LATE and len(answers) < 500:
+        answers.append(barred.simulator.step(BARRED, 1e-3))
+    assert answers[-1].status is ts.ForceStatus.STOPPED and len(answers) > 10
+    barred.barred_from = 1.0
+    back = [barred.simulator.step(2e-3, 1e-3) for _ in range(20)]
+    assert back[-1].status is ts.ForceStatus.CONVERGED

@@ -1,11 +1,13 @@
 """What a budget in wall time means in linear solves."""
 
+from time import perf_counter
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tissue_sim.step_clock import StepClock
+from tissue_sim.step_clock import Allowance, StepClock, solves_in
 
 
 def followed(fixed, solve, noise=0.0, steps=600, seed=1):
@@ -57,3 +59,35 @@ def test_whatever_it_sees_it_stays_a_clock(steps):
         clock.follow(time, solves)
         assert 0.0 < clock.fixed < 1e3 and 0.0 < clock.solve < 1e3
         assert clock.fitting(1e9) >= 0
+
+
+def test_a_number_of_solutions_counts_answers_too():
+    allowance = Allowance(StepClock(), 6, None)
+    assert allowance.fitting() == 5 and allowance.fitting(answers=2) == 4
+    allowance.take(2)
+    assert allowance.fitting() == 2
+    allowance.take(0, answers=2)
+    assert allowance.fitting() == 0
+    assert Allowance(StepClock(), None, None).fitting() > 10**8
+
+
+def test_the_shorter_of_number_and_time_counts():
+    clock = StepClock()
+    clock.begin(1.0)
+    now = perf_counter()
+    assert Allowance(clock, 3, now + 100.0).fitting() == 2
+    assert Allowance(clock, 300, now + 10.5).fitting() == 9
+    assert Allowance(clock, 300, now - 1.0).fitting() < 1
+
+
+@pytest.mark.parametrize(("left", "fixed"), [(10, 0.5), (1, 1.0)], ids=["by time", "by number"])
+def test_only_where_the_time_was_too_short_the_clock_may_be_wrong(left, fixed):
+    clock = StepClock()
+    clock.begin(1.0)
+    Allowance(clock, left, perf_counter() - 1.0).end()
+    assert clock.fixed == fixed
+
+
+def test_what_a_budget_means():
+    assert solves_in(0.8e-3, 0.1001e-3) == 7 and solves_in(1e-9, 1.0) == 2
+    assert solves_in(None, 1.0) is None and solves_in(1.0, None) is None

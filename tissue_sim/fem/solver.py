@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, ClassVar, Protocol, runtime_checkable
@@ -251,11 +251,18 @@ class Solver(ABC):
                 too, if it came through with less than `max_iterations`.
         """
 
-    def creep(self, pose: Pose, dt: float = 0.0, *, tolerance: float = 1e-9,
-              max_iterations: int = 20) -> Generator[Step]:
+    def creep(self, pose: Pose, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
+              allowed: Callable[[], int] | None = None) -> Generator[Step]:
         """Steps to a pose that `step` does not reach, against a drag that is let go: where equilibrium is lost the
         tissue snaps to another one. The last one has converged without drag; if it has not, the state is as it was.
-        Closed on the way, too. A solver that cannot creep yields none."""
+        Closed on the way, too. A solver that cannot creep yields none.
+
+        Args:
+            pose, dt, tolerance: as of `step`.
+            max_iterations: linear solves of a step before it is given up.
+            allowed: asked how many linear solves there may be until something is yielded, at least one; a step that
+                ends so yields itself as slow and goes on. None: as many as it takes.
+        """
         return
         yield
 

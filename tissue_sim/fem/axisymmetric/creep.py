@@ -7,7 +7,7 @@ continuation (Kelley and Keyes, SIAM J. Numer. Anal. 35 (1998) 508), with the fr
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from dataclasses import replace
 from typing import Protocol
 
@@ -37,7 +37,7 @@ class Dragged(Protocol):
     committed: State
 
     def try_step(self, depth: float, dt: float, tolerance: float, max_iterations: int, predictor_order: int,
-                 rate: float) -> Step:
+                 rate: float, *, resumes: bool = False) -> Step:
         """A step in which `rate`, N/m4, times its volume draws each freedom to where it rests."""
 
     def save(self) -> SavedState:
@@ -47,7 +47,8 @@ class Dragged(Protocol):
         """Go back to where `save` was called."""
 
 
-def creep(solver: Dragged, depth: float, dt: float, tolerance: float, max_iterations: int) -> Generator[Step]:
+def creep(solver: Dragged, depth: float, dt: float, tolerance: float, max_iterations: int,
+          allowed: Callable[[], int] | None = None) -> Generator[Step]:
     """Steps to a depth, m, in a time dt, s; the last one has converged without drag, or the state is as it was.
 
     The first one is dragged along with the extrapolated motion of the tissue, the others are dragged from where the
@@ -69,14 +70,24 @@ def creep(solver: Dragged, depth: float, dt: float, tolerance: float, max_iterat
                 rest[:] = sum(weight * state.history[slot, : rest.size]
                               for weight, slot in zip(weights, state.slots, strict=True))
             origin = rest.copy()
-            step = solver.try_step(depth, 0.0 if begun else dt, tolerance, max_iterations, 0 if begun else 1, drag)
+            spent, resumes = 0, False
+            while True:
+                left = max_iterations - spent
+                most = left if allowed is None else min(left, allowed())
+                step = solver.try_step(depth, 0.0 if begun else dt, tolerance, most, 0 if begun else 1, drag,
+                                       resumes=resumes)
+                spent += max(1, step.iterations)
+                if step.status is not StepStatus.SLOW or most == left:
+                    break
+                resumes = True
+                yield step
             if step.status is StepStatus.CONVERGED:
                 way = state.latest[: rest.size] - origin
                 arrived, begun, works = drag == 0.0, True, max(drag, _AGAIN * unit)
                 yield replace(step, dissipated=drag * float(volumes @ way**2))
                 if arrived:
                     break
-                if step.iterations <= _FEW:
+                if spent <= _FEW:
                     ratio = min(_LARGEST_RATIO, _BOLDER * ratio)
                 drag = drag / ratio if drag > _LAST * unit else 0.0
             else:
@@ -93,4 +104,5 @@ def creep(solver: Dragged, depth: float, dt: float, tolerance: float, max_iterat
         if not arrived:
             solver.restore(saved)
     if not arrived:
-        yield replace(step, status=StepStatus.SLOW if step.status is StepStatus.CONVERGED else step.status)
+        yield replace(step, status=StepStatus.SLOW if step.status is StepStatus.CONVERGED else step.status,
+                      iterations=0)

@@ -79,7 +79,7 @@ class Equations:
                 contact.tolerance, strength(contact.laws, contact.face), reach)
         laws, face = ((), 1.0) if contact is None else (contact.laws, contact.face)
         self._laws, self._law_settings = tuple(map(Formula.of, laws)), law_settings(laws, face)
-        self.counts = np.array([1, self.free, 0, self.surface.count, *[0] * 7], dtype=np.int32)
+        self.counts = np.array([1, self.free, 0, self.surface.count, *[0] * 8], dtype=np.int32)
         self.set_material(material)
         if start is not None:
             for array, settled in zip(self.memory.kept, start.memory.kept, strict=True):
@@ -172,7 +172,8 @@ class Equations:
         self.weights[:] = weights
         self._predicted = sum(weight * place for weight, place in zip(weights, self.state.depths, strict=False))
 
-    def solve(self, depth: float, tolerance: float, max_iterations: int, *, goes_on_from: float | None = None) -> None:
+    def solve(self, depth: float, tolerance: float, max_iterations: int, *, goes_on_from: float | None = None,
+              iterated: int = 0) -> None:
         """Look for the equilibrium at a depth, m, from what `predict` said; the answer is in `report` and `state.x`.
 
         Args:
@@ -180,6 +181,7 @@ class Equations:
             tolerance: unbalanced over balanced nodal forces.
             max_iterations: linear solves.
             goes_on_from: the depth, m, for which state.x was meant; None: begin with an extrapolation.
+            iterated: linear solves of this iteration before, where it goes on.
         """
         resumes = goes_on_from is not None
         rounding = self._rounding_rate * (abs(depth) + self._sinks * self.specific_weight) + self._rounding_of_places
@@ -188,6 +190,7 @@ class Equations:
             tolerance,
             max(self._floor, FLOOR_SHARE * self.state.largest_force), rounding)
         self.counts[newton.MAX_ITERATIONS], self.counts[newton.KEEPS] = max_iterations, 2 * resumes
+        self.counts[newton.ITERATED] = iterated
         if not resumes:
             self.surface.held[:], self.surface.ways[:] = self.surface.anchors, self.surface.slipped
             self.surface.pressed[:] = 0.0

@@ -23,11 +23,11 @@ CIRCLING = 8
 #: A linear solution that turns an element inside out is halved so many times at most.
 HALVINGS = 6
 #: Places in the kernel's counts, settings and report. KEEPS: 0 a step begins with an extrapolation, 1 with the state as
-#: it is and no point may change its own, 2 with the state as it is, 3 as 1, and only the stiffness is answered.
-#: FACTORISED, BENDING: answers, whether the matrix is a factor at the end, and whether the rates of contact are those
-#: with the curvature of the surfaces.
+#: it is and no point may change its own, 2 it goes on where the last one ended, 3 as 1, and only the stiffness is
+#: answered. FACTORISED, BENDING: answers, whether the matrix is a factor at the end, and whether the rates of contact
+#: are those with the curvature of the surfaces. ITERATED: linear solves before this start, of one that goes on.
 (PASSES, FREE, MAX_ITERATIONS, CONTACTS, REMEMBERS, UNSYMMETRIC, CHANGEABLE, KEEPS, STIFFNESS_ASKED, FACTORISED,
- BENDING) = range(11)
+ BENDING, ITERATED) = range(12)
 (DEPTH, PREDICTED, KAPPA, WEIGHT, TOLERANCE, FLOOR, ROUNDING, TOUCH, CONTACT_TOLERANCE, STRENGTH,
  REACH, INERTIA, DENSITY) = range(13)
 STATUS, ITERATIONS, RESIDUAL, FORCE, VIOLATION, SLIPPING, STIFFNESS = range(7)
@@ -94,8 +94,8 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
             multipliers = x.shape[0] - 2 * springs.shape[0]
             if counts[KEEPS] == 0:
                 predict(x, history, slots, weights)
-            if counts[KEEPS] % 2 == 0:
-                counts[CHANGEABLE] = contact_kernels.ALL
+            if counts[KEEPS] != 2:  # where it ended points have been looked at
+                counts[CHANGEABLE] = contact_kernels.ALL if counts[KEEPS] == 0 else 0
             strength, reach = settings[STRENGTH], settings[REACH]
             pending = 0
             if counts[CONTACTS] > 0 and ti.abs(depth - settings[PREDICTED]) > 1e-10 * ti.abs(depth):
@@ -113,6 +113,8 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
             iterations, tangent, factorised, halvings = 0, 1, 0, HALVINGS
             # Far from equilibrium the surface's curvature would make the tangent indefinite.
             bending = 1.0 if max_iterations == 0 else 0.0
+            if counts[KEEPS] == 2:
+                bending = float(counts[BENDING])
             first, first_ratio, last_ratio, axial = 1, 0.0, 0.0, 0.0
             # The status lives in the report: Taichi 1.7.4 loses a local variable that a branch of such a loop sets.
             # Each solve may need more passes: for halves of it, for a tangent that was skipped, for points that have to
@@ -224,6 +226,8 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                             report[STATUS] = converged
                     elif iterations >= max_iterations:
                         report[STATUS] = slow
+                        if wanting > 0:
+                            counts[CHANGEABLE] = contact_kernels.ALL
                     elif tangent == 0:
                         tangent = 1
                     else:
@@ -304,7 +308,9 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                         # Where the old factor is likely to serve again, only the residual is computed first.
                         tangent = 1 if pending == 1 or ratio > 10.0 else 0
                         last_ratio = ratio
-                        counts[CHANGEABLE] = contact_kernels.ALL if iterations < CIRCLING else 1 + iterations
+                        counts[CHANGEABLE] = contact_kernels.ALL
+                        if iterations + counts[ITERATED] >= CIRCLING:
+                            counts[CHANGEABLE] = 1 + iterations + counts[ITERATED]
                         bending = 1.0 if ratio < 0.1 else 0.0
                         pending = 0
                         iterations += 1

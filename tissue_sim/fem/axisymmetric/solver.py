@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -71,7 +71,8 @@ class AxisymmetricSolver(Solver):
         self.committed = equations.state
         #: Rates with the parameters of the material, where somebody asked for them.
         self._sensitivity: Sensitivity | None = None
-        self._tried, self._pose = 0.0, Pose.at_depth(0.0)
+        # Where the last iteration was meant to end, and its linear solves.
+        self._tried, self._iterated, self._pose = 0.0, 0, Pose.at_depth(0.0)
         self.datum = equations.settings[newton.TOUCH] = 0.0 if contact is None else bring_down(
             mesh, contact, equations.surface, equations.start.reshape(-1, 2))
         self.committed.note_bonds()
@@ -111,8 +112,11 @@ class AxisymmetricSolver(Solver):
                               else extrapolation(state.depths, depth, predictor_order))
         equations.prepare(dt)
         equations.settings[newton.INERTIA] = rate
-        equations.solve(depth, tolerance, max_iterations, goes_on_from=self._tried if resumes else None)
+        self._iterated *= resumes
+        equations.solve(depth, tolerance, max_iterations, goes_on_from=self._tried if resumes else None,
+                        iterated=self._iterated)
         self._tried = depth
+        self._iterated += int(equations.report[newton.ITERATIONS])
         status, iterations, residual, force, violation, slipping, stiffness = equations.report.tolist()
         asked = bool(equations.counts[newton.STIFFNESS_ASKED])
         result = Step.axial(_STATUSES[int(status)], int(iterations), residual, force, violation, int(slipping),
@@ -131,10 +135,10 @@ class AxisymmetricSolver(Solver):
             state.commit(depth, dt if inertial else 0.0, watched=asked)
         return result
 
-    def creep(self, pose: Pose | float, dt: float = 0.0, *, tolerance: float = 1e-9,
-              max_iterations: int = 20) -> Generator[Step]:
+    def creep(self, pose: Pose | float, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
+              allowed: Callable[[], int] | None = None) -> Generator[Step]:
         """Steps to a depth, m, or that of a pose, against a drag that is let go; see `Solver.creep`."""
-        return creep(self, depth_of(pose), dt, tolerance, max_iterations)
+        return creep(self, depth_of(pose), dt, tolerance, max_iterations, allowed)
 
     def follow_motion(self, density: float) -> bool:
         """Let the tissue have a mass (kg/m3) from now on, for steps that are inertial; it has one."""

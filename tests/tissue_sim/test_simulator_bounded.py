@@ -1,0 +1,132 @@
+"""The work of a step is bounded by a number of linear solutions; what does not fit is done in the next steps."""
+
+import numpy as np
+import pytest
+
+import tissue_sim as ts
+from tissue_sim.fem.axisymmetric import newton
+from tissue_sim.fem.axisymmetric.equations import Equations
+from tissue_sim.fem.solver import StepStatus
+from tissue_sim.tool_force import carried_on
+
+MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
+SPECIMEN, TICK, MOST = ts.Specimen(0.040, 0.070), 1e-3, 6
+CONVERGED, LATE = ts.ForceStatus.CONVERGED, ts.ForceStatus.LATE
+
+
+def model(friction=0.4, edge=0.25e-3) -> ts.Model:
+    return ts.Model(ts.Experiment(SPECIMEN, ts.Protocol.ramp(8e-3, 2), tool=ts.Tool("flat", 8e-3, edge),
+                                  friction=friction), MATERIAL)
+
+
+def simulator(how=None, **options) -> ts.Simulator:
+    made = ts.Simulator(model(), resolution="realtime_35", **{"inertia": "off", **options, **(how or {})})
+    made.warm_up()
+    return made
+
+
+#: Into the tissue at up to 100 mm/s and out of it again, where the face lets go, and in again.
+WAY = [8e-3 * np.sin(np.pi * k / 240) ** 2 - 0.2e-3 for k in range(1, 301)]
+
+
+@pytest.fixture
+def work(monkeypatch) -> list[int]:
+    """Linear solutions of all kernel starts so far, those of the stiffness included, in its only entry."""
+    counted, solve, respond = [0], Equations.solve, Equations.respond
+
+    def count_solve(self, *arguments, **options):
+        solve(self, *arguments, **options)
+        counted[0] += int(self.report[newton.ITERATIONS]) + (self.report[newton.STATUS] == StepStatus.CONVERGED)
+
+    def count_respond(self, *arguments, **options):
+        respond(self, *arguments, **options)
+        counted[0] += 1
+
+    monkeypatch.setattr(Equations, "solve", count_solve)
+    monkeypatch.setattr(Equations, "respond", count_respond)
+    return counted
+
+
+@pytest.mark.parametrize("inertia", ["off", "on"])
+def test_no_step_takes_more_and_the_next_equilibrium_is_the_right_one(work, inertia):
+    free, bound = simulator(inertia=inertia), simulator(inertia=inertia, max_solves=MOST)
+    expected, answers, solutions = [], [], []
+    for depth in WAY:
+        work[0] = 0
+        expected.append(free.step(depth, TICK))
+        solutions.append(work[0])
+        work[0] = 0
+        answers.append(bound.step(depth, TICK))
+        assert work[0] <= MOST and answers[-1].iterations < MOST
+    late = np.array([answer.status is LATE for answer in answers])
+    assert max(solutions) > MOST and late.any(), "else nothing is tested"
+    assert {answer.status for answer in expected} == {CONVERGED} and late.mean() < 0.1
+    apart = np.array([abs(one.force - other.force) for one, other in zip(answers, expected, strict=True)])
+    largest = max(answer.force for answer in expected)
+    assert apart[~late].max() < 0.01 * largest
+
+
+def test_a_late_answer_is_the_last_equilibrium_carried_on():
+    bound, last = simulator(max_solves=MOST), None
+    for k, depth in enumerate(WAY):
+        answer = bound.step(depth, TICK)
+        if answer.status is LATE:
+            assert answer.age > 0.0
+            if answer.pose == last.pose:
+                assert answer.age == pytest.approx(last.age + TICK) and last.stiffness == answer.stiffness
+                if last.status is CONVERGED:
+                    way = (0.0, 0.0, WAY[k - 1] - depth, 0.0, 0.0, 0.0)
+                    assert answer.force == pytest.approx(
+                        max(0.0, carried_on(last.wrench, last.stiffness_matrix, way)[2]))
+        last = answer
+    assert last.status is CONVERGED and last.age == 0.0
+
+
+def test_the_same_motion_gives_the_same_forces_bit_for_bit():
+    one = simulator(max_solves=MOST)
+    first = [(answer.force, answer.status) for answer in (one.step(depth, TICK) for depth in WAY)]
+    one.reset()
+    assert [(answer.force, answer.status) for answer in (one.step(depth, TICK) for depth in WAY)] == first
+
+
+def test_a_budget_is_a_number_of_solutions_once_it_is_known_what_they_take():
+    made = ts.Simulator(model(), resolution="realtime_20", budget=0.8e-3)
+    assert made.max_solves is None
+    made.warm_up()
+    assert made.max_solves == max(2, int(0.8e-3 / made._solve))
+    made.budget = 1e-9
+    assert made.max_solves == 2
+    made.budget = None
+    assert made.max_solves is None
+    assert simulator(max_solves=7, budget=1.0).max_solves == 7
+
+
+@pytest.mark.parametrize("most", [1, 0, -3])
+def test_no_step_ends_in_less_than_two(most):
+    with pytest.raises(ts.InputError, match=r"max_solves.*at least 2"):
+        simulator(max_solves=most)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.4, "stick"])
+@pytest.mark.parametrize("share", [1, 3])
+def test_an_iteration_that_was_ended_goes_on_as_if_it_had_not_been(friction, share):
+    """Its states of contact, how often they may change, and the curvature that its tangent has, are kept."""
+    def pressed():
+        sim = ts.Simulator(model(friction, 1e-3), resolution="realtime_35", inertia="off")
+        for k in range(1, 31):
+            sim.step(1e-4 * k, TICK)
+        sim.set_parameters(C10=3.0 * MATERIAL.parameters["C10"], C20=0.05 * MATERIAL.parameters["C20"])
+        return sim._solver
+
+    at, options = ts.Pose.at_depth(3.1e-3), {"tolerance": 1e-6, "predictor_order": 0}
+    expected = pressed().step(at, TICK, max_iterations=40, **options)
+    solver, ended = pressed(), 0
+    step = solver.step(at, TICK, max_iterations=share, **options)
+    solves = step.iterations
+    while step.status is StepStatus.SLOW and solves < 80:
+        step, ended = solver.step(at, TICK, max_iterations=share, resumes=True, **options), ended + 1
+        solves += step.iterations
+    assert step.status is expected.status is StepStatus.CONVERGED and ended
+    # Each start has a tangent of its own where an iteration in one piece uses some twice.
+    assert solves <= expected.iterations + 1
+    assert step.force == pytest.approx(expected.force, rel=1e-5)
