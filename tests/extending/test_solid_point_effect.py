@@ -97,3 +97,19 @@ def test_what_takes_none_says_so(branch):
 
     with pytest.raises(ts.InputError, match=r"effects\.maxwell_branch: .*numpy\.where"):
         ts.simulate(model(replace(built_in(), effects=[Branching(100.0, TAU)])), solver="solid", mesh=mesh())
+
+
+def test_a_region_has_none(branch):
+    """Where the mesh names all elements, nothing is left for it; where it names half of them, half of it acts."""
+    whole = mesh()
+    count = len(whole.connectivity)
+    plain = replace(built_in(), viscoelastic=None)
+
+    def force(region):
+        sudden = make_solver(model(replace(material(branch), parameters={"C10": C10}, regions={"named": plain})),
+                             mesh=replace(whole, regions={"named": region}))
+        return sudden.step(Pose.at_depth(1e-3), 0.0).force
+
+    none, some, most = force(np.arange(count)), force(np.arange(count // 2)), force(np.arange(1))
+    assert none == pytest.approx(make_solver(model(plain), mesh=whole).step(Pose.at_depth(1e-3), 0.0).force, rel=1e-6)
+    assert 1.05 * none < some < 0.95 * most

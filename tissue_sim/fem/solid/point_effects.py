@@ -35,7 +35,8 @@ class SolidEffects:
 
     def __init__(self, batches: ElementBatches, connectivity: np.ndarray, elements: np.ndarray):
         self._batches, self._elements = batches, elements
-        dofs = (3 * connectivity[elements][:, :, None] + np.arange(3)).reshape(len(elements), -1)
+        dofs = (3 * connectivity[elements][:, :, None] + np.arange(3)).reshape(
+            len(elements), 3 * connectivity.shape[1])
         self._dofs, self._dt = dofs, 0.0
         self._effects: tuple[PointEffect, ...] = ()
         self._makes: tuple[Formula, ...] = ()
@@ -45,7 +46,7 @@ class SolidEffects:
         self._places: np.ndarray | None = None
 
     def __bool__(self) -> bool:
-        return bool(self._effects)
+        return bool(self._effects) and len(self._elements) > 0
 
     def set_effects(self, effects: Iterable[TissueEffect]) -> None:
         """Take over the effects of a material; the memory is kept where they are of the same make; errors as
