@@ -27,13 +27,10 @@ class ForceError:
 
     def in_words(self, displacement: np.ndarray, remedy: str) -> str:
         """A sentence; of displacements, m, of all samples, and what shows the error."""
-        samples, places = f"sample {self.last + 1}", f"{displacement[self.last] * 1e3:.3g} mm"
-        if self.first != self.last:
-            there = displacement[self.first: self.last + 1] * 1e3
-            samples = f"samples {self.first + 1} to {self.last + 1}"
-            places = f"{there.min():.3g} to {there.max():.3g} mm"
-        return (f"the force may err by about {100 * self.share:.2g} % of its largest at {samples} ({places}): on "
-                f"another mesh and in longer steps it differs by so much; {remedy}")
+        there = displacement[self.first: self.last + 1] * 1e3
+        places = f"{there[-1]:.3g} mm" if self.first == self.last else f"{there.min():.3g} to {there.max():.3g} mm"
+        return (f"the force may err by about {100 * self.share:.2g} % of its largest at {places}: on another mesh and "
+                f"in longer steps it differs by so much; {remedy}")
 
 
 def every_second(displacement: np.ndarray) -> np.ndarray:

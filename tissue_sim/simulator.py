@@ -66,8 +66,9 @@ class Simulator:
         solver: name in `tissue_sim.fem.solver.SOLVERS`.
         looks_ahead: whether answers in which the mass counts say what the next step would answer (`ToolForce.ahead`),
             for a virtual coupling; a tenth of the step's time.
-        max_solves: linear solutions of a step, those of its stiffness included, after which it answers what it knows
-            (`ForceStatus.LATE`). None: with a budget as many as `warm_up` finds to fit into it, else no bound.
+        max_solves: linear solutions of a step, those of its stiffness included (of a reduced solid iterations, each
+            with a contact of its own), after which it answers what it knows (`ForceStatus.LATE`). None: with a budget
+            as many as `warm_up` finds to fit into it, else no bound.
 
     Attributes:
         resolution: which of the solver's names it has come to; "own mesh" where it was given.
@@ -102,7 +103,7 @@ class Simulator:
         self._solver.ask_for_stiffness()
         self.density = model.experiment.specimen.density or model.material.density or DENSITY
         # Whether the solver knows of mass.
-        self._weighs = inertia != "off" and self._solver.follow_motion(self.density)
+        self._weighs = inertia != "off" and self._solver.follow_motion(self.density) is not False
         if inertia == "on" and not self._weighs:
             raise InputError(f"the solver {solver!r} knows no mass of the tissue; use 'auto' or 'off'", field="inertia")
         # Whether the tool stays on the tissue, and whether the tissue can pull at it.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from numbers import Integral
 
 from tissue_sim.errors import InputError
 
@@ -15,8 +16,8 @@ _SPIKE = 2.0
 _WEIGHT, _SEEN = 0.02, 0.1
 #: Least cost of a solve, as a share of that of a step with none.
 _LEAST = 0.25
-#: A step that is bounded may make one linear solution and answer at least.
-LEAST_SOLVES = 2
+#: A step that is bounded may make one linear solution, answer, and find the stiffness of tissue that has a mass.
+LEAST_SOLVES = 3
 #: Without any bound.
 _UNBOUNDED = 1 << 30
 
@@ -68,10 +69,11 @@ def require_solves(most: int | None) -> None:
     """Refuse a bound within which no step can end.
 
     Raises:
-        InputError: fewer than `LEAST_SOLVES`.
+        InputError: no whole number, or fewer than `LEAST_SOLVES`.
     """
-    if most is not None and not most >= LEAST_SOLVES:
-        raise InputError(f"no step comes to an end in {most} linear solutions; give at least {LEAST_SOLVES} or None",
+    if most is not None and not (isinstance(most, Integral) and most >= LEAST_SOLVES):
+        raise InputError(f"no step comes to an end in {most!r} linear solutions; give a whole number of at least "
+                         f"{LEAST_SOLVES}, or None",
                          field="max_solves")
 
 

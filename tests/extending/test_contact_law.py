@@ -163,3 +163,16 @@ zero_jitter_N = 0.0
     name = "experiment.contact_laws.tacky_film.shear"
     assert fit["parameters"][name] == pytest.approx(1e5, rel=0.1)
     assert fit["derivatives"][name] == "difference"
+
+
+@pytest.mark.parametrize("solver", ["axisymmetric", "solid"])
+def test_a_law_without_a_traction_is_refused(film, registers, solver):
+    class Broken(film):
+        name = "broken_film"
+
+        def traction(self, gap, pressure, slip, face):
+            return 3.0
+
+    registers(CONTACT_LAWS, Broken)
+    with pytest.raises(InputError, match=r"contact_laws.broken_film: its traction is no tissue_sim.Traction"):
+        ts.simulate(model(Broken(tack=100.0)), solver=solver, resolution="realtime")

@@ -113,3 +113,22 @@ def test_a_region_has_none(branch):
     none, some, most = force(np.arange(count)), force(np.arange(count // 2)), force(np.arange(1))
     assert none == pytest.approx(make_solver(model(plain), mesh=whole).step(Pose.at_depth(1e-3), 0.0).force, rel=1e-6)
     assert 1.05 * none < some < 0.95 * most
+
+
+def test_a_formula_may_add_in_place(branch, registers):
+    """Names of a formula are its own: what it does to them leaves the memory of the tissue as it was."""
+    class InPlace(branch):
+        name = "in_place_branch"
+
+        def response(self, C, state, dt):
+            stress, tangent, found = super().response(C, [1.0 * each for each in state], dt)
+            for each in (*C, *state):
+                if isinstance(each, np.ndarray):
+                    each += 1.0
+            return stress, tangent, found
+
+    registers(EFFECTS, InPlace)
+    stuff = material(branch)
+    forces = [ts.simulate(model(replace(stuff, effects=[kind(2 * G * C10, TAU)])), solver="solid", mesh=mesh()).force
+              for kind in (branch, InPlace)]
+    np.testing.assert_array_equal(*forces)

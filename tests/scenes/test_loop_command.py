@@ -148,18 +148,42 @@ def test_every_motion_begins_where_the_tool_touches(words, asked):
     assert pose.position == pytest.approx(approach.pose(pose.depth / np.cos(np.radians(10.0))).position, abs=1e-12)
 
 
-@pytest.mark.parametrize("friction", ["bonded", 0.3])
-def test_no_motion_leaves_the_box_of_a_reduced_solid(friction, asked, monkeypatch):
-    """Unless it is told to; and no tool that holds tissue pulls at it."""
+@pytest.mark.parametrize("words", [["--motion", "sine"], ["--motion", "random:depth_mm=4"],
+                                   ["--device", "virtual:hand"]])
+@pytest.mark.parametrize("flag", ["--sideways-mm", "--turn-deg"])
+def test_what_goes_its_own_way_takes_no_walk(words, flag, capsys):
+    assert main(["loop", "--solid", *words, flag, "3"]) == 2
+    assert f"{flag}: only the random motion of the other flags takes it" in capsys.readouterr().err
+
+
+def test_a_leaning_tool_stays_in_the_box_of_a_reduced_solid(asked, monkeypatch):
+    """It goes aside as it goes down."""
+    file, start = reduced_file(monkeypatch, 0.3, ts.Approach(5e-3, 0.3))
+    _, source, *_ = asked("--reduced", "any.reduced.npz", "--top-speed-mm-s", "50")
+    poses = [source.pose(t) for t in np.arange(0.0, 20.0, 0.05)]
+    assert all(file.box.holds(pose, start) for pose in poses if pose.depth >= 0.0)
+    assert np.ptp([pose.position[1] for pose in poses]) > 1e-3 and max(pose.depth for pose in poses) > 2e-3
+
+
+def reduced_file(monkeypatch, friction, approach):
+    """A reduced solid that is no more than its box, which any file is read as; and where its tool begins."""
     holds = friction == "bonded"
     experiment = ts.KINDS["needle_indentation"].experiment(
         specimen=ts.Specimen(0.04, 0.07), protocol=ts.Protocol.ramp(3e-3, 3), friction=friction,
-        tool=ts.Tool("flat" if holds else "round", radius=8e-3), approach=ts.Approach(5e-3))
+        tool=ts.Tool("flat" if holds else "round", radius=8e-3), approach=approach)
     material = ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e3))
     box = ts.PoseBox(2e-3, 3e-3, 0.1)
     file = ts.ReducedModel(ts.Model(experiment, material), None, None, 12 if holds else 0, None, None, box, 1e-3, 300.0)
     monkeypatch.setattr("tissue_sim.load_reduced", lambda path: file)
-    start = experiment.tool_pose(0.0)
+    return file, experiment.tool_pose(0.0)
+
+
+@pytest.mark.parametrize("friction", ["bonded", 0.3])
+def test_no_motion_leaves_the_box_of_a_reduced_solid(friction, asked, monkeypatch):
+    """Unless it is told to; and no tool that holds tissue pulls at it."""
+    holds = friction == "bonded"
+    file, start = reduced_file(monkeypatch, friction, ts.Approach(5e-3))
+    box = file.box
     for motion in ("random", "sine"):
         _, source, *_ = asked("--reduced", "any.reduced.npz", "--motion", motion, "--top-speed-mm-s", "50")
         poses = [source.pose(t) for t in np.arange(0.0, 20.0, 0.05)]

@@ -1,5 +1,7 @@
 """How far a simulated force errs: what is said of it against finer meshes, shorter steps and independent solvers."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -98,6 +100,19 @@ def test_the_error_is_said_where_it_is():
     other = force[samples] + [0.0, 0.01, 0.2, 0.12, 0.0]
     found = force_error(force, samples, other, 0.5)
     assert found == ForceError(pytest.approx(0.05), 4, 6)
-    assert "samples 5 to 7 (4 to 6 mm)" in found.in_words(1e-3 * np.arange(9.0), "more samples show it")
+    assert "of its largest at 4 to 6 mm:" in found.in_words(1e-3 * np.arange(9.0), "more samples show it")
     ended = force_error(force, samples, other[:2], 1.0)
     assert ended == ForceError(pytest.approx(0.005), 2, 2) and force_error(force, samples, other[:0], 1.0) is None
+
+
+def test_a_face_that_slips_in_part_carries_the_error_of_both_its_tests():
+    """The larger one, and the warnings of either; the time is that of the tests alone."""
+    protocol = ts.Protocol.ramp(6e-3, 5)
+    model = ts.Model(ts.Experiment(ts.Specimen(0.02, 0.03), protocol, slip=0.5), ts.Material(
+        "neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e3)))
+    held = ts.simulate(replace(model, experiment=replace(model.experiment, slip=None)))
+    free = ts.simulate(replace(model, experiment=model.experiment.with_free_faces()))
+    both = ts.simulate(model).metadata["solver"]
+    errors = [one.metadata["solver"]["force_error"] for one in (held, free)]
+    assert both["force_error"] == max(errors) > 0.0
+    assert ts.simulate(model, estimate_error=False).metadata["solver"]["force_error"] is None

@@ -93,17 +93,17 @@ def test_a_budget_is_a_number_of_solutions_once_it_is_known_what_they_take():
     made = ts.Simulator(model(), resolution="realtime_20", budget=0.8e-3)
     assert made.max_solves is None
     made.warm_up()
-    assert made.max_solves == max(2, int(0.8e-3 / made._solve))
+    assert made.max_solves == max(3, int(0.8e-3 / made._solve))
     made.budget = 1e-9
-    assert made.max_solves == 2
+    assert made.max_solves == 3
     made.budget = None
     assert made.max_solves is None
     assert simulator(max_solves=7, budget=1.0).max_solves == 7
 
 
-@pytest.mark.parametrize("most", [1, 0, -3])
-def test_no_step_ends_in_less_than_two(most):
-    with pytest.raises(ts.InputError, match=r"max_solves.*at least 2"):
+@pytest.mark.parametrize("most", [2, 0, -3, 4.5, "7"])
+def test_no_step_ends_in_less_than_three(most):
+    with pytest.raises(ts.InputError, match=r"max_solves.*at least 3"):
         simulator(max_solves=most)
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import Any, ClassVar, NamedTuple
 
+from tissue_sim.errors import InputError
 from tissue_sim.parameters import declaring
 from tissue_sim.registry import Registry
 
@@ -67,6 +68,27 @@ class ContactLaw(ABC):
                 axisymmetric solid uses the first; with friction, from where it last stuck.
             face: area of the tool's face at the largest depth, m2.
         """
+
+
+def traction_of(law: ContactLaw, gap: Any, pressure: Any, slip: tuple[Any, Any], face: Any) -> Traction:
+    """What a law answers; arguments as of `ContactLaw.traction`.
+
+    Raises:
+        InputError: no traction.
+    """
+    found = law.traction(gap, pressure, slip, face)
+    if not isinstance(found, Traction):
+        raise InputError("its traction is no tissue_sim.Traction; return one", field=f"contact_laws.{law.name}")
+    return found
+
+
+def strength(laws: tuple[ContactLaw, ...], face: float) -> float:
+    """Pull of all laws where the surfaces touch without pressure, Pa; `face` is its area, m2.
+
+    Raises:
+        InputError: a law that answers no traction.
+    """
+    return float(sum(traction_of(law, 0.0, 0.0, (0.0, 0.0), face).pull for law in laws))
 
 
 #: Name -> class.

@@ -106,6 +106,10 @@ def run(arguments) -> int:
         raise InputError("a device brings its motion with it; give --motion or --device, not both", field="--motion")
     if name != "protocol" and arguments.protocol:
         raise InputError(f"a {name} motion has none; leave it out, or give --motion protocol", field="--protocol")
+    for flag in ("sideways_mm", "turn_deg"):
+        if getattr(arguments, flag) is not None and name != "random":
+            raise InputError("only the random motion of the other flags takes it; leave --motion and --device out, or "
+                             "write random:sideways_mm=...,turn_deg=...", field="--" + flag.replace("_", "-"))
     check_solver(arguments.solver)
     reduced = read_reduced(arguments)
 
@@ -146,9 +150,11 @@ def run(arguments) -> int:
 
 
 def stay_in_box(arguments, reduced) -> None:
-    """Let a random motion go as far as a reduced solid knows, where nothing else is said."""
-    box = reduced.box
-    for name, size in (("sideways_mm", box.sideways * 1e3), ("turn_deg", math.degrees(box.turn))):
+    """Let a random motion go as far as a reduced solid knows, where nothing else is said; a tool that leans goes aside
+    as it goes down."""
+    box, approach = reduced.box, reduced.model.experiment.approach
+    aside = abs(math.tan(approach.angle)) * box.depth if approach is not None else 0.0
+    for name, size in (("sideways_mm", max(box.sideways - aside, 0.0) * 1e3), ("turn_deg", math.degrees(box.turn))):
         if getattr(arguments, name) is None:
             setattr(arguments, name, size)
 

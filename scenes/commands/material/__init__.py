@@ -52,8 +52,8 @@ def add_arguments(parser: Parser) -> None:
     new.add_argument("--moduli", choices=("instantaneous", "long_term"), default="instantaneous",
                      help="what the parameters of a law with --prony stand for (default: %(default)s)")
     new.add_argument("--region", action="append", default=[], metavar="NAME=FILE",
-                     help="what the tissue is in a region of the specimen's mesh: the material of another file, which "
-                          "is copied; once for each region")
+                     help="what the tissue is in a region of the specimen's mesh: the material of another file, whose "
+                          "numbers are copied, without standard errors; once for each region")
     new.add_argument("--name", default="", help="name for people")
     new.add_argument("--density-kg-m3", type=positive, metavar="N", help="density")
     new.add_argument("-o", dest="output", type=Path, required=True, metavar="FILE", help="NAME.material.json")

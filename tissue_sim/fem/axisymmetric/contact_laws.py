@@ -30,11 +30,6 @@ def law_settings(laws: tuple[ContactLaw, ...], face: float) -> np.ndarray:
     return np.array([face, *(value for law in numbers for value in law)])
 
 
-def strength(laws: tuple[ContactLaw, ...], face: float) -> float:
-    """Pull of all laws where the surfaces touch without pressure, Pa."""
-    return float(sum(law.traction(0.0, 0.0, (0.0, 0.0), face).pull for law in laws))
-
-
 @cache
 def law_functions(formulas: tuple[Formula[ContactLaw], ...]) -> LawFunctions:
     """Of the laws of a contact.

@@ -8,11 +8,12 @@ from functools import cached_property
 import numpy as np
 
 from tissue_sim.errors import InputError
+from tissue_sim.experiment.contact_law import strength
 from tissue_sim.fem.axisymmetric import contact as contacts
 from tissue_sim.fem.axisymmetric import contact_kernels, newton
 from tissue_sim.fem.axisymmetric.batches import ElementBatches
 from tissue_sim.fem.axisymmetric.contact import HOLD, Contact, ContactPoints
-from tissue_sim.fem.axisymmetric.contact_laws import law_settings, strength
+from tissue_sim.fem.axisymmetric.contact_laws import law_settings
 from tissue_sim.fem.axisymmetric.numbering import number_equations
 from tissue_sim.fem.axisymmetric.reference import integrate
 from tissue_sim.fem.axisymmetric.state import State

@@ -86,8 +86,8 @@ class ReducedSolver(Solver):
         self._answer = np.zeros((modes, 6))
         self._committed = self.amplitudes.copy(), self.elements.pressures.copy()
         #: Of the elements on the modes there; and steps in which stiffness was computed since it came to rest.
-        self._forces, self._rested = np.zeros(modes), 0
-        self._largest_force, self._asked, self._modulus = 0.0, False, 0.0
+        self._forces, self._rested, self._largest_force = np.zeros(modes), 0, 0.0
+        self._asked, self._modulus = False, 0.0
         self.set_material(material)
 
     def set_material(self, material: Material) -> None:
@@ -204,12 +204,11 @@ class ReducedSolver(Solver):
             self._rested += 1
             self.elements.evaluate(self.amplitudes, None, 1)
         self._committed, self._forces = (self.amplitudes.copy(), self.elements.pressures.copy()), 0.0 * self._forces
-        self._answer[:] = 0.0
+        self._answer[:], self._pose = 0.0, pose
         self.contact.forget()
-        self._pose = pose
         stiffness = ((0.0,) * 6,) * 6 if self._asked else None
-        return Step(StepStatus.CONVERGED, 0, 0.0, (0.0,) * 6, stiffness,
-                    force_error=0.0 if self.reduced.watched else None)
+        error = 0.0 if self.reduced.watched else None
+        return Step(StepStatus.CONVERGED, 0, 0.0, (0.0,) * 6, stiffness, force_error=error)
 
     def _press(self, amplitudes: np.ndarray, frame: Frame, pressed_in: bool) -> tuple[np.ndarray, np.ndarray]:
         """The contact's forces on the modes, and their derivatives."""
@@ -264,6 +263,7 @@ class ReducedSolver(Solver):
 
     def _renew(self) -> None:
         """Another state has been put in place: its volumes, and all of its stiffness."""
+        self._rested = 0
         self._go_back()
         self.elements.renew(self.amplitudes)
 
@@ -395,6 +395,6 @@ def make_solver(model: Model, *, resolution: str = "realtime", mesh: SolidMesh |
     made_of = mesh.model.experiment
     for name in ("specimen", "tool", "friction", "friction_base", "friction_wall", "approach"):
         if getattr(model.experiment, name) != getattr(made_of, name):
-            raise InputError("a reduced solid has the one that it was made of; take the experiment of its model, or "
-                             "make another one", field=f"experiment.{name}")
+            raise InputError("a reduced solid has the one that it was made of; take that, or make another one",
+                             field=f"experiment.{name}")
     return ReducedSolver(mesh, model.material)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tissue_sim.errors import InputError, located
-from tissue_sim.experiment.contact_law import ContactLaw, Traction
+from tissue_sim.experiment.contact_law import ContactLaw, Traction, strength, traction_of
 
 #: Of a gap, in units of the reach, by which it is seen how the pull falls.
 _STEP = 1e-6
@@ -27,7 +26,7 @@ class NodeLaws:
     def __init__(self, laws: tuple[ContactLaw, ...] = (), face: float = 1.0, areas: np.ndarray | None = None):
         self._laws, self._face, self._areas = laws, face, areas
         self.reach = max((law.reach for law in laws), default=0.0)
-        self.strength = float(sum(law.traction(0.0, 0.0, (0.0, 0.0), face).pull for law in laws))
+        self.strength = strength(laws, face)
 
     def __bool__(self) -> bool:
         return bool(self._laws)
@@ -59,17 +58,14 @@ class NodeLaws:
         pressure = np.maximum(-normal, 0.0) / safe
         pull, pull_rate, drag, drag_rates = 0.0, 0.0, np.zeros((2, gap.size)), np.zeros((2, 2, gap.size))
         for law in self._laws:
-            with located(field=f"contact_laws.{law.name}"):
-                found = law.traction(gap, pressure, slips, self._face)
-                if not isinstance(found, Traction):
-                    raise InputError("its traction is no tissue_sim.Traction; return one")
+            found = self._traction(law, gap, pressure, slips)
             # Each ends at its own reach; that of the furthest one is the contact's.
             near = gap < law.reach
             pull = pull + near * found.pull
             rate = np.broadcast_to(found.pull_rate, gap.shape)
             if bending:
                 step = _STEP * law.reach
-                further = law.traction(gap + step, pressure, slips, self._face).pull
+                further = self._traction(law, gap + step, pressure, slips).pull
                 rate = rate + bending * ((further - np.asarray(found.pull)) / step - rate)
             pull_rate = pull_rate + near * rate
             for i in range(2):
@@ -84,3 +80,8 @@ class NodeLaws:
             for j in range(2):
                 rates = rates + (areas * drag_rates[i, j])[:, None, None] * along[i][:, :, None] * along[j][:, None]
         return forces, rates
+
+    def _traction(self, law: ContactLaw, gap: np.ndarray, pressure: np.ndarray, slips: tuple[np.ndarray, ...]
+                  ) -> Traction:
+        # Copies: a formula may add in place, and the next law is asked about the same.
+        return traction_of(law, gap.copy(), pressure.copy(), (slips[0].copy(), slips[1].copy()), self._face)

@@ -112,8 +112,9 @@ class SolidEffects:
         C = [np.einsum("eqi,eqi->eq", F[..., I], F[..., J]) for I, J in _PAIRS]
         S, D, at = np.zeros((*F.shape[:2], 6)), np.zeros((*F.shape[:2], 6, 6)), 0
         for effect in self._effects:
-            state = [self.states[part, :, at + i] for i in range(len(effect.rest))]
-            stress, tangent, found = effect.response(list(C), state, self._dt)
+            # Copies: a formula may add in place, and the committed states must stay.
+            state = [self.states[part, :, at + i].copy() for i in range(len(effect.rest))]
+            stress, tangent, found = effect.response([each.copy() for each in C], state, self._dt)
             for i in range(6):
                 S[..., i] += stress[i]
                 for j in range(6):
