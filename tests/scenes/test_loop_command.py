@@ -304,7 +304,9 @@ def test_ctrl_c_ends_it_with_its_report(tmp_path):
     """A random motion, as without any flag."""
     ring = tmp_path / "ring"
     with subprocess.Popen([sys.executable, "-m", "scenes.cli", "loop", "--json", "--ring", ring], cwd=ROOT,
-                          stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
+                          stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+                          # What runs in the background of a script inherits that SIGINT is ignored.
+                          preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)) as process:
         writer_of(ring, alive=lambda: process.poll() is None)
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does
         out, err = process.communicate(timeout=600)
