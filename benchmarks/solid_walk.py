@@ -335,6 +335,7 @@ def measure(name: str, file: Path | None, asked: argparse.Namespace) -> dict:
         page["load"] = os.getloadavg()[0]
     row = {"case": name, **counted(ticks), **page}
     if kept is not None and not asked.judge:
+        kept.parent.mkdir(parents=True, exist_ok=True)
         np.savez(kept, ticks=ticks)
     if asked.walk_only:
         return row

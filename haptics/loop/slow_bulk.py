@@ -61,7 +61,7 @@ def make_linearisation(model: Model, solver: str, resolution: str, mesh: Any) ->
 def first_state(surface: ContactSurface) -> ContactState:
     """Of a tool that has touched nothing."""
     nothing, count = np.zeros((len(surface.places), 3)), len(surface.places)
-    return ContactState(0, 0, 0.0, surface.start, 0.0, surface.start, nothing, nothing, nothing, np.zeros((3, count)))
+    return ContactState(0, 0, 0.0, surface.start, 0.0, surface.start, nothing, nothing, np.zeros((3, count)))
 
 
 def serve(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:

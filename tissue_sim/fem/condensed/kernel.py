@@ -8,22 +8,38 @@ from functools import cache
 
 from tissue_sim.fem.taichi.runtime import initialise
 
-#: Stiffness of a held node over that of the springs, and share of it that decides about states; see
-#: `tissue_sim.fem.solid.contact`.
-HOLD, TRIAL = 3.0, 1e-5
-#: All nodes may change their state at once; any other number draws a quarter of them.
-ALL, DRAWN = 1_000_000, 4
-#: Places in `settings`: number of nodes, who may change, whether the curvature counts, negligible friction, tolerance,
-#: whether the tool is where it touched or deeper, whether pulling nodes are let go, whether the equations are wanted
-#: anew, shear modulus; then rotation (9) and place (3) of the tool, and its motion (6).
+#: Stiffness of a held node over that of the springs; see `tissue_sim.fem.solid.contact`.
+HOLD = 3.0
+#: Places in `settings`: number of nodes, whether states may change, whether the curvature counts, negligible friction,
+#: tolerance, whether the tool is where it touched or deeper, whether pulling nodes are let go, whether equations are
+#: wanted anew, shear modulus; then rotation (9) and place (3) of the tool, and its motion (6).
 (COUNT, CHANGEABLE, BENDING, NEGLIGIBLE, TOLERANCE, PRESSED_IN, RELEASE, ANEW, MODULUS) = range(9)
 ROTATION, ORIGIN, MOTION = 9, 18, 21
 SETTINGS = 27
 #: Places in `results`.
-VIOLATION, SWITCHED, WANTING, PULLING, UNBALANCED, SIZE, ACTIVE, REBUILT, SLIPPING = range(9)
-RESULTS = 9
+VIOLATION, SWITCHED, PULLING, UNBALANCED, SIZE, ACTIVE, REBUILT, SLIPPING = range(8)
+RESULTS = 8
+#: Places in `found`, of the flat contact: what is left of the equation and the forces, squared; unknown nodes.
+LEFT, FORCES, UNKNOWN = range(3)
+#: Places in `limits`: nearer nodes take part, m; what may be left over the forces; forces that are none, N.
+NEAR, ENOUGH, NONE = range(3)
 #: Right-hand sides: of the iteration, and of the six motions of the tool.
 COLUMNS = 7
+
+
+@cache
+def eases_function():
+    """How far a node of a compliance gives way to a force of its own along a normal, and aside, on average, m/N."""
+    ti = initialise()
+
+    @ti.func
+    def eases(i, n, compliance: ti.template()):
+        C = ti.Matrix([[compliance[3 * i + a, 3 * i + b] for b in ti.static(range(3))] for a in ti.static(range(3))])
+        # Of a tissue that would buckle without the tool they need not be positive.
+        least, along = 1e-2 * ti.abs(C.trace()), n.dot(C @ n)
+        return ti.Vector([ti.max(along, least), ti.max(0.5 * (C.trace() - along), least)])
+
+    return eases
 
 
 @cache
@@ -32,6 +48,7 @@ def contact_kernel():
     ti = initialise()
     real1, real2, real3 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2, 3))
     int1 = ti.types.ndarray(ti.i32, ndim=1)
+    eases = eases_function()
 
     @ti.func
     def displace(i, settings: ti.template(), nodes: ti.template(), forces: ti.template(), middle: ti.template(),
@@ -52,9 +69,10 @@ def contact_kernel():
     def meet(i, s, settings: ti.template(), results: ti.template(), chains: ti.template(), shapes: ti.template(),
              places: ti.template(), springs: ti.template(), friction: ti.template(), outlines: ti.template(),
              bound: ti.template(), anchors: ti.template(), pressed: ti.template(), slips: ti.template(),
-             ways: ti.template(), forces: ti.template(), met: ti.template(), met_at: ti.template(),
-             u: ti.template(), guess: ti.template(), rates: ti.template(), intercept: ti.template(),
-             levers: ti.template(), signature: ti.template(), geometry: ti.template()):
+             forces: ti.template(), met: ti.template(), met_at: ti.template(),
+             u: ti.template(), guess: ti.template(), rates: ti.template(), turns: ti.template(),
+             intercept: ti.template(), levers: ti.template(), signature: ti.template(), geometry: ti.template(),
+             compliance: ti.template()):
         """Where a node is against the tool, what state it takes, and its force."""
         R = ti.Matrix([[settings[ROTATION + 3 * a + b] for b in ti.static(range(3))] for a in ti.static(range(3))])
         arm = ti.Vector([places[s, a] + u[i, a] - settings[ORIGIN + a] for a in ti.static(range(3))])
@@ -102,30 +120,25 @@ def contact_kernel():
         F = ti.Vector([forces[s, a] for a in ti.static(range(3))])
         normal = ti.min(F.dot(n), 0.0)
         tangential = F - F.dot(n) * n
-        trial = normal + TRIAL * k * gap
+        give = eases(i, n, compliance)
         held = bound[s] == 1
-        changeable = settings[CHANGEABLE]
-        drawn = changeable >= ALL
-        if changeable > 0.0 and changeable < ALL:
-            drawn = (7 * i + 5 * ti.cast(changeable, ti.i32)) % DRAWN == 0
+        changeable = settings[CHANGEABLE] > 0.0
         if held and settings[RELEASE] > 0.0 and F.dot(n) > 0.0:
             bound[s] = 0
             held = False
-        if changeable > 0.0 and not held:
-            presses = 1 if trial < 0.0 or gap < 0.0 else 0
+        if changeable and not held:
+            presses = 1 if normal + gap / give[0] < 0.0 else 0
             if presses != pressed[s]:
-                if drawn:
-                    results[SWITCHED] = results[SWITCHED] + 1.0
-                    pressed[s] = presses
-                elif trial > 1e3 * settings[NEGLIGIBLE]:
-                    results[WANTING] = results[WANTING] + 1.0
+                results[SWITCHED] = results[SWITCHED] + 1.0
+                pressed[s] = presses
         is_pressed = pressed[s] == 1 and not held
         anchor = ti.Vector([anchors[s, a] for a in ti.static(range(3))])
         slip = R @ (at - anchor)
         aside = slip - slip.dot(n) * n
         length = aside.norm()
         nn, eye = n.outer_product(n), ti.Matrix.identity(ti.f64, 3)
-        A, missing, found = ti.Matrix.zero(ti.f64, 3, 3), ti.Vector.zero(ti.f64, 3), ti.Vector.zero(ti.f64, 3)
+        A, T, missing, found = (ti.Matrix.zero(ti.f64, 3, 3), ti.Matrix.zero(ti.f64, 3, 3), ti.Vector.zero(ti.f64, 3),
+                                ti.Vector.zero(ti.f64, 3))
         state, sticks, violation = 0, False, 0.0
         if held:
             violation = slip.norm()
@@ -137,34 +150,22 @@ def contact_kernel():
             A = k * nn + settings[BENDING] * normal * (bent * meridian.outer_product(meridian)
                                                        + hoop * around.outer_product(around))
             missing, found = k * gap * n, normal * n
-            rough = mu * ti.max(-trial, 0.0)
+            rough = mu * ti.max(-normal - gap / give[0], 0.0)
             if mu > 0.0 and bound[s] == 2 and rough > settings[NEGLIGIBLE]:
                 limit = mu * ti.max(-normal, 0.0)
-                tried = tangential + TRIAL * HOLD * k * aside
+                tried = tangential + aside / give[1]
                 size = tried.norm()
-                way = ti.Vector([ways[s, a] for a in ti.static(range(3))])
-                if changeable > 0.0:
-                    slides = 1 if size > rough else 0
-                    if slips[s] == 1:
-                        slides = 1 if way.dot(aside) > 0.0 else 0
-                    if slides != slips[s]:
-                        if drawn:
-                            results[SWITCHED] = results[SWITCHED] + 1.0
-                            slips[s] = slides
-                            if slides == 1:
-                                way = tried / ti.max(size, 1e-300)
-                        elif length > 1e-3 * settings[TOLERANCE] or tangential.norm() > 1.001 * limit:
-                            results[WANTING] = results[WANTING] + 1.0
+                slides = 1 if size > rough else 0
+                if changeable and slides != slips[s]:
+                    results[SWITCHED] = results[SWITCHED] + 1.0
+                    slips[s] = slides
                 if slips[s] == 1:
                     state = 2
-                    if length > 1e-3 * settings[TOLERANCE]:
-                        way = aside / length
-                    steer = ti.min(limit / ti.max(length, 1e-300), HOLD * k)
-                    A = A - mu * k * way.outer_product(n) + steer * (eye - nn - way.outer_product(way))
+                    way = tried / ti.max(size, 1e-300)
+                    T = limit / ti.max(size, 1e-300) * (eye - nn - way.outer_product(way))
+                    A = A - mu * k * way.outer_product(n) + T / give[1]
                     missing, found = missing - mu * k * gap * way, found + limit * way
                     results[SLIPPING] = results[SLIPPING] + 1.0
-                    for a in ti.static(range(3)):
-                        ways[s, a] = way[a]
                 else:
                     sticks, state = True, 4
                     violation = ti.max(violation, length)
@@ -190,6 +191,7 @@ def contact_kernel():
             forces[s, a] = found[a]
             for b in ti.static(range(3)):
                 rates[i, 3 * a + b] = A[a, b]
+                turns[i, 3 * a + b] = T[a, b]
         geometry[i, 6] = gap
         geometry[i, 7] = ti.max(mu, 0.0) if bound[s] == 2 else 0.0
         # Equations of other states of the same nodes do for a while.
@@ -199,9 +201,10 @@ def contact_kernel():
 
     @ti.kernel
     def iterate(settings: real1, results: real1, chains: real3, shapes: real2, places: real2, springs: real1,
-                friction: real2, outlines: int1, bound: int1, anchors: real2, pressed: int1, slips: int1, ways: real2,
+                friction: real2, outlines: int1, bound: int1, anchors: real2, pressed: int1, slips: int1,
                 forces: real2, met: int1, met_at: real2, nodes: int1, middle: real2, drive: real2, compliance: real2,
-                u: real2, guess: real2, rates: real2, intercept: real2, levers: real2, signature: int1, geometry: real2,
+                u: real2, guess: real2, rates: real2, turns: real2, intercept: real2, levers: real2, signature: int1,
+                geometry: real2,
                 loaded: int1, active: int1, matrix: real1, block: real1, right: real1):
         ti.loop_config(serialize=True)
         for _ in range(1):
@@ -222,8 +225,8 @@ def contact_kernel():
                 displace(i, settings, nodes, forces, middle, drive, compliance, loaded, many, u)
             for i in range(n):
                 meet(i, nodes[i], settings, results, chains, shapes, places, springs, friction, outlines, bound,
-                     anchors, pressed, slips, ways, forces, met, met_at, u, guess, rates, intercept, levers, signature,
-                     geometry)
+                     anchors, pressed, slips, forces, met, met_at, u, guess, rates, turns, intercept, levers,
+                     signature, geometry, compliance)
             count = 0
             for i in range(n):
                 if signature[i] > 0:
@@ -275,6 +278,8 @@ def contact_kernel():
                                 value = 0.0
                                 if ti.static(a == b):
                                     value = 1.0 if p == q else 0.0
+                                if p == q:
+                                    value = value - turns[i, 3 * a + b]
                                 for c in ti.static(range(3)):
                                     value = value + rates[i, 3 * a + c] * compliance[3 * i + c, 3 * j + b]
                                 matrix[column * k + 3 * p + a] = value
@@ -284,87 +289,111 @@ def contact_kernel():
 
 
 @cache
-def relaxation_kernel():
-    """Kernel of projected Gauss-Seidel sweeps over the nodes, with the surface of the tool as flat at each of them as
-    `contact_kernel` last found it; for states that Newton's iteration does not find.
-
-    Source: Jean, Comput. Methods Appl. Mech. Eng. 177 (1999) 235, non-smooth contact dynamics."""
+def flat_kernel():
+    """Kernel of what is left of the equation of a `FlatContact`, and of the linear ones for nodes that carry a force."""
     ti = initialise()
     real1, real2 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2))
     int1 = ti.types.ndarray(ti.i32, ndim=1)
+    eases = eases_function()
 
     @ti.kernel
-    def relax(settings: real1, results: real1, nodes: int1, bound: int1, pressed: int1, slips: int1, ways: real2,
-              forces: real2, compliance: real2, geometry: real2, guess: real2, moved: real2, limits: real1, near: int1):
+    def look(settings: real1, found: real1, limits: real1, nodes: int1, bound: int1, pressed: int1, slips: int1,
+             forces: real2, compliance: real2, geometry: real2, guess: real2, moved: real2, near: int1,
+             unknown: int1, slopes: real2, matrix: real1, right: real1):
         ti.loop_config(serialize=True)
         for _ in range(1):
-            n = ti.cast(settings[COUNT], ti.i32)
-            many = 0
-            for i in range(n):
+            many, count, left, size = 0, 0, 0.0, 0.0
+            for i in range(ti.cast(settings[COUNT], ti.i32)):
                 s = nodes[i]
-                size = 0.0
+                loaded = 0.0
                 for a in ti.static(range(3)):
                     moved[i, a] = 0.0
-                    size = size + ti.abs(forces[s, a]) + ti.abs(guess[i, a])
-                if bound[s] == 1 or size > 0.0 or geometry[i, 6] < limits[3]:
+                    loaded = loaded + ti.abs(forces[s, a]) + ti.abs(guess[i, a])
+                if bound[s] == 1 or loaded > 0.0 or geometry[i, 6] < limits[NEAR]:
                     near[many] = i
                     many = many + 1
-            # Displacements belong to the guesses of the last iteration, forces were projected since.
+            # Displacements of the last look at the tool belong to the guesses.
+            for q in range(many):
+                j = near[q]
+                change = ti.Vector([forces[nodes[j], b] - guess[j, b] for b in ti.static(range(3))])
+                if change.norm() > 0.0:
+                    for p in range(many):
+                        i = near[p]
+                        for a in ti.static(range(3)):
+                            moved[i, a] = moved[i, a] - (compliance[3 * j, 3 * i + a] * change[0]
+                                                         + compliance[3 * j + 1, 3 * i + a] * change[1]
+                                                         + compliance[3 * j + 2, 3 * i + a] * change[2])
             for p in range(many):
                 i = near[p]
                 s = nodes[i]
-                change = ti.Vector([forces[s, b] - guess[i, b] for b in ti.static(range(3))])
-                if change.norm() > 0.0:
-                    for q in range(many):
-                        j = near[q]
+                n = ti.Vector([geometry[i, a] for a in ti.static(range(3))])
+                F = ti.Vector([forces[s, a] for a in ti.static(range(3))])
+                move = ti.Vector([moved[i, a] for a in ti.static(range(3))])
+                slip = ti.Vector([geometry[i, 3 + a] for a in ti.static(range(3))]) + move
+                gap, mu = geometry[i, 6] + n.dot(move), geometry[i, 7]
+                give = eases(i, n, compliance)
+                along, aside = give[0], give[1]
+                nn, eye = n.outer_product(n), ti.Matrix.identity(ti.f64, 3)
+                D, E, new = ti.Matrix.zero(ti.f64, 3, 3), ti.Matrix.zero(ti.f64, 3, 3), ti.Vector.zero(ti.f64, 3)
+                carries = bound[s] == 1
+                if carries:
+                    stiff = 1.0 / ti.max(along, aside)
+                    new, D, E = F + stiff * slip, stiff * eye, eye
+                else:
+                    N = F.dot(n) + gap / along
+                    carries = N < 0.0
+                    pressed[s], slips[s] = 0, 0
+                    if carries:
+                        flat = eye - nn
+                        q = flat @ (F + slip / aside)
+                        length, most = q.norm(), -mu * N
+                        pressed[s] = 1
+                        new, D, E = N * n + q, nn / along + flat / aside, eye
+                        if length > most:
+                            slips[s] = 1
+                            way, part = q / length, most / length
+                            turn = part * (flat - way.outer_product(way))
+                            new = N * n + most * way
+                            D = nn / along - (mu / along) * way.outer_product(n) + turn / aside
+                            E = nn - mu * way.outer_product(n) + turn
+                rest = new - F
+                left, size = left + rest.dot(rest), size + F.dot(F)
+                if carries:
+                    for a in ti.static(range(3)):
+                        right[3 * count + a] = -rest[a]
+                        for b in ti.static(range(3)):
+                            slopes[count, 3 * a + b] = D[a, b]
+                            slopes[count, 9 + 3 * a + b] = E[a, b]
+                    unknown[count] = i
+                    count = count + 1
+            found[LEFT], found[FORCES], found[UNKNOWN] = left, size, count
+            k, rows = 3 * count, count
+            if ti.sqrt(left) <= limits[ENOUGH] * ti.max(ti.sqrt(size), limits[NONE]):
+                rows = 0
+            for p in range(rows):
+                i = unknown[p]
+                D = ti.Matrix([[slopes[p, 3 * a + b] for b in ti.static(range(3))] for a in ti.static(range(3))])
+                # What the nodes that are let go no longer push away.
+                e = ti.Vector.zero(ti.f64, 3)
+                for q in range(many):
+                    j = near[q]
+                    s = nodes[j]
+                    if bound[s] != 1 and pressed[s] == 0:
                         for a in ti.static(range(3)):
                             for b in ti.static(range(3)):
-                                moved[j, a] = moved[j, a] - compliance[3 * i + b, 3 * j + a] * change[b]
-            sweep, largest, size = 0.0, 1.0, 0.0
-            while sweep < limits[0] and largest > limits[1] * size:
-                sweep = sweep + 1.0
-                largest, size = 0.0, limits[2]
-                for p in range(many):
-                    i = near[p]
-                    s = nodes[i]
-                    g = ti.Vector([geometry[i, a] for a in ti.static(range(3))])
-                    F = ti.Vector([forces[s, a] for a in ti.static(range(3))])
-                    slip = ti.Vector([geometry[i, 3 + a] + moved[i, a] for a in ti.static(range(3))])
-                    gap = geometry[i, 6] + g[0] * moved[i, 0] + g[1] * moved[i, 1] + g[2] * moved[i, 2]
-                    new = ti.Vector.zero(ti.f64, 3)
-                    if bound[s] == 1 or F.norm() > 0.0 or gap < 0.0:
-                        C = ti.Matrix([[compliance[3 * i + a, 3 * i + b] for b in ti.static(range(3))]
-                                       for a in ti.static(range(3))])
-                        # Of a tissue that would buckle without the tool they need not be positive.
-                        least = 1e-2 * ti.abs(C.trace())
-                        c = ti.max(g.dot(C @ g), least)
-                        aside = ti.max(0.5 * (C.trace() - g.dot(C @ g)), least)
-                        if bound[s] == 1:
-                            new = F + slip / ti.max(c, aside)
-                        else:
-                            N = ti.min(F.dot(g) + gap / c, 0.0)
-                            T = F - F.dot(g) * g + (slip - slip.dot(g) * g) / aside
-                            most, length = -geometry[i, 7] * N, T.norm()
-                            if length > most:
-                                T = T * (most / length)
-                            new = N * g + T
-                            pressed[s] = 1 if N < 0.0 else 0
-                            slips[s] = 1 if length > most and N < 0.0 else 0
-                            way = slip - slip.dot(g) * g
-                            length = way.norm()
-                            if length > 1e-3 * settings[TOLERANCE]:
-                                for a in ti.static(range(3)):
-                                    ways[s, a] = way[a] / length
-                        change = new - F
-                        largest, size = ti.max(largest, change.norm()), ti.max(size, new.norm())
+                                e[a] = e[a] + compliance[3 * j + b, 3 * i + a] * forces[s, b]
+                released = D @ e
+                for a in ti.static(range(3)):
+                    right[3 * p + a] = right[3 * p + a] - released[a]
+                for q in range(count):
+                    j = unknown[q]
+                    for b in ti.static(range(3)):
                         for a in ti.static(range(3)):
-                            forces[s, a] = new[a]
-                        for q in range(many):
-                            j = near[q]
-                            for a in ti.static(range(3)):
-                                moved[j, a] = moved[j, a] - (compliance[3 * i, 3 * j + a] * change[0]
-                                                             + compliance[3 * i + 1, 3 * j + a] * change[1]
-                                                             + compliance[3 * i + 2, 3 * j + a] * change[2])
-            results[VIOLATION], results[SIZE] = sweep, largest / size
+                            value = 0.0
+                            if p == q:
+                                value = slopes[p, 9 + 3 * a + b] - ti.static(1.0 if a == b else 0.0)
+                            for c in ti.static(range(3)):
+                                value = value - D[a, c] * compliance[3 * i + c, 3 * j + b]
+                            matrix[(3 * q + b) * k + 3 * p + a] = value
 
-    return relax
+    return look

@@ -128,7 +128,7 @@ class ContactState:
         time: s. pose: of the tool.
         earlier, before: a time a little ago, s, and the pose then.
         forces: on the tool, N, shape (s, 3), of the surface's nodes.
-        anchors: where nodes were bound to the tool, in its frame, m; ways: along which they slip, both (s, 3).
+        anchors: where nodes were bound to the tool, in its frame, m, shape (s, 3).
         states: how each is bound, whether it is pressed, and whether it slips, shape (3, s).
     """
 
@@ -140,27 +140,26 @@ class ContactState:
     before: Pose
     forces: np.ndarray
     anchors: np.ndarray
-    ways: np.ndarray
     states: np.ndarray
 
     def packed(self) -> np.ndarray:
         """All of it as one array of numbers."""
         head = (self.model, self.epoch, self.time, *self.pose.position, *self.pose.orientation, self.earlier,
                 *self.before.position, *self.before.orientation)
-        return np.concatenate([head, self.forces.ravel(), self.anchors.ravel(), self.ways.ravel(), self.states.ravel()])
+        return np.concatenate([head, self.forces.ravel(), self.anchors.ravel(), self.states.ravel()])
 
     @classmethod
     def unpacked(cls, numbers: np.ndarray) -> ContactState:
         """What `packed` gave."""
         model, epoch, time, *where = numbers[:_STATE_HEAD].tolist()
-        forces, anchors, ways, states = np.split(numbers[_STATE_HEAD:], 4)
+        forces, anchors, states = np.split(numbers[_STATE_HEAD:], 3)
         return cls(int(model), int(epoch), time, _pose(where[:7]), where[7], _pose(where[8:]), forces.reshape(-1, 3),
-                   anchors.reshape(-1, 3), ways.reshape(-1, 3), states.reshape(3, -1))
+                   anchors.reshape(-1, 3), states.reshape(3, -1))
 
 
 def packed_state_size(surface: ContactSurface) -> int:
     """Numbers of a packed state of a surface."""
-    return _STATE_HEAD + 12 * len(surface.places)
+    return _STATE_HEAD + 9 * len(surface.places)
 
 
 class BulkLinearisation(Protocol):

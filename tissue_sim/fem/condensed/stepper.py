@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tissue_sim.fem.condensed.flat_contact import FlatContact
 from tissue_sim.fem.condensed.kernel import (
-    ALL,
     ANEW,
     BENDING,
     CHANGEABLE,
@@ -25,7 +25,6 @@ from tissue_sim.fem.condensed.kernel import (
     SETTINGS,
     TOLERANCE,
     contact_kernel,
-    relaxation_kernel,
 )
 from tissue_sim.fem.condensed.model import HELD, CondensedContact, ContactState, ContactSurface
 from tissue_sim.fem.taichi.launch import BoundKernel
@@ -33,13 +32,12 @@ from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.pose import Pose, Screw, between, motion
 from tissue_sim.tool_force import Matrix
 
-#: Iterations of a step, and of an exact one, each of so many sweeps at most; and how many times more is tolerated after
-#: so many of them.
-_MOST, _MOST_EXACT, _SWEEPS, _SLACK = 10, 24, 40, (1.0, 1.0, 1.0, 3.0, 10.0, 10.0, 30.0)
-#: So many of the first iterations are Newton's where nothing slips.
-_QUIET = 4
-#: Nodes that are nearer to the tool than this share of its radius take part in the sweeps.
-_NEAR = 0.06
+#: Looks at the tool in a step, and in an exact one; and up to which states that the flat contact has decided about are
+#: gone on with by the curved one, which with other states leads elsewhere.
+_MOST, _MOST_EXACT, _CURVED = 10, 24, 5
+#: Nodes that are nearer to the tool than this share of its radius take part in the flat contact, and what is left of
+#: its equation over its forces.
+_NEAR, _FLAT = 0.06, 1e-6
 #: A force is found where it changes by less than this share; an exact one by less than this share of that, where no
 #: condition is violated by more than that share of the tolerance. Friction below another share of the floor is none.
 _SETTLED, _EXACT, _CLOSE, _NO_FRICTION = 1e-4, 1e-6, 1e-4, 1e-6
@@ -100,7 +98,7 @@ class CondensedStepper:
     def __init__(self, surface: ContactSurface):
         self.surface = surface
         s, n = len(surface.places), surface.candidates
-        self.forces, self._ways, self._anchors, self._met_at = np.zeros((4, s, 3))
+        self.forces, self._anchors, self._met_at = np.zeros((3, s, 3))
         self._bound, self._pressed, self._slips, self._met = np.zeros((4, s), dtype=np.int32)
         self._settings, self._results = np.zeros(SETTINGS), np.zeros(RESULTS)
         self._signature = np.zeros(n, dtype=np.int32)
@@ -112,19 +110,16 @@ class CondensedStepper:
             "settings": self._settings, "results": self._results, "chains": surface.chains, "shapes": surface.shapes,
             "places": surface.places, "springs": surface.springs, "friction": surface.friction,
             "outlines": surface.outlines.astype(np.int32), "bound": self._bound, "anchors": self._anchors,
-            "pressed": self._pressed, "slips": self._slips, "ways": self._ways, "forces": self.forces,
+            "pressed": self._pressed, "slips": self._slips, "forces": self.forces,
             "met": self._met, "met_at": self._met_at, "nodes": self._nodes, "middle": self._middle,
             "drive": self._drive, "compliance": self._compliance, "u": np.zeros((n, 3)), "guess": np.zeros((n, 3)),
-            "rates": np.zeros((n, 9)), "intercept": np.zeros((n, 3)), "levers": self._levers,
+            "rates": np.zeros((n, 9)), "turns": np.zeros((n, 9)), "intercept": np.zeros((n, 3)), "levers": self._levers,
             "signature": self._signature, "geometry": np.zeros((n, 8)),
             "loaded": np.zeros(n, dtype=np.int32), "active": self._active,
             "matrix": self._matrix, "block": self._block, "right": self._right}
-        self._limits = np.array([_SWEEPS, 0.01 * _SETTLED, surface.floor, _NEAR * surface.radius])
         with LOCK:
             self._kernel = BoundKernel(contact_kernel(), arrays)
-            self._relax = BoundKernel.of(relaxation_kernel(), arrays | {"moved": np.zeros((n, 3)),
-                                                                        "limits": self._limits,
-                                                                        "near": np.zeros(n, dtype=np.int32)})
+        self._flat = FlatContact(arrays, _NEAR * surface.radius, surface.floor)
         self._guess = arrays["guess"]
         self._tolerance, self._stiffest = _FINER * surface.tolerance, math.inf
         self._settings[[TOLERANCE, NEGLIGIBLE]] = self._tolerance, _NO_FRICTION * surface.floor
@@ -138,7 +133,7 @@ class CondensedStepper:
 
     def reset(self) -> None:
         """Back to the first touch; the model stays."""
-        for array in (self.forces, self._ways, self._pressed, self._slips, self._met):
+        for array in (self.forces, self._pressed, self._slips, self._met):
             array[:] = 0
         self._bound[:], self._anchors[:] = self.surface.bound, self.surface.anchors
         self._pose: Pose | None = None
@@ -150,12 +145,12 @@ class CondensedStepper:
     def state(self, time: float, pose: Pose, earlier: float, before: Pose, epoch: int = 0) -> ContactState:
         """Where the contact is, for the solver of the bulk; see `ContactState`."""
         return ContactState(0 if self.model is None else self.model.number, epoch, time, pose, earlier, before,
-                            self.forces.copy(), self._anchors.copy(), self._ways.copy(),
+                            self.forces.copy(), self._anchors.copy(),
                             np.stack([self._bound, self._pressed, self._slips]).astype(float))
 
     def take(self, state: ContactState) -> None:
         """Go where another stepper of the same surface and model was."""
-        self.forces[:], self._anchors[:], self._ways[:] = state.forces, state.anchors, state.ways
+        self.forces[:], self._anchors[:] = state.forces, state.anchors
         self._bound[:], self._pressed[:], self._slips[:] = state.states
         self._pose, self._columns, self._settings[ANEW] = state.pose, self._columns[:0], 1.0
 
@@ -227,16 +222,14 @@ class CondensedStepper:
         self._steps += 1
         if exact or self._steps % _STEPS == 0:
             settings[ANEW] = 1.0
-        settings[[RELEASE, CHANGEABLE, BENDING]] = 0.0, ALL, 1.0
-        converged, fresh, iterations, columns = False, False, 0, self._columns
+        settings[[RELEASE, CHANGEABLE, BENDING]] = 0.0, 1.0, 1.0
+        converged, fresh, decided, iterations, columns = False, False, False, 0, self._columns
         while True:
             with LOCK:
                 self._kernel()
-            violation, switched, _, pulling, unbalanced, size, active, rebuilt, slipping = results.tolist()
-            settings[[RELEASE, CHANGEABLE]], k = (0.0, ALL), 3 * int(active)
-            # What circles closely is near enough.
-            slack = 1.0 if exact else _SLACK[min(iterations, len(_SLACK) - 1)]
-            change, enough = math.sqrt(unbalanced), slack * _SETTLED * max(math.sqrt(size), self.surface.floor)
+            violation, _, pulling, unbalanced, size, active, rebuilt, slipping = results.tolist()
+            settings[[RELEASE, CHANGEABLE]], k = (0.0, 1.0), 3 * int(active)
+            change, enough = math.sqrt(unbalanced), _SETTLED * max(math.sqrt(size), self.surface.floor)
             if not math.isfinite(unbalanced + size) or iterations >= (_MOST_EXACT if exact else _MOST):
                 break
             iterations += 1
@@ -244,7 +237,7 @@ class CondensedStepper:
                 lu, pivots, failed = lapack.dgetrf(self._matrix[:k * k].reshape(k, k).T, overwrite_a=1)
                 self._factor, fresh = (None if failed else (lu, pivots)), True
             usable = fresh and self._factor is not None and len(self._factor[0]) == k
-            settles = change < enough and violation <= slack * self._tolerance
+            settles = change < enough and violation <= self._tolerance
             done = settles and (not exact or (change < _EXACT * enough and violation <= _CLOSE * self._tolerance))
             if done and pulling:
                 settings[RELEASE] = 1.0
@@ -255,17 +248,14 @@ class CondensedStepper:
                     columns = self._solved(k)[:, 1:] if k else columns[:0]
                 converged = True
                 break
-            elif (exact and settles and usable) or (k and not slipping and not switched and iterations <= _QUIET):
-                # The states are known, or nothing slips that could go to and fro; Newton's iteration finds the rest.
-                if usable:
-                    chosen, step = self._active[:k // 3], self._solved(k)[:, 0]
-                    self.forces[self._nodes[chosen]] = self._guess[chosen] + step.reshape(-1, 3)
-                settings[[CHANGEABLE, ANEW]] = 0.0 if settles else ALL, 1.0
+            elif usable and (decided or (exact and settles)):
+                chosen, step = self._active[:k // 3], self._solved(k)[:, 0]
+                self.forces[self._nodes[chosen]] = self._guess[chosen] + step.reshape(-1, 3)
+                decided = False
+                settings[[CHANGEABLE, ANEW]] = 0.0 if settles else 1.0, 1.0
             else:
-                with LOCK:
-                    self._relax()
-                # It has decided about the states.
-                settings[[CHANGEABLE, ANEW]] = 0.0, max(settings[ANEW], float(exact))
+                decided = self._flat.solve(_FLAT) and iterations <= _CURVED
+                settings[[CHANGEABLE, ANEW]] = 0.0, 1.0
         if converged:
             self._commit()
             self._pose, self._columns = pose, columns
@@ -302,7 +292,7 @@ class CondensedStepper:
 
     @property
     def _kept(self) -> tuple[np.ndarray, ...]:
-        return self.forces, self._pressed, self._slips, self._ways, self._bound
+        return self.forces, self._pressed, self._slips, self._bound
 
     def _place(self, pose: Pose, way: Screw) -> None:
         """Tell the kernel where the tool is."""

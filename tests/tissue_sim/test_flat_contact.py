@@ -1,0 +1,60 @@
+"""The contact of nodes on a flat tool: what it finds fulfils Signorini's and Coulomb's conditions, checked by numpy."""
+
+import numpy as np
+import pytest
+
+from tissue_sim.fem.condensed.flat_contact import FlatContact
+from tissue_sim.fem.condensed.kernel import COUNT, SETTINGS
+
+NODES = 40
+
+
+def tissue(seed, soft, coefficient, friction_of_all=True):
+    """Nodes that stand in a tool by up to a millimetre, on a bulk that couples them and has one mode as soft as asked."""
+    rng = np.random.default_rng(seed)
+    places = rng.uniform(0.0, 5.0, (NODES, 2))
+    apart = np.linalg.norm(places[:, None] - places[None], axis=2)
+    compliance = np.kron(np.exp(-apart) + 0.3 * np.exp(-0.1 * apart), np.diag([1.0, 1.0, 0.8]))
+    mode = rng.standard_normal(3 * NODES)
+    compliance += soft * np.outer(mode, mode) / NODES
+    normals = rng.uniform(-0.2, 0.2, (NODES, 3))
+    normals[:, 2] = 1.0
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    gaps = rng.uniform(-1e-3, 0.5e-3, NODES)
+    slips = np.stack([rng.uniform(0.0, 3e-4, NODES), rng.uniform(-1e-4, 1e-4, NODES), np.zeros(NODES)], axis=1)
+    slips += (gaps - (slips * normals).sum(axis=1))[:, None] * normals
+    geometry = np.zeros((NODES, 8))
+    geometry[:, :3], geometry[:, 3:6], geometry[:, 6] = normals, slips, gaps
+    geometry[:, 7] = coefficient if friction_of_all else coefficient * (np.arange(NODES) % 2)
+    settings = np.zeros(SETTINGS)
+    settings[COUNT] = NODES
+    return {"settings": settings, "nodes": np.arange(NODES, dtype=np.int32), "middle": np.zeros((NODES, 3)),
+            "bound": np.full(NODES, 2, dtype=np.int32), "pressed": np.zeros(NODES, dtype=np.int32),
+            "slips": np.zeros(NODES, dtype=np.int32), "forces": np.zeros((NODES, 3)), "compliance": compliance,
+            "geometry": geometry, "guess": np.zeros((NODES, 3))}
+
+
+@pytest.mark.parametrize("soft", [0.0, 1.0, 50.0])
+@pytest.mark.parametrize("coefficient", [0.0, 0.3, 0.8])
+@pytest.mark.parametrize("seed", range(4))
+def test_forces_fulfil_the_conditions_of_contact(seed, coefficient, soft):
+    arrays = tissue(seed, soft, coefficient, friction_of_all=seed % 2 == 0)
+    assert FlatContact(arrays, 1.0, 1e-9).solve(1e-10)
+    normals, forces = arrays["geometry"][:, :3], arrays["forces"]
+    moved = -(arrays["compliance"] @ forces.ravel()).reshape(-1, 3)
+    slips = arrays["geometry"][:, 3:6] + moved
+    gaps, pushes = (slips * normals).sum(axis=1), -(forces * normals).sum(axis=1)
+    size, depth = pushes.max(), 1e-3
+    assert size > 0.0 and (pushes > -1e-9 * size).all() and (gaps > -1e-8 * depth).all()
+    assert np.abs(pushes * gaps).max() < 1e-8 * size * depth
+    assert 0 < arrays["pressed"].sum() < NODES
+    along, drags = slips - gaps[:, None] * normals, forces + pushes[:, None] * normals
+    limits, drag = arrays["geometry"][:, 7] * pushes, np.linalg.norm(drags, axis=1)
+    assert (drag <= limits + 1e-9 * size).all()
+    within = drag < limits - 1e-6 * size
+    assert np.linalg.norm(along[within], axis=1).max(initial=0.0) < 1e-8 * depth
+    # What slips drags the tool along the way that it goes.
+    np.testing.assert_allclose((along * drags).sum(axis=1), drag * np.linalg.norm(along, axis=1),
+                               atol=1e-7 * size * depth)
+    if coefficient:
+        assert arrays["slips"].sum() > 0

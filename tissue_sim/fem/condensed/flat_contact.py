@@ -1,0 +1,75 @@
+"""Lift-off and friction of the nodes on a condensed bulk, the tool being as flat at each of them as it was last found.
+
+Forces f on the tool solve f = P(f + rho g), where g are the gaps and slips, linear in f, and P projects onto what a
+contact can carry: no pull, and no more friction than Coulomb's. Newton's method on that, which is piecewise smooth,
+finds states and forces together (Alart and Curnier, Comput. Methods Appl. Mech. Eng. 92 (1991) 353), with rho the
+stiffness of each node alone, and steps that are halved until what is left of the equation is less than before. Going
+round the nodes one after the other (Jean, ibid. 177 (1999) 235) takes a thousand rounds on a surface about to fold.
+"""
+
+import numpy as np
+
+from tissue_sim.fem.condensed.kernel import COUNT, ENOUGH, FORCES, LEFT, UNKNOWN, flat_kernel
+from tissue_sim.fem.taichi.launch import BoundKernel
+from tissue_sim.fem.taichi.runtime import LOCK
+
+#: Linear solutions, and halvings of each; and by how much of what was hoped for a step has to be better.
+_MOST, _HALVINGS, _BETTER = 12, 6, 0.1
+
+
+class FlatContact:
+    """Solves the contact of the nodes that are near the tool.
+
+    Args:
+        arrays: of the stepper, by the names in `flat_kernel`; forces and states are changed.
+        near: nodes farther from the tool take no part unless they carry a force, m.
+        floor: forces that are smaller than this are nothing, N.
+    """
+
+    def __init__(self, arrays: dict[str, np.ndarray], near: float, floor: float):
+        n = len(arrays["middle"])
+        self._forces, self._nodes, self._floor = arrays["forces"], arrays["nodes"], floor
+        self._found, self._unknown = np.zeros(3), np.zeros(n, dtype=np.int32)
+        self._matrix, self._right = np.zeros(9 * n * n), np.zeros(3 * n)
+        self._settings, self._limits = arrays["settings"], np.array([near, 0.0, floor])
+        own = {"found": self._found, "limits": self._limits, "near": np.zeros(n, dtype=np.int32),
+               "moved": np.zeros((n, 3)), "unknown": self._unknown, "slopes": np.zeros((n, 18)),
+               "matrix": self._matrix, "right": self._right}
+        with LOCK:
+            self._kernel = BoundKernel.of(flat_kernel(), arrays | own)
+
+    def solve(self, tolerance: float) -> bool:
+        """Find the forces of the nodes; whether what is left of the equation is less than a share of them."""
+        from scipy.linalg import lapack
+
+        found, forces, nodes = self._found, self._forces, self._nodes[:int(self._settings[COUNT])]
+        self._limits[ENOUGH] = tolerance
+        left = self._look()
+        for _ in range(_MOST):
+            if left <= tolerance:
+                return True
+            k, start = 3 * int(found[UNKNOWN]), forces[nodes]
+            goal = np.zeros_like(start)
+            if k:
+                *_, step, failed = lapack.dgesv(self._matrix[:k * k].reshape(k, k).T, self._right[:k], overwrite_a=1)
+                if failed or not np.isfinite(step).all():
+                    return False
+                chosen = self._unknown[:k // 3]
+                goal[chosen] = start[chosen] + step.reshape(-1, 3)
+            share = 1.0
+            for halving in range(_HALVINGS + 1):
+                forces[nodes] = start + share * (goal - start)
+                now = self._look()
+                if now <= (1.0 - _BETTER * share) * left:
+                    break
+                share *= 0.5
+                if halving == _HALVINGS:
+                    return False
+            left = now
+        return left <= tolerance
+
+    def _look(self) -> float:
+        """What is left of the equation, over the size of the forces."""
+        with LOCK:
+            self._kernel()
+        return float(np.sqrt(self._found[LEFT]) / max(np.sqrt(self._found[FORCES]), self._floor))
