@@ -10,7 +10,9 @@ NODES = 40
 
 
 def tissue(seed, soft, coefficient, friction_of_all=True):
-    """Nodes that stand in a tool by up to a millimetre, on a bulk that couples them and has one mode as soft as asked."""
+    """Nodes that stand in a tool by up to a millimetre, on a bulk that couples them and has one mode as soft as asked.
+
+    With `friction_of_all` each has friction, else every other one."""
     rng = np.random.default_rng(seed)
     places = rng.uniform(0.0, 5.0, (NODES, 2))
     apart = np.linalg.norm(places[:, None] - places[None], axis=2)

@@ -290,7 +290,7 @@ def contact_kernel():
 
 @cache
 def flat_kernel():
-    """Kernel of what is left of the equation of a `FlatContact`, and of the linear ones for nodes that carry a force."""
+    """Kernel of what is left of the equation of a `FlatContact`, and of the linear one for nodes that carry a force."""
     ti = initialise()
     real1, real2 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2))
     int1 = ti.types.ndarray(ti.i32, ndim=1)
