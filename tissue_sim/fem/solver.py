@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, ClassVar, Protocol, runtime_checkable
@@ -133,6 +133,10 @@ class Fields(Protocol):
     @property
     def material(self) -> Material:
         """What the tissue is made of."""
+
+    @property
+    def names(self) -> Collection[str]:
+        """Of the fields that are known; see `tissue_sim.fem.fields.FIELD_UNITS`."""
 
     def displacement(self, sample: int = -1) -> np.ndarray:
         """Of the nodes, m, shape (nodes, as many as a node has coordinates)."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from dataclasses import replace
 
 import viser
 
@@ -25,7 +26,7 @@ class LookControls:
         gui = server.gui
         self.look, self._frame, self._scale = Look(), frame, scale
         fields = {label: name for name, (label, _) in LABELS.items()}
-        field = gui.add_dropdown("colour", tuple(fields), initial_value=LABELS[self.look.field][0])
+        self._field = field = gui.add_dropdown("colour", tuple(fields), initial_value=LABELS[self.look.field][0])
         hold = gui.add_checkbox("hold the colours' range", False)
         cut = gui.add_slider("cut-away [°]", min=0, max=180, step=5, initial_value=round(self.look.cut))
         turn = gui.add_slider("cut turned [°]", min=-180, max=180, step=5, initial_value=round(self.look.turn),
@@ -73,6 +74,17 @@ class LookControls:
         in_space = frame.snapshot is not None and frame.snapshot.in_space
         if self._ahead.visible != in_space:
             self._ahead.visible = in_space
+        shown = None if frame.snapshot is None else frame.snapshot.fields
+        if shown is not None:
+            self._offer(shown.names)
+
+    def _offer(self, names: Collection[str]) -> None:
+        """The fields that the solver knows, alone."""
+        labels = tuple(label for name, (label, _) in LABELS.items() if name in names)
+        if labels and labels != self._field.options:
+            self._field.options = labels
+            names_of = {label: name for name, (label, _) in LABELS.items()}
+            self.look = replace(self.look, field=names_of[self._field.value])
 
     def place_camera(self, client: viser.ClientHandle, preset: str) -> None:
         """Let one browser look from a preset."""

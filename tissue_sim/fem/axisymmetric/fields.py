@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -40,6 +40,11 @@ class Fields:
     weights: np.ndarray
     moduli: np.ndarray
     stresses: np.ndarray | None = None
+
+    @property
+    def names(self) -> Collection[str]:
+        """Of the fields, all of which are known."""
+        return FIELD_UNITS
 
     def arrays(self) -> tuple[np.ndarray, ...]:
         return (self.states,) if self.stresses is None else (self.states, self.stresses)

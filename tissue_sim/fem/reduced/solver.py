@@ -11,6 +11,7 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.fem.reduced.contact import LayerContact
 from tissue_sim.fem.reduced.elements import SampledElements
+from tissue_sim.fem.reduced.fields import reduced_fields
 from tissue_sim.fem.reduced.model import ReducedModel, require_one_material
 from tissue_sim.fem.solid.discretisation import tool_contact
 from tissue_sim.fem.solid.frame import Frame, turned_with
@@ -350,13 +351,12 @@ class ReducedSolver(Solver):
         """Of all nodes at the last committed state, m, shape (nodes, 3)."""
         return (self.reduced.basis @ self._committed[0]).reshape(-1, 3)
 
-    def sample(self) -> Any:
-        """What `fields` needs of the last committed state."""
-        return self.displacement()
+    #: What `fields` needs of the last committed state.
+    sample = displacement
 
     def fields(self, samples: Sequence[Any]) -> Fields | None:
-        """There are none: of most elements nobody looks."""
-        return None
+        """See `reduced_fields`."""
+        return reduced_fields(self.mesh, self.material, samples, self.datum)
 
     def surface(self) -> SolidSurface:
         """The surface at the last committed state."""

@@ -14,6 +14,33 @@ from tissue_sim.mesh.solid import SolidMesh
 LANES = 4
 
 
+def quadrature(mesh: SolidMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of all elements, undeformed.
+
+    Returns:
+        Volumes of the quadrature points, m3, shape (elements, q); gradients of the shape functions there, 1/m, shape
+        (elements, q, nodes, 3); and orthonormal pressure modes, 1/m^1.5, shape (elements, q, modes).
+
+    Raises:
+        InputError: an element of no or negative volume.
+    """
+    points, shares = mesh.element.quadrature
+    values, slopes = mesh.element.shape_functions(points)
+    X = mesh.nodes[mesh.connectivity]
+    jacobian = np.einsum("eai,qaj->eqij", X, slopes)
+    weights = np.linalg.det(jacobian) * shares
+    if not (weights > 0.0).all():
+        worst = int(np.argmin(weights.min(axis=1)))
+        raise InputError(f"element {worst} of the mesh is turned inside out or has no volume", field="mesh")
+    modes = np.ones((*weights.shape, mesh.element.pressure_modes))
+    if mesh.element.pressure_modes == 4:
+        place = np.einsum("qa,eai->eqi", values, X)
+        modes[..., 1:] = (place - place.mean(axis=1, keepdims=True)) / np.ptp(X, axis=1)[:, None]
+    gram = np.einsum("eq,eqm,eqn->emn", weights, modes, modes)
+    return (weights, np.einsum("qaj,eqji->eqai", slopes, np.linalg.inv(jacobian)),
+            np.einsum("eqm,enm->eqn", modes, np.linalg.inv(np.linalg.cholesky(gram))))
+
+
 class ElementBatches:
     """Elements of a group stand in lanes of batches of their own; lanes that are left over repeat the group's last
     element and write nowhere.
@@ -38,20 +65,13 @@ class ElementBatches:
 
     def __init__(self, mesh: SolidMesh, groups: Sequence[np.ndarray] | None = None,
                  shares: np.ndarray | None = None):
-        element = mesh.element
         count, nodes = mesh.connectivity.shape
-        self._modes = element.pressure_modes
-        points, weights = element.quadrature
-        values, slopes = element.shape_functions(points)
-        X = mesh.nodes[mesh.connectivity]
-        jacobian = np.einsum("eai,qaj->eqij", X, slopes)
-        self.weights = np.linalg.det(jacobian) * weights
-        if not (self.weights > 0.0).all():
-            worst = int(np.argmin(self.weights.min(axis=1)))
-            raise InputError(f"element {worst} of the mesh is turned inside out or has no volume", field="mesh")
+        self._modes = mesh.element.pressure_modes
+        self.weights, gradients, modes = quadrature(mesh)
         if shares is not None:
             self.weights *= shares[:, None]
-        gradients = np.einsum("qaj,eqji->eqai", slopes, np.linalg.inv(jacobian))
+            modes = modes / np.sqrt(shares)[:, None, None]
+        values, _ = mesh.element.shape_functions(mesh.element.quadrature[0])
         self.volumes = np.bincount(mesh.connectivity.ravel(), np.einsum("eq,qa->ea", self.weights, values).ravel(),
                                    minlength=len(mesh.nodes))
         groups = [np.arange(count)] if groups is None else groups
@@ -76,7 +96,7 @@ class ElementBatches:
         equations = np.where(self._real[..., None], own[self._elements], self.residual.size - 1)
         self._equations = np.ascontiguousarray(np.moveaxis(equations, 1, -1).reshape(-1, LANES), dtype=np.int32)
         self._gradients = [self._lanes(gradients[..., i]) for i in range(3)]
-        self._weights, self._mode_values = self._lanes(self.weights), self._lanes(self._pressure_modes(X, values))
+        self._weights, self._mode_values = self._lanes(self.weights), self._lanes(modes)
         self._number(mesh.connectivity, len(mesh.nodes))
 
     def _lanes(self, values: np.ndarray) -> np.ndarray:
@@ -99,15 +119,6 @@ class ElementBatches:
     def element_moduli(self) -> np.ndarray:
         """In units of the material's, shape (elements,)."""
         return self._of_elements(self.moduli)
-
-    def _pressure_modes(self, X: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Orthonormal, shape (elements, q, modes)."""
-        modes = np.ones((*self.weights.shape, self._modes))
-        if self._modes == 4:
-            place = np.einsum("qa,eai->eqi", values, X)
-            modes[..., 1:] = (place - place.mean(axis=1, keepdims=True)) / np.ptp(X, axis=1)[:, None]
-        gram = np.einsum("eq,eqm,eqn->emn", self.weights, modes, modes)
-        return np.einsum("eqm,enm->eqn", modes, np.linalg.inv(np.linalg.cholesky(gram)))
 
     def _number(self, connectivity: np.ndarray, nodes: int) -> None:
         """The pattern of the matrix, and where the stiffness of each pair of nodes stands in it."""

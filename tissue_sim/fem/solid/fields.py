@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,6 +17,8 @@ from tissue_sim.mesh.solid import SolidMesh
 _ALONG = {f"cauchy_{'xyz'[i]}{'xyz'[k]}": (i, k) for i in range(3) for k in range(i, 3)}
 #: Field -> unit.
 SOLID_UNITS = FIELD_UNITS | dict.fromkeys(_ALONG, "Pa")
+#: What is known without the pressure.
+_WITHOUT_PRESSURE = ("displacement", "von_mises", "J", "stretch")
 #: Rows and columns of a symmetric tensor from its components XX, XY, XZ, YY, YZ, ZZ.
 _SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 
@@ -30,7 +32,8 @@ class SolidFields:
         material: what it is made of.
         bulk_modulus: K that each element used, in units of `moduli`, Pa, shape (elements,).
         displacements: of the nodes, m, shape (samples, nodes, 3).
-        pressures: amplitudes of the pressure modes, Pa, shape (samples, elements, modes).
+        pressures: amplitudes of the pressure modes, shape (samples, elements, modes); None where nobody knows them, and
+            then `names` are fewer.
         gradients: of the shape functions at the quadrature points, 1/m, shape (elements, q, nodes, 3).
         pressure_modes: orthonormal pressure modes there, shape (elements, q, modes).
         weights: volumes of the quadrature points, m3, shape (elements, q).
@@ -44,7 +47,7 @@ class SolidFields:
     material: Material
     bulk_modulus: np.ndarray
     displacements: np.ndarray
-    pressures: np.ndarray
+    pressures: np.ndarray | None
     gradients: np.ndarray
     pressure_modes: np.ndarray
     weights: np.ndarray
@@ -56,13 +59,18 @@ class SolidFields:
         # One number stands for all elements.
         object.__setattr__(self, "bulk_modulus", np.broadcast_to(self.bulk_modulus, self.moduli.shape))
 
+    @property
+    def names(self) -> Collection[str]:
+        """Of the fields that are known; see `SOLID_UNITS`."""
+        return SOLID_UNITS if self.pressures is not None else _WITHOUT_PRESSURE
+
     def arrays(self) -> tuple[np.ndarray, ...]:
-        alone = (self.displacements, self.pressures)
-        return alone if self.stresses is None else (*alone, self.stresses)
+        return tuple(each for each in (self.displacements, self.pressures, self.stresses) if each is not None)
 
     def with_arrays(self, arrays: Sequence[np.ndarray]) -> SolidFields:
-        return replace(self, displacements=arrays[0], pressures=arrays[1],
-                       stresses=arrays[2] if len(arrays) > 2 else None)
+        more = iter(arrays[1:])
+        return replace(self, displacements=arrays[0], pressures=None if self.pressures is None else next(more),
+                       stresses=None if self.stresses is None else next(more))
 
     def of_the_material(self) -> dict[str, Any]:
         return {"material": self.material, "bulk_modulus": self.bulk_modulus, "moduli": self.moduli}
@@ -78,9 +86,9 @@ class SolidFields:
         """
         mesh = replace(self.mesh, connectivity=self.mesh.connectivity[elements], regions={})
         return replace(self, mesh=mesh, bulk_modulus=self.bulk_modulus[elements],
-                       pressures=self.pressures[:, elements], gradients=self.gradients[elements],
-                       pressure_modes=self.pressure_modes[elements], weights=self.weights[elements],
-                       moduli=self.moduli[elements],
+                       pressures=None if self.pressures is None else self.pressures[:, elements],
+                       gradients=self.gradients[elements], pressure_modes=self.pressure_modes[elements],
+                       weights=self.weights[elements], moduli=self.moduli[elements],
                        stresses=None if self.stresses is None else self.stresses[:, elements])
 
     def means(self) -> SolidFields:
@@ -116,6 +124,9 @@ class SolidFields:
         """
         if name not in SOLID_UNITS:
             raise InputError(f"unknown field {name!r}{nearest(name, SOLID_UNITS)}", field="field")
+        if name not in self.names:
+            raise InputError(f"of this solid nobody knows the pressure, so there is no {name!r}; use one of "
+                             f"{', '.join(self.names)}", field="field")
         if name == "displacement":
             return np.linalg.norm(self._at_points(self.displacement(sample)), axis=-1)
         if self.material.regions and self.mesh.regions:
@@ -128,7 +139,7 @@ class SolidFields:
         if name == "stretch":
             return principal_stretches(left)[..., 0]
         modulus = self.moduli[:, None]
-        p = np.einsum("eqm,em->eq", self.pressure_modes, self.pressures[sample])
+        p = 0.0 if self.pressures is None else np.einsum("eqm,em->eq", self.pressure_modes, self.pressures[sample])
         if name == "energy":
             energy, _ = self._response(principal_stretches(left))
             own = modulus * self.material.instantaneous_factor * energy
