@@ -163,6 +163,9 @@ def test_a_force_that_errs_is_warned_of_in_both_outputs(tmp_path, capsys):
     assert main(words) == 0
     out, err = capsys.readouterr()
     assert err == f"tissue-sim: warning: {warning}\n" and "of its largest, by comparison" in " ".join(out.split())
+    assert main([*words, "--json", "--no-force-error"]) == 0
+    unsaid = json.loads(capsys.readouterr().out)
+    assert "force_error" not in unsaid and unsaid["warnings"] == [] and unsaid["force_N"] == answer["force_N"]
 
 
 def test_material_beyond_its_range_and_stability_is_warned_of(tmp_path, capsys):

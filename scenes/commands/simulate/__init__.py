@@ -35,6 +35,8 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument("-o", dest="output", type=Path, metavar="CURVE.csv", help="write the curve as a recording")
     parser.add_argument("--figure", type=Path, metavar="F.png", help="draw the deformed mesh, coloured by --field")
     parser.add_argument("--field", choices=tuple(LABELS), help="colour of --figure (default: von_mises)")
+    parser.add_argument("--no-force-error", action="store_true",
+                        help="leave out the second test, on another mesh, that tells how far the force errs")
     add_overwrite(parser)
     add_json(parser)
     parser.set_defaults(run=run)
@@ -72,8 +74,10 @@ def run(arguments) -> int:
     failure = None
     with progress_console(quiet=arguments.json).status("simulating") as status:
         try:
-            recording = ts.simulate(model, resolution=arguments.resolution, fields=True, solver=arguments.solver,
-                                    progress=lambda done, of: status.update(describe(done, of)))
+            recording = ts.simulate(
+                model, resolution=arguments.resolution, fields=True, solver=arguments.solver,
+                estimate_error=not arguments.no_force_error,
+                progress=lambda done, of: status.update(describe(done, of, again=not arguments.no_force_error)))
         except ConvergenceError as error:
             if error.recording is None:
                 raise
@@ -118,7 +122,10 @@ def what_was_done(scene: str, experiment: ts.Experiment) -> dict[str, Any]:
     return {"kind": scene, **body, "tool": {"shape": tool.shape, **sizes}, **way}
 
 
-def describe(done: int, samples: int) -> str:
+def describe(done: int, samples: int, again: bool) -> str:
+    """Where a test is; `again`: whether a second one follows, to see how far the force errs."""
+    if done == samples and again:
+        return "simulating once more, on another mesh, to see how far the force errs"
     if done == 0:
         return "loading the solver (a machine's first run compiles it, some 10 s)"
     return f"simulating: {done} of {samples} samples"
