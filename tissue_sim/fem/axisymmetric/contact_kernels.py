@@ -37,7 +37,7 @@ from tissue_sim.fem.axisymmetric.contact import (
 )
 from tissue_sim.fem.axisymmetric.contact_gap import nearest_function
 from tissue_sim.fem.axisymmetric.contact_laws import law_functions
-from tissue_sim.fem.linear.band import add_any_function, add_entry_function
+from tissue_sim.fem.linear.band import BLOCK, add_any_function, add_entry_function
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.fem.taichi.trace import Formula
 
@@ -61,8 +61,10 @@ class ContactFunctions(NamedTuple):
     add_contact: object
     add_missing: object
     update_forces: object
+    take_off_forces: object
+    forget_rates: object
+    first_rows: object
     add_rates: object
-    note_rates: object
     have_changed: object
     add_tool_rates: object
     release: object
@@ -270,40 +272,80 @@ def functions(slips: bool, laws: tuple[Formula, ...] = ()) -> ContactFunctions:
             x[at + 1] = x[at + 1] + rates[i, MISSING_Z] + kzr * pr + kzz * pz
 
     @ti.func
-    def add_rates(count, slipping, free, width, nodes: ti.template(), shapes: ti.template(), rates: ti.template(),
-                  equation: ti.template(), entries: ti.template(), upper: ti.template()):
-        """Add the rates of the contact forces to the matrix; only where points slip it needs its upper half."""
+    def take_off_forces(count, multipliers, nodes: ti.template(), shapes: ti.template(), equation: ti.template(),
+                        x: ti.template(), residual: ti.template()):
+        """Take the forces that a linear solution has led to off the residual: it balances them with the tissue, as far
+        as that is linear, so that those which `add_contact` finds leave what is still unbalanced."""
         for i in range(count):
-            if rates[i, RR] != 0.0 or rates[i, ZZ] != 0.0:
+            at = multipliers + 2 * i
+            for a in range(shapes.shape[1]):
+                ir, iz = equation[2 * nodes[i, a]], equation[2 * nodes[i, a] + 1]
+                residual[ir] = residual[ir] - shapes[i, a] * x[at]
+                residual[iz] = residual[iz] - shapes[i, a] * x[at + 1]
+
+    @ti.func
+    def forget_rates(count, known: ti.template()):
+        """The matrix holds none."""
+        for i in range(count):
+            for k in ti.static(range(4)):
+                known[i, k] = 0.0
+
+    @ti.func
+    def has_changed(i, springs: ti.template(), rates: ti.template(), known: ti.template()):
+        changed = 0
+        for k in ti.static(range(4)):
+            if ti.abs(rates[i, k] - known[i, k]) > CHANGED * springs[i]:
+                changed = 1
+        return changed
+
+    @ti.func
+    def have_changed(count, springs: ti.template(), rates: ti.template(), known: ti.template()):
+        """Whether a point has met or left a body, stuck or slipped, since the matrix was told its rates."""
+        changed = 0
+        for i in range(count):
+            changed = ti.max(changed, has_changed(i, springs, rates, known))
+        return changed
+
+    @ti.func
+    def first_rows(count, fresh, free, rows, nodes: ti.template(), shapes: ti.template(), springs: ti.template(),
+                   ways: ti.template(), rates: ti.template(), known: ti.template(), equation: ti.template()):
+        """First block rows of the matrix that points have to do with which have changed, and which slip."""
+        changed, skewed = rows, rows
+        for i in range(count):
+            first = rows
+            for a in range(shapes.shape[1]):
+                for k in range(2):
+                    row = equation[2 * nodes[i, a] + k]
+                    if shapes[i, a] != 0.0 and row < free:
+                        first = ti.min(first, row // BLOCK)
+            if rates[i, FRICTION] > 0.0 and ways[i] != 0.0:
+                skewed = ti.min(skewed, first)
+            if fresh == 0 and has_changed(i, springs, rates, known) == 1:
+                changed = ti.min(changed, first)
+        return changed, skewed
+
+    @ti.func
+    def add_rates(count, fresh, unsymmetric, free, width, nodes: ti.template(), shapes: ti.template(),
+                  springs: ti.template(), rates: ti.template(), known: ti.template(), equation: ti.template(),
+                  entries: ti.template(), upper: ti.template()):
+        """Add to the matrix what has changed of the rates of the contact forces since it was told them, all of them
+        where it is `fresh`; only where points slip it needs its upper half."""
+        for i in range(count):
+            if fresh == 1 or has_changed(i, springs, rates, known) == 1:
                 for a in range(shapes.shape[1]):
                     for b in range(shapes.shape[1]):
                         share = shapes[i, a] * shapes[i, b]
                         if share != 0.0:
                             for e in range(4):
                                 row, column = equation[2 * nodes[i, a] + e // 2], equation[2 * nodes[i, b] + e % 2]
-                                value = share * rates[i, e]
+                                value = share * (rates[i, e] - known[i, e])
                                 if ti.static(slips):
-                                    if slipping > 0:
+                                    if unsymmetric > 0:
                                         add_any(row, column, value, free, width, entries, upper)
-                                if slipping == 0:
+                                if unsymmetric == 0:
                                     add_entry(row, column, value, free, width, entries)
-
-    @ti.func
-    def note_rates(count, rates: ti.template(), known: ti.template()):
-        """Remember the rates that the matrix holds."""
-        for i in range(count):
-            for k in ti.static(range(4)):
-                known[i, k] = rates[i, k]
-
-    @ti.func
-    def have_changed(count, springs: ti.template(), rates: ti.template(), known: ti.template()):
-        """Whether a point has met or left a body, stuck or slipped, since the rates were noted."""
-        changed = 0
-        for i in range(count):
-            for k in ti.static(range(4)):
-                if ti.abs(rates[i, k] - known[i, k]) > CHANGED * springs[i]:
-                    changed = 1
-        return changed
+                for k in ti.static(range(4)):
+                    known[i, k] = rates[i, k]
 
     @ti.func
     def add_tool_rates(count, free, nodes: ti.template(), shapes: ti.template(), spans: ti.template(),
@@ -357,5 +399,5 @@ def functions(slips: bool, laws: tuple[Formula, ...] = ()) -> ContactFunctions:
                     held[i, k] = met[i, k]
         return bound
 
-    return ContactFunctions(add_contact, add_missing, update_forces, add_rates, note_rates, have_changed,
-                            add_tool_rates, release, hold)
+    return ContactFunctions(add_contact, add_missing, update_forces, take_off_forces, forget_rates, first_rows, add_rates,
+                            have_changed, add_tool_rates, release, hold)
