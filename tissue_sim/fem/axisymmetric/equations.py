@@ -160,6 +160,11 @@ class Equations:
         return material.relaxation(self._contact_radius)
 
     @property
+    def settles(self) -> bool:
+        """Whether contact settles on linearised tissue; see `newton.SETTLES`."""
+        return self.surface.count > 0 and not self._laws
+
+    @property
     def remembers(self) -> bool:
         """Whether the tissue has a memory, which the kernel then keeps with its stresses."""
         return self.memory.works or bool(self.effects.formulas)

@@ -122,7 +122,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
             report[STATUS], report[STIFFNESS] = 0.0, 0.0
             iterations, tangent, halvings = 0, 1, HALVINGS
             # What the pass looks at, and the block row from which on the factor has to be made.
-            part, settled, waits, begin = WHOLE, 0, 0, 0
+            part, settled, circles, waits, begin = WHOLE, 0, 0, 0, 0
             # Far from equilibrium the surface's curvature would make the tangent indefinite.
             bending = 1.0 if max_iterations == 0 else 0.0
             if counts[KEEPS] == 2:
@@ -190,10 +190,11 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                     equation, residual)
                 counts[CHANGEABLE], counts[BENDING] = 0, int(bending)
                 if part == SETTLES and (switched == 0 or settled == ROUNDS):
-                    # The elements come next, their tangent too where the contact goes on changing.
+                    # The elements come next, their tangent too where the contact goes on changing, and does not settle
+                    # any more.
                     part, waits = WHOLE, wanting
                     if switched > 0:
-                        tangent = 1
+                        tangent, circles = 1, 1
                     continue
                 if part == WHOLE:
                     wanting, waits = ti.max(wanting, waits), 0
@@ -364,7 +365,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                             pending, settled = 0, 0
                             iterations += 1
                             if ti.static(settles):
-                                if counts[CONTACTS] > 0:
+                                if counts[CONTACTS] > 0 and circles == 0:
                                     part = SETTLES
                         counts[CHANGEABLE] = contact_kernels.ALL
                         if iterations + counts[ITERATED] > CIRCLING:
