@@ -11,8 +11,8 @@ from tissue_sim.fem.taichi.runtime import initialise
 
 
 def kernels(functions: band.Factorisation):
-    """A kernel that completes a symmetric matrix, adds entries (row, column, value) to it and factorises it from one block
-    row on, and one that solves."""
+    """A kernel that completes a symmetric matrix, adds entries (row, column, value) to it and factorises it from one
+    block row on, and one that solves."""
     ti = initialise()
     complete, mirror, add_any = band.complete_function(), band.mirror_function(), band.add_any_function()
     init, solve = functions

@@ -5,6 +5,7 @@ from functools import cache
 from tissue_sim.fem.axisymmetric import contact_kernels
 from tissue_sim.fem.axisymmetric.assembly import element_functions
 from tissue_sim.fem.axisymmetric.batches import LANES
+from tissue_sim.fem.axisymmetric.contact_rates import rate_functions
 from tissue_sim.fem.linear import band as band_matrix
 from tissue_sim.fem.linear.cholesky import cholesky_functions
 from tissue_sim.fem.linear.lu import lu_functions
@@ -18,8 +19,8 @@ FRICTION_FLOOR = 1e-9
 #: A factor serves again where each solve with it takes the residual down to this share, or where two more solves that
 #: gain as much as the last one will do.
 REUSE = 1e-3
-#: After a linear solution contact settles on the tissue as it was linearised, its factor brought up to date where points
-#: changed, in so many rounds at most.
+#: After a linear solution contact settles on the tissue as it was linearised, whose factor follows the points that
+#: change, in so many rounds at most.
 ROUNDS = 8
 #: What a pass of the iteration looks at: the elements and the contact; the contact alone, as it settles; the contact
 #: alone, for the stiffness with what has become of it.
@@ -30,9 +31,9 @@ CIRCLING = 8
 HALVINGS = 6
 #: Places in the kernel's counts, settings and report. KEEPS: 0 a step begins with an extrapolation, 1 with the state as
 #: it is and no point may change its own, 2 it goes on where the last one ended, 3 as 1, and only the stiffness is
-#: answered. FACTORISED, BENDING, SKEWED: answers, whether there is a factor at the end, whether the rates of contact are
-#: those with the curvature of the surfaces, and the block row before which the matrix is symmetric. ITERATED: linear
-#: solves before this start, of one that goes on.
+#: answered. FACTORISED, BENDING, SKEWED: answers, whether there is a factor at the end, whether the rates of contact
+#: are those with the curvature of the surfaces, and the block row before which the matrix is symmetric. ITERATED:
+#: linear solves before this start, of one that goes on.
 (PASSES, FREE, MAX_ITERATIONS, CONTACTS, REMEMBERS, UNSYMMETRIC, CHANGEABLE, KEEPS, STIFFNESS_ASKED, FACTORISED,
  BENDING, ITERATED, SKEWED) = range(13)
 (DEPTH, PREDICTED, KAPPA, WEIGHT, TOLERANCE, FLOOR, ROUNDING, TOUCH, CONTACT_TOLERANCE, STRENGTH,
@@ -59,7 +60,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
     block1, block3 = (ti.types.ndarray(dtype=block, ndim=n) for n in (1, 3))
     complete, mirror = band_matrix.complete_function(), band_matrix.mirror_function()
     cholesky, lu = cholesky_functions(), lu_functions()
-    contact = contact_kernels.functions(slips, laws)
+    contact, rates = contact_kernels.functions(laws), rate_functions(slips)
     # Laws of contact pull at points that do not touch, too.
     settles = not laws
     converged, inverted, indefinite, slow, diverged = (float(status) for status in (
@@ -200,10 +201,10 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                     wanting, waits = ti.max(wanting, waits), 0
                 report[VIOLATION], report[SLIPPING] = violation, slipping
                 if fresh == 1:
-                    contact.forget_rates(counts[CONTACTS], known_rates)
+                    rates.forget_rates(counts[CONTACTS], known_rates)
                     counts[UNSYMMETRIC], counts[SKEWED], begin = 0, rows, 0
                 if fresh == 1 or part != WHOLE:
-                    changed, skewed = contact.first_rows(counts[CONTACTS], fresh, free, rows, contact_nodes,
+                    changed, skewed = rates.first_rows(counts[CONTACTS], fresh, free, rows, contact_nodes,
                                                          contact_shapes, springs, ways, contact_rates, known_rates,
                                                          equation)
                     begin = ti.min(begin, changed)
@@ -216,7 +217,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                             if skewed < counts[SKEWED]:
                                 mirror(blocks, upper_blocks, skewed, counts[SKEWED], width)
                                 counts[SKEWED] = skewed
-                    contact.add_rates(counts[CONTACTS], fresh, counts[UNSYMMETRIC], free, width, contact_nodes,
+                    rates.add_rates(counts[CONTACTS], fresh, counts[UNSYMMETRIC], free, width, contact_nodes,
                                       contact_shapes, springs, contact_rates, known_rates, equation, entries, upper)
                     if begin < rows:
                         counts[FACTORISED] = 0
@@ -258,7 +259,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                         counts[CHANGEABLE], tangent = contact_kernels.ALL, 1
                     elif violation <= settings[CONTACT_TOLERANCE] and wanting == 0:
                         bound = contact.hold(counts[CONTACTS], held, met)
-                        if counts[STIFFNESS_ASKED] == 1 and (bound > 0 or contact.have_changed(
+                        if counts[STIFFNESS_ASKED] == 1 and (bound > 0 or rates.have_changed(
                                 counts[CONTACTS], springs, contact_rates, known_rates) == 1):
                             # The stiffness is that with the new bonds.
                             part = ANSWERS
@@ -291,7 +292,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                         # not yet.
                         for i in range(free):
                             residual[i], reaction[i] = pull[i], pull[i]
-                        stiff = pull[free] + contact.add_tool_rates(
+                        stiff = pull[free] + rates.add_tool_rates(
                             counts[CONTACTS], free, contact_nodes, contact_shapes, spans, contact_rates, direction,
                             equation, residual, reaction)
                         if inertia != 0.0:

@@ -20,11 +20,11 @@ class Factorisation(NamedTuple):
     """Taichi functions of a linear solver, for use inside kernels: factorise once, solve many.
 
     Attributes:
-        init: ``init(matrix, matrix_upper, lower, upper, inverse, rows, width, begin, skewed) -> int`` writes the factors
-            of a matrix to two other bands, and the reciprocals of their diagonal to `inverse` (rows * BLOCK); 0 where
-            it cannot, else 1. Those of the block rows before `begin` are there already; between rows and columns one
-            of which lies before the block row `skewed` the matrix is symmetric, and its upper half is not looked at.
-            A symmetric solver does not look at upper halves at all.
+        init: ``init(matrix, matrix_upper, lower, upper, inverse, rows, width, begin, skewed) -> int`` writes the
+            factors of a matrix to two other bands, and the reciprocals of their diagonal to `inverse` (rows * BLOCK);
+            0 where it cannot, else 1. Those of the block rows before `begin` are there already; between rows and
+            columns one of which lies before the block row `skewed` the matrix is symmetric, and its upper half is not
+            looked at. A symmetric solver does not look at upper halves at all.
         solve: ``solve(lower, upper, inverse, x, rows, width)`` overwrites the right-hand side x, (rows) vectors.
 
     Source: the pair init and compute of lineax (Rader, Lyons and Kidger, 2023, arXiv:2311.17283).
@@ -112,8 +112,8 @@ def subtract_function():
 
 @cache
 def mirror_function():
-    """Taichi function ``mirror(lower, upper, begin, end, width)``: fill in the upper half of the block rows from `begin`
-    to before `end` of a symmetric matrix, of which there is only the lower one."""
+    """Taichi function ``mirror(lower, upper, begin, end, width)``: fill in the upper half of the block rows from
+    `begin` to before `end` of a symmetric matrix, of which there is only the lower one."""
     ti = initialise()
 
     @ti.func

@@ -29,7 +29,7 @@ def lu_functions() -> Factorisation:
                 w = J - I + width - 1
                 subtract(I, J, first, width, matrix, lower, upper)
                 if J < I:
-                    if J >= skewed:
+                    if skewed <= J:
                         subtract(I, J, first, width, matrix_upper, upper, lower)
                         for c in range(BLOCK):
                             u = upper[I, w, c]
@@ -40,7 +40,7 @@ def lu_functions() -> Factorisation:
                         v = lower[I, w, c]
                         for k in range(c):
                             v -= lower[I, w, k] * lower[J, width - 1, c][k]
-                        if J < skewed:
+                        if skewed > J:
                             upper[I, w, c] = v
                         lower[I, w, c] = v * inverse[J * BLOCK + c]
             for c in range(BLOCK):
