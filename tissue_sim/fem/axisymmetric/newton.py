@@ -19,6 +19,9 @@ FRICTION_FLOOR = 1e-9
 #: A factor serves again where each solve with it takes the residual down to this share, or where two more solves that
 #: gain as much as the last one will do.
 REUSE = 1e-3
+#: A solution that begins so far off is followed by a new tangent at once; that of a test, whose steps are longer than
+#: those in real time, from the second on.
+FAR = 100.0, 10.0
 #: After a linear solution contact settles on the tissue as it was linearised, whose factor follows the points that
 #: change, in so many rounds at most.
 ROUNDS = 8
@@ -360,7 +363,8 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                                               contact_shapes, spans, contact_rates, motion, x)
                         if part == WHOLE:
                             # Where the old factor is likely to serve again, only the residual is computed first.
-                            tangent = 1 if pending == 1 or ratio > 10.0 else 0
+                            tangent = 1 if pending == 1 or ratio > FAR[0] or (
+                                ratio > FAR[1] and counts[STIFFNESS_ASKED] == 0) else 0
                             last_ratio = ratio
                             bending = 1.0 if ratio < 0.1 else 0.0
                             pending, settled = 0, 0
