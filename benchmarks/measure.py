@@ -50,7 +50,7 @@ def band_kernels() -> tuple[Callable, Callable]:
     @ti.kernel
     def factor(passes: ti.i32, matrix: three, inverse: reals, rows: ti.i32, width: ti.i32):
         for _ in range(passes):
-            init(matrix, matrix, inverse, rows, width)
+            init(matrix, matrix, matrix, matrix, inverse, rows, width, 0, rows)
 
     @ti.kernel
     def substitute(passes: ti.i32, matrix: three, inverse: reals, x: one, rows: ti.i32, width: ti.i32):

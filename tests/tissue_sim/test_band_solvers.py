@@ -11,10 +11,10 @@ from tissue_sim.fem.taichi.runtime import initialise
 
 
 def kernels(functions: band.Factorisation):
-    """A kernel that completes a symmetric matrix, adds entries (row, column, value) to it and factorises it, and one
-    that solves."""
+    """A kernel that completes a symmetric matrix, adds entries (row, column, value) to it and factorises it from one
+    block row on, and one that solves."""
     ti = initialise()
-    mirror, add_any = band.mirror_function(), band.add_any_function()
+    complete, mirror, add_any = band.complete_function(), band.mirror_function(), band.add_any_function()
     init, solve = functions
     block = ti.types.vector(band.BLOCK, ti.f64)
     blocks, entries, inverses, vectors = (
@@ -23,14 +23,17 @@ def kernels(functions: band.Factorisation):
     places, numbers = ti.types.ndarray(dtype=ti.i32, ndim=2), ti.types.ndarray(dtype=ti.i32, ndim=1)
 
     @ti.kernel
-    def run_init(free: ti.i32, rows: ti.i32, width: ti.i32, place: places, value: inverses, lower: blocks,
-                 lower_entries: entries, upper: blocks, upper_entries: entries, inverse: inverses, good: numbers):
+    def run_init(free: ti.i32, rows: ti.i32, width: ti.i32, begin: ti.i32, skewed: ti.i32, place: places,
+                 value: inverses, lower: blocks, lower_entries: entries, upper: blocks, upper_entries: entries,
+                 factor: blocks, upper_factor: blocks, inverse: inverses, good: numbers):
         ti.loop_config(serialize=True)
         for _ in range(1):
-            mirror(lower, upper, rows, width)
+            if begin == 0:
+                complete(lower, rows, width)
+                mirror(lower, upper, skewed, rows, width)
             for i in range(value.shape[0]):
                 add_any(place[i, 0], place[i, 1], value[i], free, width, lower_entries, upper_entries)
-            good[0] = init(lower, upper, inverse, rows, width)
+            good[0] = init(lower, upper, factor, upper_factor, inverse, rows, width, begin, skewed)
 
     @ti.kernel
     def run_solve(lower: blocks, upper: blocks, inverse: inverses, x: vectors, rows: ti.i32, width: ti.i32):
@@ -51,20 +54,28 @@ def cholesky():
     return kernels(cholesky_functions())
 
 
-def factorised(functions, lower: np.ndarray, added: np.ndarray):
+def factorised(functions, lower: np.ndarray, added: np.ndarray, skewed: int = 0, later: np.ndarray | None = None):
     """A function from a right-hand side to the solution, for a symmetric matrix in LAPACK's lower band storage plus
-    entries (row, column, value); and whether the factorisation was good."""
+    entries (row, column, value), and others `later`, after a first factorisation; and whether it was good. All entries
+    that are not symmetric stand in the block row `skewed` and column or behind."""
     run_init, run_solve = functions
     size, blocks = lower.shape[1], band.pack(lower)
     rows, width = blocks.shape[:2]
-    upper, inverse, good = np.zeros_like(blocks), np.zeros(rows * band.BLOCK), np.zeros(1, np.int32)
-    place, value = np.ascontiguousarray(added[:, :2], np.int32), np.ascontiguousarray(added[:, 2])
-    run_init(size, rows, width, place, value, blocks, blocks, upper, upper, inverse, good)
+    # What is not to be looked at is no number.
+    upper, factor, upper_factor = np.full((3, *blocks.shape), np.nan)
+    inverse, good = np.zeros(rows * band.BLOCK), np.zeros(1, np.int32)
+    for more in (added, later):
+        if more is None:
+            continue
+        place, value = np.ascontiguousarray(more[:, :2], np.int32), np.ascontiguousarray(more[:, 2])
+        begin = 0 if more is added else int(place.min()) // band.BLOCK
+        run_init(size, rows, width, begin, skewed, place, value, blocks, blocks, upper, upper, factor, upper_factor,
+                 inverse, good)
 
     def solution(right):
         x = np.zeros((rows, band.BLOCK))
         x.ravel()[:size] = right
-        run_solve(blocks, upper, inverse, x, rows, width)
+        run_solve(factor, upper_factor, inverse, x, rows, width)
         return x.ravel()[:size]
 
     return solution, bool(good[0])
@@ -112,6 +123,28 @@ def test_against_lapack(lu, size, half_band, entries):
     expected = solve_banded((half_band, half_band), lapack_bands(matrix, half_band), right)
     assert good
     np.testing.assert_allclose(x, expected, rtol=1e-11, atol=1e-12 * abs(expected).max())
+
+
+@pytest.mark.parametrize(("size", "half_band", "skewed", "later"), [
+    (64, 9, 0, 3), (96, 31, 4, 6), (96, 31, 7, 7), (350, 47, 20, 33), (350, 47, 20, 20), (350, 47, 44, 12)])
+def test_entries_that_come_later_cost_the_rows_behind_them(lu, size, half_band, skewed, later):
+    """And where the matrix is symmetric its upper half need not be there."""
+    symmetric, _, right = problem(size, half_band, 1)
+    rng = np.random.default_rng(1)
+    rows = [rng.integers(first * band.BLOCK, size, (40, 2)) if first * band.BLOCK < size else np.zeros((0, 2), int)
+            for first in (skewed, max(skewed, later))]
+    added, more = (np.column_stack([row, rng.normal(size=len(row))])[abs(row[:, 0] - row[:, 1]) <= half_band]
+                   for row in rows)
+    # On the diagonal nothing is skewed, however far before.
+    diagonal = np.array([[later * band.BLOCK, later * band.BLOCK, 2.0]])
+    more = np.concatenate([more, diagonal])
+    lower = np.stack([np.append(np.diagonal(symmetric, -d), np.zeros(d)) for d in range(half_band + 1)])
+    solution, good = factorised(lu, lower, added, skewed, more)
+    matrix = symmetric.copy()
+    for each in (added, more):
+        np.add.at(matrix, tuple(each[:, :2].astype(int).T), each[:, 2])
+    assert good
+    np.testing.assert_allclose(solution(right), np.linalg.solve(matrix, right), rtol=1e-11, atol=1e-13)
 
 
 def test_symmetric_matrix_is_the_case_without_entries(lu):

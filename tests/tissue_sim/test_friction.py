@@ -277,11 +277,12 @@ class TestTangent:
 
 
 def whole(solver):
-    """The condensed tangent as a full matrix: lower blocks, and upper ones where points slip."""
+    """The condensed tangent as a full matrix: lower blocks, and upper ones behind the first row where points slip."""
     solver.equations.tangent()
     rows, width = solver.equations.entries.shape[:2]
     full = np.zeros((rows * band.BLOCK,) * 2)
     unsymmetric = bool(solver.equations.counts[newton.UNSYMMETRIC])
+    skewed = int(solver.equations.counts[newton.SKEWED])
     for row in range(rows):
         for column in range(max(0, row - width + 1), row + 1):
             i, j = (slice(k * band.BLOCK, (k + 1) * band.BLOCK) for k in (row, column))
@@ -291,5 +292,5 @@ def whole(solver):
                 full[i, j] = below if unsymmetric else np.tril(below) + np.tril(below, -1).T
             else:
                 full[i, j] = below
-                full[j, i] = solver.equations.upper[row, w] if unsymmetric else below.T
+                full[j, i] = solver.equations.upper[row, w] if unsymmetric and column >= skewed else below.T
     return full[: solver.equations.free, : solver.equations.free]

@@ -10,7 +10,7 @@ from tissue_sim.fem.solver import StepStatus
 from tissue_sim.tool_force import carried_on
 
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
-SPECIMEN, TICK, MOST = ts.Specimen(0.040, 0.070), 1e-3, 6
+SPECIMEN, TICK, MOST = ts.Specimen(0.040, 0.070), 1e-3, 5
 CONVERGED, LATE = ts.ForceStatus.CONVERGED, ts.ForceStatus.LATE
 
 
@@ -66,6 +66,20 @@ def test_no_step_takes_more_and_the_next_equilibrium_is_the_right_one(work, iner
     assert apart[~late].max() < 0.01 * largest
 
 
+def test_contact_settles_within_a_solution():
+    """At 50 mm/s in and out again 4 solutions and the stiffness are enough, where each change of points that stick,
+    slip, touch or part took one of its own (7), and the forces are those of far smaller residuals."""
+    way = [*range(1, 201), *range(199, -1, -1)]
+    bound, exact = (ts.Simulator(model(0.7), inertia="off", **options) for options in ({"max_solves": 5},
+                                                                                       {"tolerance": 1e-9}))
+    for simulator in (bound, exact):
+        simulator.warm_up()
+    answers = [bound.step(0.05e-3 * k, TICK) for k in way]
+    assert {answer.status for answer in answers} == {CONVERGED}
+    expected = np.array([exact.step(0.05e-3 * k, TICK).force for k in way])
+    np.testing.assert_allclose([answer.force for answer in answers], expected, rtol=0.0, atol=1e-6 * expected.max())
+
+
 def test_a_late_answer_is_the_last_equilibrium_carried_on():
     bound, last = simulator(max_solves=MOST), None
     for k, depth in enumerate(WAY):
@@ -108,7 +122,7 @@ def test_no_step_ends_in_less_than_three(most):
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.4, "stick"])
-@pytest.mark.parametrize("share", [1, 3])
+@pytest.mark.parametrize("share", [1, 2])
 def test_an_iteration_that_was_ended_goes_on_as_if_it_had_not_been(friction, share):
     """Its states of contact, how often they may change, and the curvature that its tangent has, are kept."""
     def pressed():

@@ -37,14 +37,11 @@ from tissue_sim.fem.axisymmetric.contact import (
 )
 from tissue_sim.fem.axisymmetric.contact_gap import nearest_function
 from tissue_sim.fem.axisymmetric.contact_laws import law_functions
-from tissue_sim.fem.linear.band import add_any_function, add_entry_function
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.fem.taichi.trace import Formula
 
 #: How a point is bound to the body: not at all, held by an interface without slip, touching with friction.
 FREE, HELD, TOUCHED = 0.0, 1.0, 2.0
-#: A rate has changed if it did by this share of its spring.
-CHANGED = 0.01
 #: Share of a point's spring that weighs gap and slip against its force where its state is decided: about the stiffness
 #: of the tissue.
 TRIAL = 1e-3
@@ -61,20 +58,15 @@ class ContactFunctions(NamedTuple):
     add_contact: object
     add_missing: object
     update_forces: object
-    add_rates: object
-    note_rates: object
-    have_changed: object
-    add_tool_rates: object
+    take_off_forces: object
     release: object
     hold: object
 
 
 @cache
-def functions(slips: bool, laws: tuple[Formula, ...] = ()) -> ContactFunctions:
-    """See the functions themselves; without `slips` nothing ever does, without `laws` there are contact and friction
-    alone."""
+def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
+    """See the functions themselves; without `laws` there are contact and friction alone."""
     ti = initialise()
-    add_entry, add_any = add_entry_function(), add_any_function()
     has_laws, law = bool(laws), law_functions(laws)
     nearest = nearest_function()
 
@@ -270,65 +262,16 @@ def functions(slips: bool, laws: tuple[Formula, ...] = ()) -> ContactFunctions:
             x[at + 1] = x[at + 1] + rates[i, MISSING_Z] + kzr * pr + kzz * pz
 
     @ti.func
-    def add_rates(count, slipping, free, width, nodes: ti.template(), shapes: ti.template(), rates: ti.template(),
-                  equation: ti.template(), entries: ti.template(), upper: ti.template()):
-        """Add the rates of the contact forces to the matrix; only where points slip it needs its upper half."""
+    def take_off_forces(count, multipliers, nodes: ti.template(), shapes: ti.template(), equation: ti.template(),
+                        x: ti.template(), residual: ti.template()):
+        """Take the forces that a linear solution has led to off the residual: it balances them with the tissue, as far
+        as that is linear, so that those which `add_contact` finds leave what is still unbalanced."""
         for i in range(count):
-            if rates[i, RR] != 0.0 or rates[i, ZZ] != 0.0:
-                for a in range(shapes.shape[1]):
-                    for b in range(shapes.shape[1]):
-                        share = shapes[i, a] * shapes[i, b]
-                        if share != 0.0:
-                            for e in range(4):
-                                row, column = equation[2 * nodes[i, a] + e // 2], equation[2 * nodes[i, b] + e % 2]
-                                value = share * rates[i, e]
-                                if ti.static(slips):
-                                    if slipping > 0:
-                                        add_any(row, column, value, free, width, entries, upper)
-                                if slipping == 0:
-                                    add_entry(row, column, value, free, width, entries)
-
-    @ti.func
-    def note_rates(count, rates: ti.template(), known: ti.template()):
-        """Remember the rates that the matrix holds."""
-        for i in range(count):
-            for k in ti.static(range(4)):
-                known[i, k] = rates[i, k]
-
-    @ti.func
-    def have_changed(count, springs: ti.template(), rates: ti.template(), known: ti.template()):
-        """Whether a point has met or left a body, stuck or slipped, since the rates were noted."""
-        changed = 0
-        for i in range(count):
-            for k in ti.static(range(4)):
-                if ti.abs(rates[i, k] - known[i, k]) > CHANGED * springs[i]:
-                    changed = 1
-        return changed
-
-    @ti.func
-    def add_tool_rates(count, free, nodes: ti.template(), shapes: ti.template(), spans: ti.template(),
-                       rates: ti.template(), direction: ti.template(), equation: ti.template(), pull: ti.template(),
-                       reaction: ti.template()):
-        """Add the rates of the contact forces with the depth of the tool, the tissue held, to `pull`, and those of the
-        force on the tool with the tissue's motion to `reaction`; returns that of the force itself, N/m."""
-        stiff = 0.0
-        for i in range(count):
-            krz, kzr, kzz = rates[i, RZ], rates[i, ZR], rates[i, ZZ]
-            # How the point moves in the frame of its body when only the tool and what follows it does.
-            apart = float(spans[i, MOVES])
+            at = multipliers + 2 * i
             for a in range(shapes.shape[1]):
-                if equation[2 * nodes[i, a] + 1] >= free:
-                    apart += shapes[i, a] * direction[2 * nodes[i, a] + 1]
-            stiff += apart * apart * kzz
-            for a in range(shapes.shape[1]):
-                ir, iz, share = equation[2 * nodes[i, a]], equation[2 * nodes[i, a] + 1], shapes[i, a] * apart
-                if ir < free:
-                    pull[ir] = pull[ir] + share * krz
-                    reaction[ir] = reaction[ir] + share * kzr
-                if iz < free:
-                    pull[iz] = pull[iz] + share * kzz
-                    reaction[iz] = reaction[iz] + share * kzz
-        return stiff
+                ir, iz = equation[2 * nodes[i, a]], equation[2 * nodes[i, a] + 1]
+                residual[ir] = residual[ir] - shapes[i, a] * x[at]
+                residual[iz] = residual[iz] - shapes[i, a] * x[at + 1]
 
     @ti.func
     def release(count, strength, reach, places: ti.template(), areas: ti.template(), spans: ti.template(),
@@ -357,5 +300,4 @@ def functions(slips: bool, laws: tuple[Formula, ...] = ()) -> ContactFunctions:
                     held[i, k] = met[i, k]
         return bound
 
-    return ContactFunctions(add_contact, add_missing, update_forces, add_rates, note_rates, have_changed,
-                            add_tool_rates, release, hold)
+    return ContactFunctions(add_contact, add_missing, update_forces, take_off_forces, release, hold)

@@ -80,7 +80,7 @@ class Equations:
                 contact.tolerance, strength(contact.laws, contact.face), reach)
         laws, face = ((), 1.0) if contact is None else (contact.laws, contact.face)
         self._laws, self._law_settings = tuple(map(Formula.of, laws)), law_settings(laws, face)
-        self.counts = np.array([1, self.free, 0, self.surface.count, *[0] * 8], dtype=np.int32)
+        self.counts = np.array([1, self.free, 0, self.surface.count, *[0] * 9], dtype=np.int32)
         self.set_material(material)
         if start is not None:
             for array, settled in zip(self.memory.kept, start.memory.kept, strict=True):
@@ -95,6 +95,7 @@ class Equations:
         self.entries = self._scattered[:-1].reshape(rows, width, band.BLOCK, band.BLOCK)
         # The upper half, of a tangent of slipping contact.
         self.upper = np.zeros_like(self.entries if self.surface.slips else self.entries[:1])
+        self._factor, self._upper_factor = np.zeros_like(self.entries), np.zeros_like(self.upper)
         self._inverse = np.zeros(rows * band.BLOCK)
         self._right = np.zeros((rows, band.BLOCK))
         self.residual = np.zeros(max(rows * band.BLOCK, int(self.equation.max()) + 1) + 1)
@@ -157,6 +158,11 @@ class Equations:
     def relaxation(self, material: Material) -> Prony | None:
         """All that relaxes in this material here."""
         return material.relaxation(self._contact_radius)
+
+    @property
+    def settles(self) -> bool:
+        """Whether contact settles on linearised tissue; see `newton.SETTLES`."""
+        return self.surface.count > 0 and not self._laws
 
     @property
     def remembers(self) -> bool:
@@ -292,7 +298,8 @@ class Equations:
                 "contact_rates": surface.rates, "coefficients": self._coefficients, "past": memory.past,
                 "inherited": memory.inherited, "largest": memory.largest, "stresses": memory.stresses,
                 "energies": memory.energies, "x": state.x, "entries": self.entries, "blocks": self.entries,
-                "upper_blocks": self.upper, "inverse": self._inverse, "right": self._right,
+                "upper_blocks": self.upper, "factor": self._factor, "upper_factor": self._upper_factor,
+                "inverse": self._inverse, "right": self._right,
                 "residual": self.residual, "pull": self._pull, **self.batches.eliminated(),
                 **{name: batches[name] for name in of_elements}}
 

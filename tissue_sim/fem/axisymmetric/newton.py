@@ -5,6 +5,7 @@ from functools import cache
 from tissue_sim.fem.axisymmetric import contact_kernels
 from tissue_sim.fem.axisymmetric.assembly import element_functions
 from tissue_sim.fem.axisymmetric.batches import LANES
+from tissue_sim.fem.axisymmetric.contact_rates import rate_functions
 from tissue_sim.fem.linear import band as band_matrix
 from tissue_sim.fem.linear.cholesky import cholesky_functions
 from tissue_sim.fem.linear.lu import lu_functions
@@ -18,16 +19,26 @@ FRICTION_FLOOR = 1e-9
 #: A factor serves again where each solve with it takes the residual down to this share, or where two more solves that
 #: gain as much as the last one will do.
 REUSE = 1e-3
+#: A solution that begins so far off is followed by a new tangent at once; that of a test, whose steps are longer than
+#: those in real time, from the second on.
+FAR = 100.0, 10.0
+#: After a linear solution contact settles on the tissue as it was linearised, whose factor follows the points that
+#: change, in so many rounds at most.
+ROUNDS = 8
+#: What a pass of the iteration looks at: the elements and the contact; the contact alone, as it settles; the contact
+#: alone, for the stiffness with what has become of it.
+WHOLE, SETTLES, ANSWERS = range(3)
 #: All points of the surface may change their state at once, until so many iterations did not settle it.
 CIRCLING = 8
 #: A linear solution that turns an element inside out is halved so many times at most.
 HALVINGS = 6
 #: Places in the kernel's counts, settings and report. KEEPS: 0 a step begins with an extrapolation, 1 with the state as
 #: it is and no point may change its own, 2 it goes on where the last one ended, 3 as 1, and only the stiffness is
-#: answered. FACTORISED, BENDING: answers, whether the matrix is a factor at the end, and whether the rates of contact
-#: are those with the curvature of the surfaces. ITERATED: linear solves before this start, of one that goes on.
+#: answered. FACTORISED, BENDING, SKEWED: answers, whether there is a factor at the end, whether the rates of contact
+#: are those with the curvature of the surfaces, and the block row before which the matrix is symmetric. ITERATED:
+#: linear solves before this start, of one that goes on.
 (PASSES, FREE, MAX_ITERATIONS, CONTACTS, REMEMBERS, UNSYMMETRIC, CHANGEABLE, KEEPS, STIFFNESS_ASKED, FACTORISED,
- BENDING, ITERATED) = range(12)
+ BENDING, ITERATED, SKEWED) = range(13)
 (DEPTH, PREDICTED, KAPPA, WEIGHT, TOLERANCE, FLOOR, ROUNDING, TOUCH, CONTACT_TOLERANCE, STRENGTH,
  REACH, INERTIA, DENSITY) = range(13)
 STATUS, ITERATIONS, RESIDUAL, FORCE, VIOLATION, SLIPPING, STIFFNESS = range(7)
@@ -50,8 +61,11 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
     int1, int2 = (ti.types.ndarray(dtype=ti.i32, ndim=n) for n in (1, 2))
     vector1 = ti.types.ndarray(dtype=vec, ndim=1)
     block1, block3 = (ti.types.ndarray(dtype=block, ndim=n) for n in (1, 3))
-    mirror, cholesky, lu = band_matrix.mirror_function(), cholesky_functions(), lu_functions()
-    contact = contact_kernels.functions(slips, laws)
+    complete, mirror = band_matrix.complete_function(), band_matrix.mirror_function()
+    cholesky, lu = cholesky_functions(), lu_functions()
+    contact, rates = contact_kernels.functions(laws), rate_functions(slips)
+    # Laws of contact pull at points that do not touch, too.
+    settles = not laws
     converged, inverted, indefinite, slow, diverged = (float(status) for status in (
         StepStatus.CONVERGED, StepStatus.INVERTED, StepStatus.INDEFINITE, StepStatus.SLOW, StepStatus.DIVERGED))
 
@@ -78,8 +92,8 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
              past: real1, inherited: real3, largest: real2, stresses: real3, energies: real2, effect_settings: real1,
              effect_states: real3, effect_states_found: real3, masses: real1, rest: real1, x: real1, before: real1,
              motion: real1, history: real2, slots: int1, weights: real1, entries: real4, blocks: block3, flat: block1,
-             scattered: real1, upper: real4, upper_blocks: block3, inverse: real1, right: block1, residual: real1, pull:
-             real1, reaction: real1, report: real1):
+             scattered: real1, upper: real4, upper_blocks: block3, factor: block3, upper_factor: block3, inverse: real1,
+             right: block1, residual: real1, pull: real1, reaction: real1, report: real1):
         # One pass of one serial task, started without waking a thread pool; the count is an argument so that the loop
         # is not unrolled into many tasks.
         ti.loop_config(serialize=True)
@@ -110,7 +124,9 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                     else:
                         x[dof] = target[dof]  # the rounding of the extrapolation
             report[STATUS], report[STIFFNESS] = 0.0, 0.0
-            iterations, tangent, factorised, halvings = 0, 1, 0, HALVINGS
+            iterations, tangent, halvings = 0, 1, HALVINGS
+            # What the pass looks at, and the block row from which on the factor has to be made.
+            part, settled, circles, waits, begin = WHOLE, 0, 0, 0, 0
             # Far from equilibrium the surface's curvature would make the tangent indefinite.
             bending = 1.0 if max_iterations == 0 else 0.0
             if counts[KEEPS] == 2:
@@ -118,19 +134,20 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
             first, first_ratio, last_ratio, axial = 1, 0.0, 0.0, 0.0
             # The status lives in the report: Taichi 1.7.4 loses a local variable that a branch of such a loop sets.
             # Each solve may need more passes: for halves of it, for a tangent that was skipped, for points that have to
-            # change.
-            for _attempt in range((HALVINGS + 3) * max_iterations + 3):
+            # change, for contact that settles.
+            for _attempt in range((HALVINGS + ROUNDS + 4) * max_iterations + 4):
                 if report[STATUS] != 0.0:
                     break
                 for i in range(residual.shape[0]):
                     residual[i] = 0.0
-                if tangent == 1:
+                fresh = tangent if part == WHOLE else 0
+                if fresh == 1:
                     for i in range(flat.shape[0]):
                         flat[i] = block(0.0)
                     for i in range(pull.shape[0]):
                         pull[i] = 0.0
                 interior, smallest, definite = 0.0, 1e30, 1
-                for b in range(batches):
+                for b in range(batches if part == WHOLE else 0):
                     J = work.integrate(b, tangent, kappa, counts[REMEMBERS], x, pressures, elements, dofs,
                                        gradient_r, gradient_z, value_r, point_weights, mode_values, moduli,
                                        coefficients, past, inherited, largest, stresses, energies, effect_settings,
@@ -155,7 +172,10 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                     for i in range(x.shape[0]):
                         x[i] = 0.5 * (x[i] + before[i])
                     continue
-                if inertia != 0.0:
+                if part == SETTLES:
+                    contact.take_off_forces(counts[CONTACTS], multipliers, contact_nodes, contact_shapes, equation, x,
+                                            residual)
+                elif inertia != 0.0 and part == WHOLE:
                     for dof in range(pressures):
                         i = equation[dof]
                         if i >= 0:
@@ -173,16 +193,37 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                     contact_rounding, friction, springs, held, pressed, ways, met, forces, contact_rates, x, target,
                     equation, residual)
                 counts[CHANGEABLE], counts[BENDING] = 0, int(bending)
+                if part == SETTLES and (switched == 0 or settled == ROUNDS):
+                    # The elements come next, their tangent too where the contact goes on changing, and does not settle
+                    # any more.
+                    part, waits = WHOLE, wanting
+                    if switched > 0:
+                        tangent, circles = 1, 1
+                    continue
+                if part == WHOLE:
+                    wanting, waits = ti.max(wanting, waits), 0
                 report[VIOLATION], report[SLIPPING] = violation, slipping
-                if tangent == 1:
-                    counts[UNSYMMETRIC] = ti.min(slipping, 1)
+                if fresh == 1:
+                    rates.forget_rates(counts[CONTACTS], known_rates)
+                    counts[UNSYMMETRIC], counts[SKEWED], begin = 0, rows, 0
+                if fresh == 1 or part != WHOLE:
+                    changed, skewed = rates.first_rows(counts[CONTACTS], fresh, free, rows, contact_nodes,
+                                                         contact_shapes, springs, ways, contact_rates, known_rates,
+                                                         equation)
+                    begin = ti.min(begin, changed)
                     if ti.static(slips):
                         if slipping > 0:
-                            mirror(blocks, upper_blocks, rows, width)
-                    contact.add_rates(counts[CONTACTS], slipping, free, width, contact_nodes, contact_shapes,
-                                      contact_rates, equation, entries, upper)
-                    contact.note_rates(counts[CONTACTS], contact_rates, known_rates)
-                    factorised, counts[FACTORISED] = 0, 0
+                            if counts[UNSYMMETRIC] == 0:
+                                # Cholesky's factor is none of these.
+                                counts[UNSYMMETRIC], begin = 1, 0
+                                complete(blocks, rows, width)
+                            if skewed < counts[SKEWED]:
+                                mirror(blocks, upper_blocks, skewed, counts[SKEWED], width)
+                                counts[SKEWED] = skewed
+                    rates.add_rates(counts[CONTACTS], fresh, counts[UNSYMMETRIC], free, width, contact_nodes,
+                                      contact_shapes, springs, contact_rates, known_rates, equation, entries, upper)
+                    if begin < rows:
+                        counts[FACTORISED] = 0
                 unbalanced, total = interior, axial
                 for i in range(free):
                     unbalanced += residual[i] * residual[i]
@@ -195,17 +236,19 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                 ratio = ti.sqrt(unbalanced) / scale
                 # Rounding is allowed for, within reason.
                 goal = tolerance + ti.min(rounding / scale, 1e-5)
-                if iterations == first:
-                    first_ratio = ratio
-                report[RESIDUAL], report[FORCE] = ratio, total
+                if part == WHOLE:
+                    report[RESIDUAL], report[FORCE] = ratio, total
+                    if iterations == first:
+                        first_ratio = ratio
                 solves = 0
-                if smallest <= 0.0 or smallest >= 1e30 or ti.math.isnan(smallest):
+                if part == SETTLES:
+                    settled, solves = settled + 1, 1
+                elif part == ANSWERS:
+                    report[STATUS] = converged
+                elif smallest <= 0.0 or smallest >= 1e30 or ti.math.isnan(smallest):
                     report[STATUS] = inverted
                 elif ti.math.isnan(ratio) or ti.math.isinf(ratio):
                     report[STATUS] = diverged
-                elif (pending == 0 and ratio <= goal and tangent == 0 and counts[STIFFNESS_ASKED] == 1
-                      and contact.have_changed(counts[CONTACTS], springs, contact_rates, known_rates) == 1):
-                    tangent = 1  # the stiffness needs it
                 elif pending == 0 and ratio <= goal:
                     released = 0
                     if violation <= settings[CONTACT_TOLERANCE]:
@@ -219,9 +262,10 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                         counts[CHANGEABLE], tangent = contact_kernels.ALL, 1
                     elif violation <= settings[CONTACT_TOLERANCE] and wanting == 0:
                         bound = contact.hold(counts[CONTACTS], held, met)
-                        if bound > 0 and counts[STIFFNESS_ASKED] == 1:
+                        if counts[STIFFNESS_ASKED] == 1 and (bound > 0 or rates.have_changed(
+                                counts[CONTACTS], springs, contact_rates, known_rates) == 1):
                             # The stiffness is that with the new bonds.
-                            tangent = 1
+                            part = ANSWERS
                         else:
                             report[STATUS] = converged
                     elif iterations >= max_iterations:
@@ -251,7 +295,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                         # not yet.
                         for i in range(free):
                             residual[i], reaction[i] = pull[i], pull[i]
-                        stiff = pull[free] + contact.add_tool_rates(
+                        stiff = pull[free] + rates.add_tool_rates(
                             counts[CONTACTS], free, contact_nodes, contact_shapes, spans, contact_rates, direction,
                             equation, residual, reaction)
                         if inertia != 0.0:
@@ -264,34 +308,46 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                     for I in range(rows):
                         for k in ti.static(range(B)):
                             right[I][k] = residual[I * B + k] if I * B + k < free else 0.0
-                    if factorised == 0 and definite == 1:
+                    if begin < rows and definite == 1:
                         for i in range(free, rows * B):
                             entries[i // B, width - 1, i % B, i % B] = 1.0
                         if ti.static(slips):
                             if counts[UNSYMMETRIC] == 1:
-                                definite = lu.init(blocks, upper_blocks, inverse, rows, width)
+                                definite = lu.init(blocks, upper_blocks, factor, upper_factor, inverse, rows, width,
+                                                   begin, counts[SKEWED])
                         if counts[UNSYMMETRIC] == 0:
-                            definite = cholesky.init(blocks, upper_blocks, inverse, rows, width)
-                        factorised, counts[FACTORISED] = definite, definite
+                            definite = cholesky.init(blocks, upper_blocks, factor, upper_factor, inverse, rows, width,
+                                                     begin, rows)
+                        counts[FACTORISED] = definite
+                        begin = rows if definite == 1 else 0
                     if definite == 1:
                         if ti.static(slips):
                             if counts[UNSYMMETRIC] == 1:
-                                lu.solve(blocks, upper_blocks, inverse, right, rows, width)
+                                lu.solve(factor, upper_factor, inverse, right, rows, width)
                         if counts[UNSYMMETRIC] == 0:
-                            cholesky.solve(blocks, upper_blocks, inverse, right, rows, width)
+                            cholesky.solve(factor, upper_factor, inverse, right, rows, width)
                     if asked == 1 and definite == 1:
                         for i in range(free):
                             stiff -= reaction[i] * right[i // B][i % B]
                         report[STIFFNESS] = stiff
+                    elif part == SETTLES and definite == 0:
+                        part, tangent = WHOLE, 1
                     elif solves == 1 and definite == 0 and bending > 0.0:
                         bending, last_ratio = 0.0, 0.0
                     elif solves == 1 and definite == 0:
                         report[STATUS] = indefinite
                     elif solves == 1:
-                        for i in range(x.shape[0]):
-                            before[i] = x[i]
-                        # The tool's way is not cut in here.
-                        halvings = HALVINGS if pending == 1 else 0
+                        if part == WHOLE:
+                            for i in range(x.shape[0]):
+                                before[i] = x[i]
+                            # The tool's way is not cut in here.
+                            halvings = HALVINGS if pending == 1 else 0
+                        else:
+                            # What is eliminated has no unbalanced forces left.
+                            for b in range(batches):
+                                force_r[b], force_z[b] = vec(0.0), vec(0.0)
+                            for i in range(gap.shape[0]):
+                                gap[i] = vec(0.0)
                         for dof in range(pressures):
                             i = equation[dof]
                             if i >= free:
@@ -305,15 +361,20 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                                         volume_z, gap, rows_rr, rows_rz, rows_zr, rows_zz, force_r, force_z)
                         contact.update_forces(counts[CONTACTS], depth - tool, multipliers, contact_nodes,
                                               contact_shapes, spans, contact_rates, motion, x)
-                        # Where the old factor is likely to serve again, only the residual is computed first.
-                        tangent = 1 if pending == 1 or ratio > 10.0 else 0
-                        last_ratio = ratio
+                        if part == WHOLE:
+                            # Where the old factor is likely to serve again, only the residual is computed first.
+                            tangent = 1 if pending == 1 or ratio > FAR[0] or (
+                                ratio > FAR[1] and counts[STIFFNESS_ASKED] == 0) else 0
+                            last_ratio = ratio
+                            bending = 1.0 if ratio < 0.1 else 0.0
+                            pending, settled = 0, 0
+                            iterations += 1
+                            if ti.static(settles):
+                                if counts[CONTACTS] > 0 and circles == 0:
+                                    part = SETTLES
                         counts[CHANGEABLE] = contact_kernels.ALL
-                        if iterations + counts[ITERATED] >= CIRCLING:
-                            counts[CHANGEABLE] = 1 + iterations + counts[ITERATED]
-                        bending = 1.0 if ratio < 0.1 else 0.0
-                        pending = 0
-                        iterations += 1
+                        if iterations + counts[ITERATED] > CIRCLING:
+                            counts[CHANGEABLE] = iterations + counts[ITERATED] + settled
             if report[STATUS] == 0.0:
                 report[STATUS] = slow
             report[ITERATIONS] = iterations

@@ -10,7 +10,7 @@ from functools import cache
 from tissue_sim.fem.axisymmetric.batches import LANES
 from tissue_sim.fem.axisymmetric.contact import FRICTION, HOLD, MOVES, NORMAL_R, NORMAL_Z, RR, RZ, ZR, ZZ
 from tissue_sim.fem.axisymmetric.contact_kernels import HELD, TOUCHED
-from tissue_sim.fem.axisymmetric.newton import CONTACTS, KAPPA, UNSYMMETRIC
+from tissue_sim.fem.axisymmetric.newton import CONTACTS, KAPPA, SKEWED, UNSYMMETRIC
 from tissue_sim.fem.axisymmetric.newton import FREE as FREE_EQUATIONS
 from tissue_sim.fem.axisymmetric.sensitivity_points import (
     FRESH,
@@ -77,21 +77,21 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
 
     @ti.func
     def factorise(counts: ti.template(), entries: ti.template(), blocks: ti.template(), upper_blocks: ti.template(),
-                  inverse: ti.template(), rows, width):
+                  factor: ti.template(), upper_factor: ti.template(), inverse: ti.template(), rows, width):
         for i in range(counts[FREE_EQUATIONS], rows * B):
             entries[i // B, width - 1, i % B, i % B] = 1.0
         good = 1
         if ti.static(slips):
             if counts[UNSYMMETRIC] == 1:
-                good = lu.init(blocks, upper_blocks, inverse, rows, width)
+                good = lu.init(blocks, upper_blocks, factor, upper_factor, inverse, rows, width, 0, counts[SKEWED])
         if counts[UNSYMMETRIC] == 0:
-            good = cholesky.init(blocks, upper_blocks, inverse, rows, width)
+            good = cholesky.init(blocks, upper_blocks, factor, upper_factor, inverse, rows, width, 0, rows)
         return good
 
     @ti.func
     def settle(k, kappa, batches, which: ti.template(), counts: ti.template(), equation: ti.template(), contact_nodes:
                ti.template(), contact_shapes: ti.template(), springs: ti.template(), held: ti.template(), ways:
-               ti.template(), contact_rates: ti.template(), blocks: ti.template(), upper_blocks: ti.template(),
+               ti.template(), contact_rates: ti.template(), factor: ti.template(), upper_factor: ti.template(),
                inverse: ti.template(), right: ti.template(), residual: ti.template(), forces: ti.template(),
                multiplier_rates: ti.template(), anchor_rates: ti.template(), point_rates: ti.template(), law:
                ti.template(), dx: ti.template(), motion: ti.template(), dofs: ti.template(), real: ti.template(),
@@ -103,7 +103,7 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
         """Let the nodes, and the forces of contact, follow parameter k; `motion` holds the last part of that, and then
         the forces before it. With the factor of a tangent nearby each round takes off what the exact one still misses,
         and `which` says whether all of it."""
-        free, width, rows = counts[FREE_EQUATIONS], blocks.shape[1], blocks.shape[0]
+        free, width, rows = counts[FREE_EQUATIONS], factor.shape[1], factor.shape[0]
         last, before_last = 0.0, 0.0
         refines = which[REFINES]
         goes_on = float(refines)
@@ -154,9 +154,9 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
                     right[I][i] = residual[I * B + i] if I * B + i < free else 0.0
             if ti.static(slips):
                 if counts[UNSYMMETRIC] == 1:
-                    lu.solve(blocks, upper_blocks, inverse, right, rows, width)
+                    lu.solve(factor, upper_factor, inverse, right, rows, width)
             if counts[UNSYMMETRIC] == 0:
-                cholesky.solve(blocks, upper_blocks, inverse, right, rows, width)
+                cholesky.solve(factor, upper_factor, inverse, right, rows, width)
             for dof in range(equation.shape[0]):
                 i = equation[dof]
                 motion[dof] = 0.0
@@ -190,7 +190,8 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
              vector1, gradient_z: vector1, value_r: vector1, point_weights: vector1, mode_values: vector1, moduli:
              vector1, equations_r: int2, equations_z: int2, coefficients: real1, past: real1, inherited: real3, largest:
              real2, stresses: real3, before: real3, internal: real4, recent: vector1, x: real1, entries: real4, blocks:
-             block3, upper_blocks: block3, inverse: real1, residual: real1, volume_r: vector1, volume_z: vector1,
+             block3, upper_blocks: block3, factor: block3, upper_factor: block3, inverse: real1, residual: real1,
+             volume_r: vector1, volume_z: vector1,
              rows_rr: vector1, rows_rz: vector1, rows_zr: vector1, rows_zz: vector1, inverse_rr: vector1, inverse_rz:
              vector1, inverse_zz: vector1, acts: int1, relaxes: int1, directions: real2, kappa_rates: real1,
              moduli_rates: vector1, past_rates: real2, decay: real1, gain: real1, decay_rates: real2, gain_rates: real2,
@@ -203,8 +204,8 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
             if which[REFINES] == 1:
                 which[FRESH] = 0
             else:
-                which[FRESH] = 1 - factorise(counts, entries, blocks, upper_blocks, inverse, blocks.shape[0],
-                                             blocks.shape[1])
+                which[FRESH] = 1 - factorise(counts, entries, blocks, upper_blocks, factor, upper_factor, inverse,
+                                             blocks.shape[0], blocks.shape[1])
             for k in range(parameters):
                 for i in range(residual.shape[0]):
                     forces[k, i] = 0.0
@@ -227,7 +228,7 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
                 int2, real: vector1, gradient_r: vector1, gradient_z: vector1, value_r: vector1, moduli: vector1,
                 equations_r: int2, equations_z: int2, contact_nodes: int2, contact_shapes: real2, spans: int2, springs:
                 real1, held: real2, ways: real1, contact_rates: real2, largest: real2, stresses: real3, energies: real2,
-                before: real3, internal: real4, recent: vector1, blocks: block3, upper_blocks: block3, inverse: real1,
+                before: real3, internal: real4, recent: vector1, factor: block3, upper_factor: block3, inverse: real1,
                 right: block1, residual: real1, pull: real1, volume_r: vector1, volume_z: vector1, rows_rr: vector1,
                 rows_rz: vector1, rows_zr: vector1, rows_zz: vector1, inverse_rr: vector1, inverse_rz: vector1,
                 inverse_zz: vector1, relaxes: int1, decay: real1, gain: real1, decay_rates: real2, gain_rates: real2,
@@ -242,7 +243,7 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
             for k in range(parameters):
                 if which[FRESH] == 0 or which[REFINES] == 0:
                     settle(k, kappa, batches, which, counts, equation, contact_nodes, contact_shapes, springs, held,
-                           ways, contact_rates, blocks, upper_blocks, inverse, right, residual, forces,
+                           ways, contact_rates, factor, upper_factor, inverse, right, residual, forces,
                            multiplier_rates, anchor_rates, point_rates, law, dx, motion, dofs, real, gradient_r,
                            gradient_z, value_r, moduli, equations_r, equations_z, volume_r, volume_z, rows_rr, rows_rz,
                            rows_zr, rows_zz, inverse_rr, inverse_rz, inverse_zz, centre_r, centre_z, way_r, way_z)

@@ -212,8 +212,9 @@ class AxisymmetricSolver(Solver):
 
     @property
     def unchanged(self) -> int:
-        """Equilibria since points last met the tool, left it, stuck or slipped, where stiffness is asked for."""
-        return self.committed.unchanged
+        """Equilibria since points last met the tool, left it, stuck or slipped, where stiffness is asked for; one more
+        where contact settles in a solution: a line through two states leads it to the change."""
+        return max(self.committed.unchanged, int(self.equations.settles))
 
     @property
     def state(self) -> np.ndarray:

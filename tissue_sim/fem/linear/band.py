@@ -20,9 +20,11 @@ class Factorisation(NamedTuple):
     """Taichi functions of a linear solver, for use inside kernels: factorise once, solve many.
 
     Attributes:
-        init: ``init(lower, upper, inverse, rows, width) -> int`` overwrites the matrix by its factors, and `inverse`
-            (rows * BLOCK) by the reciprocals of their diagonal; 0 where it cannot, else 1. A symmetric solver does not
-            look at `upper`.
+        init: ``init(matrix, matrix_upper, lower, upper, inverse, rows, width, begin, skewed) -> int`` writes the
+            factors of a matrix to two other bands, and the reciprocals of their diagonal to `inverse` (rows * BLOCK);
+            0 where it cannot, else 1. Those of the block rows before `begin` are there already; between rows and
+            columns one of which lies before the block row `skewed` the matrix is symmetric, and its upper half is not
+            looked at. A symmetric solver does not look at upper halves at all.
         solve: ``solve(lower, upper, inverse, x, rows, width)`` overwrites the right-hand side x, (rows) vectors.
 
     Source: the pair init and compute of lineax (Rader, Lyons and Kidger, 2023, arXiv:2311.17283).
@@ -80,16 +82,16 @@ def add_entry_function():
 
 @cache
 def subtract_function():
-    """Taichi function ``subtract(I, J, first, width, left, right)``: left(I, J) -= sum over the block columns K from
-    `first` to before J of left(I, K) right(J, K)^T."""
+    """Taichi function ``subtract(I, J, first, width, matrix, left, right)``: left(I, J) = matrix(I, J) - sum over the
+    block columns K from `first` to before J of left(I, K) right(J, K)^T."""
     ti = initialise()
 
     @ti.func
-    def subtract(I, J, first, width, left: ti.template(), right: ti.template()):
+    def subtract(I, J, first, width, matrix: ti.template(), left: ti.template(), right: ti.template()):
         w = J - I + width - 1
         # Eight columns stay in registers while all earlier blocks are subtracted.
-        t0, t1, t2, t3 = left[I, w, 0], left[I, w, 1], left[I, w, 2], left[I, w, 3]
-        t4, t5, t6, t7 = left[I, w, 4], left[I, w, 5], left[I, w, 6], left[I, w, 7]
+        t0, t1, t2, t3 = matrix[I, w, 0], matrix[I, w, 1], matrix[I, w, 2], matrix[I, w, 3]
+        t4, t5, t6, t7 = matrix[I, w, 4], matrix[I, w, 5], matrix[I, w, 6], matrix[I, w, 7]
         for K in range(ti.max(first, J - width + 1), J):
             wi, wj = K - I + width - 1, K - J + width - 1
             for k in range(BLOCK):
@@ -110,22 +112,34 @@ def subtract_function():
 
 @cache
 def mirror_function():
-    """Taichi function ``mirror(lower, upper, rows, width)``: complete a symmetric matrix of which only the lower
-    triangle is filled in."""
+    """Taichi function ``mirror(lower, upper, begin, end, width)``: fill in the upper half of the block rows from
+    `begin` to before `end` of a symmetric matrix, of which there is only the lower one."""
     ti = initialise()
 
     @ti.func
-    def mirror(lower: ti.template(), upper: ti.template(), rows, width):
-        for I in range(rows):
+    def mirror(lower: ti.template(), upper: ti.template(), begin, end, width):
+        for I in range(begin, end):
             for w in range(width):
                 for c in range(BLOCK):
                     upper[I, w, c] = lower[I, w, c]
+
+    return mirror
+
+
+@cache
+def complete_function():
+    """Taichi function ``complete(lower, rows, width)``: fill in what lies above the diagonal in the blocks on it, of a
+    symmetric matrix."""
+    ti = initialise()
+
+    @ti.func
+    def complete(lower: ti.template(), rows, width):
+        for I in range(rows):
             for c in range(BLOCK):
-                # Above the diagonal of the diagonal block.
                 for r in range(c):
                     lower[I, width - 1, c][r] = lower[I, width - 1, r][c]
 
-    return mirror
+    return complete
 
 
 @cache

@@ -15,13 +15,14 @@ def cholesky_functions() -> Factorisation:
     unit = [ti.Vector([float(i == c) for i in range(BLOCK)]) for c in range(BLOCK)]
 
     @ti.func
-    def init(band: ti.template(), _upper: ti.template(), inverse: ti.template(), rows, width):
+    def init(matrix: ti.template(), _matrix_upper: ti.template(), band: ti.template(), _upper: ti.template(),
+             inverse: ti.template(), rows, width, begin, _skewed):
         ok = 1
-        for I in range(rows):
+        for I in range(begin, rows):
             first = ti.max(0, I - width + 1)
             for J in range(first, I + 1):
                 w = J - I + width - 1
-                subtract(I, J, first, width, band, band)
+                subtract(I, J, first, width, matrix, band, band)
                 if J < I:
                     for c in range(BLOCK):
                         v = band[I, w, c]

@@ -1,7 +1,8 @@
 """Band LU factorisation without pivoting: of tangents of slipping contact, which are those of the tissue, symmetric and
 positive definite, with a few entries beside.
 
-Rows of U stand where columns of L do, and both halves of the factorisation run like that of Cholesky.
+Rows of U stand where columns of L do, and both halves of the factorisation run like that of Cholesky. Where the matrix
+is symmetric, U is L times the diagonal, and one half is enough.
 """
 
 from functools import cache
@@ -19,21 +20,29 @@ def lu_functions() -> Factorisation:
     unit = [ti.Vector([float(i == c) for i in range(BLOCK)]) for c in range(BLOCK)]
 
     @ti.func
-    def init(lower: ti.template(), upper: ti.template(), inverse: ti.template(), rows, width):
+    def init(matrix: ti.template(), matrix_upper: ti.template(), lower: ti.template(), upper: ti.template(),
+             inverse: ti.template(), rows, width, begin, skewed):
         ok = 1
-        for I in range(rows):
+        for I in range(begin, rows):
             first = ti.max(0, I - width + 1)
             for J in range(first, I + 1):
                 w = J - I + width - 1
-                subtract(I, J, first, width, lower, upper)
+                subtract(I, J, first, width, matrix, lower, upper)
                 if J < I:
-                    subtract(I, J, first, width, upper, lower)
+                    if skewed <= J:
+                        subtract(I, J, first, width, matrix_upper, upper, lower)
+                        for c in range(BLOCK):
+                            u = upper[I, w, c]
+                            for k in range(c):
+                                u -= upper[I, w, k] * lower[J, width - 1, k][c]
+                            upper[I, w, c] = u
                     for c in range(BLOCK):
-                        v, u = lower[I, w, c], upper[I, w, c]
+                        v = lower[I, w, c]
                         for k in range(c):
                             v -= lower[I, w, k] * lower[J, width - 1, c][k]
-                            u -= upper[I, w, k] * lower[J, width - 1, k][c]
-                        lower[I, w, c], upper[I, w, c] = v * inverse[J * BLOCK + c], u
+                        if skewed > J:
+                            upper[I, w, c] = v
+                        lower[I, w, c] = v * inverse[J * BLOCK + c]
             for c in range(BLOCK):
                 v = lower[I, width - 1, c]
                 largest = ti.abs(v[c])

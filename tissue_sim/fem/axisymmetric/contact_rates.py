@@ -1,0 +1,119 @@
+"""Rates of the contact forces in the matrix of a step, as Taichi functions: what has changed of them, and where."""
+
+from functools import cache
+from typing import NamedTuple
+
+from tissue_sim.fem.axisymmetric.contact import FRICTION, MOVES, RZ, ZR, ZZ
+from tissue_sim.fem.linear.band import BLOCK, add_any_function, add_entry_function
+from tissue_sim.fem.taichi.runtime import initialise
+
+#: A rate has changed if it did by this share of its spring.
+CHANGED = 0.01
+
+
+class RateFunctions(NamedTuple):
+    """Taichi functions of the rates of contact."""
+
+    forget_rates: object
+    first_rows: object
+    add_rates: object
+    have_changed: object
+    add_tool_rates: object
+
+
+@cache
+def rate_functions(slips: bool) -> RateFunctions:
+    """See the functions themselves; without `slips` nothing ever does."""
+    ti = initialise()
+    add_entry, add_any = add_entry_function(), add_any_function()
+
+    @ti.func
+    def forget_rates(count, known: ti.template()):
+        """The matrix holds none."""
+        for i in range(count):
+            for k in ti.static(range(4)):
+                known[i, k] = 0.0
+
+    @ti.func
+    def has_changed(i, springs: ti.template(), rates: ti.template(), known: ti.template()):
+        changed = 0
+        for k in ti.static(range(4)):
+            if ti.abs(rates[i, k] - known[i, k]) > CHANGED * springs[i]:
+                changed = 1
+        return changed
+
+    @ti.func
+    def have_changed(count, springs: ti.template(), rates: ti.template(), known: ti.template()):
+        """Whether a point has met or left a body, stuck or slipped, since the matrix was told its rates."""
+        changed = 0
+        for i in range(count):
+            changed = ti.max(changed, has_changed(i, springs, rates, known))
+        return changed
+
+    @ti.func
+    def first_rows(count, fresh, free, rows, nodes: ti.template(), shapes: ti.template(), springs: ti.template(),
+                   ways: ti.template(), rates: ti.template(), known: ti.template(), equation: ti.template()):
+        """First block rows of the matrix that points have to do with which have changed, and which slip."""
+        changed, skewed = rows, rows
+        for i in range(count):
+            first = rows
+            for a in range(shapes.shape[1]):
+                for k in range(2):
+                    row = equation[2 * nodes[i, a] + k]
+                    if shapes[i, a] != 0.0 and row < free:
+                        first = ti.min(first, row // BLOCK)
+            if rates[i, FRICTION] > 0.0 and ways[i] != 0.0:
+                skewed = ti.min(skewed, first)
+            if fresh == 0 and has_changed(i, springs, rates, known) == 1:
+                changed = ti.min(changed, first)
+        return changed, skewed
+
+    @ti.func
+    def add_rates(count, fresh, unsymmetric, free, width, nodes: ti.template(), shapes: ti.template(),
+                  springs: ti.template(), rates: ti.template(), known: ti.template(), equation: ti.template(),
+                  entries: ti.template(), upper: ti.template()):
+        """Add to the matrix what has changed of the rates of the contact forces since it was told them, all of them
+        where it is `fresh`; only where points slip it needs its upper half."""
+        for i in range(count):
+            if fresh == 1 or has_changed(i, springs, rates, known) == 1:
+                for a in range(shapes.shape[1]):
+                    for b in range(shapes.shape[1]):
+                        share = shapes[i, a] * shapes[i, b]
+                        if share != 0.0:
+                            for e in range(4):
+                                row, column = equation[2 * nodes[i, a] + e // 2], equation[2 * nodes[i, b] + e % 2]
+                                value = share * (rates[i, e] - known[i, e])
+                                if ti.static(slips):
+                                    if unsymmetric > 0:
+                                        add_any(row, column, value, free, width, entries, upper)
+                                if unsymmetric == 0:
+                                    add_entry(row, column, value, free, width, entries)
+                for k in ti.static(range(4)):
+                    known[i, k] = rates[i, k]
+
+    @ti.func
+    def add_tool_rates(count, free, nodes: ti.template(), shapes: ti.template(), spans: ti.template(),
+                       rates: ti.template(), direction: ti.template(), equation: ti.template(), pull: ti.template(),
+                       reaction: ti.template()):
+        """Add the rates of the contact forces with the depth of the tool, the tissue held, to `pull`, and those of the
+        force on the tool with the tissue's motion to `reaction`; returns that of the force itself, N/m."""
+        stiff = 0.0
+        for i in range(count):
+            krz, kzr, kzz = rates[i, RZ], rates[i, ZR], rates[i, ZZ]
+            # How the point moves in the frame of its body when only the tool and what follows it does.
+            apart = float(spans[i, MOVES])
+            for a in range(shapes.shape[1]):
+                if equation[2 * nodes[i, a] + 1] >= free:
+                    apart += shapes[i, a] * direction[2 * nodes[i, a] + 1]
+            stiff += apart * apart * kzz
+            for a in range(shapes.shape[1]):
+                ir, iz, share = equation[2 * nodes[i, a]], equation[2 * nodes[i, a] + 1], shapes[i, a] * apart
+                if ir < free:
+                    pull[ir] = pull[ir] + share * krz
+                    reaction[ir] = reaction[ir] + share * kzr
+                if iz < free:
+                    pull[iz] = pull[iz] + share * kzz
+                    reaction[iz] = reaction[iz] + share * kzz
+        return stiff
+
+    return RateFunctions(forget_rates, first_rows, add_rates, have_changed, add_tool_rates)
