@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from calibration.report.png import as_png
 from scenes.colour_scale import colour_scale
 from scenes.field_labels import LABELS
 from scenes.solid_figures import RIGID, draw_cut, draw_surface, finish, tool_pose
@@ -177,6 +178,7 @@ def _paint(axes, fields: Fields, name: str, sample: int, sides: tuple[int, ...])
         x, y = (place * side).T
         picture = axes.tripcolor(Triangulation(x, y, triangles), values, shading="gouraud", cmap="viridis",
                                  vmin=scale.low, vmax=scale.high)
+        picture.set_in_layout(False)  # it stays inside the frame; its size is asked of each triangle
         thickness = min(0.35, 6.0 / np.sqrt(len(edges)))
         axes.add_collection(LineCollection(edges * side, colors="white", linewidths=thickness, alpha=0.5))
     return picture, scale
@@ -200,8 +202,12 @@ def _contact_height(mesh: Mesh, place: np.ndarray, tool: Tool) -> float:
 
 def save(figure, path: Path) -> None:
     """Write a figure whole or not at all; the format is that of the file's ending."""
+    kind = Path(path).suffix.lstrip(".").lower() or "png"
+    if kind == "png":
+        write_bytes(Path(path), as_png(figure))
+        return
     buffer = io.BytesIO()
-    figure.savefig(buffer, format=Path(path).suffix.lstrip(".") or "png", dpi=150)
+    figure.savefig(buffer, format=kind, dpi=150)
     write_bytes(Path(path), buffer.getvalue())
 
 

@@ -48,6 +48,7 @@ def draw_cut(axes, fields: SolidFields, name: str, sample: int, pose: Pose, tool
     # Seen from -y, to which the triangles do not look.
     picture = axes.tripcolor(Triangulation(1e3 * points[:, 0], 1e3 * points[:, 2], triangles[:, ::-1]), values,
                              shading="gouraud", cmap="viridis", vmin=scale.low, vmax=scale.high)
+    picture.set_in_layout(False)  # it stays inside the frame; its size is asked of each triangle
     sides = surface_triangles(mesh.element, mesh.connectivity[:, mesh.element.faces].reshape(
         -1, mesh.element.faces.shape[1]))
     edges = _in_plane(section_lines(sides, heights).carry(place))
@@ -205,6 +206,7 @@ def _paint(axes, bodies: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> Non
     x, y = 1e3 * points[:, 0], 1e3 * points[:, 1]
     mesh = TriMesh(Triangulation(x, y, all_triangles[order]))
     mesh.set_facecolor([(red, green, blue, 1.0) for red, green, blue in np.concatenate(colours).tolist()])
+    mesh.set_in_layout(False)  # it stays inside the frame; its size is asked of each triangle
     axes.add_collection(mesh)
     axes.update_datalim(np.column_stack([x, y]))
 

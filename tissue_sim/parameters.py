@@ -11,9 +11,10 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
+from functools import cache
 from math import inf
 from numbers import Real
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any, Protocol, TypeGuard, TypeVar, runtime_checkable
 
 from tissue_sim.errors import InputError, nearest
 
@@ -256,7 +257,7 @@ def _walk(part: Any, place: str) -> Iterator[Parameter]:
 
 def _parameters_of(part: Any, place: str) -> Iterator[Parameter]:
     """The parameters of a part itself."""
-    if isinstance(part, HasParameters):
+    if _states_its_own(part):
         for name, (what, number) in part.own_parameters().items():
             yield Parameter(place + name, what, number, type(part))
     for entry in fields(part):
@@ -268,13 +269,23 @@ def _parameters_of(part: Any, place: str) -> Iterator[Parameter]:
                 yield Parameter(place + entry.name, stated, float(content), type(part))
 
 
+def _states_its_own(part: Any) -> TypeGuard[HasParameters]:
+    return _of_a_kind_that_does(type(part))  # type: ignore[arg-type]
+
+
+@cache
+def _of_a_kind_that_does(kind: type) -> bool:
+    """Python looks through all classes of a protocol for this."""
+    return issubclass(kind, HasParameters)
+
+
 def _changed(part: Any, tree: Mapping[Any, Any]) -> Any:
     if isinstance(part, tuple):
         return tuple(_changed(item, tree[index]) if index in tree else item for index, item in enumerate(part))
     if isinstance(part, Mapping):
         return {name: _changed(item, tree[name]) if name in tree else item for name, item in part.items()}
     changes = {name: _changed(getattr(part, name), sub) if isinstance(sub, dict) else sub for name, sub in tree.items()}
-    if isinstance(part, HasParameters):
+    if _states_its_own(part):
         own = {name: changes.pop(name) for name in part.own_parameters() if name in changes}
         if own:
             return part.with_own_parameters(own, **changes)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from calibration.importing.imported import Imported, ImportedTest
-from calibration.report.drawing import COLOURS, STYLE, new_figure, thinned, to_png
+from calibration.report.drawing import COLOURS, STYLE, new_figure, thinned
+from calibration.report.png import as_png
 from tissue_sim.recording.recording import Recording
 
 #: Tests that are drawn, and recordings of a test that are named in its legend.
@@ -28,7 +29,7 @@ def draw_imported(imported: Imported) -> bytes:
             _draw(row[0], row[1], test)
         if len(imported.tests) > len(tests):
             figure.supxlabel(f"the first {len(tests)} of {len(imported.tests)} tests", fontsize=9)
-        return to_png(figure, 110)
+        return as_png(figure, 110)
 
 
 def _draw(left, right, test: ImportedTest) -> None:

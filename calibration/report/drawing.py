@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from calibration.output_folder import picture_file
+from calibration.report.png import as_png
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.laws import find_law
 
@@ -96,11 +97,6 @@ def legend_above(figure, columns: int = 4) -> None:
                       fontsize=9.5, handlelength=2.2, columnspacing=1.6)
 
 
-def to_png(figure, dpi: int = 150, **options) -> bytes:
-    """The figure as a PNG; `options` are those of ``savefig``."""
-    return to_bytes(figure, "png", dpi=dpi, **options)
-
-
 def to_bytes(figure, kind: str, **options) -> bytes:
     """The figure as ``png``, ``svg`` or ``pdf``, the same bytes each time."""
     stream = io.BytesIO()
@@ -134,7 +130,7 @@ class Pictures:
             figure = draw()
             if figure is None:
                 return ""
-            png = to_png(figure)
+            png = as_png(figure)
             if self.kind is not None:
                 write_bytes(self.folder / picture_file(name, self.kind), to_bytes(figure, self.kind, dpi=_PRINT_DPI))
         below = f"<figcaption>{caption}</figcaption>" if caption else ""
@@ -156,7 +152,7 @@ def draw_formula(law_name: str) -> bytes | None:
         figure = new_figure(0.01, 0.01)
         figure.text(0, 0, f"${law.latex()}$", fontsize=13)
         try:
-            return to_png(figure, _FORMULA_DPI, bbox_inches="tight", pad_inches=0.03, transparent=True)
+            return to_bytes(figure, "png", dpi=_FORMULA_DPI, bbox_inches="tight", pad_inches=0.03, transparent=True)
         except ValueError:
             return None
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import io
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from calibration.report.png import as_png
 from tissue_sim.errors import InputError
 
 #: Dots per inch of the file, and of the view in it: one pixel of the render is one of the file.
@@ -60,7 +60,6 @@ def compose_png(render: np.ndarray, levels: Sequence[float] | np.ndarray | None,
     Raises:
         InputError: a render that is no picture, or levels and colours that do not fit.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     view = _on_white(render)
@@ -70,7 +69,6 @@ def compose_png(render: np.ndarray, levels: Sequence[float] | np.ndarray | None,
     caption = [part for line in caption for part in textwrap.wrap(line, int(_LETTERS * (wide - 2 * _MARGIN)))]
     size = (wide, height + _LINE * len(caption) + 2 * _MARGIN)
     figure = Figure(figsize=size, dpi=DPI, facecolor="white")
-    FigureCanvasAgg(figure)
 
     def axes(left: float, bottom: float, wide: float, high: float):
         return figure.add_axes((left / size[0], bottom / size[1], wide / size[0], high / size[1]))
@@ -89,9 +87,7 @@ def compose_png(render: np.ndarray, levels: Sequence[float] | np.ndarray | None,
         high = min(height - 0.5, 3.2)
         curve = axes(left, _MARGIN + 0.5 * (height - high + 0.4), _CURVE - 0.6, high)
         _draw_curves(curve, curves, band, now)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=DPI)
-    return buffer.getvalue()
+    return as_png(figure, DPI)
 
 
 def _on_white(render: np.ndarray) -> np.ndarray:

@@ -28,8 +28,9 @@ from calibration.fit.fit import (
 )
 from calibration.fit.result import CalibrationResult
 from calibration.report import curve_figures, estimate_figures, figures
-from calibration.report.drawing import Pictures, to_png
+from calibration.report.drawing import Pictures
 from calibration.report.methods import methods_text
+from calibration.report.png import as_png
 from calibration.report.report import report_page
 from calibration.report.units import Units
 from calibration.statistics.sensor_noise import SensorNoise
@@ -308,7 +309,7 @@ def test_a_lone_test_says_that_nothing_was_left_to_predict(campaign, tmp_path):
 
 def test_pictures_are_sharp_at_1200_pixels_and_thin_large_recordings(campaign):
     fits, curves, units = one_test(campaign, PLATES)
-    png = to_png(curve_figures.draw_test(fits, curves, units))
+    png = as_png(curve_figures.draw_test(fits, curves, units))
     assert png[:8] == b"\x89PNG\r\n\x1a\n" and int.from_bytes(png[16:20], "big") >= 1200
 
     def longer(c):
@@ -316,7 +317,7 @@ def test_pictures_are_sharp_at_1200_pixels_and_thin_large_recordings(campaign):
                         force=np.repeat(m.force, 100)) for m in c.measured]
         return replace(c, measured=tuple(many), fitted=tuple(np.repeat(f, 100) for f in c.fitted))
 
-    many = to_png(curve_figures.draw_test(fits, {law: longer(c) for law, c in curves.items()}, units))
+    many = as_png(curve_figures.draw_test(fits, {law: longer(c) for law, c in curves.items()}, units))
     assert len(many) < 1.5 * len(png)
 
 

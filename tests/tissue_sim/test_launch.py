@@ -67,6 +67,16 @@ def test_missing_argument_is_refused(kernel):
 
 def test_another_taichi_is_named_with_the_remedy(kernel, monkeypatch):
     run = launch.BoundKernel(kernel, arrays())
+    monkeypatch.setattr(launch, "_COMPILED", {})  # no kernel has run yet
     monkeypatch.delattr(type(kernel._primal), "ensure_compiled")
     with pytest.raises(MissingBackendError, match=r"install taichi==1\.7\.4"):
         run()
+
+
+def test_other_arrays_of_a_kernel_that_has_run_are_bound_without_asking_taichi_again(kernel, monkeypatch):
+    """Taichi looks at type and rank of each array, which the kernel states."""
+    launch.BoundKernel(kernel, arrays())()
+    monkeypatch.delattr(type(kernel._primal), "ensure_compiled")
+    others = arrays(x=np.arange(5.0), y=np.zeros((5, 2)))
+    launch.BoundKernel(kernel, others)()
+    np.testing.assert_array_equal(others["y"][:, 0], 2.0 * np.arange(5.0))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -188,7 +189,7 @@ class Material:
         """Instantaneous stress over that of the law with `parameters`; 1 unless these are long-term."""
         return 1.0 if self.viscoelastic is None else self.viscoelastic.instantaneous_factor
 
-    @property
+    @cached_property
     def mu0(self) -> float:
         """Initial shear modulus in instantaneous loading, Pa."""
         return self.instantaneous_factor * self.energy_law.mu0(self.parameters)

@@ -208,8 +208,6 @@ class Equations:
         """Assemble the exact tangent at the equilibrium just found, with the contact as it was in the step, and call
         `launch` there; without `assembles` the matrix stays as the step left it. `keeps`: see `newton.KEEPS`."""
         surface, after = self.surface, self.surface.held.copy()
-        remembered = [(array, array.copy()) for array in (
-            self.memory.stresses, self.memory.energies, self.effects.found, self.state.x, surface.forces)]
         surface.held[:] = surface.anchors
         released = (surface.anchors[:, 0] == contact_kernels.HELD) & (after != surface.anchors).any(axis=-1)
         surface.held[released] = 0.0
@@ -218,6 +216,8 @@ class Equations:
                 launch()
             surface.held[:] = after
             return
+        remembered = [(array, array.copy()) for array in (
+            self.memory.stresses, self.memory.energies, self.effects.found, self.state.x, surface.forces)]
         self.settings[newton.PREDICTED] = self.settings[newton.DEPTH]
         self.settings[newton.TOLERANCE] = -1.0
         self.counts[newton.MAX_ITERATIONS], self.counts[newton.KEEPS] = 0, keeps

@@ -171,15 +171,16 @@ class Sensitivity:
     def _follow_contact(self) -> None:
         """Where a point was bound anew its anchor moves with it along the surface; where it parted nothing presses."""
         surface = self._equations.surface
-        if not (surface.forces.any() or surface.held.any() or self._contact.any()):
+        touching, held, before = surface.forces.any(axis=-1), surface.held[:, 0], self._contact
+        if not (touching.any() or held.any() or before.any()):
             return
-        anew = (surface.held[:, 0] > 0) & (surface.held != surface.anchors).any(axis=-1)
+        anew = (held > 0) & (surface.held != surface.anchors).any(axis=-1)
         if anew.any():
             normals = surface.rates[anew][:, [NORMAL_R, NORMAL_Z]]
             along = np.stack([-normals[:, 1], normals[:, 0]], axis=-1)
             self._anchor_rates[:, anew] = np.einsum("kni,ni->kn", self._point_rates[:, anew], along)[..., None] * along
-        touching = surface.forces.any(axis=-1)
-        self._multiplier_rates[:, ~touching] = 0.0
-        contact = np.stack([touching, surface.held[:, 0] == HELD, surface.ways])
-        self._changed |= bool((contact != self._contact).any())
-        self._contact = contact
+        if not touching.all():
+            self._multiplier_rates[:, ~touching] = 0.0
+        contact = self._contact = np.empty_like(before)
+        contact[0], contact[1], contact[2] = touching, held == HELD, surface.ways
+        self._changed |= bool((contact != before).any())

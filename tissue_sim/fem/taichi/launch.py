@@ -9,11 +9,16 @@ pyproject pins; `tests/tissue_sim/test_launch.py` fails when they are gone.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import cache
+from typing import Any
 
 import numpy as np
 
 from tissue_sim.errors import MissingBackendError, nearest
 from tissue_sim.fem.taichi.runtime import initialise
+
+#: Kernel -> what Taichi has made of it, its machine code, and what starts that.
+_COMPILED: dict[Any, tuple[Any, Any, Callable[..., None]]] = {}
 
 
 class BoundKernel:
@@ -32,11 +37,7 @@ class BoundKernel:
     """
 
     def __init__(self, kernel, arrays: Mapping[str, np.ndarray]):
-        try:
-            arguments = kernel._primal.arguments
-            expected = {argument.name: _expected(argument.annotation) for argument in arguments}
-        except AttributeError as error:
-            raise _other_taichi(error) from None
+        expected = _arguments(kernel)
         for name in arrays:
             if name not in expected:
                 raise ValueError(f"the kernel has no argument {name!r}{nearest(name, expected)}")
@@ -56,11 +57,7 @@ class BoundKernel:
     @classmethod
     def of(cls, kernel, arrays: Mapping[str, np.ndarray]) -> BoundKernel:
         """With those of many arrays that the kernel has arguments for."""
-        try:
-            names = [argument.name for argument in kernel._primal.arguments]
-        except AttributeError as error:
-            raise _other_taichi(error) from None
-        return cls(kernel, {name: arrays[name] for name in names if name in arrays})
+        return cls(kernel, {name: arrays[name] for name in _arguments(kernel) if name in arrays})
 
     def is_of(self, kernel, arrays: Mapping[str, np.ndarray]) -> bool:
         """Whether it starts this kernel on these arrays already: binding anew costs a millisecond."""
@@ -73,6 +70,15 @@ class BoundKernel:
         if self._start is None:
             self._start = _bind(self.kernel, tuple(self.arrays.values()))
         self._start()
+
+
+@cache
+def _arguments(kernel) -> dict[str, tuple[int, int, np.dtype]]:
+    """Name -> what an array must be, of each argument of a kernel."""
+    try:
+        return {argument.name: _expected(argument.annotation) for argument in kernel._primal.arguments}
+    except AttributeError as error:
+        raise _other_taichi(error) from None
 
 
 def _expected(annotation) -> tuple[int, int, np.dtype]:
@@ -91,15 +97,18 @@ def _bind(kernel, arrays: tuple[np.ndarray, ...]) -> Callable[[], None]:
     """
     try:
         primal = kernel._primal
-        compiled = primal.compiled_kernels[primal.ensure_compiled(*arrays)]
+        if kernel not in _COMPILED:
+            # Of which type and rank arrays are is all that Taichi asks, and that is stated at the kernel.
+            compiled = primal.compiled_kernels[primal.ensure_compiled(*arrays)]
+            program = initialise().lang.impl.get_runtime().prog
+            binary = program.compile_kernel(program.config(), program.get_device_caps(), compiled)
+            _COMPILED[kernel] = compiled, binary, program.launch_kernel
+        compiled, binary, launch = _COMPILED[kernel]
         context = compiled.make_launch_context()
         for place, (array, argument) in enumerate(zip(arrays, primal.arguments, strict=True)):
             element_dimensions = getattr(argument.annotation.dtype, "ndim", 0)
             shape = array.shape[: array.ndim - element_dimensions]
             context.set_arg_external_array_with_shape((place,), array.ctypes.data, array.nbytes, shape, 0)
-        program = initialise().lang.impl.get_runtime().prog
-        binary = program.compile_kernel(program.config(), program.get_device_caps(), compiled)
-        launch = program.launch_kernel
     except (AttributeError, TypeError) as error:
         raise _other_taichi(error) from error
     return lambda: launch(binary, context)

@@ -7,11 +7,15 @@ other cores. Compiled kernels are kept in Taichi's offline cache, so a machine c
 from __future__ import annotations
 
 import contextlib
+import inspect
 import io
 import logging
 import os
+import sys
 import threading
+from collections.abc import Iterator
 from functools import cache
+from types import ModuleType
 from typing import Any
 
 from tissue_sim.errors import MissingBackendError
@@ -36,7 +40,8 @@ def _initialise():
     # Taichi prints its version at import and its backend at start to stdout, where --json must be alone.
     os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
     try:
-        import taichi as ti
+        with _modules_at_once():
+            import taichi as ti
         from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
     except ImportError as error:
         raise MissingBackendError(
@@ -64,3 +69,20 @@ def _initialise():
 def _place(context: Any, node: Any) -> str:
     """Where an expression of a kernel stands."""
     return f'File "{context.file}", line {node.lineno + context.lineno_offset}, in {context.func.func.__name__}:\n'
+
+
+@contextlib.contextmanager
+def _modules_at_once() -> Iterator[None]:
+    """While Taichi is imported: Python looks for the module of each of its functions through all that are there, which
+    is a quarter of the time. Functions and frames know the names of theirs."""
+    search = inspect.getmodule
+
+    def module(thing: object, _filename: str | None = None) -> ModuleType | None:
+        known = getattr(thing, "f_globals", None) or getattr(thing, "__globals__", None) or {}
+        return sys.modules.get(known.get("__name__", "")) or search(thing, _filename)
+
+    inspect.getmodule = module  # type: ignore[assignment]
+    try:
+        yield
+    finally:
+        inspect.getmodule = search
