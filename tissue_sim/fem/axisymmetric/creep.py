@@ -23,8 +23,8 @@ from tissue_sim.fem.solver import Step, StepStatus
 _FIRST, _LAST, _AGAIN = 1e4, 1.0, 0.01
 #: How much smaller each drag is than the one before, at most and at least.
 _LARGEST_RATIO, _SMALLEST_RATIO = 10.0, 1.5
-#: That ratio grows by this after a step of few linear solves, and is halved after one that fails.
-_BOLDER, _FEW = 1.5, 5
+#: That ratio grows by this after a step of so few linear solves, and is halved after one that fails.
+_BOLDER, _FEW = 1.5, 12
 #: Where the first step fails its drag grows by this, and where one fails that has worked before by the other.
 _HARDER, _STIFFER = 100.0, 10.0
 #: After a failure it stays as it is for a step, and for twice as many each time that letting go fails again, up to so
