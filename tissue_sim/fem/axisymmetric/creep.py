@@ -22,12 +22,19 @@ from tissue_sim.fem.solver import Step, StepStatus
 #: squared height of the specimen.
 _FIRST, _LAST, _AGAIN = 1e4, 1.0, 0.01
 #: How much smaller each drag is than the one before, at most and at least.
-_LARGEST_RATIO, _SMALLEST_RATIO = 10.0, 2.5
-#: That ratio grows by this after a step of few linear solves, and is halved after one that fails.
-_BOLDER, _FEW = 1.5, 5
+_LARGEST_RATIO, _SMALLEST_RATIO = 10.0, 1.5
+#: That ratio grows by this after a step of so few linear solves, and is halved after one that fails.
+_BOLDER, _FEW = 1.5, 12
 #: Where the first step fails its drag grows by this, and where one fails that has worked before by the other.
 _HARDER, _STIFFER = 100.0, 10.0
-_MOST_STEPS, _MOST_FAILURES = 60, 20
+#: After a failure it stays as it is for a step, and for twice as many each time that letting go fails again, up to so
+#: many: what snaps moves a long way, and as long as it does no smaller drag holds it.
+_LONGEST_STAY = 8
+#: A step whose unbalanced forces, over balanced ones, are down to this goes on to so many times its linear solves: what
+#: is left is points that stick or slip.
+_NEAR, _LONGER = 1e-2, 4
+#: Failures in a row, and linear solves in all, after which there is no way.
+_MOST_FAILURES, _MOST_SOLVES = 8, 1000
 
 
 class Dragged(Protocol):
@@ -61,8 +68,9 @@ def creep(solver: Dragged, depth: float, dt: float, tolerance: float, max_iterat
     unit = equations.material.mu0 / float(np.ptp(equations.mesh.nodes[:, 1])) ** 2
     works = drag = _FIRST * unit
     ratio, failures, begun, arrived = _LARGEST_RATIO, 0, False, False
+    solved, stay, stays = 0, 0, 1
     try:
-        for _ in range(_MOST_STEPS):
+        while failures <= _MOST_FAILURES and solved < _MOST_SOLVES:
             if begun:
                 rest[:] = state.latest[: rest.size]
             else:
@@ -70,34 +78,41 @@ def creep(solver: Dragged, depth: float, dt: float, tolerance: float, max_iterat
                 rest[:] = sum(weight * state.history[slot, : rest.size]
                               for weight, slot in zip(weights, state.slots, strict=True))
             origin = rest.copy()
-            spent, resumes = 0, False
+            spent, limit, resumes = 0, max_iterations, False
             while True:
-                left = max_iterations - spent
+                left = limit - spent
                 most = left if allowed is None else min(left, allowed())
                 step = solver.try_step(depth, 0.0 if begun else dt, tolerance, most, 0 if begun else 1, drag,
                                        resumes=resumes)
                 spent += max(1, step.iterations)
-                if step.status is not StepStatus.SLOW or most == left:
+                if step.status is StepStatus.SLOW and most == left and limit == max_iterations and (
+                        step.residual <= _NEAR):
+                    limit = _LONGER * max_iterations
+                elif step.status is not StepStatus.SLOW or most == left:
                     break
                 resumes = True
                 yield step
+            solved += spent
             if step.status is StepStatus.CONVERGED:
                 way = state.latest[: rest.size] - origin
-                arrived, begun, works = drag == 0.0, True, max(drag, _AGAIN * unit)
+                arrived, begun, works, failures = drag == 0.0, True, max(drag, _AGAIN * unit), 0
                 yield replace(step, dissipated=drag * float(volumes @ way**2))
                 if arrived:
                     break
                 if spent <= _FEW:
                     ratio = min(_LARGEST_RATIO, _BOLDER * ratio)
-                drag = drag / ratio if drag > _LAST * unit else 0.0
+                if stay > 0:
+                    stay -= 1
+                else:
+                    drag = drag / ratio if drag > _LAST * unit else 0.0
             else:
                 yield step
                 failures += 1
-                if failures > _MOST_FAILURES:
-                    break
                 # What has worked does so again from where the tissue is now, nearly always.
                 if not begun or drag >= works:
                     works = drag * (_STIFFER if begun else _HARDER)
+                else:
+                    stay, stays = stays, min(2 * stays, _LONGEST_STAY)
                 drag, ratio = works, max(_SMALLEST_RATIO, 0.5 * ratio)
     finally:
         equations.end_drag(masses, density)
