@@ -17,6 +17,8 @@ FAST_REMAINDERS = {"plate": 0.003, "flat": 0.008, "other": 0.01}
 #: Of the finest mesh, where the accurate one's error was found and taken off: at least this, and this share of it.
 FINEST_REMAINDERS = {"plate": 0.0002, "flat": 0.0005}
 LEFT_OF_DIFFERENCE = 0.5
+#: Of a mesh from a file, where elements of second order do not get through.
+COARSEST_REMAINDER = 0.1
 #: A force below this share of the largest is too small to be divided by; knots that a course of shares needs.
 _FELT, _FEWEST = 1e-3, 4
 
@@ -26,7 +28,7 @@ class Meshes(NamedTuple):
 
     Attributes:
         fast: on which parameters move. accurate: whose difference to it is added. finest: by which the accurate one's
-            own error is found once, at the first parameters; None: it is not.
+            own error is found once, at the first parameters; None: it is not. finest_under: tools under which it is.
         remainder: error of either against that of the axisymmetric solver, see `REMAINDERS`.
     """
 
@@ -34,10 +36,12 @@ class Meshes(NamedTuple):
     accurate: str
     finest: str | None = None
     remainder: float = 1.0
+    finest_under: tuple[str, ...] = tuple(FINEST_REMAINDERS)
 
 
 #: By the name of the solver; of another one as of the axisymmetric.
-MESHES = {"axisymmetric": Meshes("fast", "accurate", "finest"), "solid": Meshes("realtime", "fast", remainder=3.0)}
+MESHES = {"axisymmetric": Meshes("fast", "accurate", "finest"),
+          "solid": Meshes("realtime", "fast", "accurate", remainder=3.0, finest_under=("plate",))}
 
 
 def meshes_of(solver: str) -> Meshes:

@@ -18,6 +18,7 @@ from calibration.report.population import scatter
 from calibration.report.symbols import plain_symbol
 from calibration.report.units import Units
 from tissue_sim.laws import find_law
+from tissue_sim.specimen.specimen import with_article
 
 #: What is cited -> how the text names it, and the reference.
 _REFERENCES = {
@@ -79,7 +80,8 @@ def _data(result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCur
         words = f"{test.name} ({test.kind.title[0].lower()}{test.kind.title[1:]}"
         if test.specimen is not None:
             words += (f", specimen of height {test.specimen.height * 1e3:.4g} mm and cross-section "
-                      f"{test.specimen.area * 1e6:.4g} mm2")
+                      f"{test.specimen.area * 1e6:.4g} mm2") if test.specimen.is_prism else \
+                f", {with_article(test.specimen.shape)} ({test.specimen.in_words})"
         if test.experiment is not None and test.experiment.tool.radius is not None:
             words += f", {test.experiment.tool.shape} tool of radius {test.experiment.tool.radius * 1e3:g} mm"
         if test.max_strain is not None:
