@@ -11,7 +11,7 @@ from calibration.campaign.measured import MeasuredCurve
 
 
 def digest_of(campaign: Campaign, recordings: Sequence[MeasuredCurve]) -> str:
-    """Of everything that the results depend on: campaign, recordings, rigs, tool profiles, meshes of specimens, version."""
+    """Of everything that the results depend on: campaign, recordings, rigs, profiles, meshes of specimens, version."""
     content = [campaign.sha256, *(f"{curve.name} {curve.sha256}" for curve in recordings)]
     for test in campaign.tests:
         if test.experiment is not None:

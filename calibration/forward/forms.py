@@ -12,7 +12,14 @@ from calibration.campaign.measured import MeasuredCurve, remembers
 from calibration.forward.closed import ClosedTest
 from calibration.forward.column import ColumnTest
 from calibration.forward.contract import ForwardTest
-from calibration.forward.meshes import COARSEST_REMAINDER, FINEST_REMAINDERS, LEFT_OF_DIFFERENCE, REMAINDERS, meshes_of
+from calibration.forward.meshes import (
+    COARSEST_REMAINDER,
+    FINEST_REMAINDERS,
+    LEFT_OF_DIFFERENCE,
+    LEFT_OF_ORDER,
+    REMAINDERS,
+    meshes_of,
+)
 from calibration.forward.motion import Loading, Timed
 from calibration.forward.simulated import SimulatedTest
 from calibration.forward.solves import content_key
@@ -83,11 +90,9 @@ def remainder(test: ForwardTest, of: Mapping[str, float]) -> float:
     shape, error = test.experiment.tool.shape, test.mesh_error
     known = meshes_of(test.solver).remainder * of[shape if shape in of else "other"]
     if test.specimen.from_file:
-        # How fine its mesh is, is the file's affair: nobody has measured it but the elements of second order.
-        added = [*test.correction, *([] if test.placed_correction is None else [test.placed_correction[1]])]
         largest = max(float(np.abs(curve.force).max()) for curve in test.measured)
-        share = max(float(np.abs(each).max(initial=0.0)) for each in added) / largest if added else 1.0
-        return max(known, min(LEFT_OF_DIFFERENCE * share, COARSEST_REMAINDER))
+        added = max((float(np.abs(each).max(initial=0.0)) for each in test.correction), default=np.inf)
+        return max(known, min(LEFT_OF_ORDER * added / largest, COARSEST_REMAINDER))
     if of is REMAINDERS and error is not None and shape in FINEST_REMAINDERS:
         return min(known, max(FINEST_REMAINDERS[shape], LEFT_OF_DIFFERENCE * error.largest))
     return known

@@ -241,9 +241,7 @@ class SimulatedTest:
     def _find_mesh_error(self, space: ParameterSpace, values: dict[str, float], solves: Solves, way: Loading,
                          accurate: np.ndarray, *, rigid: bool) -> None:
         """Hold the accurate mesh's force at the knots, shape (k,), against the finest one's, where nobody did."""
-        meshes = meshes_of(self.solver)
-        if self.mesh_error is not None or self.experiment.tool.shape not in meshes.finest_under \
-                or not meshes.finest or self.specimen.from_file:
+        if self.mesh_error is not None or not meshes_of(self.solver).shows_error(self.experiment):
             return
         try:
             finest, *_ = self._simulated(space, values, solves, way, "finest", rigid=rigid)

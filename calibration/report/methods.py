@@ -6,11 +6,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 
 import tissue_sim
+from calibration.campaign.experiments import ROUND_SOLVER
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.segmented import notes_in_short
 from calibration.fit.fit import Fit
 from calibration.fit.population import in_words
 from calibration.fit.result import CalibrationResult
+from calibration.forward.meshes import meshes_of
 from calibration.report.drawing import counted
 from calibration.report.figures import percent
 from calibration.report.page import estimate_of, interval_of, ranked_by_prediction, with_minus, young_modulus
@@ -127,7 +129,9 @@ def _method(result: CalibrationResult, cite) -> str:
         text += " Contact offset and zero of each recording were fitted, with priors." if offsets else ""
         return f"{text} {_ranking(result, cite)}"
     starts = counted(result.campaign.fit.starts, "start")
-    return ("Identification. All tests were simulated with axisymmetric nine-node finite elements (homogeneous tests: "
+    simulated = [test.solver for test in result.campaign.tests if test.experiment is not None]
+    elements = " or ".join(dict.fromkeys(meshes_of(solver).elements for solver in simulated or [ROUND_SOLVER]))
+    return (f"Identification. All tests were simulated with {elements} (homogeneous tests: "
             "closed forms) under the recorded motion, and the parameters found by generalised least squares on the "
             f"force (trust-region reflective, {starts}; {cite('descent')[1:-1]}). Contact offset and zero of each "
             f"recording and the mesh error were marginalised as nuisance parameters {cite('projection')}. Intervals "
