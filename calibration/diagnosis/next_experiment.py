@@ -24,7 +24,7 @@ from calibration.forward.forms import build_test, remainder
 from calibration.forward.meshes import REMAINDERS
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import Protocol
-from tissue_sim.parameters import declared
+from tissue_sim.parameters import declared, with_values
 
 #: A hold that is added, s; how much faster and deeper, and how much smaller a tool or lower a specimen, a test is done.
 _HOLD, _FASTER, _DEEPER, _SMALLER = 60.0, 10.0, 1.5, 0.5
@@ -100,7 +100,7 @@ def plans(before: Evidence) -> list[Plan]:
             found.append(_plan(f"{test.name} with a tool of {1e3 * _SMALLER * radius:.3g} mm radius",
                                replace(test, experiment=replace(experiment, tool=tool)), depth, speed, hold=held))
         elif "height" in declared(type(experiment.specimen)):
-            lower = replace(experiment.specimen, height=_SMALLER * height)
+            lower = with_values(experiment.specimen, {"height": _SMALLER * height})
             shorter = replace(test, specimen=lower, experiment=replace(experiment, specimen=lower))
             found.append(_plan(f"{test.name} on a specimen of half the height, to {1e3 * _SMALLER * depth:.3g} mm",
                                shorter, _SMALLER * depth, speed, hold=held))

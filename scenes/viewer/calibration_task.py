@@ -176,7 +176,7 @@ def campaign_of(wanted: Wanted, folder: Path) -> str:
 
 def _reachable(specimen: ts.Specimen) -> dict[str, float | str]:
     """What makes a specimen, its files by paths that hold from any folder."""
-    return {key: str(Path(value).resolve()) if key in specimen.paths else value
+    return {key: str(Path(str(value)).resolve()) if key in specimen.paths else value
             for key, value in specimen.stated.items()}
 
 

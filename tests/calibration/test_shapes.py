@@ -234,7 +234,8 @@ def test_a_glued_cube_of_another_program(tmp_path, coarse):
 
 def test_what_a_mesh_of_a_file_errs_by_is_told_from_two_orders(folder, coarse):
     campaign = load(folder, MESH)
-    forward = build_test(campaign.tests[0], calibration.read_measured(campaign)["bonded_compression"], campaign.fit, 0.0)
+    curves = calibration.read_measured(campaign)["bonded_compression"]
+    forward = build_test(campaign.tests[0], curves, campaign.fit, 0.0)
     assert remainder(forward, REMAINDERS) == 0.1
     forward.correction = [np.array([0.0, -0.004])]
     assert remainder(forward, REMAINDERS) == pytest.approx(0.1 * 0.004 / np.abs(forward.measured[0].force).max())

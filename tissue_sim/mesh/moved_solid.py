@@ -61,8 +61,9 @@ def moved_block(mesh: SolidMesh, sizes: tuple[np.ndarray, np.ndarray], circles: 
     """
     nodes = mesh.nodes.copy()
     for axis in range(2):
-        marks = [np.array([-0.5 * size[axis], circle.centre[axis] - circle.radius, circle.centre[axis] + circle.radius,
-                           0.5 * size[axis]]) for size, circle in zip(sizes, circles, strict=True)]
-        nodes[:, axis] = np.interp(nodes[:, axis], *marks)
+        old, new = (np.array([-0.5 * size[axis], circle.centre[axis] - circle.radius,
+                              circle.centre[axis] + circle.radius, 0.5 * size[axis]])
+                    for size, circle in zip(sizes, circles, strict=True))
+        nodes[:, axis] = np.interp(nodes[:, axis], old, new)
     nodes[:, 2] *= sizes[1][2] / sizes[0][2]
     return replace(mesh, nodes=nodes)

@@ -285,6 +285,6 @@ def specimen_of_keys(shape: str, stated: Mapping[str, float | str], **common: An
     except InputError as error:
         field = (error.field or "").removeprefix("specimen.")
         keys = {what.key: name for name, what in declared(SPECIMENS[shape]).items()} if shape in SPECIMENS else {}
-        keys |= {key: size.field for key, size in known.items() if key not in keys} | texts
+        keys |= {key: size.field for key, size in known.items() if key not in keys} | dict(texts)
         raise InputError(error.problem, file=error.file, line=error.line,
                          field=next((key for key, name in keys.items() if name == field), field)) from None
