@@ -239,3 +239,16 @@ def test_what_a_mesh_of_a_file_errs_by_is_told_from_two_orders(folder, coarse):
     assert remainder(forward, REMAINDERS) == 0.1
     forward.correction = [np.array([0.0, -0.004])]
     assert remainder(forward, REMAINDERS) == pytest.approx(0.1 * 0.004 / np.abs(forward.measured[0].force).max())
+
+
+def test_import_writes_a_campaign_of_a_stated_shape(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    words = ["import", "run_1.csv", "-o", "study.toml", "--kind", "bonded_compression"]
+    sizes = ["--shape", "block", "--length-mm", "20", "--width-mm", "20", "--height-mm", "20"]
+    assert main([*words, *sizes]) == 0
+    test, = calibration.load_campaign(folder / "study.toml").tests
+    assert test.solver == "solid" and test.specimen == ts.Block(0.02, 0.02, 0.02)
+    assert main([*words, "--overwrite", *sizes[:4]]) == 1
+    assert "the width of the specimen (--width-mm)" in " ".join(capsys.readouterr().out.split())
+    assert main([*words, "--overwrite", "--length-mm", "20"]) == 2
+    assert "--length-mm: no size of a cylinder; add --shape block" in capsys.readouterr().err
