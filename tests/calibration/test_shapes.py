@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 import calibration
 import tissue_sim as ts
 from calibration.campaign.digest import digest_of
+from calibration.campaign.specimens import found_anywhere
 from calibration.forward.forms import build_test, remainder
 from calibration.forward.meshes import MESHES, REMAINDERS, Meshes
 from calibration.forward.solves import content_key
@@ -252,3 +253,8 @@ def test_import_writes_a_campaign_of_a_stated_shape(folder, monkeypatch, capsys)
     assert "the width of the specimen (--width-mm)" in " ".join(capsys.readouterr().out.split())
     assert main([*words, "--overwrite", "--length-mm", "20"]) == 2
     assert "--length-mm: no size of a cylinder; add --shape block" in capsys.readouterr().err
+
+
+def test_a_campaign_that_is_written_elsewhere_finds_its_mesh(folder):
+    table, = found_anywhere([{"shape": "mesh", "mesh": "cube.vtu", "mesh_unit": "mm"}], folder)
+    assert table == {"shape": "mesh", "mesh": str((folder / "cube.vtu").resolve()), "mesh_unit": "mm"}
