@@ -67,7 +67,8 @@ laws = ["neo_hooke"]
 """, encoding="utf-8")
     with pytest.raises(ts.InputError, match=r"test\[0\]\.specimen.*'specimen' is a wedge.* no closed form"):
         calibration.load_campaign(path)
-    path.write_text(path.read_text(encoding="utf-8").replace("[fit]", '[fit]\nmethod = "inverse_fem"'), encoding="utf-8")
+    text = path.read_text(encoding="utf-8").replace("[fit]", '[fit]\nmethod = "inverse_fem"')
+    path.write_text(text, encoding="utf-8")
     test, = calibration.load_campaign(path).tests
     assert test.solver == "solid" and test.specimen == wedge(**SIZES)
 
