@@ -258,3 +258,13 @@ def test_import_writes_a_campaign_of_a_stated_shape(folder, monkeypatch, capsys)
 def test_a_campaign_that_is_written_elsewhere_finds_its_mesh(folder):
     table, = found_anywhere([{"shape": "mesh", "mesh": "cube.vtu", "mesh_unit": "mm"}], folder)
     assert table == {"shape": "mesh", "mesh": str((folder / "cube.vtu").resolve()), "mesh_unit": "mm"}
+
+
+def test_design_asks_for_the_sizes_that_a_specimen_has(tmp_path, coarse):
+    text = CAMPAIGN.format(specimen=BLOCK, kind="bonded_compression", test='protocol = "ramp 2mm @0.1mm/s"',
+                           method="inverse_fem").replace('recordings = ["run_*.csv"]\n', "")
+    (tmp_path / "plan.toml").write_text(text.replace("starts = 1", "start = { C10 = 450.0 }"), encoding="utf-8")
+    found = calibration.design_experiments(tmp_path / "plan.toml", replicates=1, samples=40)
+    reasons = {each.name: each.reason for each in found.candidates}
+    assert reasons["radius_error"] == "no specimen has a radius" and "has a height" not in reasons["height_error"]
+    assert 0.1 < found.standard_errors["C10"] < 20.0
