@@ -202,7 +202,7 @@ def load_campaign(path: str | Path, *, planned: bool = False) -> Campaign:
     table, data, defaults = decode_campaign(path)
     try:
         with located(file=path):
-            tests = _tests(table, specimens := read_specimens(table), path.parent, planned)
+            tests = _tests(table, specimens := read_specimens(table, path.parent), path.parent, planned)
             return Campaign(path, _read_only(specimens), tests, _fit_settings(table.fit, table.noise, tests),
                             _noise(table.noise, table.fit.method), hashlib.sha256(data).hexdigest(), _density(tests))
     except InputError as error:
@@ -253,7 +253,7 @@ def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path
             _reading(entry, read_columns_key(entry, field)), entry.max_strain, entry.hold_out, field,
             read_experiment(entry, specimen, folder, field), read_rig(entry, folder, field),
             entry.contact if isinstance(entry.contact, str) else 1e-3 * entry.contact, entry.failure, entry.protocol,
-            read_solver(entry, field))
+            read_solver(entry, specimen, field))
     if all(test.hold_out for test in tests.values()):
         raise InputError("every test is held out, so there is nothing to fit; set hold_out = false on one",
                          field="test[0].hold_out")

@@ -11,10 +11,11 @@ from calibration.campaign.measured import MeasuredCurve
 
 
 def digest_of(campaign: Campaign, recordings: Sequence[MeasuredCurve]) -> str:
-    """Of everything that the results depend on: campaign, recordings, rigs, tool profiles, version."""
+    """Of everything that the results depend on: campaign, recordings, rigs, profiles, meshes of specimens, version."""
     content = [campaign.sha256, *(f"{curve.name} {curve.sha256}" for curve in recordings)]
     for test in campaign.tests:
         if test.experiment is not None:
             outline = test.experiment.tool.profile.vertices.tolist()
             content.append(hashlib.sha256(repr((test.rig, outline)).encode()).hexdigest())
+    content += [digest for specimen in campaign.specimens.values() if (digest := specimen.digest)]
     return hashlib.sha256("\n".join([*content, tissue_sim.__version__]).encode()).hexdigest()

@@ -25,6 +25,7 @@ from tissue_sim.parameters import declared, from_keys
 from tissue_sim.rig.file import load_rig
 from tissue_sim.rig.rig import Rig
 from tissue_sim.specimen import Specimen
+from tissue_sim.specimen.specimen import with_article
 
 #: Field of an experiment or a tool -> key of the campaign, beside those of the sizes of tools.
 _KEYS = {"tool": "tool", "tool.profile_file": "tool", "friction": "friction", "friction_base": "friction_base",
@@ -32,6 +33,8 @@ _KEYS = {"tool": "tool", "tool.profile_file": "tool", "friction": "friction", "f
          "approach.angle": "tilt_deg"}
 #: Keys of a tool's way that is not down the axis, see `Approach`, and of what else only a tool has.
 _APPROACH = ("offset_mm", "tilt_deg")
+#: Solver of round specimens, and that of all shapes, where a test states none.
+ROUND_SOLVER, SPACE_SOLVER = "axisymmetric", "solid"
 _OF_TOOL = ("contact_laws", "tilt_mm", "slip", *_APPROACH, "solver", "rig")
 
 
@@ -63,7 +66,7 @@ def read_experiment(entry: TestTable, specimen: Specimen | None, folder: Path, p
         return kind.experiment(specimen=specimen, protocol=Protocol.ramp(1e-3 * specimen.height, 2),
                                tool=_tool(entry, kind, folder, place), contact_laws=laws,
                                tilt=1e-3 * (entry.tilt_mm or 0.0), slip=entry.slip,
-                               approach=_approach(entry, place), **interfaces)
+                               approach=_approach(entry, specimen, place), **interfaces)
     except InputError as error:
         keys = _KEYS | {f"tool.{name}": key for key, (_, name, _) in tool_sizes().items()}
         if error.field not in keys:
@@ -72,27 +75,32 @@ def read_experiment(entry: TestTable, specimen: Specimen | None, folder: Path, p
                          field=f"{place}.{keys[error.field]}") from None
 
 
-def _approach(entry: TestTable, place: str) -> Approach | None:
+def _approach(entry: TestTable, specimen: Specimen, place: str) -> Approach | None:
     stated = {key: value for key in _APPROACH if (value := getattr(entry, key)) is not None}
     for key in stated:
         if KINDS[entry.kind].require_tool().is_plate:
             raise InputError("a plate covers the whole top and comes down its axis; leave it out",
                              field=f"{place}.{key}")
-        if entry.solver is None:
+        if entry.solver is None and specimen.is_round:
             raise InputError("a needle off the axis or at an angle is simulated in space; give solver = 'solid' too",
                              field=f"{place}.{key}")
     return from_keys(Approach, stated, place) if stated else None
 
 
-def read_solver(entry: TestTable, place: str) -> str:
-    """Name of the solver of a test.
+def read_solver(entry: TestTable, specimen: Specimen | None, place: str) -> str:
+    """Name of the solver of a test; where none is stated, that in space of a specimen that is not round.
 
     Raises:
-        InputError: there is none of that name.
+        InputError: there is none of that name, or it is that of round ones and the specimen is another.
     """
-    name = entry.solver or "axisymmetric"
+    round_ = specimen is None or specimen.is_round
+    name = entry.solver or (ROUND_SOLVER if round_ else SPACE_SOLVER)
     if name not in SOLVERS:
         raise InputError(f"unknown solver {name!r}{nearest(name, SOLVERS)}", field=f"{place}.solver")
+    if specimen is not None and not round_ and name == ROUND_SOLVER:
+        raise InputError(f"the axisymmetric solver takes cylinders only, and {specimen.name!r} is "
+                         f"{with_article(specimen.shape)}; leave it out, or give solver = {SPACE_SOLVER!r}",
+                         field=f"{place}.solver")
     return name
 
 

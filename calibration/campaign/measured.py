@@ -18,6 +18,7 @@ from tissue_sim.material.material import Material
 from tissue_sim.recording.file import read_recordings
 from tissue_sim.recording.recording import MIN_POINTS, Recording
 from tissue_sim.recording.segmentation import label_motion, number_runs
+from tissue_sim.specimen.specimen import with_article
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -160,11 +161,16 @@ def names_of(recordings: Sequence[Recording], path: Path, test: Test) -> list[st
 
 
 def check_size(recording: Recording, test: Test, campaign: Campaign, path: Path) -> None:
-    """Refuse a recording that says itself that its specimen has another size."""
+    """Refuse a recording that says itself that its specimen has another shape or size."""
     said = recording.metadata.get("specimen")
     if test.specimen is None or not isinstance(said, Mapping):
         return
     place = f"specimen[{list(campaign.specimens).index(test.specimen.name)}]"
+    shape, told = test.specimen.shape, said.get("shape")
+    # A prism of any cross-section may be anything, and stands here as a cylinder.
+    if not test.kind.gripped and campaign.fit.method != "analytical" and isinstance(told, str) and told != shape:
+        raise InputError(f"{with_article(shape)}, but {path.name} says of itself that it is {with_article(told)}; mend "
+                         "the one that is wrong", file=campaign.path, field=f"{place}.shape")
     for key, size in test.specimen.sizes.items():
         stated = said.get(key)
         if isinstance(stated, int | float) and abs(stated - size) > SIZE_TOLERANCE * size:
@@ -360,6 +366,10 @@ def _mechanical(recording: Recording, test: Test, path: Path) -> tuple[np.ndarra
         raise InputError(f"{path.name} holds {' and '.join(stated)}, which differ from slice to slice under gravity = "
                          f"true; give {' and '.join(mechanical)}, or set gravity = false", field="recordings")
     motion, load = stated
+    if test.specimen is not None and not test.specimen.is_prism:
+        raise InputError(f"{path.name} holds {' and '.join(stated)}, and {test.specimen.name!r} is "
+                         f"{with_article(test.specimen.shape)}, which has not one cross-section; give "
+                         f"{' and '.join(mechanical)}", field="recordings")
     height, area = (1.0, 1.0) if test.specimen is None else (test.specimen.height, test.specimen.area)
     return (height * test.kind.strain(recording.channel(motion)), test.kind.sign * area * recording.channel(load),
             True)

@@ -15,7 +15,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.experiment.tools.tool import tool_sizes
 from tissue_sim.files import read_bytes
-from tissue_sim.specimen import SPECIMENS, specimen_sizes
+from tissue_sim.specimen import SPECIMENS, specimen_sizes, specimen_texts
 
 #: A body of any cross-section, of which homogeneous tests need no more than its area.
 PRISM = "prism"
@@ -33,7 +33,7 @@ class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class SpecimenTable(_Table, frozen=True, kw_only=True):
-    """``[[specimen]]``, but for the sizes of its shape, see `campaign_table`."""
+    """``[[specimen]]``, but for what its shape states, see `campaign_table`."""
 
     name: str | None = None
     shape: str = "cylinder"
@@ -46,6 +46,11 @@ class SpecimenTable(_Table, frozen=True, kw_only=True):
     def sizes(self) -> dict[str, float]:
         """Key of `tissue_sim.specimen.specimen_sizes` -> value, of those that are stated."""
         return {key: value for key in specimen_sizes() if (value := getattr(self, key)) is not None}
+
+    @property
+    def texts(self) -> dict[str, str]:
+        """Key of `tissue_sim.specimen.specimen_texts` -> value, of those that are stated."""
+        return {key: value for key in specimen_texts() if (value := getattr(self, key)) is not None}
 
 
 class TestTable(_Table, frozen=True, kw_only=True):
@@ -131,7 +136,8 @@ def campaign_table() -> type[CampaignTable]:
     sizes = [(key, float | None, None) for key in tool_sizes()]
     test = msgspec.defstruct("TestTable", [("kind", Literal[tuple(KINDS)]), *sizes], bases=(TestTable,), **how)
     shapes = [("shape", Literal[(*SPECIMENS, PRISM)], "cylinder"),
-              *((key, float | None, None) for key in specimen_sizes())]
+              *((key, float | None, None) for key in specimen_sizes()),
+              *((key, str | None, None) for key in specimen_texts())]
     specimen = msgspec.defstruct("SpecimenTable", shapes, bases=(SpecimenTable,), **how)
     tests: Any = GenericAlias(list, (test,))
     specimens: Any = GenericAlias(list, (specimen,))

@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
 
 from calibration.campaign.checks import require_positive
 from calibration.campaign.schema import PRISM, CampaignTable, SpecimenTable, TestTable
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.specimen import SPECIMENS, STANDARD_GRAVITY, Specimen
-from tissue_sim.specimen.cylinder import Cylinder
-from tissue_sim.specimen.specimen import sizes_of, specimen_of_keys, with_article
+from tissue_sim.specimen.specimen import keys_of, specimen_of_keys, with_article
+
+#: What a prism of an unknown cross-section states.
+_OF_PRISM = {"area_mm2": True, "height_mm": True}
 
 
-def read_specimens(table: CampaignTable) -> dict[str, Specimen]:
+def read_specimens(table: CampaignTable, folder: Path) -> dict[str, Specimen]:
     """The specimens of a campaign by their names.
 
+    Args:
+        table: the campaign. folder: that files of specimens are relative to.
+
     Raises:
-        InputError: a name that is missing or there twice, sizes that are no sizes of the shape.
+        InputError: a name that is missing or there twice, sizes that are no sizes of the shape, a mesh that is none.
     """
     specimens: dict[str, Specimen] = {}
     for i, entry in enumerate(table.specimen):
@@ -29,40 +36,38 @@ def read_specimens(table: CampaignTable) -> dict[str, Specimen]:
         if name in specimens:
             raise InputError(f"the name {name!r} is taken by another specimen; names must be unique",
                              field=f"{field}.name")
-        specimens[name] = _specimen(entry, name, field)
+        specimens[name] = _specimen(entry, name, folder, field)
     return specimens
 
 
-def _specimen(entry: SpecimenTable, name: str, field: str) -> Specimen:
+def _specimen(entry: SpecimenTable, name: str, folder: Path, field: str) -> Specimen:
     for key, value in entry.sizes.items():
         require_positive(value, f"{field}.{key}", " mm")
     require_positive(entry.density_kg_m3, f"{field}.density_kg_m3", " kg/m3")
     if entry.gravity and entry.density_kg_m3 is None:
         raise InputError("gravity = true needs the density of the specimen; give density_kg_m3",
                          field=f"{field}.density_kg_m3")
-    shape, stated = entry.shape, dict(entry.sizes)
-    known = {} if shape == PRISM else sizes_of(shape)
-    if shape in SPECIMENS and SPECIMENS[shape].from_file:
-        raise InputError(f"{with_article(shape)} from a file takes no part in a campaign, whose tests are simulated on "
-                         "cylinders; use shape = 'cylinder'", field=f"{field}.shape")
-    has = ["area_mm2", "height_mm"] if shape == PRISM else list(known)
-    given = stated | ({} if entry.area_mm2 is None else {"area_mm2": entry.area_mm2})
-    needs = [key for key in has if key not in known or known[key].absent is None]
-    if lacks := [key for key in needs if key not in given]:
+    shape = entry.shape
+    has = _OF_PRISM if shape == PRISM else keys_of(shape)
+    given: dict[str, float | str] = {**entry.sizes, **entry.texts}
+    if entry.area_mm2 is not None:
+        given["area_mm2"] = entry.area_mm2
+    if lacks := [key for key, needed in has.items() if needed and key not in given]:
         raise InputError(f"{with_article(shape)} needs {lacks[0]}, which is missing", field=f"{field}.{lacks[0]}")
     if others := [key for key in given if key not in has]:
-        raise InputError(f"{with_article(shape)} has {has[0]}, not {others[0]}; leave it out",
+        raise InputError(f"{with_article(shape)} has {next(iter(has))}, not {others[0]}; leave it out",
                          field=f"{field}.{others[0]}")
     if shape == PRISM:
         # Homogeneous tests know a specimen by its cross-section and height only.
-        area = given.pop("area_mm2")
-        require_positive(area, f"{field}.area_mm2", " mm2")
+        require_positive(area := float(given.pop("area_mm2")), f"{field}.area_mm2", " mm2")
         shape, given = "cylinder", given | {"radius_mm": 1e3 * math.sqrt(area * 1e-6 / math.pi)}
+    elif entry.texts:
+        given |= {key: str(folder / entry.texts[key]) for key in SPECIMENS[shape].paths if key in entry.texts}
     try:
         return specimen_of_keys(shape, given, name=name, density=entry.density_kg_m3, height_is=entry.height_is,
                                 gravity=STANDARD_GRAVITY if entry.gravity else 0.0)
     except InputError as error:
-        raise InputError(error.problem, field=f"{field}.{error.field}") from None
+        raise error.located(field=field) from None
 
 
 def find_specimen(entry: TestTable, specimens: Mapping[str, Specimen], table: CampaignTable,
@@ -91,10 +96,20 @@ def find_specimen(entry: TestTable, specimens: Mapping[str, Specimen], table: Ca
         return None
     shape = table.specimen[list(specimens).index(found.name)].shape
     what = f"{found.name!r} is {with_article(shape)}"
-    simulated = kind.closed_form is None or (table.fit.method != "analytical" and not kind.gripped and shape != PRISM)
-    if simulated and (shape == PRISM or not isinstance(found, Cylinder)):
-        raise InputError(f"{entry.kind} is simulated on a cylinder, and {what}; use shape = 'cylinder' with radius_mm",
+    if shape == PRISM and kind.closed_form is None:
+        raise InputError(f"{entry.kind} is simulated on the shape of its specimen, and {what}, of which nothing but "
+                         "the cross-section is known; state its shape, such as 'cylinder' with radius_mm",
                          field=f"{field}.specimen")
-    if not found.is_prism:
-        raise InputError(f"{what}, which has not one cross-section, and so no closed form", field=f"{field}.specimen")
-    return found
+    if found.is_prism or (table.fit.method != "analytical" and not kind.gripped):
+        return found
+    remedy = f"for {entry.kind} give one that has, such as shape = 'prism' with area_mm2 and height_mm" \
+        if kind.gripped else "set fit.method = 'inverse_fem', which simulates it"
+    raise InputError(f"{what}, which has not one cross-section, and so no closed form; {remedy}",
+                     field=f"{field}.specimen")
+
+
+def found_anywhere(specimens: Iterable[Mapping[str, Any]], folder: Path) -> list[dict[str, Any]]:
+    """Tables ``[[specimen]]`` of a campaign in a folder, for one that lies elsewhere: files by their whole path."""
+    of_files = {key for kind in SPECIMENS.values() for key in kind.paths}
+    return [{key: str((folder / value).resolve()) if key in of_files else value for key, value in table.items()}
+            for table in specimens]

@@ -24,7 +24,7 @@ from calibration.forward.forms import build_test, remainder
 from calibration.forward.meshes import REMAINDERS
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import Protocol
-from tissue_sim.specimen.cylinder import Cylinder
+from tissue_sim.parameters import declared, with_values
 
 #: A hold that is added, s; how much faster and deeper, and how much smaller a tool or lower a specimen, a test is done.
 _HOLD, _FASTER, _DEEPER, _SMALLER = 60.0, 10.0, 1.5, 0.5
@@ -91,7 +91,7 @@ def plans(before: Evidence) -> list[Plan]:
         found.append(_plan(f"{test.name} again {_FASTER:g} times as fast ({1e3 * _FASTER * speed:.3g} mm/s)", test,
                            depth, _FASTER * speed, hold=held))
         height = experiment.specimen.height
-        deeper = min(_DEEPER * depth, _DEEPEST * height)
+        deeper = min(_DEEPER * depth, _DEEPEST * experiment.thickness)
         if deeper > 1.1 * depth:
             found.append(_plan(f"{test.name} again to {1e3 * deeper:.3g} mm", test, deeper, speed, hold=held))
         radius = experiment.tool.radius
@@ -99,8 +99,8 @@ def plans(before: Evidence) -> list[Plan]:
             tool = replace(experiment.tool, radius=_SMALLER * radius)
             found.append(_plan(f"{test.name} with a tool of {1e3 * _SMALLER * radius:.3g} mm radius",
                                replace(test, experiment=replace(experiment, tool=tool)), depth, speed, hold=held))
-        elif isinstance(experiment.specimen, Cylinder):
-            lower = replace(experiment.specimen, height=_SMALLER * height)
+        elif "height" in declared(type(experiment.specimen)):
+            lower = with_values(experiment.specimen, {"height": _SMALLER * height})
             shorter = replace(test, specimen=lower, experiment=replace(experiment, specimen=lower))
             found.append(_plan(f"{test.name} on a specimen of half the height, to {1e3 * _SMALLER * depth:.3g} mm",
                                shorter, _SMALLER * depth, speed, hold=held))

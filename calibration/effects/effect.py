@@ -104,7 +104,9 @@ class Situation:
                 area, height = (1.0, 1.0) if test.specimen is None else (test.specimen.area, test.specimen.height)
                 found.append(force * height / (3.0 * area * depth))
             elif test.experiment.tool.is_plate:
-                found.append(force * test.experiment.specimen.height / (3.0 * test.experiment.specimen.area * depth))
+                specimen = test.experiment.specimen
+                area = specimen.area if specimen.is_prism else np.pi * specimen.margin() ** 2
+                found.append(force * specimen.height / (3.0 * area * depth))
             else:
                 found.append(force / (8.0 * self.contact_radius(test) * depth))
         return float(np.median(found))

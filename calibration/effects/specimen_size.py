@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 
 from calibration.campaign.campaign import Test
-from calibration.effects.candidates import stated_value
+from calibration.campaign.parameters import declared_around
+from calibration.effects.candidates import require_tests, stated_value
 from calibration.effects.effect import Candidate, Effect, Situation
 
 #: Largest error that a refit may find, as a share.
@@ -15,13 +16,16 @@ def sizes_of_specimens(effect: Effect, situation: Situation, path: str, tests: S
     """A candidate for each specimen whose size is off.
 
     Args:
-        effect, situation: as the candidates have them. path: of the size. tests: that have it. error: relative, that
-            is tried first.
+        effect, situation: as the candidates have them. path: of the size. tests: with a specimen. error: relative,
+            that is tried first.
 
     Raises:
-        NotTestableError: the campaign fits it already.
+        NotTestableError: the campaign fits it already, or no specimen has it.
     """
     situation.require_new(path)
+    size_name = path.rpartition(".")[2]
+    tests = require_tests([test for test in tests if path in declared_around(test.experiment, test.rig)],
+                          f"no specimen has a {size_name}")
     groups: dict[str, list[Test]] = {}
     for test in tests:
         groups.setdefault("" if test.specimen is None else test.specimen.name, []).append(test)

@@ -6,11 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from calibration.campaign.experiments import ROUND_SOLVER, SPACE_SOLVER
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.fit import Direction, Suggestion
 from calibration.fit.problem import Problem
 from calibration.forward.contract import ForwardTest
+from calibration.forward.meshes import meshes_of
 from calibration.forward.motion import offset_rate
+from calibration.forward.simulated import SimulatedTest
 from calibration.statistics.uncertainty import Uncertainty
 from tissue_sim.differentiation import sensitivities
 from tissue_sim.errors import ConvergenceError, InputError
@@ -97,12 +100,13 @@ def suggest_tests(problem: Problem, theta: np.ndarray, spread: Uncertainty) -> l
 def _candidates(problem: Problem, theta: np.ndarray, of: ForwardTest) -> Sequence[tuple[str, Experiment]]:
     """Tests in words, as experiments on the specimen of a test."""
     specimen = of.specimen or _SPECIMEN
-    if not isinstance(specimen, Cylinder):  # the tests are simulated with the axisymmetric solver
+    if specimen.is_prism and not (specimen.is_round or isinstance(of, SimulatedTest)):
+        # Of a closed form the cross-section is all that counts.
         specimen = Cylinder(float(np.sqrt(specimen.area / np.pi)), specimen.height)
     ageing = problem.space.material(problem.space.values(theta), test=of.name).remembers
     found = []
     for strain in (_STRAIN, min(_DEEPER * _STRAIN, 0.3)):
-        depth = strain * specimen.height
+        depth = strain * specimen.depth_at()
         millimetres = f"{depth * 1e3:.3g} mm"
         needle = Flat(radius=_NEEDLE * specimen.margin())
         for words, tool, friction in (
@@ -132,8 +136,9 @@ def _information(problem: Problem, theta: np.ndarray, experiment: Experiment, te
     try:
         own = [i for i, each in enumerate(space.varied) if each.of_material and each.recording is None
                and each.acts_in(test, None)]
+        solver = ROUND_SOLVER if experiment.specimen.is_round else SPACE_SOLVER
         answer = sensitivities(Model(experiment, space.material(space.values(theta), test=test)),
-                               [space.varied[i].path for i in own])
+                               [space.varied[i].path for i in own], solver=solver, resolution=meshes_of(solver).fast)
     except (ConvergenceError, InputError):
         return None
     recording = answer.recording

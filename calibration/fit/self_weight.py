@@ -66,7 +66,7 @@ def _range(sags: Collection[float | None], digits: int) -> str:
 def _columns(campaign: Campaign) -> list[Specimen]:
     """Specimens that a plate compresses between smooth faces, each once."""
     return list(dict.fromkeys(test.specimen for test in campaign.tests
-                              if test.kind.settles and test.specimen is not None))
+                              if test.kind.settles and test.specimen is not None and test.specimen.is_prism))
 
 
 def _sag(specimen: Specimen, fit: Fit, campaign: Campaign) -> float | None:

@@ -12,7 +12,14 @@ from calibration.campaign.measured import MeasuredCurve, remembers
 from calibration.forward.closed import ClosedTest
 from calibration.forward.column import ColumnTest
 from calibration.forward.contract import ForwardTest
-from calibration.forward.meshes import FINEST_REMAINDERS, LEFT_OF_DIFFERENCE, REMAINDERS, meshes_of
+from calibration.forward.meshes import (
+    COARSEST_REMAINDER,
+    FINEST_REMAINDERS,
+    LEFT_OF_DIFFERENCE,
+    LEFT_OF_ORDER,
+    REMAINDERS,
+    meshes_of,
+)
 from calibration.forward.motion import Loading, Timed
 from calibration.forward.simulated import SimulatedTest
 from calibration.forward.solves import content_key
@@ -51,7 +58,7 @@ def build_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSetting
                              mesh=mesh, solver=test.solver)
     deepest = max(curve.displacement.max() for curve in curves)
     height = test.experiment.specimen.height
-    depth = min(deepest + max(_MARGIN * contact, _LEAST_MARGIN * deepest), 0.999 * height)
+    depth = min(deepest + max(_MARGIN * contact, _LEAST_MARGIN * deepest), 0.999 * test.experiment.thickness)
     speed = float(np.median([curve.speed or STUDY_SPEED for curve in curves]))
     tool = test.experiment.tool
     smooth = tool.is_plate or (tool.sharp_edge and not test.experiment.depends_on_way)
@@ -82,6 +89,10 @@ def remainder(test: ForwardTest, of: Mapping[str, float]) -> float:
         return 0.0
     shape, error = test.experiment.tool.shape, test.mesh_error
     known = meshes_of(test.solver).remainder * of[shape if shape in of else "other"]
+    if test.specimen.from_file:
+        largest = max(float(np.abs(curve.force).max()) for curve in test.measured)
+        added = max((float(np.abs(each).max(initial=0.0)) for each in test.correction), default=np.inf)
+        return max(known, min(LEFT_OF_ORDER * added / largest, COARSEST_REMAINDER))
     if of is REMAINDERS and error is not None and shape in FINEST_REMAINDERS:
         return min(known, max(FINEST_REMAINDERS[shape], LEFT_OF_DIFFERENCE * error.largest))
     return known

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calibration.forward.motion import spline
+from tissue_sim.experiment.experiment import Experiment
 
 #: Standard deviation of the accurate mesh's own error relative to the force: what is left against independent
 #: solvers, see docs/simulation.md. Between plates, under a flat needle, under a round or pointed one.
@@ -17,6 +18,9 @@ FAST_REMAINDERS = {"plate": 0.003, "flat": 0.008, "other": 0.01}
 #: Of the finest mesh, where the accurate one's error was found and taken off: at least this, and this share of it.
 FINEST_REMAINDERS = {"plate": 0.0002, "flat": 0.0005}
 LEFT_OF_DIFFERENCE = 0.5
+#: Of a mesh from a file, whose elements nobody makes smaller: what those of second order err by, as a share of what
+#: they differ from those of first order; and at most, which is allowed where they do not get through.
+LEFT_OF_ORDER, COARSEST_REMAINDER = 0.1, 0.1
 #: A force below this share of the largest is too small to be divided by; knots that a course of shares needs.
 _FELT, _FEWEST = 1e-3, 4
 
@@ -26,7 +30,8 @@ class Meshes(NamedTuple):
 
     Attributes:
         fast: on which parameters move. accurate: whose difference to it is added. finest: by which the accurate one's
-            own error is found once, at the first parameters; None: it is not.
+            own error is found once, at the first parameters; None: it is not. finest_under: tools under which it is.
+        elements: what they are, in words.
         remainder: error of either against that of the axisymmetric solver, see `REMAINDERS`.
     """
 
@@ -34,10 +39,19 @@ class Meshes(NamedTuple):
     accurate: str
     finest: str | None = None
     remainder: float = 1.0
+    finest_under: tuple[str, ...] = tuple(FINEST_REMAINDERS)
+    elements: str = "axisymmetric nine-node finite elements"
+
+    def shows_error(self, experiment: Experiment) -> bool:
+        """Whether the finest mesh tells the accurate one's error; the elements of a file stay as large as they are."""
+        return (self.finest is not None and experiment.tool.shape in self.finest_under
+                and not experiment.specimen.from_file)
 
 
 #: By the name of the solver; of another one as of the axisymmetric.
-MESHES = {"axisymmetric": Meshes("fast", "accurate", "finest"), "solid": Meshes("realtime", "fast", remainder=3.0)}
+MESHES = {"axisymmetric": Meshes("fast", "accurate", "finest"),
+          "solid": Meshes("realtime", "fast", "accurate", remainder=3.0, finest_under=("plate",),
+                           elements="finite elements in space of first order, corrected by ones of second order")}
 
 
 def meshes_of(solver: str) -> Meshes:

@@ -12,7 +12,7 @@ import numpy as np
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace, Unknown
 from calibration.forward.contract import InfeasibleError, Reached
-from calibration.forward.meshes import FINEST_REMAINDERS, MeshError, meshes_of
+from calibration.forward.meshes import MeshError, meshes_of
 from calibration.forward.motion import Course, Loading, Timed, spline
 from calibration.forward.placed import PlaceCurve, PlacedCourse, at_stage, is_of_course, leaves, loading_to, needs_way
 from calibration.forward.reached import reached_at, reached_in
@@ -197,7 +197,7 @@ class SimulatedTest:
         deepest = max(float(rig.tool_motion(way).max()) for way in ways) - yields
         if not depth > 0:
             raise InfeasibleError(f"{self.name}: the tool never goes in")
-        return loading_to(depth, deepest, 0.999 * self.specimen.height)
+        return loading_to(depth, deepest, 0.999 * self.experiment.thickness)
 
     def _correction_at(self, loading: Loading) -> np.ndarray:
         """What the accurate mesh has more at the knots of a loading, N, shape (k,)."""
@@ -241,8 +241,7 @@ class SimulatedTest:
     def _find_mesh_error(self, space: ParameterSpace, values: dict[str, float], solves: Solves, way: Loading,
                          accurate: np.ndarray, *, rigid: bool) -> None:
         """Hold the accurate mesh's force at the knots, shape (k,), against the finest one's, where nobody did."""
-        known = self.mesh_error is not None or self.experiment.tool.shape not in FINEST_REMAINDERS
-        if known or not meshes_of(self.solver).finest:
+        if self.mesh_error is not None or not meshes_of(self.solver).shows_error(self.experiment):
             return
         try:
             finest, *_ = self._simulated(space, values, solves, way, "finest", rigid=rigid)

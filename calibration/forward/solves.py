@@ -25,6 +25,7 @@ from tissue_sim.model import Model
 from tissue_sim.parameters import declared
 from tissue_sim.registry import modules_of_additions
 from tissue_sim.simulation import simulate
+from tissue_sim.specimen import Specimen
 
 
 class SimulatedCurve(msgspec.Struct, frozen=True, array_like=True):
@@ -143,6 +144,11 @@ def _plain(value: Any) -> Any:
         # What the tissue meets counts, not the file that it comes from.
         return [value.shape, _plain({name: getattr(value, name) for name in declared(type(value))}),
                 _plain(value.profile)]
+    if isinstance(value, Specimen) and value.paths:
+        # The same of a specimen: nor does it matter in which folder its file lies.
+        named = {value.texts[key] for key in value.paths}
+        return [type(value).__name__, value.digest, {entry.name: _plain(getattr(value, entry.name))
+                                                     for entry in fields(value) if entry.name not in named}]
     if is_dataclass(value):
         return [type(value).__name__, {entry.name: _plain(getattr(value, entry.name)) for entry in fields(value)}]
     if isinstance(value, np.ndarray):

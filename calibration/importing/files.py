@@ -25,11 +25,15 @@ from tissue_sim.frozen_mapping import read_only
 from tissue_sim.recording.formats.guesses import Reading, Understanding
 from tissue_sim.recording.formats.sizes import Size, find_sizes
 from tissue_sim.recording.formats.understanding import understand
+from tissue_sim.specimen import specimen_sizes
+from tissue_sim.specimen.specimen import sizes_of
 
 _LAWS = {"analytical": ("neo_hooke", "mooney_rivlin", "reduced_polynomial_2", "ogden_1"),
          "inverse_fem": ("neo_hooke", "reduced_polynomial_2")}
 #: K / mu0 of a simulated tissue where nobody says it.
 _BULK_RATIO = 1000.0
+#: Sizes that files state, and that are asked for where nobody names a shape.
+_OWN_SIZES = frozenset({"radius_mm", "area_mm2", "height_mm"})
 #: Characters of a sentence for the faults of all files.
 _ALL_FAULTS = 240
 
@@ -132,11 +136,12 @@ def _sizes(reading: Reading, wishes: Wishes) -> dict[str, Size]:
     found = find_sizes(reading.stated, reading.kind.kind)
     if any(key in wishes.specimen for key in ("radius_mm", "area_mm2")):
         found = {key: size for key, size in found.items() if key not in ("radius_mm", "area_mm2")}
-    return found | {key: Size(key, value, "stated") for key, value in wishes.specimen.items()}
+    return found | {key: Size(key, float(value), "stated") for key, value in wishes.specimen.items() if key != "shape"}
 
 
 def _sized(sizes: Mapping[str, Size]) -> bool:
-    return "height_mm" in sizes and ("radius_mm" in sizes or "area_mm2" in sizes)
+    # Another shape than a cylinder has other sizes, and somebody has stated it.
+    return not sizes.keys() <= _OWN_SIZES or ("height_mm" in sizes and ("radius_mm" in sizes or "area_mm2" in sizes))
 
 
 def _tests(groups: Sequence[tuple[str, tuple[Part, ...], str]], wishes: Wishes
@@ -179,6 +184,8 @@ def _tests(groups: Sequence[tuple[str, tuple[Part, ...], str]], wishes: Wishes
 
 def _specimen(reading: Reading, wishes: Wishes, kind: TestKind | None) -> tuple[tuple[Line, ...], list[str]]:
     sizes = _sizes(reading, wishes)
+    if (shape := wishes.specimen.get("shape")) is not None:
+        return _of_shape(str(shape), sizes)
     lines, missing = [], []
     flat = "area_mm2" in sizes or (kind is not None and kind.gripped and "radius_mm" not in sizes)
     lines.append(Line("shape", "prism" if flat else "cylinder"))
@@ -192,6 +199,19 @@ def _specimen(reading: Reading, wishes: Wishes, kind: TestKind | None) -> tuple[
             also = " (or --radius-mm)" if key == "area_mm2" else ""
             lines.append(Line(key, None, f"{what} of the specimen, which no file states; {flag}{also}"))
             missing.append(f"the {what} of the specimen ({flag}{also})")
+    return tuple(lines), missing
+
+
+def _of_shape(shape: str, sizes: Mapping[str, Size]) -> tuple[tuple[Line, ...], list[str]]:
+    """The same of a shape that somebody states."""
+    lines, missing = [Line("shape", shape, "stated")], []
+    for key, declared in sizes_of(shape).items():
+        flag = f"--{key.replace('_', '-')}"
+        if key in sizes:
+            lines.append(Line(key, sizes[key].value, sizes[key].reason))
+        elif declared.absent is None:
+            lines.append(Line(key, None, f"of the specimen, which no file states; {flag}"))
+            missing.append(f"the {specimen_sizes()[key].field.replace('_', ' ')} of the specimen ({flag})")
     return tuple(lines), missing
 
 

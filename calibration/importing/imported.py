@@ -19,13 +19,14 @@ class Wishes:
 
     Attributes:
         stated: of the columns and the kind of test.
-        specimen: key of ``[[specimen]]`` -> value: ``radius_mm``, ``area_mm2``, ``height_mm``.
+        specimen: key of ``[[specimen]]`` -> value: ``radius_mm``, ``area_mm2``, ``height_mm``; or ``shape`` and the
+            sizes of that.
         test: further keys of ``[[test]]`` -> value: ``tool``, ``tool_radius_mm``, ``friction``, ``speed_mm_s``, ...
         laws: to fit. None: a few that suit most soft materials.
     """
 
     stated: Stated = field(default_factory=Stated)
-    specimen: Mapping[str, float] = field(default_factory=lambda: read_only({}))
+    specimen: Mapping[str, float | str] = field(default_factory=lambda: read_only({}))
     test: Mapping[str, Any] = field(default_factory=lambda: read_only({}))
     laws: tuple[str, ...] | None = None
 

@@ -11,6 +11,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign, Test
+from calibration.campaign.specimens import found_anywhere
 from calibration.diagnosis.diagnosis import Diagnosis, FoundEffect
 from calibration.diagnosis.evidence import Evidence
 from calibration.fit.result import CalibrationResult
@@ -122,6 +123,8 @@ def _campaign_text(diagnosis: Diagnosis, after: Evidence) -> str:
             table |= {"kind": "friction_compression", "friction": after.values[rubbed.name], "friction_base": AS_TOOL}
     densities = {test.experiment.specimen.name: test.experiment.specimen.density for test in campaign.tests
                  if test.experiment is not None}
+    if "specimen" in content:
+        content["specimen"] = found_anywhere(content["specimen"], folder)
     for table in content.get("specimen", []):
         density = densities.get(table.get("name", "specimen"))
         if density is not None:

@@ -6,11 +6,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 
 import tissue_sim
+from calibration.campaign.experiments import ROUND_SOLVER
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.segmented import notes_in_short
 from calibration.fit.fit import Fit
 from calibration.fit.population import in_words
 from calibration.fit.result import CalibrationResult
+from calibration.forward.meshes import meshes_of
 from calibration.report.drawing import counted
 from calibration.report.figures import percent
 from calibration.report.page import estimate_of, interval_of, ranked_by_prediction, with_minus, young_modulus
@@ -18,6 +20,7 @@ from calibration.report.population import scatter
 from calibration.report.symbols import plain_symbol
 from calibration.report.units import Units
 from tissue_sim.laws import find_law
+from tissue_sim.specimen.specimen import with_article
 
 #: What is cited -> how the text names it, and the reference.
 _REFERENCES = {
@@ -79,7 +82,8 @@ def _data(result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCur
         words = f"{test.name} ({test.kind.title[0].lower()}{test.kind.title[1:]}"
         if test.specimen is not None:
             words += (f", specimen of height {test.specimen.height * 1e3:.4g} mm and cross-section "
-                      f"{test.specimen.area * 1e6:.4g} mm2")
+                      f"{test.specimen.area * 1e6:.4g} mm2") if test.specimen.is_prism else \
+                f", {with_article(test.specimen.shape)} ({test.specimen.in_words})"
         if test.experiment is not None and test.experiment.tool.radius is not None:
             words += f", {test.experiment.tool.shape} tool of radius {test.experiment.tool.radius * 1e3:g} mm"
         if test.max_strain is not None:
@@ -125,7 +129,9 @@ def _method(result: CalibrationResult, cite) -> str:
         text += " Contact offset and zero of each recording were fitted, with priors." if offsets else ""
         return f"{text} {_ranking(result, cite)}"
     starts = counted(result.campaign.fit.starts, "start")
-    return ("Identification. All tests were simulated with axisymmetric nine-node finite elements (homogeneous tests: "
+    simulated = [test.solver for test in result.campaign.tests if test.experiment is not None]
+    elements = " or ".join(dict.fromkeys(meshes_of(solver).elements for solver in simulated or [ROUND_SOLVER]))
+    return (f"Identification. All tests were simulated with {elements} (homogeneous tests: "
             "closed forms) under the recorded motion, and the parameters found by generalised least squares on the "
             f"force (trust-region reflective, {starts}; {cite('descent')[1:-1]}). Contact offset and zero of each "
             f"recording and the mesh error were marginalised as nuisance parameters {cite('projection')}. Intervals "

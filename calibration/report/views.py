@@ -101,12 +101,13 @@ def views(best: TestCurves, units: Units) -> list[View]:
 
 
 def _area(curves: TestCurves) -> float | None:
-    """Cross-section that carries the load, m2 (1 of a stress); None under a tool that is smaller than the specimen."""
+    """Cross-section that carries the load, m2 (1 of a stress); None under a tool that is smaller than the specimen, and
+    of a specimen without one cross-section."""
     test = curves.test
     if test.specimen is None:
         return 1.0
     whole = test.kind.tool is None or test.kind.tool.shape == "plate"
-    return test.specimen.area if whole else curves.area
+    return test.specimen.area if whole and test.specimen.is_prism else curves.area
 
 
 def is_timed(recordings: Sequence[MeasuredCurve]) -> bool:

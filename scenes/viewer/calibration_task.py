@@ -156,7 +156,7 @@ def campaign_of(wanted: Wanted, folder: Path) -> str:
                          "calibrate with contact_laws")
     specimen = experiment.specimen
     density = material.density if specimen.density is None else specimen.density
-    body: dict[str, Any] = {"shape": specimen.shape, **specimen.sizes}
+    body: dict[str, Any] = {"shape": specimen.shape, **_reachable(specimen)}
     if density is not None:
         body |= {"density_kg_m3": density, "gravity": specimen.gravity > 0, "height_is": specimen.height_is}
     how = {"kind": wanted.kind, **_experiment_keys(wanted)}
@@ -172,6 +172,12 @@ def campaign_of(wanted: Wanted, folder: Path) -> str:
                                 "recordings": [f"{RECORDINGS}/{name}" for name in names]})
              for number, names in enumerate(wanted.tests, start=1)]
     return "\n\n".join([table("[[specimen]]", body), *tests, table("[fit]", fit)]) + "\n"
+
+
+def _reachable(specimen: ts.Specimen) -> dict[str, float | str]:
+    """What makes a specimen, its files by paths that hold from any folder."""
+    return {key: str(Path(str(value)).resolve()) if key in specimen.paths else value
+            for key, value in specimen.stated.items()}
 
 
 def _experiment_keys(wanted: Wanted) -> dict[str, Any]:

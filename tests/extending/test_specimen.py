@@ -67,6 +67,10 @@ laws = ["neo_hooke"]
 """, encoding="utf-8")
     with pytest.raises(ts.InputError, match=r"test\[0\]\.specimen.*'specimen' is a wedge.* no closed form"):
         calibration.load_campaign(path)
+    text = path.read_text(encoding="utf-8").replace("[fit]", '[fit]\nmethod = "inverse_fem"')
+    path.write_text(text, encoding="utf-8")
+    test, = calibration.load_campaign(path).tests
+    assert test.solver == "solid" and test.specimen == wedge(**SIZES)
 
 
 def test_a_name_that_is_taken_is_refused(wedge):

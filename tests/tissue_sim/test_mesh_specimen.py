@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from solid_meshes import block
 
-import calibration
 import tissue_sim as ts
 from scenes.cli import main
 from tissue_sim.fem.solid.discretisation import build_mesh, make_solver
@@ -74,15 +73,6 @@ def test_it_is_pressed_as_the_block_that_it_is(specimen):
     soft = ts.Material("neo_hooke", {"C10": 750.0}, ts.Bulk("bulk_ratio", 1e3))
     halves = ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e3), regions={"part:1": soft})
     assert 0.5 * found < force(specimen, halves) < 0.85 * found
-
-
-def test_a_campaign_takes_none(tmp_path):
-    (tmp_path / "run.csv").write_text("displacement [mm],force [N]\n0,0\n1,1\n2,2\n", encoding="utf-8")
-    path = tmp_path / "study.toml"
-    path.write_text('[[specimen]]\nshape = "mesh"\n[[test]]\nkind = "lubricated_compression"\n'
-                    'recordings = ["run.csv"]\n[fit]\nlaws = ["neo_hooke"]\n', encoding="utf-8")
-    with pytest.raises(ts.InputError, match=r"specimen\[0\].shape: a mesh from a file takes no part in a campaign"):
-        calibration.load_campaign(path)
 
 
 def test_the_command_line_takes_a_mesh(file, tmp_path, capsys):

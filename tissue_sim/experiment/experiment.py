@@ -81,7 +81,7 @@ class Experiment:
                              field="slip")
         object.__setattr__(self, "slip", slip if self.friction == "bonded" else None)
         place = () if self.approach is None else (self.approach.offset,)
-        if self.protocol.depth >= (thickness := self.specimen.depth_at(*place)):
+        if self.protocol.depth >= (thickness := self.thickness):
             raise InputError(f"{self.protocol.depth * 1e3:g} mm is deeper than the specimen is high "
                              f"({thickness * 1e3:g} mm)", field="protocol")
         if (self.adhesion or self.contact_laws) and self.friction == "bonded":
@@ -122,6 +122,11 @@ class Experiment:
         """
         base = "frictionless" if self.tool.is_plate and self.base_interface == "bonded" else self.friction_base
         return replace(self, friction="frictionless", friction_base=base, slip=None)
+
+    @property
+    def thickness(self) -> float:
+        """How much of the specimen is under the middle of the tool, m."""
+        return self.specimen.depth_at(*(() if self.approach is None else (self.approach.offset,)))
 
     def tool_pose(self, displacement: float) -> Pose:
         """Where the tool is when the protocol says this displacement, m."""

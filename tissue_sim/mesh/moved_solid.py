@@ -10,6 +10,13 @@ import numpy as np
 from tissue_sim.mesh.solid import SolidMesh
 
 
+class Circle(NamedTuple):
+    """On the top, which rings of elements lie about: radius and centre, m."""
+
+    radius: float
+    centre: tuple[float, float]
+
+
 class RingedCylinder(NamedTuple):
     """A cylinder with a circle on its top, whose mesh is an O-grid about the circle: sizes and the circle's centre, m.
     """
@@ -42,4 +49,21 @@ def moved_solid(mesh: SolidMesh, before: RingedCylinder, after: RingedCylinder) 
     at = after.face_radius + s * (after.radius - after.face_radius)
     plane[beyond] = (1.0 - s)[:, None] * new + at[:, None] * ray
     nodes = np.column_stack([plane, mesh.nodes[:, 2] * after.height / before.height])
+    return replace(mesh, nodes=nodes)
+
+
+def moved_block(mesh: SolidMesh, sizes: tuple[np.ndarray, np.ndarray], circles: tuple[Circle, Circle]) -> SolidMesh:
+    """The mesh of one block on another: along each axis the sides go to the sides, and what the circle spans to what
+    the other one spans, straight in between.
+
+    Args:
+        mesh: of the first. sizes: of both along x, y and z, m, shapes (3,). circles: on the tops of both.
+    """
+    nodes = mesh.nodes.copy()
+    for axis in range(2):
+        old, new = (np.array([-0.5 * size[axis], circle.centre[axis] - circle.radius,
+                              circle.centre[axis] + circle.radius, 0.5 * size[axis]])
+                    for size, circle in zip(sizes, circles, strict=True))
+        nodes[:, axis] = np.interp(nodes[:, axis], old, new)
+    nodes[:, 2] *= sizes[1][2] / sizes[0][2]
     return replace(mesh, nodes=nodes)

@@ -6,11 +6,14 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from tissue_sim.parameters import parameter
 from tissue_sim.specimen.specimen import Specimen
 
 if TYPE_CHECKING:
     from tissue_sim.mesh.grading import Grading
+    from tissue_sim.mesh.moved_solid import Circle
     from tissue_sim.mesh.solid import SolidMesh
 
 
@@ -43,3 +46,14 @@ class Block(Specimen):
 
         mesh = block_under_plate if grading.radius is None else block_under_tool
         return mesh(self.length, self.width, self.height, grading)
+
+    def moved_mesh(self, mesh: SolidMesh, before: Specimen, circles: tuple[Circle, Circle]) -> SolidMesh:
+        from tissue_sim.mesh.moved_solid import moved_block
+
+        assert isinstance(before, Block)
+        return moved_block(mesh, (before.extent, self.extent), circles)
+
+    @property
+    def extent(self) -> np.ndarray:
+        """Along x, y and z, m, shape (3,)."""
+        return np.array([self.length, self.width, self.height])

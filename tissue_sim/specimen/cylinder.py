@@ -12,6 +12,7 @@ from tissue_sim.specimen.specimen import Specimen, with_article
 
 if TYPE_CHECKING:
     from tissue_sim.mesh.grading import Grading
+    from tissue_sim.mesh.moved_solid import Circle
     from tissue_sim.mesh.solid import SolidMesh
 
 
@@ -24,6 +25,7 @@ class Cylinder(Specimen):
     """
 
     shape = "cylinder"
+    is_round = True
     radius: float = parameter("R", "m", key="radius_mm", factor=1e-3, bounds=(1e-5, 1.0), shapes_mesh=True)
     height: float = parameter("H", "m", key="height_mm", factor=1e-3, bounds=(1e-5, 1.0), shapes_mesh=True)
 
@@ -42,6 +44,14 @@ class Cylinder(Specimen):
         from tissue_sim.mesh.solid import graded_cylinder
 
         return graded_cylinder(self.radius, self.height, grading)
+
+    def moved_mesh(self, mesh: SolidMesh, before: Specimen, circles: tuple[Circle, Circle]) -> SolidMesh:
+        from tissue_sim.mesh.moved_solid import RingedCylinder, moved_solid
+
+        assert isinstance(before, Cylinder)
+        old, new = (RingedCylinder(body.radius, body.height, *circle)
+                    for body, circle in zip((before, self), circles, strict=True))
+        return moved_solid(mesh, old, new)
 
 
 def require_cylinder(specimen: Specimen, who: str, instead: str = 'take the solver "solid" (--solid)') -> Cylinder:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from tissue_sim.errors import InputError
@@ -38,6 +39,9 @@ class MeshSpecimen(Specimen):
     shape = "mesh"
     is_prism = False
     from_file = True
+    texts = MappingProxyType({"mesh": "mesh_file", "mesh_unit": "mesh_unit", "mesh_base": "mesh_base",
+                              "mesh_top": "mesh_top"})
+    paths = ("mesh",)
     mesh_file: str | Path
     mesh_unit: str = "mm"
     mesh_base: str | None = None

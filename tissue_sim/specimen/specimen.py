@@ -7,17 +7,20 @@ Command line, campaigns and parameters of fits take its sizes from the declarati
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from tissue_sim.errors import InputError, require_length
+from tissue_sim.files import read_bytes
 from tissue_sim.parameters import Declaration, declared, parameter
 from tissue_sim.registry import Registry
 
 if TYPE_CHECKING:
     from tissue_sim.mesh.grading import Grading
+    from tissue_sim.mesh.moved_solid import Circle
     from tissue_sim.mesh.solid import SolidMesh
 
 #: Gravity where nothing else is said, m/s2.
@@ -56,7 +59,10 @@ class Specimen(metaclass=_ByShape):
             ``"mesh"``; a package may add others.
         is_prism: whether all cross-sections are alike, so that one between plates that slip deforms homogeneously.
         is_flat: whether top and base are planes.
+        is_round: whether an axisymmetric section is all of it.
         from_file: whether shape and sizes come from a file.
+        texts: key in files -> field, of what it states in words, such as a file or a unit.
+        paths: keys of those that name files.
         name: for people and campaign files.
         density: kg/m3, or None where nobody said.
         gravity: m/s2, along z and towards the base; 0 leaves self-weight out.
@@ -70,7 +76,10 @@ class Specimen(metaclass=_ByShape):
     shape: ClassVar[str]
     is_prism: ClassVar[bool] = True
     is_flat: ClassVar[bool] = True
+    is_round: ClassVar[bool] = False
     from_file: ClassVar[bool] = False
+    texts: ClassVar[Mapping[str, str]] = {}
+    paths: ClassVar[tuple[str, ...]] = ()
     name: str = "specimen"
     density: float | None = parameter("rho", "kg/m3", key="density_kg_m3", bounds=(1.0, 1e5), default=None)
     gravity: float = parameter("g0", "m/s2", key="gravity_m_s2", bounds=(0.0, 100.0), absent=0.0, default=0.0)
@@ -120,6 +129,23 @@ class Specimen(metaclass=_ByShape):
                 for name, what in declared(type(self)).items() if name not in _COMMON}
 
     @property
+    def stated(self) -> dict[str, float | str]:
+        """Key in files -> value, of its sizes and of what it states in words: what makes it again."""
+        words = {key: value for key, name in self.texts.items() if (value := getattr(self, name)) is not None}
+        return {**self.sizes, **{key: str(value) for key, value in words.items()}}
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the files that it comes from; empty where there are none.
+
+        Raises:
+            InputError: a file that cannot be read.
+        """
+        content = [read_bytes(getattr(self, self.texts[key]), f"the {key} of {with_article(self.shape)}")
+                   for key in self.paths]
+        return hashlib.sha256(b"".join(content)).hexdigest() if content else ""
+
+    @property
     def in_words(self) -> str:
         """Its sizes, such as ``radius 40 mm, height 70 mm``."""
         return ", ".join(f"{_words(name)} {getattr(self, name) / what.factor:g} {what.key.rpartition('_')[2]}"
@@ -146,6 +172,19 @@ class Specimen(metaclass=_ByShape):
             InputError: a grading that does not fit.
         """
         raise NotImplementedError
+
+
+    def moved_mesh(self, mesh: SolidMesh, before: Specimen, circles: tuple[Circle, Circle]) -> SolidMesh:
+        """A mesh of another specimen of this shape, moved to this one, element by element the same.
+
+        Args:
+            mesh: of `before`. circles: that it has about the tool, and that it gets.
+
+        Raises:
+            InputError: this shape cannot.
+        """
+        raise InputError(f"the mesh of {with_article(self.shape)} cannot be moved to another geometry; fit no sizes of "
+                         "it, and none of its tool", field="topology")
 
 
 _COMMON = frozenset(entry.name for entry in fields(Specimen))
@@ -206,20 +245,46 @@ def sizes_of(shape: str) -> dict[str, Declaration]:
             if name not in _COMMON}
 
 
-def specimen_of_keys(shape: str, stated: Mapping[str, float], **common: Any) -> Specimen:
-    """A specimen of a shape from sizes by their keys of `specimen_sizes`, in the units of files, and from what all
-    shapes have, in SI.
+def specimen_texts() -> dict[str, tuple[str, ...]]:
+    """Key in files -> names of the shapes that state it, of what shapes state in words.
+
+    Raises:
+        InputError: one shape means a size by a key that is a word of another.
+    """
+    found: dict[str, tuple[str, ...]] = {}
+    for shape, kind in SPECIMENS.items():
+        for key in kind.texts:
+            if key in specimen_sizes():
+                raise InputError(f"{with_article(shape)} states {key} in words, which is a size of another shape; one "
+                                 "of them has to take another key", field="tissue_sim.specimens")
+            found[key] = (*found.get(key, ()), shape)
+    return found
+
+
+def keys_of(shape: str) -> dict[str, bool]:
+    """Key in files -> whether it has to be stated, of the sizes of a shape and of what it states in words."""
+    kind = SPECIMENS.find(shape, "specimen.shape")
+    usual = {entry.name: entry.default is not MISSING for entry in fields(kind)}
+    return {**{key: what.absent is None for key, what in sizes_of(shape).items()},
+            **{key: not usual[name] for key, name in kind.texts.items()}}
+
+
+def specimen_of_keys(shape: str, stated: Mapping[str, float | str], **common: Any) -> Specimen:
+    """A specimen of a shape from sizes by their keys of `specimen_sizes`, in the units of files, from what it states in
+    words, and from what all shapes have, in SI.
 
     Raises:
         InputError: what `Specimen` raises, the field the key of a size.
     """
     known = specimen_sizes()
+    texts = SPECIMENS[shape].texts if shape in SPECIMENS else {}
     try:
-        return Specimen(shape=shape, **common, **{
-            known[key].field: known[key].declaration.factor * value for key, value in stated.items()})
+        return Specimen(shape=shape, **common, **{texts[key] if key in texts else known[key].field:
+                        known[key].declaration.factor * value if isinstance(value, float | int) else value
+                        for key, value in stated.items()})
     except InputError as error:
         field = (error.field or "").removeprefix("specimen.")
         keys = {what.key: name for name, what in declared(SPECIMENS[shape]).items()} if shape in SPECIMENS else {}
-        keys |= {key: size.field for key, size in known.items() if key not in keys}
-        raise InputError(error.problem, field=next((key for key, name in keys.items() if name == field), field)) \
-            from None
+        keys |= {key: size.field for key, size in known.items() if key not in keys} | dict(texts)
+        raise InputError(error.problem, file=error.file, line=error.line,
+                         field=next((key for key, name in keys.items() if name == field), field)) from None

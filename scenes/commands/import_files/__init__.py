@@ -10,6 +10,8 @@ from scenes.commands.shared.console import print_json, results_console
 from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, at_least, interface, positive
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.kinds.kind import KINDS
+from tissue_sim.specimen import SPECIMENS, specimen_sizes
+from tissue_sim.specimen.specimen import keys_of, with_article
 
 SUMMARY = "understand files of a test machine and write a campaign of them"
 EXAMPLE = "tissue-sim import gel_1.csv gel_2.csv gel_3.csv -o gel.toml --radius-mm 10 --height-mm 12"
@@ -18,6 +20,8 @@ _CHANNELS = {"time": "time", "displacement": "displacement", "force": "force", "
              "strain": "strain", "shear_strain": "shear strain", "shear strain": "shear strain",
              "stress": "nominal stress", "nominal_stress": "nominal stress", "nominal stress": "nominal stress",
              "temperature": "temperature"}
+#: Keys of a specimen that need no shape.
+_OWN_FLAGS = ("radius_mm", "area_mm2", "height_mm")
 _TEST_KEYS = ("tool", "tool_radius_mm", "friction", "speed_mm_s", "max_strain")
 
 
@@ -29,9 +33,14 @@ def add_arguments(parser: Parser) -> None:
                              "nothing is written")
     test = parser.add_argument_group("what files do not say (where it is missing, the campaign has a line for it)")
     test.add_argument("--kind", choices=tuple(KINDS), metavar="KIND", help=", ".join(KINDS))
+    test.add_argument("--shape", choices=_shapes(), help="of the specimen (default: cylinder, or its cross-section)")
     test.add_argument("--radius-mm", type=positive, metavar="N", help="of a cylindrical specimen")
     test.add_argument("--area-mm2", type=positive, metavar="N", help="cross-section of the specimen, in place of it")
     test.add_argument("--height-mm", type=positive, metavar="N", help="height, gauge length, or thickness if sheared")
+    for key, size in specimen_sizes().items():
+        if key not in _OWN_FLAGS:
+            test.add_argument(f"--{key.replace('_', '-')}", type=positive, metavar="N",
+                              help=f"{size.field.replace('_', ' ')} of a specimen: {', '.join(size.shapes)}")
     test.add_argument("--tool", metavar="SHAPE", help="of an indentation: flat, round, cone, sphere")
     test.add_argument("--tool-radius-mm", type=positive, metavar="N", help="of it")
     test.add_argument("--friction", type=interface, metavar="HOW", help="of the plates: a coefficient, or stick")
@@ -100,10 +109,26 @@ def _wishes(arguments):
                     {channel: _positive(text) for channel, text in scales.items()},
                     {channel: int(sign) for channel, sign in signs.items()}, arguments.kind, arguments.format,
                     _sheets(arguments.sheet), arguments.delimiter, arguments.skip_lines)
-    specimen = {key: value for key in ("radius_mm", "area_mm2", "height_mm")
-                if (value := getattr(arguments, key)) is not None}
+    specimen = _specimen(arguments)
     test = {key: value for key in _TEST_KEYS if (value := getattr(arguments, key)) is not None}
     return Wishes(stated, specimen, test, laws)
+
+
+def _shapes() -> tuple[str, ...]:
+    """Of specimens whose sizes are flags."""
+    return tuple(shape for shape, kind in SPECIMENS.items() if not kind.from_file)
+
+
+def _specimen(arguments) -> dict[str, float | str]:
+    keys = dict.fromkeys((*_OWN_FLAGS, *specimen_sizes()))
+    stated = {key: value for key in keys if (value := getattr(arguments, key)) is not None}
+    shape = arguments.shape
+    has = _OWN_FLAGS if shape is None else keys_of(shape)
+    if other := next((key for key in stated if key not in has), None):
+        words = f"no size of a cylinder; add --shape {specimen_sizes()[other].shapes[0]}" if shape is None else (
+            f"{with_article(shape)} has none; leave it out")
+        raise InputError(words, field=f"--{other.replace('_', '-')}")
+    return stated if shape is None else {"shape": shape, **stated}
 
 
 def _pairs(texts: Sequence[str], flag: str) -> dict[str, str]:

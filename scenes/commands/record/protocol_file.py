@@ -12,6 +12,7 @@ from typing import Any, Literal
 import msgspec
 
 from calibration.campaign.campaign import Campaign, load_campaign
+from calibration.campaign.specimens import found_anywhere
 from calibration.report.additions import to_toml
 from haptics.recorder.lag import measure_lag
 from haptics.recorder.plan import Plan
@@ -22,6 +23,7 @@ from tissue_sim.experiment.protocol_text import parse_protocol
 from tissue_sim.experiment.segments import legs
 from tissue_sim.files import read_text
 from tissue_sim.recording.file import read_recording
+from tissue_sim.specimen import Specimen
 
 #: Tables that a campaign does not have.
 OWN_TABLES = ("devices", "virtual", "limits", "record")
@@ -129,6 +131,8 @@ class ProtocolFile:
                 tests.append({**entry, "name": name, "recordings": recordings[name]})
         defaults = {key: value for key, value in content.get("defaults", {}).items() if key != "protocol"}
         content = {**content, "test": tests, **({"defaults": defaults} if defaults else {})}
+        if "specimen" in content:
+            content["specimen"] = found_anywhere(content["specimen"], self.path.parent)
         return f"# Recorded by {self.path.name}.\n{to_toml(content)}"
 
 
@@ -190,7 +194,7 @@ def _plan(test: Any, record: RecordTable, lag: dict[str, Any] | None, number: in
         raise InputError(f"a {test.kind.name} is not done with a tool that is pushed in; leave the test out",
                          field=f"{test.place}.kind")
     entry = content["test"][number]
-    about = {"specimen": {"name": test.specimen.name, **test.specimen.sizes} if test.specimen is not None else None,
+    about = {"specimen": None if test.specimen is None else _about(test.specimen),
              "kind": test.kind.name, "tool": entry.get("tool", "plate"), "tool_radius_mm": entry.get("tool_radius_mm"),
              "friction": entry.get("friction"), "lubricant": record.lubricant,
              "temperature_degC": record.temperature_degC, "operator": record.operator, "notes": record.notes}
@@ -201,6 +205,12 @@ def _plan(test: Any, record: RecordTable, lag: dict[str, Any] | None, number: in
                 record.touch, record.contact_force_N, record.approach_speed_mm_s * 1e-3, record.retract_mm * 1e-3,
                 record.preconditioning, record.rest_s, record.sign, record.axis, lag,
                 {key: value for key, value in about.items() if value is not None})
+
+
+def _about(specimen: Specimen) -> dict[str, Any]:
+    """What recordings say of it."""
+    shape = {} if specimen.is_round else {"shape": specimen.shape}
+    return {"name": specimen.name, **shape, **specimen.stated}
 
 
 def _limits(table: LimitsTable) -> MotionLimits:

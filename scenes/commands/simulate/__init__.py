@@ -115,10 +115,8 @@ def what_was_done(scene: str, experiment: ts.Experiment) -> dict[str, Any]:
     approach = experiment.approach
     way = {} if approach is None else {"approach": {"offset_mm": approach.offset * 1e3,
                                                     "tilt_deg": math.degrees(approach.angle)}}
-    from tissue_sim.specimen.cylinder import Cylinder
-
     specimen = experiment.specimen
-    body = {} if isinstance(specimen, Cylinder) else {"specimen": {"shape": specimen.shape, **specimen.sizes}}
+    body = {} if specimen.is_round else {"specimen": {"shape": specimen.shape, **specimen.stated}}
     return {"kind": scene, **body, "tool": {"shape": tool.shape, **sizes}, **way}
 
 

@@ -21,11 +21,10 @@ from tissue_sim.fem.solid.tissue import element_layers
 from tissue_sim.material.layer import Layer
 from tissue_sim.mesh.grading import PLATE_RING, Grading
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
-from tissue_sim.mesh.moved_solid import RingedCylinder, moved_solid
+from tissue_sim.mesh.moved_solid import Circle
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose
-from tissue_sim.specimen.cylinder import Cylinder
 from tissue_sim.specimen.specimen import with_article
 
 #: How far a node may violate a contact condition, in radii of the tool, and of the specimen between plates.
@@ -78,10 +77,7 @@ def make_solver(model: Model, *, resolution: str = "fast", mesh: SolidMesh | Non
     if mesh is None:
         mesh = build_mesh(origin.experiment, resolution, origin.material.layers)
     if topology is not None:
-        if origin.material.layers:
-            raise InputError("the mesh of a solid with layers cannot be moved to another geometry; fit no sizes of it",
-                             field="topology")
-        mesh = moved_solid(mesh, _ringed(topology.experiment), _ringed(experiment))
+        mesh = _moved(mesh, topology, experiment)
     layers, weight, settled = element_layers(mesh, model.material.layers), experiment.specimen.specific_weight, None
     if weight:
         settled = settle(lambda moulded: _standing(model, moulded, layers), mesh, experiment.specimen)
@@ -181,21 +177,29 @@ def build_mesh(experiment: Experiment, resolution: str = "fast", layers: tuple[L
                                        centre=(offset, 0.0), interfaces=interfaces, least=chosen.layer_elements))
 
 
-def _ringed(experiment: Experiment) -> RingedCylinder:
-    """What the rings of the mesh lie about.
+def _moved(mesh: SolidMesh, topology: Model, experiment: Experiment) -> SolidMesh:
+    """The mesh of a model, moved to the geometry of an experiment where that is another.
 
     Raises:
-        InputError: no cylinder.
+        InputError: layers, or a shape whose mesh cannot be moved.
     """
-    specimen, tool = experiment.specimen, experiment.tool
-    if not isinstance(specimen, Cylinder):
-        raise InputError(f"the mesh of {with_article(specimen.shape)} cannot be moved to another geometry; fit no "
-                         "sizes of it", field="topology")
+    before, after = (each.specimen for each in (topology.experiment, experiment))
+    circles = _circle(topology.experiment), _circle(experiment)
+    if circles[0] == circles[1] and (before.shape, before.stated) == (after.shape, after.stated):
+        return mesh
+    if topology.material.layers:
+        raise InputError("the mesh of a solid with layers cannot be moved to another geometry; fit no sizes of it",
+                         field="topology")
+    return after.moved_mesh(mesh, before, circles)
+
+
+def _circle(experiment: Experiment) -> Circle:
+    """What the rings of the mesh lie about."""
+    tool = experiment.tool
     if tool.is_plate:
-        return RingedCylinder(specimen.radius, specimen.height, PLATE_RING * specimen.radius, (0.0, 0.0))
+        return Circle(PLATE_RING * experiment.specimen.margin(), (0.0, 0.0))
     offset = 0.0 if experiment.approach is None else experiment.approach.offset
-    return RingedCylinder(specimen.radius, specimen.height, tool.face_radius or experiment.contact_radius,
-                          (offset, 0.0))
+    return Circle(tool.face_radius or experiment.contact_radius, (offset, 0.0))
 
 
 def _coefficient(interface: str | float) -> float:
