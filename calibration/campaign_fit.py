@@ -27,6 +27,7 @@ from calibration.fit.ranking import Fitted, rank, rank_message
 from calibration.fit.result import CalibrationResult
 from calibration.fit.steps import Steps
 from calibration.fit.validation import LeftOut, leave_out, predict_held_out
+from calibration.forward.geometry import check_geometry
 from calibration.forward.solves import Solves
 from calibration.output_folder import SOLVES
 from calibration.report.outputs import write_campaign
@@ -67,6 +68,8 @@ class CampaignFit:
             InputError: with file and field.
         """
         self.solves.read_from(self.folder / SOLVES)
+        if self.estimator.explores:
+            check_geometry(self.campaign)
         for number, law in enumerate(self.campaign.fit.laws):
             if self.estimator.explores:
                 self.steps.say(f"looking at the start of {law}")

@@ -31,6 +31,7 @@ from calibration.campaign.parameters import (
 )
 from calibration.campaign.schema import (
     BY_PARAMETER,
+    PRISM,
     CampaignTable,
     FitTable,
     NoiseTable,
@@ -176,6 +177,7 @@ class Campaign:
         tests: at least one that is not held out.
         sha256: of the campaign file.
         density: kg/m3, where all fitted tests state the same for their specimens; None otherwise.
+        prisms: names of the specimens that are known by their cross-section and height only.
     """
 
     path: Path
@@ -185,6 +187,7 @@ class Campaign:
     noise: Noise
     sha256: str
     density: float | None = None
+    prisms: frozenset[str] = frozenset()
 
     @property
     def name(self) -> str:
@@ -203,8 +206,11 @@ def load_campaign(path: str | Path, *, planned: bool = False) -> Campaign:
     try:
         with located(file=path):
             tests = _tests(table, specimens := read_specimens(table, path.parent), path.parent, planned)
+            prisms = frozenset(name for name, entry in zip(specimens, table.specimen, strict=True)
+                               if entry.shape == PRISM)
             return Campaign(path, _read_only(specimens), tests, _fit_settings(table.fit, table.noise, tests),
-                            _noise(table.noise, table.fit.method), hashlib.sha256(data).hexdigest(), _density(tests))
+                            _noise(table.noise, table.fit.method), hashlib.sha256(data).hexdigest(), _density(tests),
+                            prisms)
     except InputError as error:
         raise defaults.located(error, path) from None
 

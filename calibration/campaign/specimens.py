@@ -11,6 +11,7 @@ from calibration.campaign.checks import require_positive
 from calibration.campaign.schema import PRISM, CampaignTable, SpecimenTable, TestTable
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.kinds.kind import KINDS
+from tissue_sim.parameters import declared
 from tissue_sim.specimen import SPECIMENS, STANDARD_GRAVITY, Specimen
 from tissue_sim.specimen.specimen import keys_of, specimen_of_keys, with_article
 
@@ -63,6 +64,14 @@ def _specimen(entry: SpecimenTable, name: str, folder: Path, field: str) -> Spec
         shape, given = "cylinder", given | {"radius_mm": 1e3 * math.sqrt(area * 1e-6 / math.pi)}
     elif entry.texts:
         given |= {key: str(folder / entry.texts[key]) for key in SPECIMENS[shape].paths if key in entry.texts}
+    if not SPECIMENS[shape].is_round:
+        # The longest side says how large elements are: a wrong unit makes millions of them.
+        for what in declared(SPECIMENS[shape]).values():
+            size = given.get(what.key)
+            low, high = (end / what.factor for end in what.bounds)
+            if isinstance(size, int | float) and not low <= size <= high:
+                raise InputError(f"{size:g} is none of a specimen ({low:g} to {high:g}); give it in the unit of its name",
+                                 field=f"{field}.{what.key}")
     try:
         return specimen_of_keys(shape, given, name=name, density=entry.density_kg_m3, height_is=entry.height_is,
                                 gravity=STANDARD_GRAVITY if entry.gravity else 0.0)

@@ -268,3 +268,34 @@ def test_design_asks_for_the_sizes_that_a_specimen_has(tmp_path, coarse):
     reasons = {each.name: each.reason for each in found.candidates}
     assert reasons["radius_error"] == "no specimen has a radius" and "has a height" not in reasons["height_error"]
     assert 0.1 < found.standard_errors["C10"] < 20.0
+
+
+@pytest.mark.parametrize(("stated", "kind", "test", "words"), [
+    (SHELL, "bonded_compression", "", "cannot be bonded to the curved top"),
+    (SHELL, "needle_indentation", NEEDLE + "\noffset_mm = 45.0", "beside the specimen")])
+def test_what_a_solid_cannot_be_made_of_is_said_of_its_test(folder, coarse, capsys, stated, kind, test, words):
+    load(folder, stated, kind, test)
+    assert main(["calibrate", str(folder / "study.toml"), "-o", str(folder / "out")]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "test[0]" in said and words in said and "fit.start" not in said
+
+
+def test_a_needle_beyond_a_shell_is_refused(folder):
+    with pytest.raises(ts.InputError, match="there is no tissue 60 mm off the axis") as caught:
+        load(folder, SHELL, "needle_indentation", NEEDLE + "\noffset_mm = 60.0")
+    assert caught.value.field == "test[0].offset_mm"
+
+
+def test_a_size_in_another_unit_is_refused(folder):
+    with pytest.raises(ts.InputError, match="20000 is none of a specimen .* unit of its name") as caught:
+        load(folder, BLOCK.replace("length_mm = 20.0", "length_mm = 20000.0"))
+    assert caught.value.field == "specimen[0].length_mm"
+
+
+def test_a_prism_may_be_any_shape(folder):
+    """Known by its cross-section and height alone."""
+    write_run(folder, np.linspace(0.0, 2e-3, 9), np.linspace(0.0, 0.2, 9),
+              specimen={"shape": "block", "length_mm": 20.0, "width_mm": 20.0, "height_mm": 20.0})
+    prism = 'shape = "prism"\narea_mm2 = 400.0\nheight_mm = 20.0'
+    measured = calibration.read_measured(load(folder, prism, "lubricated_compression"))
+    assert [len(curves) for curves in measured.values()] == [1]

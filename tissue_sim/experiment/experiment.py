@@ -81,7 +81,10 @@ class Experiment:
                              field="slip")
         object.__setattr__(self, "slip", slip if self.friction == "bonded" else None)
         place = () if self.approach is None else (self.approach.offset,)
-        if self.protocol.depth >= (thickness := self.thickness):
+        if (thickness := self.thickness) <= 0.0:
+            raise InputError(f"there is no tissue {abs(place[0]) * 1e3:g} mm off the axis, {self.specimen.in_words}",
+                             field="approach.offset")
+        if self.protocol.depth >= thickness:
             raise InputError(f"{self.protocol.depth * 1e3:g} mm is deeper than the specimen is high "
                              f"({thickness * 1e3:g} mm)", field="protocol")
         if (self.adhesion or self.contact_laws) and self.friction == "bonded":

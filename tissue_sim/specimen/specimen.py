@@ -11,6 +11,7 @@ import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from tissue_sim.errors import InputError, require_length
@@ -134,7 +135,7 @@ class Specimen(metaclass=_ByShape):
         words = {key: value for key, name in self.texts.items() if (value := getattr(self, name)) is not None}
         return {**self.sizes, **{key: str(value) for key, value in words.items()}}
 
-    @property
+    @cached_property
     def digest(self) -> str:
         """SHA-256 of the files that it comes from; empty where there are none.
 

@@ -72,12 +72,13 @@ def run(arguments) -> int:
     # Readings are made below, once for each replicate; what the rig does to the motion is solved here.
     model = ts.Model(experiment, material_file.material, rig.motion_only)
     failure = None
+    again = not (arguments.no_force_error or experiment.slip) and arguments.solver == "axisymmetric"
     with progress_console(quiet=arguments.json).status("simulating") as status:
         try:
             recording = ts.simulate(
                 model, resolution=arguments.resolution, fields=True, solver=arguments.solver,
                 estimate_error=not arguments.no_force_error,
-                progress=lambda done, of: status.update(describe(done, of, again=not arguments.no_force_error)))
+                progress=lambda done, of: status.update(describe(done, of, again)))
         except ConvergenceError as error:
             if error.recording is None:
                 raise

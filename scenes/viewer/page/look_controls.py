@@ -40,7 +40,9 @@ class LookControls:
         dark = gui.add_checkbox("dark page", False)
 
         def change(_: viser.GuiEvent) -> None:
-            self.look = Look(fields[field.value], float(cut.value), float(turn.value), float(ahead.value),
+            # A browser may still ask for a field that is not offered any more.
+            name = fields[field.value] if field.value in field.options else self.look.field
+            self.look = Look(name, float(cut.value), float(turn.value), float(ahead.value),
                              mesh_lines.value, outline.value, hold.value)
 
         for handle in (field, hold, cut, turn, ahead, mesh_lines, outline):
@@ -83,8 +85,9 @@ class LookControls:
         labels = tuple(label for name, (label, _) in LABELS.items() if name in names)
         if labels and labels != self._field.options:
             self._field.options = labels
+        if self.look.field not in names and labels:
             names_of = {label: name for name, (label, _) in LABELS.items()}
-            self.look = replace(self.look, field=names_of[self._field.value])
+            self.look = replace(self.look, field=names_of[labels[0]])
 
     def place_camera(self, client: viser.ClientHandle, preset: str) -> None:
         """Let one browser look from a preset."""

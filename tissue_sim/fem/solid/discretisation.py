@@ -129,17 +129,29 @@ def _standing(model: Model, mesh: SolidMesh, layers: np.ndarray) -> SolidSolver:
 
 
 def _pins(experiment: Experiment, mesh: SolidMesh) -> list[tuple[int, str]]:
-    """What keeps a specimen between frictionless faces where it is: the middle of its base, and one more node there
-    from turning about it. By symmetry they carry no force under a tool on the axis."""
-    if not experiment.base_interface == experiment.friction == "frictionless":
+    """What keeps a specimen where it is that nothing holds, between faces without friction, or with friction where
+    nothing presses yet: the middle of its base, and one more node there from turning about it. By symmetry they carry
+    no force under a tool on the axis."""
+    faces = experiment.base_interface, experiment.friction
+    without, rubbed = (all(loose(face) for face in faces) for loose in (_is_frictionless, _may_slip))
+    if not (without or (rubbed and experiment.tool.is_plate)):
         return []
     base = mesh.sets["base"]
     x, y = mesh.nodes[base, 0], mesh.nodes[base, 1]
     middle, beside = base[np.argmin(np.hypot(x, y))], base[np.argmax(x - np.abs(y))]
     if np.hypot(*mesh.nodes[middle, :2]) > 1e-9 or experiment.approach is not None:
-        raise InputError("nothing keeps the specimen from sliding off: base and tool are both frictionless; give one "
-                         "of them friction", field="friction_base")
+        remedy = "give one of them friction" if without and not experiment.tool.is_plate else "let it stick to one"
+        raise InputError(f"nothing keeps the specimen from sliding off: neither base nor tool holds it; {remedy}",
+                         field="friction_base")
     return [(int(middle), "xy"), (int(beside), "y")]
+
+
+def _is_frictionless(face: str | float) -> bool:
+    return face == "frictionless"
+
+
+def _may_slip(face: str | float) -> bool:
+    return face == "frictionless" or not isinstance(face, str)
 
 
 def _require(experiment: Experiment) -> None:

@@ -75,9 +75,11 @@ def _place(context: Any, node: Any) -> str:
 def _modules_at_once() -> Iterator[None]:
     """While Taichi is imported: Python looks for the module of each of its functions through all that are there, which
     is a quarter of the time. Functions and frames know the names of theirs."""
-    search = inspect.getmodule
+    search, importer = inspect.getmodule, threading.get_ident()
 
     def module(thing: object, _filename: str | None = None) -> ModuleType | None:
+        if threading.get_ident() != importer:
+            return search(thing, _filename)
         known = getattr(thing, "f_globals", None) or getattr(thing, "__globals__", None) or {}
         return sys.modules.get(known.get("__name__", "")) or search(thing, _filename)
 

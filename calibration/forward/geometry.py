@@ -1,0 +1,28 @@
+"""What a solver makes of the specimens and tools of a campaign, asked before anything is fitted."""
+
+from __future__ import annotations
+
+from calibration.campaign.campaign import Campaign
+from calibration.campaign.experiments import ROUND_SOLVER
+from calibration.forward.meshes import meshes_of
+from tissue_sim.errors import ConvergenceError, InputError
+from tissue_sim.fem.solver import SOLVERS
+from tissue_sim.model import Model
+
+
+def check_geometry(campaign: Campaign) -> None:
+    """Build the solvers of all tests in space once, with a material of whatever law.
+
+    Raises:
+        InputError: what a mesh or a contact cannot be made of; with file and field.
+    """
+    for number, test in enumerate(campaign.tests):
+        if test.experiment is None or test.solver == ROUND_SOLVER:
+            continue
+        try:
+            SOLVERS.find(test.solver, "solver")(Model(test.experiment, campaign.fit.material),
+                                                resolution=meshes_of(test.solver).fast)
+        except InputError as error:
+            raise InputError(error.problem, file=campaign.path, field=f"test[{number}]") from None
+        except ConvergenceError:
+            continue  # with another material it may stand
