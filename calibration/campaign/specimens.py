@@ -70,7 +70,7 @@ def _specimen(entry: SpecimenTable, name: str, folder: Path, field: str) -> Spec
             size = given.get(what.key)
             low, high = (end / what.factor for end in what.bounds)
             if isinstance(size, int | float) and not low <= size <= high:
-                raise InputError(f"{size:g} is none of a specimen ({low:g} to {high:g}); give it in the unit of its name",
+                raise InputError(f"{size:g} is none of a specimen ({low:g} to {high:g}); mind the unit of its name",
                                  field=f"{field}.{what.key}")
     try:
         return specimen_of_keys(shape, given, name=name, density=entry.density_kg_m3, height_is=entry.height_is,

@@ -287,7 +287,7 @@ def test_a_needle_beyond_a_shell_is_refused(folder):
 
 
 def test_a_size_in_another_unit_is_refused(folder):
-    with pytest.raises(ts.InputError, match="20000 is none of a specimen .* unit of its name") as caught:
+    with pytest.raises(ts.InputError, match=r"20000 is none of a specimen .* unit of its name") as caught:
         load(folder, BLOCK.replace("length_mm = 20.0", "length_mm = 20000.0"))
     assert caught.value.field == "specimen[0].length_mm"
 

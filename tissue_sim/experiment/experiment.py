@@ -81,9 +81,9 @@ class Experiment:
                              field="slip")
         object.__setattr__(self, "slip", slip if self.friction == "bonded" else None)
         place = () if self.approach is None else (self.approach.offset,)
-        if (thickness := self.thickness) <= 0.0:
-            raise InputError(f"there is no tissue {abs(place[0]) * 1e3:g} mm off the axis, {self.specimen.in_words}",
-                             field="approach.offset")
+        if (thickness := self.thickness) <= 0.0 and self.approach is not None:
+            raise InputError(f"there is no tissue {abs(self.approach.offset) * 1e3:g} mm off the axis, "
+                             f"{self.specimen.in_words}", field="approach.offset")
         if self.protocol.depth >= thickness:
             raise InputError(f"{self.protocol.depth * 1e3:g} mm is deeper than the specimen is high "
                              f"({thickness * 1e3:g} mm)", field="protocol")
