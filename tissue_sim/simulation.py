@@ -141,8 +141,9 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
             depth = tissue.pose.depth
             message = (f"stopped at {depth * 1e3:.4g} mm on the way to {place * 1e3:.4g} mm (sample "
                        f"{sample + 1}), the step cut to {_SMALLEST_CUT:.1g} of its length: {step.status.message}")
-            if step.status is StepStatus.INDEFINITE:
-                message += f"; the law alone is {check_stability(model.material.energy_law, model.material.values)}"
+            stability = check_stability(model.material.energy_law, model.material.values)
+            if step.status is StepStatus.INDEFINITE or not stability.stable:
+                message += f"; the law alone is {stability}"
             raise ConvergenceError(message, recording=record("not_converged", message) if wrenches else None,
                                    depth=depth)
         _note_largest(report, step)

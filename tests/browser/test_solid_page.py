@@ -71,7 +71,7 @@ def test_a_mouse_drags_the_tool_sideways(shown_solid, open_page, reader_of):
 
 
 def test_a_reduced_solid_is_coloured_by_what_is_known_of_it(shown_reduced, open_page, chromium, reader_of):
-    page = open_page(shown_reduced, width=1200, height=760, triangles=300)
+    page = open_page(shown_reduced, width=1200, height=1000, triangles=300)
     reader = reader_of(page, shown_reduced)
     reader.phase("running")
     reader.tab("Motion")

@@ -6,12 +6,12 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from tissue_sim.parameters import parameter
 from tissue_sim.specimen.specimen import Specimen
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from tissue_sim.mesh.grading import Grading
     from tissue_sim.mesh.moved_solid import Circle
     from tissue_sim.mesh.solid import SolidMesh
@@ -56,4 +56,6 @@ class Block(Specimen):
     @property
     def extent(self) -> np.ndarray:
         """Along x, y and z, m, shape (3,)."""
+        import numpy as np
+
         return np.array([self.length, self.width, self.height])

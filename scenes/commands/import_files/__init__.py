@@ -10,7 +10,7 @@ from scenes.commands.shared.console import print_json, results_console
 from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, at_least, interface, positive
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.kinds.kind import KINDS
-from tissue_sim.specimen import SPECIMENS, specimen_sizes
+from tissue_sim.specimen import specimen_sizes
 from tissue_sim.specimen.specimen import keys_of, with_article
 
 SUMMARY = "understand files of a test machine and write a campaign of them"
@@ -116,7 +116,7 @@ def _wishes(arguments):
 
 def _shapes() -> tuple[str, ...]:
     """Of specimens whose sizes are flags."""
-    return tuple(shape for shape, kind in SPECIMENS.items() if not kind.from_file)
+    return tuple(dict.fromkeys(shape for size in specimen_sizes().values() for shape in size.shapes))
 
 
 def _specimen(arguments) -> dict[str, float | str]:

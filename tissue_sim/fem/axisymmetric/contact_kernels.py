@@ -274,16 +274,16 @@ def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
                 residual[iz] = residual[iz] - shapes[i, a] * x[at + 1]
 
     @ti.func
-    def release(count, strength, reach, places: ti.template(), areas: ti.template(), spans: ti.template(),
+    def release(count, negligible, strength, reach, places: ti.template(), areas: ti.template(), spans: ti.template(),
                 vertices: ti.template(), rounding: ti.template(), held: ti.template(), forces: ti.template()):
         """Let go of points that are held and pull at an equilibrium, which decides and not the way to it; returns how
-        many there are."""
+        many there are. Where a tool stands at the first touch all forces are rounding, which is no pull."""
         released = 0
         for i in range(count):
             if held[i, 0] == HELD and spans[i, STAYS] == 0:
                 r, z = places[i, 0] + held[i, 1], places[i, 1] + held[i, 2]
                 _, nr, nz, _, _ = nearest(r, z, i, 0.0, spans, vertices, rounding)
-                if nr * forces[i, 0] + nz * forces[i, 1] > strength * areas[i]:
+                if nr * forces[i, 0] + nz * forces[i, 1] > strength * areas[i] + negligible:
                     released += 1
                     held[i, 0] = TOUCHED if reach > 0.0 else FREE
         return released

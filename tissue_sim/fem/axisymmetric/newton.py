@@ -252,8 +252,9 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                 elif pending == 0 and ratio <= goal:
                     released = 0
                     if violation <= settings[CONTACT_TOLERANCE]:
-                        released = contact.release(counts[CONTACTS], strength, reach, contact_places, areas, spans,
-                                                   vertices, contact_rounding, held, forces)
+                        released = contact.release(counts[CONTACTS], FRICTION_FLOOR * floor, strength, reach,
+                                                   contact_places, areas, spans, vertices, contact_rounding, held,
+                                                   forces)
                     if released > 0:
                         # Another problem from here on.
                         tangent, first = 1, iterations + 1
