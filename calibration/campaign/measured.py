@@ -167,9 +167,8 @@ def check_size(recording: Recording, test: Test, campaign: Campaign, path: Path)
         return
     place = f"specimen[{list(campaign.specimens).index(test.specimen.name)}]"
     shape, told = test.specimen.shape, said.get("shape")
-    # A prism of any cross-section may be anything, and stands here as a cylinder.
-    any_does = test.kind.gripped or campaign.fit.method == "analytical" or test.specimen.name in campaign.prisms
-    if not any_does and isinstance(told, str) and told != shape:
+    asked = not (test.kind.gripped or campaign.fit.method == "analytical" or test.specimen.name in campaign.prisms)
+    if asked and isinstance(told, str) and told != shape:
         raise InputError(f"{with_article(shape)}, but {path.name} says of itself that it is {with_article(told)}; mend "
                          "the one that is wrong", file=campaign.path, field=f"{place}.shape")
     for key, size in test.specimen.sizes.items():
