@@ -17,8 +17,8 @@ HOLD = 3.0
 ROTATION, ORIGIN, MOTION = 9, 18, 21
 SETTINGS = 27
 #: Places in `results`.
-VIOLATION, SWITCHED, PULLING, UNBALANCED, SIZE, ACTIVE, REBUILT, SLIPPING = range(8)
-RESULTS = 8
+VIOLATION, PULLING, UNBALANCED, SIZE, ACTIVE, REBUILT, SLIPPING = range(7)
+RESULTS = 7
 #: Places in `found`, of the flat contact: what is left of the equation and the forces, squared; unknown nodes.
 LEFT, FORCES, UNKNOWN = range(3)
 #: Places in `limits`: nearer nodes take part, m; what may be left over the forces; forces that are none, N.
@@ -127,10 +127,7 @@ def contact_kernel():
             bound[s] = 0
             held = False
         if changeable and not held:
-            presses = 1 if normal + gap / give[0] < 0.0 else 0
-            if presses != pressed[s]:
-                results[SWITCHED] = results[SWITCHED] + 1.0
-                pressed[s] = presses
+            pressed[s] = 1 if normal + gap / give[0] < 0.0 else 0
         is_pressed = pressed[s] == 1 and not held
         anchor = ti.Vector([anchors[s, a] for a in ti.static(range(3))])
         slip = R @ (at - anchor)
@@ -155,10 +152,8 @@ def contact_kernel():
                 limit = mu * ti.max(-normal, 0.0)
                 tried = tangential + aside / give[1]
                 size = tried.norm()
-                slides = 1 if size > rough else 0
-                if changeable and slides != slips[s]:
-                    results[SWITCHED] = results[SWITCHED] + 1.0
-                    slips[s] = slides
+                if changeable:
+                    slips[s] = 1 if size > rough else 0
                 if slips[s] == 1:
                     state = 2
                     way = tried / ti.max(size, 1e-300)

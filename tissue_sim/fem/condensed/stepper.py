@@ -227,7 +227,7 @@ class CondensedStepper:
         while True:
             with LOCK:
                 self._kernel()
-            violation, _, pulling, unbalanced, size, active, rebuilt, slipping = results.tolist()
+            violation, pulling, unbalanced, size, active, rebuilt, slipping = results.tolist()
             settings[[RELEASE, CHANGEABLE]], k = (0.0, 1.0), 3 * int(active)
             change, enough = math.sqrt(unbalanced), _SETTLED * max(math.sqrt(size), self.surface.floor)
             if not math.isfinite(unbalanced + size) or iterations >= (_MOST_EXACT if exact else _MOST):
