@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from calibration.campaign.checks import require_positive
 from calibration.campaign.schema import PRISM, CampaignTable, SpecimenTable, TestTable
@@ -115,10 +114,3 @@ def find_specimen(entry: TestTable, specimens: Mapping[str, Specimen], table: Ca
         if kind.gripped else "set fit.method = 'inverse_fem', which simulates it"
     raise InputError(f"{what}, which has not one cross-section, and so no closed form; {remedy}",
                      field=f"{field}.specimen")
-
-
-def found_anywhere(specimens: Iterable[Mapping[str, Any]], folder: Path) -> list[dict[str, Any]]:
-    """Tables ``[[specimen]]`` of a campaign in a folder, for one that lies elsewhere: files by their whole path."""
-    of_files = {key for kind in SPECIMENS.values() for key in kind.paths}
-    return [{key: str((folder / value).resolve()) if key in of_files else value for key, value in table.items()}
-            for table in specimens]

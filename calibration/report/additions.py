@@ -11,7 +11,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign, Test
-from calibration.campaign.specimens import found_anywhere
+from calibration.campaign.named_files import whole_path, with_files_named
 from calibration.diagnosis.diagnosis import Diagnosis, FoundEffect
 from calibration.diagnosis.evidence import Evidence
 from calibration.fit.result import CalibrationResult
@@ -105,14 +105,11 @@ def _rig(after: Evidence, test: Test) -> Rig:
 def _campaign_text(diagnosis: Diagnosis, after: Evidence) -> str:
     """The campaign with what was found as starts of further unknowns, so that it can be fitted again."""
     campaign = after.campaign
-    content: dict[str, Any] = read_toml(campaign.path, "a campaign (TOML)")
     folder = campaign.path.parent.resolve()
+    content = with_files_named(read_toml(campaign.path, "a campaign (TOML)"), folder, whole_path)
     for place in (content.get("defaults", {}), *content["test"]):
         if "recordings" in place:
             place["recordings"] = [str(folder / name) for name in place["recordings"]]
-        for key in ("rig", "tool"):
-            if isinstance(place.get(key), str) and (folder / place[key]).is_file():
-                place[key] = str(folder / place[key])
     for table, test in zip(content["test"], campaign.tests, strict=True):
         if test.experiment is not None and test.experiment.contact_laws:
             table["contact_laws"] = {name: to_keys(law) for name, law in test.experiment.contact_laws.items()}
@@ -123,8 +120,6 @@ def _campaign_text(diagnosis: Diagnosis, after: Evidence) -> str:
             table |= {"kind": "friction_compression", "friction": after.values[rubbed.name], "friction_base": AS_TOOL}
     densities = {test.experiment.specimen.name: test.experiment.specimen.density for test in campaign.tests
                  if test.experiment is not None}
-    if "specimen" in content:
-        content["specimen"] = found_anywhere(content["specimen"], folder)
     for table in content.get("specimen", []):
         density = densities.get(table.get("name", "specimen"))
         if density is not None:

@@ -12,11 +12,14 @@ from pathlib import Path
 from typing import Any
 
 from tissue_sim import Recording, write_recording
-from tissue_sim.atomic_write import write_text
+from tissue_sim.atomic_write import write_bytes, write_text
 from tissue_sim.decode import read_json
 from tissue_sim.errors import InputError
+from tissue_sim.files import read_bytes
 
 RUN_FILE, LOCK_FILE, PARTIAL = "run.json", "run.lock", ".partial.csv"
+#: Folder, in that of the run, of copies of files that the tests depend on.
+FILES = "files"
 #: Rows are on the disk after so long at the latest, s.
 KEPT_EVERY = 0.5
 
@@ -35,6 +38,7 @@ class RunFolder:
     def __init__(self, folder: Path, digest: str):
         self.folder, self._digest = folder, digest
         self._lock: int | None = None
+        self._copies: dict[Path, str] = {}
         self.state: dict[str, Any] = {"schema": "tissue_sim.run/1", "protocol_sha256": digest, "state": "new",
                                       "done": [], "history": [], "stops": []}
         self._take_state()
@@ -111,6 +115,23 @@ class RunFolder:
     def missing(self, name: str, replicates: int) -> list[int]:
         """Numbers of the recordings of a test that are not there yet."""
         return [number for number in range(1, replicates + 1) if f"{name}_{number}.csv" not in self.state["done"]]
+
+    def copy_of(self, path: Path) -> str:
+        """Name, from the folder of the run, of a copy of a file that its tests depend on; it is copied once a program.
+
+        Raises:
+            InputError: the file cannot be read, or the copy not be written.
+        """
+        path = path.resolve()
+        if path not in self._copies:
+            self.note()  # a folder with other files and no run would be refused
+            taken, number, name = set(self._copies.values()), 1, f"{FILES}/{path.name}"
+            while name in taken:
+                number += 1
+                name = f"{FILES}/{path.stem}_{number}{path.suffix}"
+            write_bytes(self.folder / name, read_bytes(path, "a file that the tests depend on"))
+            self._copies[path] = name
+        return self._copies[path]
 
     def partial(self, name: str, header: Sequence[str]) -> PartialRecording:
         """A file that is written as samples come."""

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 import calibration
 import tissue_sim as ts
 from calibration.campaign.digest import digest_of
-from calibration.campaign.specimens import found_anywhere
+from calibration.campaign.named_files import whole_path, with_files_named
 from calibration.forward.forms import build_test, remainder
 from calibration.forward.meshes import MESHES, REMAINDERS, Meshes
 from calibration.forward.solves import content_key
@@ -256,7 +256,8 @@ def test_import_writes_a_campaign_of_a_stated_shape(folder, monkeypatch, capsys)
 
 
 def test_a_campaign_that_is_written_elsewhere_finds_its_mesh(folder):
-    table, = found_anywhere([{"shape": "mesh", "mesh": "cube.vtu", "mesh_unit": "mm"}], folder)
+    content = {"specimen": [{"shape": "mesh", "mesh": "cube.vtu", "mesh_unit": "mm"}], "test": []}
+    table, = with_files_named(content, folder, whole_path)["specimen"]
     assert table == {"shape": "mesh", "mesh": str((folder / "cube.vtu").resolve()), "mesh_unit": "mm"}
 
 

@@ -9,6 +9,10 @@ import time
 
 import pytest
 
+import tissue_sim as ts
+from calibration.campaign.campaign import load_campaign
+from calibration.campaign.named_files import with_files_named
+from haptics.recorder.run_folder import RunFolder
 from scenes.cli import main
 from tissue_sim import read_recording
 
@@ -94,6 +98,33 @@ def test_what_was_recorded_calibrates_unchanged(protocol, tmp_path, capsys):
     fit, = json.loads(capsys.readouterr().out)["fits"]
     # The study's silicone, whose C20 neo-Hooke takes into C10 in part.
     assert fit["parameters"]["C10"] == pytest.approx(1405.0, rel=0.03) and fit["R2"] > 0.999
+
+
+def test_the_folder_of_a_run_has_all_that_its_campaign_names(protocol, tmp_path):
+    """It calibrates from where it was taken to, with what it was recorded with."""
+    frame, run = tmp_path / "frame.rig.json", tmp_path / "deep" / "run"
+    ts.write_rig(ts.Rig(zero_offset=0.25), frame)
+    path = protocol(replace={"[fit]": '[defaults]\nrig = "frame.rig.json"\n\n[fit]', '"analytical"': '"inverse_fem"',
+                             "replicates = 2": "replicates = 1"})
+    assert main(["record", str(path), "-o", str(run)]) == 0
+    frame.unlink()
+    taken = run.rename(tmp_path / "elsewhere")
+    test, = load_campaign(taken / "campaign.toml").tests
+    assert test.rig == ts.Rig(zero_offset=0.25)
+
+
+def test_files_of_one_name_are_kept_apart(tmp_path):
+    for place in ("a", "b"):
+        (tmp_path / place).mkdir()
+        (tmp_path / place / "tip.csv").write_text(place, encoding="utf-8")
+    content = {"defaults": {"tool": "a/tip.csv"}, "test": [{"tool": "b/tip.csv"}, {"tool": "flat"}, {}]}
+    (tmp_path / "flat").write_text("no profile", encoding="utf-8")
+    with RunFolder(tmp_path / "run", "digest") as folder:
+        copied = with_files_named(content, tmp_path, folder.copy_of)
+    assert copied["defaults"]["tool"] == "files/tip.csv" and copied["test"][1:] == [{"tool": "flat"}, {}]
+    assert (folder.folder / copied["defaults"]["tool"]).read_text() == "a"
+    assert (folder.folder / copied["test"][0]["tool"]).read_text() == "b"
+    assert not RunFolder(tmp_path / "run", "digest").is_begun
 
 
 def test_a_fault_on_request_ends_it_with_the_reason_and_resume_goes_on(protocol, tmp_path, capsys):

@@ -120,6 +120,9 @@ def _record(arguments, protocol: ProtocolFile, tests: list[Any], console: Consol
             try:
                 recorder = Recorder(open_bench(protocol, test), plan, protocol.limits, folder, about=about,
                                     asked=asked, watch=watch)
+                # Before anything moves: a file may change, or vanish, while the run goes.
+                for path in protocol.files:
+                    folder.copy_of(path)
                 recorder.run()
             except (StoppedError, DeviceError) as error:
                 stopped = str(error)
@@ -153,7 +156,7 @@ def _write_campaign(protocol: ProtocolFile, folder: RunFolder) -> None:
         missing = [f"{name}_{number}.csv" for name, plan in protocol.plans.items()
                    for number in folder.missing(name, plan.replicates)]
         words = f"# Not recorded yet, and not in here: {', '.join(missing)}.\n" if missing else ""
-        write_text(folder.folder / CAMPAIGN, words + protocol.campaign_text(recordings))
+        write_text(folder.folder / CAMPAIGN, words + protocol.campaign_text(recordings, folder.copy_of))
 
 
 @contextmanager

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -12,7 +12,7 @@ from typing import Any, Literal
 import msgspec
 
 from calibration.campaign.campaign import Campaign, load_campaign
-from calibration.campaign.specimens import found_anywhere
+from calibration.campaign.named_files import files_named, with_files_named
 from calibration.report.additions import to_toml
 from haptics.recorder.lag import measure_lag
 from haptics.recorder.plan import Plan
@@ -121,8 +121,17 @@ class ProtocolFile:
     record: RecordTable
     content: Mapping[str, Any]
 
-    def campaign_text(self, recordings: Mapping[str, list[str]]) -> str:
-        """The campaign of what was recorded, for ``tissue-sim calibrate``; tests without recordings are left out."""
+    @property
+    def files(self) -> list[Path]:
+        """Meshes, profiles and rigs that its tests depend on."""
+        return files_named(self.content, self.path.parent)
+
+    def campaign_text(self, recordings: Mapping[str, list[str]], file_name: Callable[[Path], str]) -> str:
+        """The campaign of what was recorded, for ``tissue-sim calibrate``; tests without recordings are left out.
+
+        Args:
+            recordings: of each test. file_name: gives a mesh, profile or rig, by its path, its name in the campaign.
+        """
         content = {key: value for key, value in self.content.items() if key not in OWN_TABLES}
         tests = []
         for entry, name in zip(content["test"], self.plans, strict=True):
@@ -131,8 +140,7 @@ class ProtocolFile:
                 tests.append({**entry, "name": name, "recordings": recordings[name]})
         defaults = {key: value for key, value in content.get("defaults", {}).items() if key != "protocol"}
         content = {**content, "test": tests, **({"defaults": defaults} if defaults else {})}
-        if "specimen" in content:
-            content["specimen"] = found_anywhere(content["specimen"], self.path.parent)
+        content = with_files_named(content, self.path.parent, file_name)
         return f"# Recorded by {self.path.name}.\n{to_toml(content)}"
 
 
