@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calibration.campaign.campaign import DEFAULT_OFFSET_BOUND, DEFAULT_OFFSET_PRIOR, Campaign, Test
+from calibration.campaign.schema import PRISM
 from calibration.campaign.segmented import SegmentedRecording, from_elsewhere, segment_recording, with_air_noted
 from calibration.statistics.sensor_noise import SensorNoise, estimate_shared_noise, spread_stamps
 from calibration.statistics.statistics import estimate_noise, resolution
@@ -161,14 +162,13 @@ def names_of(recordings: Sequence[Recording], path: Path, test: Test) -> list[st
 
 
 def check_size(recording: Recording, test: Test, campaign: Campaign, path: Path) -> None:
-    """Refuse a recording that says itself that its specimen has another shape or size."""
-    said = recording.metadata.get("specimen")
-    if test.specimen is None or not isinstance(said, Mapping):
+    """Refuse one that says another shape or size of its specimen; cylinders once said no shape, prisms never know."""
+    if test.specimen is None or not isinstance(said := recording.metadata.get("specimen"), Mapping):
         return
     place = f"specimen[{list(campaign.specimens).index(test.specimen.name)}]"
-    shape, told = test.specimen.shape, said.get("shape")
-    asked = not (test.kind.gripped or campaign.fit.method == "analytical" or test.specimen.name in campaign.prisms)
-    if asked and isinstance(told, str) and told != shape:
+    shape, told = test.specimen.shape, said.get("shape", "cylinder" if "radius_mm" in said else None)
+    any_shape = test.kind.gripped or campaign.fit.method == "analytical" or test.specimen.name in campaign.prisms
+    if not any_shape and isinstance(told, str) and told not in (shape, PRISM):
         raise InputError(f"{with_article(shape)}, but {path.name} says of itself that it is {with_article(told)}; mend "
                          "the one that is wrong", file=campaign.path, field=f"{place}.shape")
     for key, size in test.specimen.sizes.items():

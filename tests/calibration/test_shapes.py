@@ -293,6 +293,22 @@ def test_a_size_in_another_unit_is_refused(folder):
     assert caught.value.field == "specimen[0].length_mm"
 
 
+@pytest.mark.parametrize(("said", "taken"), [
+    ({"radius_mm": 10.0, "height_mm": 20.0}, False), ({"shape": "cylinder", "height_mm": 20.0}, False),
+    ({"height_mm": 20.0}, True), ({"shape": "prism", "area_mm2": 400.0, "height_mm": 20.0}, True)])
+def test_recordings_of_cylinders_are_none_of_blocks(folder, said, taken):
+    """Older ones have the sizes of a cylinder and no shape; some have no more than a height."""
+    write_run(folder, np.linspace(0.0, 2e-3, 9), np.linspace(0.0, 0.2, 9), specimen=said)
+    if taken:
+        assert len(calibration.read_measured(load(folder))["bonded_compression"]) == 1
+    else:
+        with pytest.raises(ts.InputError, match="says of itself that it is a cylinder") as caught:
+            calibration.read_measured(load(folder))
+        assert caught.value.field == "specimen[0].shape"
+    cylinder = 'shape = "cylinder"\nradius_mm = 10.0\nheight_mm = 20.0'
+    assert len(calibration.read_measured(load(folder, cylinder))["bonded_compression"]) == 1
+
+
 def test_a_prism_may_be_any_shape(folder):
     """Known by its cross-section and height alone."""
     write_run(folder, np.linspace(0.0, 2e-3, 9), np.linspace(0.0, 0.2, 9),

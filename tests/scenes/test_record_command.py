@@ -14,6 +14,7 @@ from calibration.campaign.campaign import load_campaign
 from calibration.campaign.named_files import with_files_named
 from haptics.recorder.run_folder import RunFolder
 from scenes.cli import main
+from scenes.commands.record.protocol_file import read_protocol_file
 from tissue_sim import read_recording
 
 PROTOCOL = """
@@ -93,7 +94,7 @@ def test_what_was_recorded_calibrates_unchanged(protocol, tmp_path, capsys):
     assert answer["state"] == "complete" and answer["recordings"] == ["plates_1.csv", "plates_2.csv"]
     metadata = read_recording(run / "plates_1.csv").metadata
     assert (metadata["lubricant"], metadata["temperature_degC"]) == ("silicone oil", 21.5)
-    assert metadata["specimen"] == {"name": "phantom", "radius_mm": 40.0, "height_mm": 70.0}
+    assert metadata["specimen"] == {"name": "phantom", "shape": "cylinder", "radius_mm": 40.0, "height_mm": 70.0}
     assert main(["calibrate", str(run / "campaign.toml"), "-o", str(tmp_path / "out"), "--json"]) == 0
     fit, = json.loads(capsys.readouterr().out)["fits"]
     # The study's silicone, whose C20 neo-Hooke takes into C10 in part.
@@ -111,6 +112,12 @@ def test_the_folder_of_a_run_has_all_that_its_campaign_names(protocol, tmp_path)
     taken = run.rename(tmp_path / "elsewhere")
     test, = load_campaign(taken / "campaign.toml").tests
     assert test.rig == ts.Rig(zero_offset=0.25)
+
+
+def test_recordings_of_a_prism_say_what_is_known_of_it(protocol):
+    path = protocol(replace={"radius_mm = 40.0": 'shape = "prism"\narea_mm2 = 400.0'})
+    said = read_protocol_file(path).plans["plates"].about["specimen"]
+    assert said == {"name": "phantom", "shape": "prism", "area_mm2": pytest.approx(400.0), "height_mm": 70.0}
 
 
 def test_files_of_one_name_are_kept_apart(tmp_path):

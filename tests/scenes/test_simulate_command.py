@@ -72,6 +72,7 @@ def test_writes_a_recording_and_a_figure(material, tmp_path, capsys):
     assert "displacement [mm]" in text and "2.000" in text and f"wrote {curve}" in text and f"wrote {figure}" in text
     recording = ts.read_recording(curve)
     assert recording.metadata["kind"] == "lubricated_compression" and recording.metadata["tool"] == {"shape": "plate"}
+    assert recording.metadata["specimen"] == {"shape": "cylinder", "radius_mm": 40.0, "height_mm": 70.0}
     # Closed form of the incompressible cylinder at 2 mm; K/mu0 = 1e4 lowers it by less than 1e-4.
     assert recording.force[-1] == pytest.approx(1.24965, rel=2e-4)
     assert figure.read_bytes().startswith(b"\x89PNG")

@@ -13,6 +13,7 @@ import msgspec
 
 from calibration.campaign.campaign import Campaign, load_campaign
 from calibration.campaign.named_files import files_named, with_files_named
+from calibration.campaign.schema import PRISM
 from calibration.report.additions import to_toml
 from haptics.recorder.lag import measure_lag
 from haptics.recorder.plan import Plan
@@ -159,7 +160,8 @@ def read_protocol_file(path: Path) -> ProtocolFile:
         tables = decode(own, _OwnTables)
         campaign = _campaign(path, content)
         lag = _lag(tables.record, path.parent)
-        plans = {test.name: _plan(test, tables.record, lag, number, content)
+        plans = {test.name: _plan(test, tables.record, lag, number, content,
+                                  prism=test.specimen is not None and test.specimen.name in campaign.prisms)
                  for number, test in enumerate(campaign.tests)}
         return ProtocolFile(path, hashlib.sha256(text.encode()).hexdigest(), campaign, plans, _limits(tables.limits),
                             tables.devices, tables.virtual, tables.record, content)
@@ -197,12 +199,12 @@ def _lag(record: RecordTable, folder: Path) -> dict[str, Any] | None:
 
 
 def _plan(test: Any, record: RecordTable, lag: dict[str, Any] | None, number: int,
-          content: Mapping[str, Any]) -> Plan:
+          content: Mapping[str, Any], *, prism: bool) -> Plan:
     if test.experiment is None:
         raise InputError(f"a {test.kind.name} is not done with a tool that is pushed in; leave the test out",
                          field=f"{test.place}.kind")
     entry = content["test"][number]
-    about = {"specimen": None if test.specimen is None else _about(test.specimen),
+    about = {"specimen": None if test.specimen is None else _about(test.specimen, prism=prism),
              "kind": test.kind.name, "tool": entry.get("tool", "plate"), "tool_radius_mm": entry.get("tool_radius_mm"),
              "friction": entry.get("friction"), "lubricant": record.lubricant,
              "temperature_degC": record.temperature_degC, "operator": record.operator, "notes": record.notes}
@@ -215,10 +217,12 @@ def _plan(test: Any, record: RecordTable, lag: dict[str, Any] | None, number: in
                 {key: value for key, value in about.items() if value is not None})
 
 
-def _about(specimen: Specimen) -> dict[str, Any]:
-    """What recordings say of it."""
-    shape = {} if specimen.is_round else {"shape": specimen.shape}
-    return {"name": specimen.name, **shape, **specimen.stated}
+def _about(specimen: Specimen, *, prism: bool) -> dict[str, Any]:
+    """What recordings say of it; of a prism no more than is known."""
+    if prism:
+        return {"name": specimen.name, "shape": PRISM, "area_mm2": 1e6 * specimen.area,
+                "height_mm": specimen.sizes["height_mm"]}
+    return {"name": specimen.name, "shape": specimen.shape, **specimen.stated}
 
 
 def _limits(table: LimitsTable) -> MotionLimits:

@@ -110,15 +110,15 @@ def run(arguments) -> int:
 
 
 def what_was_done(scene: str, experiment: ts.Experiment) -> dict[str, Any]:
-    """Of the sidecar: the kind of test, and the tool, so that nobody compares a cone with a flat punch unawares."""
+    """Of the sidecar: the kind of test, specimen and tool, so that none compares a cone with a flat punch unawares."""
     tool = experiment.tool
     sizes = {} if tool.is_plate or tool.radius is None else {"radius_mm": tool.radius * 1e3}
     approach = experiment.approach
     way = {} if approach is None else {"approach": {"offset_mm": approach.offset * 1e3,
                                                     "tilt_deg": math.degrees(approach.angle)}}
     specimen = experiment.specimen
-    body = {} if specimen.is_round else {"specimen": {"shape": specimen.shape, **specimen.stated}}
-    return {"kind": scene, **body, "tool": {"shape": tool.shape, **sizes}, **way}
+    return {"kind": scene, "specimen": {"shape": specimen.shape, **specimen.stated},
+            "tool": {"shape": tool.shape, **sizes}, **way}
 
 
 def describe(done: int, samples: int, again: bool) -> str:
