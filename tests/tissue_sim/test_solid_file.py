@@ -1,5 +1,8 @@
 """Meshes from files: what is read, what is named, and what is refused."""
 
+import hashlib
+import os
+
 import meshio
 import numpy as np
 import pytest
@@ -310,6 +313,43 @@ def test_other_endings_and_no_file(tmp_path):
         file.truncate(200_000_000)
     with pytest.raises(ts.InputError, match="has 200 MB, expected a mesh of at most 100 MB"):
         read_file_mesh(tmp_path / "large.msh")
+
+
+def twice_as_large(points, _):
+    points *= 2.0
+
+
+def test_the_digest_is_that_of_the_mesh_in_use(tmp_path):
+    """And not that of a file that another program wrote in its place meanwhile."""
+    path = inp(tmp_path)
+    first = path.read_bytes()
+    specimen = ts.Specimen(shape="mesh", mesh_file=path)
+    inp(tmp_path, change=twice_as_large)
+    assert specimen.digest == hashlib.sha256(first).hexdigest()
+    other = ts.Specimen(shape="mesh", mesh_file=path)
+    assert other.height == 2.0 * specimen.height and other.digest == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+@pytest.mark.parametrize("make", [write, inp])
+def test_a_file_is_opened_once(tmp_path, monkeypatch, make):
+    path, opened = make(tmp_path), []
+
+    def counting(true):
+        def opens(name, *rest, **more):
+            opened.append(os.fspath(name) if isinstance(name, str | os.PathLike) else "")
+            return true(name, *rest, **more)
+
+        return opens
+
+    monkeypatch.setattr("tissue_sim.mesh.solid_file.bounded", lambda function, *words, file: function(*words))
+    monkeypatch.setattr("os.open", counting(os.open))
+    monkeypatch.setattr("builtins.open", counting(open))
+    assert read_file_mesh(path).digest == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert opened.count(str(path)) == 1
+    path.write_bytes(b"<")
+    with pytest.raises(ts.InputError) as caught:
+        read_file_mesh(path)
+    assert str(caught.value).startswith(str(path)) and "tissue_sim_" not in str(caught.value)
 
 
 def test_without_meshio_the_extra_is_named(tmp_path, monkeypatch):

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from tissue_sim.atomic_write import write_bytes
 from tissue_sim.bounded import bounded
 from tissue_sim.errors import InputError, nearest
+from tissue_sim.files import read_bytes
 from tissue_sim.mesh.formats.checks import require_size, require_sound, solid_cells
 from tissue_sim.mesh.formats.content import FACES, SIDES, Cells, MeshContent
 from tissue_sim.mesh.formats.inp import read_inp
@@ -48,6 +52,7 @@ class FileMesh:
         cells: elements of the volume. points: shape (n, 3), m.
         sides: of the surface, as places of their corners in `points`, shape (m, corners of a side).
         named_sides: name -> which of them, sorted. regions: name -> places of elements in `cells`, sorted.
+        digest: SHA-256 of the bytes that it was read from.
     """
 
     cells: Cells
@@ -55,6 +60,7 @@ class FileMesh:
     sides: np.ndarray
     named_sides: dict[str, np.ndarray]
     regions: dict[str, np.ndarray]
+    digest: str = ""
 
 
 def read_file_mesh(path: str | Path, unit: str = "mm") -> FileMesh:
@@ -72,7 +78,17 @@ def read_file_mesh(path: str | Path, unit: str = "mm") -> FileMesh:
         raise InputError(f"unknown unit {unit!r}{nearest(unit, MESH_UNITS)}", field="mesh_unit")
     if path.suffix.lower() not in ENDINGS:
         raise InputError(f"has the ending {path.suffix!r}, expected a mesh with one of {', '.join(ENDINGS)}", file=path)
-    return bounded(_read, path, unit, file=path)
+    data = read_bytes(path, "a mesh", LARGEST_MESH)
+    # Readers open a file by its name, some of them twice; it may be written anew meanwhile.
+    with TemporaryDirectory(prefix="tissue_sim_") as folder:
+        copy = Path(folder) / path.name
+        write_bytes(copy, data)
+        try:
+            mesh: FileMesh = bounded(_read, copy, unit, file=copy)
+        except InputError as error:
+            raise InputError(error.problem.replace(str(copy), path.name), file=path, line=error.line,
+                             field=error.field) from None
+    return replace(mesh, digest=hashlib.sha256(data).hexdigest())
 
 
 def _read(path: Path, unit: str) -> FileMesh:

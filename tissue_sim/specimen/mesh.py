@@ -62,6 +62,11 @@ class MeshSpecimen(Specimen):
             return _read(path, self.mesh_unit, 0, 0)  # which says what is the matter
 
     @cached_property
+    def digest(self) -> str:
+        """SHA-256 of the bytes that its mesh was read from."""
+        return self._mesh.digest
+
+    @cached_property
     def _seen(self) -> SeenFromAbove:
         from tissue_sim.mesh.seen_from_above import SeenFromAbove
         from tissue_sim.mesh.solid_file import base_and_top, origin
