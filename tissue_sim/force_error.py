@@ -1,4 +1,4 @@
-"""By how much the force of a simulated test errs, from the same test on another mesh and in longer steps."""
+"""By how much the force of a simulated test errs, from the same test on another mesh and in other steps."""
 
 from __future__ import annotations
 
@@ -19,18 +19,22 @@ class ForceError:
     Attributes:
         share: the largest, over the largest force.
         first, last: samples between which it is more than half of that.
+        shorter: whether steps half as long tell it, not longer ones.
     """
 
     share: float
     first: int
     last: int
+    shorter: bool = False
 
     def in_words(self, displacement: np.ndarray, remedy: str) -> str:
         """A sentence; of displacements, m, of all samples, and what shows the error."""
         there = displacement[self.first: self.last + 1] * 1e3
         places = f"{there[-1]:.3g} mm" if self.first == self.last else f"{there.min():.3g} to {there.max():.3g} mm"
+        seen = "in steps half as long it differs by half as much" if self.shorter else \
+            "in longer steps it differs by so much"
         return (f"the force may err by about {100 * self.share:.2g} % of its largest at {places}: on another mesh and "
-                f"in longer steps it differs by so much; {remedy}")
+                f"{seen}; {remedy}")
 
 
 def every_second(displacement: np.ndarray) -> np.ndarray:
@@ -52,7 +56,8 @@ def every_second(displacement: np.ndarray) -> np.ndarray:
     return np.array(kept)
 
 
-def force_error(force: np.ndarray, samples: np.ndarray, other: np.ndarray, share: float) -> ForceError | None:
+def force_error(force: np.ndarray, samples: np.ndarray, other: np.ndarray, share: float, *,
+                shorter: bool = False) -> ForceError | None:
     """The error that a comparison stands for.
 
     Args:
@@ -60,6 +65,7 @@ def force_error(force: np.ndarray, samples: np.ndarray, other: np.ndarray, share
         samples: numbers of those that the other test has too.
         other: its force there, N; it may have come to an end before.
         share: of their difference that is the error of this test.
+        shorter: whether its steps are.
 
     Returns:
         None where nothing can be compared.
@@ -74,4 +80,4 @@ def force_error(force: np.ndarray, samples: np.ndarray, other: np.ndarray, share
         first -= 1
     while last + 1 < samples.size and far[last + 1]:
         last += 1
-    return ForceError(float(apart[worst]), int(samples[first]), int(samples[last]))
+    return ForceError(float(apart[worst]), int(samples[first]), int(samples[last]), shorter)

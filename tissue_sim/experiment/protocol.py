@@ -63,6 +63,13 @@ class Protocol:
         array.flags.writeable = False
         object.__setattr__(self, name, array)
 
+    @property
+    def halved(self) -> Protocol:
+        """The same motion with another sample in the middle between each two; without labels."""
+        time, displacement = (np.interp(np.arange(2 * each.size - 1) / 2.0, np.arange(each.size), each)
+                              for each in (self.time, self.displacement))
+        return Protocol(time, displacement)
+
     @classmethod
     def ramp(cls, depth: float, points: int = 21, speed: float = STUDY_SPEED) -> Protocol:
         """A ramp to `depth` (m) at `speed` (m/s), `points` samples with rest included; the study's speed by default."""
