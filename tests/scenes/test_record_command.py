@@ -120,6 +120,14 @@ def test_recordings_of_a_prism_say_what_is_known_of_it(protocol):
     assert said == {"name": "phantom", "shape": "prism", "area_mm2": pytest.approx(400.0), "height_mm": 70.0}
 
 
+def test_recordings_say_the_tool_of_defaults(protocol):
+    path = protocol(replace={'kind = "lubricated_compression"': 'kind = "needle_indentation"',
+                             "[fit]": '[defaults]\ntool = "flat"\ntool_radius_mm = 8.0\nfriction = "bonded"\n\n[fit]',
+                             '"analytical"': '"inverse_fem"'})
+    said = read_protocol_file(path).plans["plates"].about
+    assert (said["tool"], said["tool_radius_mm"], said["friction"]) == ("flat", 8.0, "bonded")
+
+
 def test_files_of_one_name_are_kept_apart(tmp_path):
     for place in ("a", "b"):
         (tmp_path / place).mkdir()

@@ -203,7 +203,7 @@ def _plan(test: Any, record: RecordTable, lag: dict[str, Any] | None, number: in
     if test.experiment is None:
         raise InputError(f"a {test.kind.name} is not done with a tool that is pushed in; leave the test out",
                          field=f"{test.place}.kind")
-    entry = content["test"][number]
+    entry = {**content.get("defaults", {}), **content["test"][number]}
     about = {"specimen": None if test.specimen is None else _about(test.specimen, prism=prism),
              "kind": test.kind.name, "tool": entry.get("tool", "plate"), "tool_radius_mm": entry.get("tool_radius_mm"),
              "friction": entry.get("friction"), "lubricant": record.lubricant,
