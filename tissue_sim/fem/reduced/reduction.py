@@ -27,8 +27,8 @@ STROKES, MODES, BULK_RATIO = {True: 24, False: 60}, {True: 24, False: 64}, {True
 #: Error of the sampled forces, share of the contact's reach by which the layer gives way, and unseen strokes on which
 #: the result is tried.
 SAMPLING, SOFTNESS, TRIED = 6e-3, 1e-3, 3
-#: So many times fewer strokes at most do where each has images; more images than these are worth less.
-_SPARED = 4
+#: So many times fewer strokes at most do where each has images; what a tool that rubs does depends on its way, too.
+_SPARED = {True: 4, False: 2}
 
 
 class Progress(Protocol):
@@ -70,7 +70,7 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     store = _Store(folder, f"{model!r} {box!r} {resolution} {len(mesh.nodes)}")
     start, reach = experiment.tool_pose(0.0), experiment.contact_radius
     group = symmetries(solver, start)
-    strokes, modes = strokes or math.ceil(STROKES[holds] / min(len(group), _SPARED)), modes or MODES[holds]
+    strokes, modes = strokes or math.ceil(STROKES[holds] / min(len(group), _SPARED[holds])), modes or MODES[holds]
     poses = [stroke(number, box, start, holds=holds, reach=reach) for number in range(strokes)]
     taken = []
     tell("strokes", 0, strokes)
