@@ -137,3 +137,20 @@ class TestModes:
         _, values, vectors = np.linalg.svd(states, full_matrices=False)
         np.testing.assert_allclose(singular, values, rtol=1e-9)
         np.testing.assert_allclose(np.abs(np.einsum("fi,if->i", found, vectors[:4])), 1.0, atol=1e-9)
+
+
+def test_images_make_a_reduced_solid_better():
+    """Three strokes with their images against the three alone, on one that neither was made of."""
+    whole, box, solver, start = scene("held")
+    group = symmetries(solver, start)
+    poses = [stroke(number, box, start, holds=True, reach=8e-3) for number in range(3)]
+    taken = [training.snapshots(solver, each) for each in poses]
+    errors = []
+    for own in (group[:1], group):
+        reduced = training.assemble(whole, solver.mesh, box, taken, poses, count=16, tolerance=6e-3, softness=1e-3,
+                                    bulk_ratio=300.0, group=own)
+        assert reduced.report["symmetries"] == len(own)
+        report, _ = training.verify(reduced, solver, [training.UNSEEN])
+        assert report["not_converged"] == 0.0
+        errors.append(report["force_rms_error"])
+    assert errors[1] < 0.6 * errors[0] and errors[1] < 0.01
