@@ -36,7 +36,7 @@ def add_arguments(parser: Parser) -> None:
                         help="of the whole solid (default: %(default)s)")
     effort.add_argument("--strokes", type=at_least(2, 4000), metavar="N",
                         help="motions on which the whole solid is followed (default: 24, of a tool that only touches "
-                             "60)")
+                             "60; 6 and 30 of a cylinder under an upright tool on its axis, whose mirror images count)")
     effort.add_argument("--modes", type=at_least(2, 400), metavar="N",
                         help="motions of the tissue that are kept (default: 24, of a tool that only touches 64)")
     effort.add_argument("--sampling", type=positive, metavar="N", default=6e-3,

@@ -47,6 +47,7 @@ class LayerContact:
         self.places = np.ascontiguousarray(places[self.nodes])
         self.areas = areas[self.nodes]
         self._rows = np.ascontiguousarray(basis.reshape(-1, 3, basis.shape[1])[self.nodes].reshape(3 * n, -1))
+        self._rows_of_nodes = self._rows.reshape(n, 3, -1)
         self._settings = np.zeros(kernel.SETTINGS)
         profile = moving[0].profile
         self._settings[kernel.ROUNDING], self._settings[kernel.ZONE] = profile.rounding, softness * reach
@@ -59,6 +60,7 @@ class LayerContact:
         self.anchors, self._new_anchors, self.forces = np.zeros((3, n, 3))
         self._rates, self.gaps, self._moved = np.zeros((n, 3, 3)), np.zeros(n), np.zeros((n, 3))
         self._touching = np.zeros(0, dtype=np.intp)
+        self._touching_rows = self._rows_of_nodes[self._touching]
         #: Of the tool's place at the last evaluation, which is the frame that the others are asked with.
         self._levers: np.ndarray | None = None
         self._driven: np.ndarray | None = None
@@ -87,6 +89,7 @@ class LayerContact:
         with LOCK:
             self._press()
         self._touching = np.flatnonzero(self._states)
+        self._touching_rows = self._rows_of_nodes[self._touching]
         self._levers = self._driven = None
 
     def on_modes(self) -> tuple[np.ndarray, np.ndarray]:
@@ -97,10 +100,6 @@ class LayerContact:
             + rates[:, :, 2, None] * rows[:, None, 2]
         flat = rows.reshape(-1, rows.shape[-1])
         return -(self.forces[self._touching].ravel() @ flat), flat.T @ pushed.reshape(flat.shape)
-
-    @property
-    def _touching_rows(self) -> np.ndarray:
-        return self._rows.reshape(len(self.nodes), 3, -1)[self._touching]
 
     def wrench(self, frame: Frame) -> np.ndarray:
         """On the tool, about its deepest point, N and N m, shape (6,)."""
@@ -136,9 +135,10 @@ class LayerContact:
         moves = np.matmul(self._touching_rows, answer)
         change = self.pushed_by(frame) - np.matmul(self._rates[self._touching], moves)
         moves[:, :, :3] -= np.eye(3)
-        stiffness = np.einsum("nia,nib->ab", self._way(frame), change)
-        # The levers change, too.
-        stiffness[3:] += np.cross(moves, self.forces[self._touching][:, :, None], axisa=1, axisb=1, axisc=1).sum(axis=0)
+        stiffness = self._way(frame).reshape(-1, 6).T @ change.reshape(-1, 6)
+        # The levers change, too: the sum of the moves cross the forces.
+        pairs = np.tensordot(self.forces[self._touching], moves, axes=(0, 0))
+        stiffness[3:] += pairs[[2, 0, 1], [1, 2, 0]] - pairs[[1, 2, 0], [2, 0, 1]]
         return stiffness
 
     def rates_of_modes(self, frame: Frame) -> np.ndarray:

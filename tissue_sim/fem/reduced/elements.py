@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tissue_sim.fem.history import Memory
-from tissue_sim.fem.reduced.projection import FOLLOWS, SETTINGS, projection_kernel
+from tissue_sim.fem.reduced.elements_kernel import FOLLOWS, SETTINGS, elements_kernel
 from tissue_sim.fem.solid.batches import LANES, ElementBatches
 from tissue_sim.fem.solid.element import KAPPA, REMEMBERS
 from tissue_sim.fem.taichi.launch import BoundKernel
@@ -40,23 +40,23 @@ class SampledElements:
         part = SolidMesh(mesh.element, mesh.nodes[used], local.reshape(connectivity.shape))
         self._batches = batches = ElementBatches(part, shares=shares)
         self._settings, self._least = np.zeros(SETTINGS), np.zeros(1)
-        self.modes = basis.shape[1]
-        # The kernel takes two at a time: one that moves nothing makes them even.
-        self._even = even = self.modes + self.modes % 2
-        self._amplitudes, self._change, self._forces = np.zeros((3, even))
+        self.modes = modes = basis.shape[1]
+        self._forces = np.zeros(modes)
         self._contact_radius = contact_radius
         self.memory = Memory(batches.weights.shape, 6)
-        nodes, count = connectivity.shape[1], batches.batches
-        self._local = np.zeros(3 * nodes * LANES)
-        places = 3 * (np.arange(nodes, dtype=np.int32)[:, None] * LANES + np.arange(LANES, dtype=np.int32))
-        self._dofs = np.ascontiguousarray(np.tile(places, (count, 1)))
-        lanes = np.zeros((count * LANES, 3 * nodes, even))
-        lanes[: len(connectivity), :, : self.modes] = basis.reshape(-1, 3, self.modes)[connectivity].reshape(
-            len(connectivity), -1, self.modes)
-        self._basis = np.ascontiguousarray(np.moveaxis(lanes.reshape(count, LANES, -1), 1, -1).reshape(-1, LANES))
+        freedoms, count = 3 * connectivity.shape[1], batches.batches
+        basis = basis.reshape(-1, 3, modes)
+        #: What the modes move: of all nodes, and of the elements in the lanes; those that are left over stay at rest.
+        self._rows = np.ascontiguousarray(basis[used].reshape(-1, modes))
+        self._x, self._motion = np.zeros((2, len(self._rows)))
+        self._lanes = np.zeros((count * LANES, freedoms, modes))
+        self._lanes[batches.lane_of] = basis[connectivity].reshape(-1, freedoms, modes)
+        self._blocks = np.zeros((count * LANES, freedoms, freedoms))
         groups = min(groups, count)
         self._groups = (np.arange(count) * groups // count).astype(np.int32)
-        self._wanted, self._tangents = np.zeros(groups), np.zeros((groups, even, even))
+        #: Lanes of each group.
+        self._ends = LANES * np.searchsorted(self._groups, np.arange(groups + 1))
+        self._wanted, self._tangents = np.zeros(groups), np.zeros((groups, modes, modes))
         # The group whose turn is next; below 0 all are due.
         self._next = -1
         self._tangent: np.ndarray | None = None
@@ -66,7 +66,7 @@ class SampledElements:
     @property
     def forces(self) -> np.ndarray:
         """On the modes at the last evaluation, N m per m, shape (modes,)."""
-        return self._forces[: self.modes]
+        return self._forces
 
     @property
     def are_known(self) -> bool:
@@ -95,13 +95,12 @@ class SampledElements:
                             material.instantaneous_factor)
         self._settings[KAPPA], self._settings[REMEMBERS] = bulk, memory.works
         named = self._batches.arrays(self._batches.parts[0]) | {
-            "settings": self._settings, "least": self._least, "amplitudes": self._amplitudes, "change": self._change,
-            "basis": self._basis, "x": self._local, "dofs": self._dofs, "coefficients": self._coefficients,
-            "past": memory.past, "inherited": memory.inherited, "largest": memory.largest,
-            "stresses": memory.stresses, "energies": memory.energies, "on_modes": self._forces,
-            "groups": self._groups, "wanted": self._wanted, "tangents": self._tangents}
+            "settings": self._settings, "least": self._least, "x": self._x, "motion": self._motion,
+            "coefficients": self._coefficients, "past": memory.past, "inherited": memory.inherited,
+            "largest": memory.largest, "stresses": memory.stresses, "energies": memory.energies,
+            "groups": self._groups, "wanted": self._wanted, "blocks": self._blocks}
         with LOCK:
-            kernel = projection_kernel(self._element.name, material.energy_law.kernel_energy)
+            kernel = elements_kernel(self._element.name, material.energy_law.kernel_energy)
             self._kernel = BoundKernel.of(kernel, named)
         self._next = -1
 
@@ -113,22 +112,28 @@ class SampledElements:
             change: since the last evaluation, which the pressures follow; None: they stay as they are.
             anew: how many groups of the stiffness to compute anew; all after a change of the material.
         """
-        self._amplitudes[: self.modes] = amplitudes
+        np.dot(self._rows, amplitudes, out=self._x)
         self._settings[FOLLOWS] = change is not None
         if change is not None:
-            self._change[: self.modes] = change
+            np.dot(self._rows, change, out=self._motion)
         groups = self._wanted.size
         if self._next < 0:
             anew, self._next = groups, 0
         anew = min(anew, groups)
+        wanted = (np.arange(self._next, self._next + anew) % groups).tolist()
         self._wanted[:] = 0.0
-        self._wanted[np.arange(self._next, self._next + anew) % groups] = 1.0
+        self._wanted[wanted] = 1.0
         self._next = (self._next + anew) % groups
-        if anew:
-            self._tangent = None
         assert self._kernel is not None
         with LOCK:
             self._kernel()
+        np.dot(self._batches.residual[:-1], self._rows, out=self._forces)
+        for group in wanted:
+            self._tangent = None
+            lanes = self._lanes[self._ends[group] : self._ends[group + 1]]
+            pushed = np.matmul(self._blocks[self._ends[group] : self._ends[group + 1]], lanes)
+            flat = lanes.reshape(-1, self.modes)
+            np.dot(flat.T, pushed.reshape(flat.shape), out=self._tangents[group])
 
     def renew(self, amplitudes: np.ndarray) -> None:
         """Evaluate a state that was put in place: its volumes; all of the stiffness is due next."""
@@ -140,6 +145,5 @@ class SampledElements:
     def tangent(self) -> np.ndarray:
         """Stiffness between the modes, shape (modes, modes)."""
         if self._tangent is None:
-            upper = self._tangents.sum(axis=0)[: self.modes, : self.modes]
-            self._tangent = upper + np.triu(upper, 1).T
+            self._tangent = self._tangents.sum(axis=0)
         return self._tangent

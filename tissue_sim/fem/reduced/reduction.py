@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -16,14 +17,18 @@ from tissue_sim.errors import InputError
 from tissue_sim.fem.reduced import training
 from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, require_reducible
 from tissue_sim.fem.reduced.strokes import stroke
+from tissue_sim.fem.reduced.symmetry import symmetries
 from tissue_sim.files import read_text
 from tissue_sim.model import Model
 
-#: Strokes, modes and largest bulk modulus over mu0, of a tool that holds tissue and of one that touches it.
+#: Strokes without images, modes and largest bulk modulus over mu0, of a tool that holds tissue and of one that touches
+#: it.
 STROKES, MODES, BULK_RATIO = {True: 24, False: 60}, {True: 24, False: 64}, {True: 300.0, False: 100.0}
 #: Error of the sampled forces, share of the contact's reach by which the layer gives way, and unseen strokes on which
 #: the result is tried.
 SAMPLING, SOFTNESS, TRIED = 6e-3, 1e-3, 3
+#: So many times fewer strokes at most do where each has images; what a tool that rubs does depends on its way, too.
+_SPARED = {True: 4, False: 2}
 
 
 class Progress(Protocol):
@@ -42,7 +47,8 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
         model: experiment and material.
         box: of poses, beside the first one of the experiment's approach.
         resolution: of the whole solid.
-        strokes: motions on which the whole solid is followed.
+        strokes: motions on which the whole solid is followed; each counts with its images by the symmetries of the
+            solid under its tool.
         modes: motions of the tissue that are kept.
         sampling: error of the forces of the sampled elements.
         softness: see `ReducedModel`.
@@ -57,13 +63,14 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     """
     experiment = model.experiment
     holds = experiment.friction == "bonded"
-    strokes, modes = strokes or STROKES[holds], modes or MODES[holds]
     tell: Callable[..., None] = progress or (lambda *_, **__: None)
     require_reducible(model)
     mesh = training.training_mesh(model, box, resolution)
     solver = training.whole_solver(model, mesh)
     store = _Store(folder, f"{model!r} {box!r} {resolution} {len(mesh.nodes)}")
     start, reach = experiment.tool_pose(0.0), experiment.contact_radius
+    group = symmetries(solver, start)
+    strokes, modes = strokes or math.ceil(STROKES[holds] / min(len(group), _SPARED[holds])), modes or MODES[holds]
     poses = [stroke(number, box, start, holds=holds, reach=reach) for number in range(strokes)]
     taken = []
     tell("strokes", 0, strokes)
@@ -77,7 +84,7 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     count = len(mesh.connectivity)
     reduced = training.assemble(
         model, mesh, box, taken, poses, count=modes, tolerance=sampling, softness=softness,
-        bulk_ratio=BULK_RATIO[holds],
+        bulk_ratio=BULK_RATIO[holds], group=group,
         progress=lambda elements, error: tell("elements", elements, count, note=f"error {100 * error:.2g} %"))
     numbers = range(training.UNSEEN, training.UNSEEN + tried)
     report, factors = training.verify(reduced, solver, numbers, lambda done, of: tell("trial", done, of))

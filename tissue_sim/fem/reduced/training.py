@@ -7,7 +7,7 @@ the nine entries of a rotation), so that the modes need not know them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from tissue_sim.fem.reduced.model import PoseBox, ReducedModel
 from tissue_sim.fem.reduced.sampling import sparse_weights
 from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.fem.reduced.strokes import stroke
+from tissue_sim.fem.reduced.symmetry import Symmetry, parities, symmetries
 from tissue_sim.fem.solid.discretisation import build_mesh, make_solver
 from tissue_sim.fem.solid.elastic import elastic_answer, element_forces, held_places, lifted_amplitudes
 from tissue_sim.fem.solid.solver import SolidSolver
@@ -107,50 +108,80 @@ def lifted_modes(solver: SolidSolver) -> np.ndarray:
     return elastic_answer(solver, motions.reshape(-1, LIFTING))
 
 
-def modes(states: np.ndarray, lifted: np.ndarray, amplitudes: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """The most important modes of displacements, beside the lifted ones.
+def modes(states: np.ndarray, group: Sequence[Symmetry], count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The most important modes of displacements and their images.
 
     Args:
         states: displacements, m, shape (states, freedoms).
-        lifted: shape (freedoms, lifting); amplitudes: of them in each state, shape (states, lifting).
-        count: modes beside the lifted ones.
+        group: symmetries; each mode is even or odd under those that are their own inverses and commute.
+        count: of modes.
 
     Returns:
-        Basis, shape (freedoms, lifting + count), and all singular values, m.
+        Modes, shape (freedoms, count), and all singular values, m, descending.
     """
-    rest = states - amplitudes @ lifted.T
+    commuting, cosets = parities(group)
+    states = np.concatenate([states if one.is_identity else one.displacements(states) for one in cosets])
+    parts = [states]
+    for each in commuting:
+        parts = [0.5 * (part + sign * each.displacements(part)) for part in parts for sign in (1.0, -1.0)]
+    found = [_singular(part, count) for part in parts]
+    # Each state has an image of the same energy for each combination of signs.
+    singular = np.sqrt(len(parts)) * np.concatenate([values for values, _ in found])
+    vectors = np.concatenate([vectors for _, vectors in found])
+    leading = np.concatenate([values[: len(vectors)] for values, vectors in found])
+    best = np.argsort(leading)[::-1][:count]
+    return vectors[best[leading[best] > 1e-9 * leading[best[0]]]].T, np.sort(singular)[::-1]
+
+
+def _singular(states: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Singular values of states, descending, and at most `count` right singular vectors as rows, of those above 0."""
     # Of few long rows the small matrix of their products has the same singular values.
-    values, vectors = np.linalg.eigh(rest @ rest.T)
-    order = np.argsort(values)[::-1]
-    singular = np.sqrt(np.maximum(values[order], 0.0))
+    values, vectors = np.linalg.eigh(states @ states.T)
+    singular = np.sqrt(np.maximum(values[::-1], 0.0))
     count = min(count, int((singular > 1e-9 * singular[0]).sum()))
-    found = rest.T @ (vectors[:, order[:count]] / singular[:count])
-    return np.hstack([lifted, found]), singular
+    return singular, (vectors[:, ::-1][:, :count] / singular[:count]).T @ states
 
 
-def sample_elements(solver: SolidSolver, basis: np.ndarray, lifting: int, watched: int, states: np.ndarray,
-                    amplitudes: np.ndarray, wrenches: np.ndarray, tolerance: float, bulk: float,
+def samples(states: np.ndarray, poses: Sequence[Pose], wrenches: np.ndarray, group: Sequence[Symmetry],
+            start: Pose) -> Iterator[tuple[np.ndarray, Pose, float]]:
+    """States at which elements are looked at, and of what poses and forces, N: spread over all, by symmetries in turn.
+
+    Args:
+        states: displacements, m, shape (states, freedoms); at `poses`, with `wrenches`, shape (states, 6).
+        group: symmetries. start: of the tool.
+    """
+    forces = np.linalg.norm(wrenches[:, :3], axis=1)
+    strong = np.flatnonzero(forces >= _LEAST_FORCE * forces.max())
+    count = min(_LOOKED_AT, strong.size * len(group))
+    for place, state in enumerate(strong[np.linspace(0, strong.size - 1, count).astype(int)]):
+        image = group[place % len(group)]
+        yield (image.displacements(states[state : state + 1])[0], image.pose(poses[state], start),
+               float(forces[state]))
+
+
+def sample_elements(solver: SolidSolver, basis: np.ndarray, lifting: int, watched: int,
+                    looked_at: Iterable[tuple[np.ndarray, Pose, float]], tolerance: float, bulk: float,
                     progress: Callable[[int, float], None] | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Elements that stand for all, and for how many each: their forces on the modes, the last `watched` ones, too, at
     the states that the others hold, with a bulk modulus, Pa.
+
+    Args:
+        looked_at: see `samples`.
 
     Returns:
         Numbers and shares, shape (n,).
     """
     mesh = solver.mesh
-    forces = np.linalg.norm(wrenches[:, :3], axis=1)
-    strong = np.flatnonzero(forces >= _LEAST_FORCE * forces.max())
-    looked_at = strong[np.linspace(0, strong.size - 1, min(_LOOKED_AT, strong.size)).astype(int)]
     scale = np.linalg.norm(basis, axis=0)
     scale[scale < 1e-12 * scale.max()] = 1.0  # a flat face has no height that a rotation could move
     rows = (basis / scale).reshape(-1, 3, basis.shape[1])[mesh.connectivity].reshape(
         len(mesh.connectivity), -1, basis.shape[1])
+    lifted, rest = basis[:, :lifting], basis[:, lifting : basis.shape[1] - watched]
     contributions = []
-    for state in looked_at:
-        lifted, rest = basis[:, :lifting], basis[:, lifting : basis.shape[1] - watched]
-        own = rest @ (rest.T @ (states[state] - lifted @ amplitudes[state]))
-        on_nodes = element_forces(solver, lifted @ amplitudes[state] + own, bulk)
-        contributions.append(np.einsum("eir,ei->re", rows, on_nodes) / forces[state])
+    for state, pose, force in looked_at:
+        moved = lifted @ lifted_amplitudes(solver, pose)[:lifting]
+        on_nodes = element_forces(solver, moved + rest @ (rest.T @ (state - moved)), bulk)
+        contributions.append(np.einsum("eir,ei->re", rows, on_nodes) / force)
     weights = sparse_weights(np.concatenate(contributions), tolerance, progress=progress)
     elements = np.flatnonzero(weights)
     return elements, weights[elements]
@@ -196,30 +227,36 @@ def verify(reduced: ReducedModel, solver: SolidSolver, numbers: Sequence[int],
 
 def assemble(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[Snapshots],
              poses: Sequence[Sequence[Pose]], *, count: int, tolerance: float, softness: float, bulk_ratio: float,
-             progress: Callable[[int, float], None] | None = None) -> ReducedModel:
-    """The reduced solid that snapshots along strokes give.
+             group: Sequence[Symmetry] = (), progress: Callable[[int, float], None] | None = None) -> ReducedModel:
+    """The reduced solid that snapshots along strokes and their images give.
 
     Args:
         model, mesh, box: of the solid.
         taken: what it did; poses: on which poses.
         count: modes beside the lifted ones; tolerance: of the forces of the sampled elements over those of all.
         softness, bulk_ratio: see `ReducedModel`.
+        group: symmetries of the solid, the identity among them; none: they are looked for.
         progress: called with the number of elements and their error so far.
     """
-    solver = whole_solver(model, mesh)
+    solver, start = whole_solver(model, mesh), model.experiment.tool_pose(0.0)
+    group = group or symmetries(solver, start)
     states = np.concatenate([each.displacements for each in taken])
     wrenches = np.concatenate([each.wrenches for each in taken])
+    ways = [pose for each in poses for pose in each]
     lifted = lifted_modes(solver)
     lifting = lifted.shape[1]
-    amplitudes = np.array([lifted_amplitudes(solver, pose) for each in poses for pose in each])[:, :lifting]
-    basis, singular = modes(states, lifted, amplitudes, count + WATCHED)
-    watched = max(0, basis.shape[1] - lifting - count)
+    amplitudes = np.array([lifted_amplitudes(solver, pose) for pose in ways])[:, :lifting]
+    # What a tool lifts has the symmetries of the solid, so that images of the rest are the rest of the images.
+    found, singular = modes(states - amplitudes @ lifted.T, group, count + WATCHED)
+    basis = np.hstack([lifted, found])
+    watched = max(0, found.shape[1] - count)
     bulk = min(bulk_modulus(model.material, mesh), bulk_ratio * model.material.mu0)
-    elements, shares = sample_elements(solver, basis, lifting, watched, states, amplitudes, wrenches, tolerance, bulk,
-                                       progress)
-    kept = basis.shape[1] - lifting - watched
+    elements, shares = sample_elements(solver, basis, lifting, watched, samples(states, ways, wrenches, group, start),
+                                       tolerance, bulk, progress)
+    kept = found.shape[1] - watched
     report = {"freedoms": int(states.shape[1]), "modes": kept, "elements": int(elements.size),
               "elements_of_all": len(mesh.connectivity), "snapshots": int(states.shape[0]),
+              "symmetries": len(group),
               "energy_left_out": float((singular[kept:] ** 2).sum() / (singular**2).sum())}
     return ReducedModel(model, mesh, basis, lifting, elements, shares, box, softness, bulk_ratio, report, watched)
 

@@ -16,6 +16,13 @@ def held_places(solver: SolidSolver) -> np.ndarray:
     return solver._held_at
 
 
+def held_freedoms(solver: SolidSolver) -> np.ndarray:
+    """Along which axes nodes are held, by the tool or where they stand, shape (nodes, 3)."""
+    held = np.ones(solver.x.size, dtype=bool)
+    held[solver._free] = False
+    return held.reshape(-1, 3)
+
+
 def lifted_amplitudes(solver: SolidSolver, pose: Pose) -> np.ndarray:
     """How far a tool that holds tissue has come at a pose: its way, m, and how the entries of its rotation changed, row
     by row, shape (12,)."""

@@ -38,11 +38,13 @@ class Frame:
     def rates(self, points: np.ndarray) -> np.ndarray:
         """How points fixed to the tool, in the frame of the mesh, m, (n, 3), move with its position and a rotation
         about its deepest point, shape (n, 3, 6)."""
+        rates = np.zeros((len(points), 3, 6))
+        rates[:, 0, 0] = rates[:, 1, 1] = rates[:, 2, 2] = 1.0
         x, y, z = (points - self.origin).T
-        zero = np.zeros_like(x)
-        turning = np.stack([np.stack([zero, z, -y], axis=-1), np.stack([-z, zero, x], axis=-1),
-                            np.stack([y, -x, zero], axis=-1)], axis=1)
-        return np.concatenate([np.broadcast_to(np.eye(3), (len(points), 3, 3)), turning], axis=2)
+        rates[:, 0, 4], rates[:, 0, 5] = z, -y
+        rates[:, 1, 3], rates[:, 1, 5] = -z, x
+        rates[:, 2, 3], rates[:, 2, 4] = y, -x
+        return rates
 
 
 def turned_with(forces: np.ndarray) -> np.ndarray:
