@@ -194,14 +194,20 @@ def element_functions(element_name: str, energy: KernelEnergy,
                     vr[m] = vr[m] + s[MODE + modes * q + m] * jr
                     vz[m] = vz[m] + s[MODE + modes * q + m] * jz
             for m in ti.static(range(modes)):
-                missed = kappa * moduli[b] * s[GAP + m]
-                fr = fr + missed * vr[m]
-                fz = fz + missed * vz[m]
                 s[VR + m * nodes + a], s[VZ + m * nodes + a] = vr[m], vz[m]
             s[FR + a], s[FZ + a] = fr, fz
+        # With an earlier tangent's factor the volume counts as that tangent has it: multiplied by K, what volumes have
+        # become since would be no small change.
         for i in range(modes * nodes):
             at = b * modes * nodes + i
-            volume_r[at], volume_z[at] = s[VR + i], s[VZ + i]
+            if tangent == 1:
+                volume_r[at], volume_z[at] = s[VR + i], s[VZ + i]
+        for m in range(modes):
+            missed = kappa * moduli[b] * s[GAP + m]
+            for a in range(nodes):
+                at = (b * modes + m) * nodes + a
+                s[FR + a] = s[FR + a] + missed * volume_r[at]
+                s[FZ + a] = s[FZ + a] + missed * volume_z[at]
         for m in range(modes):
             at = b * modes + m
             gap[at] = s[GAP + m]

@@ -304,7 +304,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                                 if equation[dof] >= free:
                                     stiff += inertia * masses[dof] * direction[dof] * direction[dof]
                     if solves == 1:
-                        contact.add_missing(counts[CONTACTS], contact_nodes, contact_shapes, contact_rates,
+                        contact.add_missing(counts[CONTACTS], contact_nodes, contact_shapes, contact_rates, known_rates,
                                             equation, residual)
                     for I in range(rows):
                         for k in ti.static(range(B)):
@@ -361,7 +361,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                             work.update(b, kappa, x, pressures, motion, elements, dofs, real, moduli, volume_r,
                                         volume_z, gap, rows_rr, rows_rz, rows_zr, rows_zz, force_r, force_z)
                         contact.update_forces(counts[CONTACTS], depth - tool, multipliers, contact_nodes,
-                                              contact_shapes, spans, contact_rates, motion, x)
+                                              contact_shapes, spans, contact_rates, known_rates, motion, x)
                         if part == WHOLE:
                             # Where the old factor is likely to serve again, only the residual is computed first.
                             tangent = 1 if pending == 1 or ratio > FAR[0] or (
