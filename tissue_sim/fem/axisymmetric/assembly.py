@@ -35,6 +35,8 @@ class ElementFunctions(NamedTuple):
     scatter_force: object
     scatter_stiffness: object
     interior: object
+    keep_volume: object
+    add_known_volume: object
     update: object
 
 
@@ -194,20 +196,14 @@ def element_functions(element_name: str, energy: KernelEnergy,
                     vr[m] = vr[m] + s[MODE + modes * q + m] * jr
                     vz[m] = vz[m] + s[MODE + modes * q + m] * jz
             for m in ti.static(range(modes)):
+                missed = kappa * moduli[b] * s[GAP + m]
+                fr = fr + missed * vr[m]
+                fz = fz + missed * vz[m]
                 s[VR + m * nodes + a], s[VZ + m * nodes + a] = vr[m], vz[m]
             s[FR + a], s[FZ + a] = fr, fz
-        # With an earlier tangent's factor the volume counts as that tangent has it: multiplied by K, what volumes have
-        # become since would be no small change.
         for i in range(modes * nodes):
             at = b * modes * nodes + i
-            if tangent == 1:
-                volume_r[at], volume_z[at] = s[VR + i], s[VZ + i]
-        for m in range(modes):
-            missed = kappa * moduli[b] * s[GAP + m]
-            for a in range(nodes):
-                at = (b * modes + m) * nodes + a
-                s[FR + a] = s[FR + a] + missed * volume_r[at]
-                s[FZ + a] = s[FZ + a] + missed * volume_z[at]
+            volume_r[at], volume_z[at] = s[VR + i], s[VZ + i]
         for m in range(modes):
             at = b * modes + m
             gap[at] = s[GAP + m]
@@ -356,6 +352,38 @@ def element_functions(element_name: str, energy: KernelEnergy,
                 residual[equations_z[at, l]] = residual[equations_z[at, l]] + fz[l]
 
     @ti.func
+    def keep_volume(b, volume_r: ti.template(), volume_z: ti.template(), known_r: ti.template(),
+                    known_z: ti.template()):
+        """Note how the volume follows the nodes where the stiffness is that of now."""
+        for i in range(modes * nodes):
+            at = b * modes * nodes + i
+            known_r[at], known_z[at] = volume_r[at], volume_z[at]
+
+    @ti.func
+    def add_known_volume(b, kappa, real: ti.template(), moduli: ti.template(), volume_r: ti.template(),
+                         volume_z: ti.template(), known_r: ti.template(), known_z: ti.template(), gap: ti.template(),
+                         rows_rr: ti.template(), rows_rz: ti.template(), rows_zr: ti.template(),
+                         rows_zz: ti.template(), inverse_rr: ti.template(), inverse_rz: ti.template(),
+                         inverse_zz: ti.template(), force_r: ti.template(), force_z: ti.template(),
+                         equations_r: ti.template(), equations_z: ti.template(), residual: ti.template()):
+        """Eliminate the pressure with the rates of the volume that the matrix holds instead of those of now: what they
+        have become since would be multiplied by K."""
+        for a in range(nodes):
+            s[FR + a], s[FZ + a] = vec(0.0), vec(0.0)
+        for m in range(modes):
+            at = b * modes + m
+            missed = kappa * moduli[b] * gap[at]
+            for a in range(nodes):
+                i = at * nodes + a
+                s[FR + a] = s[FR + a] + missed * (known_r[i] - volume_r[i])
+                s[FZ + a] = s[FZ + a] + missed * (known_z[i] - volume_z[i])
+        if ti.static(has_centre):
+            before_r, before_z = force_r[b], force_z[b]
+            interior(b, real, rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr, inverse_rz, inverse_zz, force_r, force_z)
+            force_r[b], force_z[b] = force_r[b] + before_r, force_z[b] + before_z
+        scatter_force(b, equations_r, equations_z, residual)
+
+    @ti.func
     def scatter_stiffness(b, places: ti.template(), stiffness: ti.template(), flat: ti.template(),
                           starts: ti.template(), pulls: ti.template(), factors: ti.template(), pull: ti.template()):
         """Add the stiffness of a batch to the band matrix, and to the forces of what moves with the tool."""
@@ -368,8 +396,8 @@ def element_functions(element_name: str, energy: KernelEnergy,
 
     @ti.func
     def update(b, kappa, x: ti.template(), pressures, step: ti.template(), elements: ti.template(),
-               dofs: ti.template(), real: ti.template(), moduli: ti.template(), volume_r: ti.template(),
-               volume_z: ti.template(), gap: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(),
+               dofs: ti.template(), real: ti.template(), moduli: ti.template(), known_r: ti.template(),
+               known_z: ti.template(), gap: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(),
                rows_zr: ti.template(), rows_zz: ti.template(), force_r: ti.template(), force_z: ti.template()):
         """Move what was eliminated, interior nodes and pressures, after the `step` of the shared nodes."""
         for a in range(nb):
@@ -393,7 +421,7 @@ def element_functions(element_name: str, energy: KernelEnergy,
             change = gap[at]
             for a in range(nodes):
                 v = (b * modes + m) * nodes + a
-                change = change + volume_r[v] * s[SR + a] + volume_z[v] * s[SZ + a]
+                change = change + known_r[v] * s[SR + a] + known_z[v] * s[SZ + a]
             change = kappa * moduli[b] * change
             for l in ti.static(range(LANES)):
                 if real[b][l] > 0.0:
@@ -401,4 +429,4 @@ def element_functions(element_name: str, energy: KernelEnergy,
                     x[i] = x[i] + change[l]
 
     return ElementFunctions(integrate, add_weight, add_inertia, stiffen, scatter_force, scatter_stiffness, interior,
-                            update)
+                            keep_volume, add_known_volume, update)

@@ -30,7 +30,7 @@ class ElementBatches:
             with the tool. Targets are the equations, and the last one what meets itself; `pull_factors` multiply.
         stiffness: of one batch's pairs, rr, zr, rz, zz, [pairs] each.
         volume: dV/du of each pressure mode along r and along z [modes, nodes]; gap: what the volume differs from what
-            the pressure asks for [modes].
+            the pressure asks for [modes]; known_volume: dV/du that the matrix holds.
         centre_rows: motion of the interior node for one of the shared nodes, sign turned, rr, rz, zr, zz [shared
             nodes]; centre_inverse: of its own block, rr, rz, zz; centre_force: its motion for its forces, r, z.
     """
@@ -52,7 +52,7 @@ class ElementBatches:
         self.weights, self.modes, self.volumes = self._lanes(weights), self._lanes(modes), self._lanes(volumes)
         self.stiffness = np.zeros((4 * pairs, LANES))
         m = mesh.element.pressure_modes
-        self.volume = tuple(np.zeros((batches * m * nodes, LANES)) for _ in range(2))
+        self.volume, self.known_volume = np.zeros((2, 2, batches * m * nodes, LANES))
         self.gap = np.zeros((batches * m, LANES))
         self.centre_rows = tuple(np.zeros((batches * shared, LANES)) for _ in range(4))
         self.centre_inverse = tuple(np.zeros((batches, LANES)) for _ in range(3))
@@ -75,6 +75,7 @@ class ElementBatches:
                  "mode_values": self.modes, "volumes": self.volumes, "moduli": self.moduli, "places": self.places,
                  "pull_starts": self.pull_starts, "pulls": self.pulls, "pull_factors": self.pull_factors,
                  "element_stiffness": self.stiffness.reshape(-1), "gap": self.gap}
+        named |= zip(("known_volume_r", "known_volume_z"), self.known_volume, strict=True)
         named |= zip(("gradient_r", "gradient_z", "value_r"), self.gradients, strict=True)
         named |= zip(("equations_r", "equations_z"), self.equations, strict=True)
         named |= zip(("k_rr", "k_zr", "k_rz", "k_zz"), np.split(self.stiffness, 4), strict=True)

@@ -84,6 +84,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
              vector1, mode_values: vector1, volumes: vector1, moduli: vector1, equations_r: int2, equations_z: int2,
              places: int2, pull_starts: int1, pulls: int2, pull_factors: real1, k_rr: vector1, k_zr: vector1, k_rz:
              vector1, k_zz: vector1, element_stiffness: real1, volume_r: vector1, volume_z: vector1, gap: vector1,
+             known_volume_r: vector1, known_volume_z: vector1,
              rows_rr: vector1, rows_rz: vector1, rows_zr: vector1, rows_zz: vector1, inverse_rr: vector1, inverse_rz:
              vector1, inverse_zz: vector1, force_r: vector1, force_z: vector1, contact_nodes: int2, contact_shapes:
              real2, spans: int2, contact_places: real2, areas: real1, vertices: real2,
@@ -158,6 +159,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                     if inertia != 0.0:
                         work.add_inertia(b, inertia, settings[DENSITY], volumes, dofs, rest)
                     if tangent == 1:
+                        work.keep_volume(b, volume_r, volume_z, known_volume_r, known_volume_z)
                         definite = ti.min(definite, work.stiffen(
                             b, kappa, pending, inertia * settings[DENSITY], moduli, gradient_r, gradient_z, value_r,
                             dofs, motion, volumes, k_rr, k_zr, k_rz, k_zz, rows_rr, rows_rz, rows_zr, rows_zz,
@@ -304,6 +306,11 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                                 if equation[dof] >= free:
                                     stiff += inertia * masses[dof] * direction[dof] * direction[dof]
                     if solves == 1:
+                        for b in range(batches if part == WHOLE and fresh == 0 else 0):
+                            work.add_known_volume(b, kappa, real, moduli, volume_r, volume_z, known_volume_r,
+                                                  known_volume_z, gap, rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr,
+                                                  inverse_rz, inverse_zz, force_r, force_z, equations_r, equations_z,
+                                                  residual)
                         contact.add_missing(counts[CONTACTS], contact_nodes, contact_shapes, contact_rates, known_rates,
                                             equation, residual)
                     for I in range(rows):
@@ -358,8 +365,8 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                                 motion[dof] = -right[i // B][i % B]
                                 x[dof] = x[dof] + motion[dof]
                         for b in range(batches):
-                            work.update(b, kappa, x, pressures, motion, elements, dofs, real, moduli, volume_r,
-                                        volume_z, gap, rows_rr, rows_rz, rows_zr, rows_zz, force_r, force_z)
+                            work.update(b, kappa, x, pressures, motion, elements, dofs, real, moduli, known_volume_r,
+                                        known_volume_z, gap, rows_rr, rows_rz, rows_zr, rows_zz, force_r, force_z)
                         contact.update_forces(counts[CONTACTS], depth - tool, multipliers, contact_nodes,
                                               contact_shapes, spans, contact_rates, known_rates, motion, x)
                         if part == WHOLE:
