@@ -66,6 +66,7 @@ class ElementBatches:
     def eliminated(self) -> dict[str, np.ndarray]:
         """Arrays of what is eliminated from each element, by their names in the kernels."""
         named = dict(zip(("volume_r", "volume_z"), self.volume, strict=True))
+        named |= zip(("known_volume_r", "known_volume_z"), self.known_volume, strict=True)
         named |= zip(("rows_rr", "rows_rz", "rows_zr", "rows_zz"), self.centre_rows, strict=True)
         return named | dict(zip(("inverse_rr", "inverse_rz", "inverse_zz"), self.centre_inverse, strict=True))
 
@@ -75,7 +76,6 @@ class ElementBatches:
                  "mode_values": self.modes, "volumes": self.volumes, "moduli": self.moduli, "places": self.places,
                  "pull_starts": self.pull_starts, "pulls": self.pulls, "pull_factors": self.pull_factors,
                  "element_stiffness": self.stiffness.reshape(-1), "gap": self.gap}
-        named |= zip(("known_volume_r", "known_volume_z"), self.known_volume, strict=True)
         named |= zip(("gradient_r", "gradient_z", "value_r"), self.gradients, strict=True)
         named |= zip(("equations_r", "equations_z"), self.equations, strict=True)
         named |= zip(("k_rr", "k_zr", "k_rz", "k_zz"), np.split(self.stiffness, 4), strict=True)
