@@ -1,4 +1,4 @@
-"""Elements as Taichi functions: stresses to residual and tangent, static condensation, scatter into the band matrix.
+"""Elements as Taichi functions: stresses to forces and tangent, scatter of the stiffness into the band matrix.
 
 Eight elements at a time, one in each lane of the vectors: Taichi keeps the lanes of a vector next to each other, and
 the compiler makes one instruction of them. It can tell so only where the place of a vector is a plain variable
@@ -6,8 +6,8 @@ the compiler makes one instruction of them. It can tell so only where the place 
 
 A discontinuous pressure per element enforces J - 1 = p / K in the mean (one mode: mean dilatation; Simo, Taylor and
 Pister, CMAME 51 (1985) 177, for U(J) = K/2 (J - 1)^2). The pressure is a Newton unknown of its own, eliminated element
-by element from the linearised equations: slaved to the volume, p = K (v/V - 1), it makes the tangent indefinite at the
-first large step. The interior node is eliminated likewise.
+by element from the linearised equations (`condensation`): slaved to the volume, p = K (v/V - 1), it makes the tangent
+indefinite at the first large step. The interior node is eliminated likewise.
 """
 
 from functools import cache
@@ -32,10 +32,7 @@ class ElementFunctions(NamedTuple):
     add_weight: object
     add_inertia: object
     stiffen: object
-    scatter_force: object
     scatter_stiffness: object
-    interior: object
-    update: object
 
 
 @cache
@@ -324,32 +321,6 @@ def element_functions(element_name: str, energy: KernelEnergy,
         return good
 
     @ti.func
-    def interior(b, real: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(), rows_zr: ti.template(),
-                 rows_zz: ti.template(), inverse_rr: ti.template(), inverse_rz: ti.template(),
-                 inverse_zz: ti.template(), force_r: ti.template(), force_z: ti.template()):
-        """Eliminate the interior node's forces; returns the sum of their squares."""
-        squares = 0.0
-        if ti.static(has_centre):
-            f0, f1 = s[FR + centre], s[FZ + centre]
-            squares = (real[b] * (f0 * f0 + f1 * f1)).sum()
-            force_r[b], force_z[b] = inverse_rr[b] * f0 + inverse_rz[b] * f1, inverse_rz[b] * f0 + inverse_zz[b] * f1
-            for a in range(nb):
-                at = b * nb + a
-                s[FR + a] = s[FR + a] - (f0 * rows_rr[at] + f1 * rows_zr[at])
-                s[FZ + a] = s[FZ + a] - (f0 * rows_rz[at] + f1 * rows_zz[at])
-        return squares
-
-    @ti.func
-    def scatter_force(b, equations_r: ti.template(), equations_z: ti.template(), residual: ti.template()):
-        """Add the forces of the shared nodes to the residual."""
-        for a in range(nb):
-            at = b * nb + a
-            fr, fz = s[FR + a], s[FZ + a]
-            for l in ti.static(range(LANES)):
-                residual[equations_r[at, l]] = residual[equations_r[at, l]] + fr[l]
-                residual[equations_z[at, l]] = residual[equations_z[at, l]] + fz[l]
-
-    @ti.func
     def scatter_stiffness(b, places: ti.template(), stiffness: ti.template(), flat: ti.template(),
                           starts: ti.template(), pulls: ti.template(), factors: ti.template(), pull: ti.template()):
         """Add the stiffness of a batch to the band matrix, and to the forces of what moves with the tool."""
@@ -360,39 +331,4 @@ def element_functions(element_name: str, energy: KernelEnergy,
             at = pulls[i, 0]
             pull[at] = pull[at] + factors[i] * stiffness[pulls[i, 1]]
 
-    @ti.func
-    def update(b, kappa, x: ti.template(), pressures, step: ti.template(), elements: ti.template(),
-               dofs: ti.template(), real: ti.template(), moduli: ti.template(), volume_r: ti.template(),
-               volume_z: ti.template(), gap: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(),
-               rows_zr: ti.template(), rows_zz: ti.template(), force_r: ti.template(), force_z: ti.template()):
-        """Move what was eliminated, interior nodes and pressures, after the `step` of the shared nodes."""
-        for a in range(nb):
-            i = b * nodes + a
-            s[SR + a] = gather(step, dofs, i)
-            s[SZ + a] = ti.Vector([step[dofs[i, l] + 1] for l in ti.static(range(LANES))])
-        if ti.static(has_centre):
-            cr, cz = -force_r[b], -force_z[b]
-            for a in range(nb):
-                at = b * nb + a
-                cr = cr - (rows_rr[at] * s[SR + a] + rows_rz[at] * s[SZ + a])
-                cz = cz - (rows_zr[at] * s[SR + a] + rows_zz[at] * s[SZ + a])
-            s[SR + centre], s[SZ + centre] = cr, cz
-            i = b * nodes + centre
-            for l in ti.static(range(LANES)):
-                if real[b][l] > 0.0:
-                    x[dofs[i, l]] = x[dofs[i, l]] + cr[l]
-                    x[dofs[i, l] + 1] = x[dofs[i, l] + 1] + cz[l]
-        for m in range(modes):
-            at = b * modes + m
-            change = gap[at]
-            for a in range(nodes):
-                v = (b * modes + m) * nodes + a
-                change = change + volume_r[v] * s[SR + a] + volume_z[v] * s[SZ + a]
-            change = kappa * moduli[b] * change
-            for l in ti.static(range(LANES)):
-                if real[b][l] > 0.0:
-                    i = pressures + modes * elements[b, l] + m
-                    x[i] = x[i] + change[l]
-
-    return ElementFunctions(integrate, add_weight, add_inertia, stiffen, scatter_force, scatter_stiffness, interior,
-                            update)
+    return ElementFunctions(integrate, add_weight, add_inertia, stiffen, scatter_stiffness)

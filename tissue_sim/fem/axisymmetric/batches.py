@@ -30,7 +30,7 @@ class ElementBatches:
             with the tool. Targets are the equations, and the last one what meets itself; `pull_factors` multiply.
         stiffness: of one batch's pairs, rr, zr, rz, zz, [pairs] each.
         volume: dV/du of each pressure mode along r and along z [modes, nodes]; gap: what the volume differs from what
-            the pressure asks for [modes].
+            the pressure asks for [modes]; known_volume: dV/du that the matrix holds.
         centre_rows: motion of the interior node for one of the shared nodes, sign turned, rr, rz, zr, zz [shared
             nodes]; centre_inverse: of its own block, rr, rz, zz; centre_force: its motion for its forces, r, z.
     """
@@ -52,7 +52,7 @@ class ElementBatches:
         self.weights, self.modes, self.volumes = self._lanes(weights), self._lanes(modes), self._lanes(volumes)
         self.stiffness = np.zeros((4 * pairs, LANES))
         m = mesh.element.pressure_modes
-        self.volume = tuple(np.zeros((batches * m * nodes, LANES)) for _ in range(2))
+        self.volume, self.known_volume = np.zeros((2, 2, batches * m * nodes, LANES))
         self.gap = np.zeros((batches * m, LANES))
         self.centre_rows = tuple(np.zeros((batches * shared, LANES)) for _ in range(4))
         self.centre_inverse = tuple(np.zeros((batches, LANES)) for _ in range(3))
@@ -66,6 +66,7 @@ class ElementBatches:
     def eliminated(self) -> dict[str, np.ndarray]:
         """Arrays of what is eliminated from each element, by their names in the kernels."""
         named = dict(zip(("volume_r", "volume_z"), self.volume, strict=True))
+        named |= zip(("known_volume_r", "known_volume_z"), self.known_volume, strict=True)
         named |= zip(("rows_rr", "rows_rz", "rows_zr", "rows_zz"), self.centre_rows, strict=True)
         return named | dict(zip(("inverse_rr", "inverse_rz", "inverse_zz"), self.centre_inverse, strict=True))
 

@@ -24,8 +24,10 @@ NODE_RULES = {1: (np.array([-1.0, 1.0]), np.array([1.0, 1.0])),
 #: Columns of `ContactPoints.spans`.
 FIRST_LINE, LAST_LINE, SHAFT, MOVES, STAYS = range(5)
 #: Columns of `ContactPoints.rates`: of the force with the motion of the point, N/m; normal; coefficient of the
-#: friction that acts; force that the constraint still misses, N; what of the rates is that of contact laws, N/m.
-RR, RZ, ZR, ZZ, NORMAL_R, NORMAL_Z, FRICTION, MISSING_R, MISSING_Z, LAW_RR, LAW_RZ, LAW_ZZ, RATES = range(13)
+#: friction that acts; by how much the constraint is missed, m; what of the rates is that of contact laws, N/m.
+RR, RZ, ZR, ZZ, NORMAL_R, NORMAL_Z, FRICTION, MISSED_R, MISSED_Z, LAW_RR, LAW_RZ, LAW_ZZ, RATES = range(13)
+#: Columns of `ContactPoints.known_rates`: the rates that the matrix holds, and what of them is that of contact laws.
+KNOWN_LAW_RR, KNOWN_LAW_RZ, KNOWN_LAW_ZZ, KNOWN = range(4, 8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +151,7 @@ class ContactPoints:
             self._lengths[at] += (areas + 0.25 * areas.max() * (r == 0.0)) / length
         self.anchors, self.held, self.met = np.zeros((3, n, 3))
         self.pressed, self.ways, self.slipped = np.zeros((3, n))
-        self.forces, self.rates, self.known_rates = np.zeros((n, 2)), np.zeros((n, RATES)), np.zeros((n, 4))
+        self.forces, self.rates, self.known_rates = np.zeros((n, 2)), np.zeros((n, RATES)), np.zeros((n, KNOWN))
 
     @property
     def slips(self) -> bool:

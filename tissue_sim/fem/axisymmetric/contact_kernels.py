@@ -20,11 +20,14 @@ from typing import NamedTuple
 from tissue_sim.fem.axisymmetric.contact import (
     FRICTION,
     HOLD,
+    KNOWN_LAW_RR,
+    KNOWN_LAW_RZ,
+    KNOWN_LAW_ZZ,
     LAW_RR,
     LAW_RZ,
     LAW_ZZ,
-    MISSING_R,
-    MISSING_Z,
+    MISSED_R,
+    MISSED_Z,
     MOVES,
     NORMAL_R,
     NORMAL_Z,
@@ -108,7 +111,7 @@ def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
                 normal = ti.min(normal, 0.0)
             trial = normal + TRIAL * spring * gap
             acting = 0.0
-            fr, fz, krr, krz, kzr, kzz, missing_r, missing_z = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            fr, fz, krr, krz, kzr, kzz, missed_r, missed_z = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             bound = held[i, 0]
             drawn = changeable == ALL or (changeable > 0 and (7 * i + 5 * changeable) % DRAWN == 0)
             if changeable > 0 and bound != HELD:
@@ -128,13 +131,13 @@ def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
             if bound == HELD:
                 spring *= HOLD
                 dr, dz = ur - held[i, 1], uz - held[i, 2]
-                fr, fz, missing_r, missing_z = x[at], x[at + 1], spring * dr, spring * dz
+                fr, fz, missed_r, missed_z = x[at], x[at + 1], dr, dz
                 krr, kzz = spring, spring
                 violation = ti.max(violation, ti.sqrt(dr * dr + dz * dz))
             elif pressed[i] == 1.0:
                 tr, tz = -nz, nr
                 fr, fz = normal * nr, normal * nz
-                missing_r, missing_z = spring * gap * nr, spring * gap * nz
+                missed_r, missed_z = gap * nr, gap * nz
                 # Rates along the normal and the tangent: nn, nt, tn, tt.
                 nn, nt, tn, tt = spring, 0.0, 0.0, bending * normal * curved
                 violation = ti.max(violation, ti.abs(gap))
@@ -165,16 +168,14 @@ def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
                                 way = ways[i]
                     if way == 0.0:
                         tt += HOLD * spring - bending * curved * normal
-                        missing_r += HOLD * spring * slip * tr
-                        missing_z += HOLD * spring * slip * tz
+                        missed_r += slip * tr
+                        missed_z += slip * tz
                         met[i, 1], met[i, 2] = held[i, 1], held[i, 2]
                         violation = ti.max(violation, ti.abs(slip))
                     else:
                         drag = way * limit
                         slipping += 1
                         if trial < 0.0:
-                            missing_r -= way * mu * spring * gap * tr
-                            missing_z -= way * mu * spring * gap * tz
                             bent = bending * curved
                             nt += bent * (along - drag)
                             tn -= way * mu * spring
@@ -215,7 +216,7 @@ def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
             krr, krz, kzr, kzz = krr + lrr, krz + lrz, kzr + lrz, kzz + lzz
             rates[i, RR], rates[i, RZ], rates[i, ZR], rates[i, ZZ] = krr, krz, kzr, kzz
             rates[i, NORMAL_R], rates[i, NORMAL_Z], rates[i, FRICTION] = nr, nz, acting
-            rates[i, MISSING_R], rates[i, MISSING_Z] = missing_r, missing_z
+            rates[i, MISSED_R], rates[i, MISSED_Z] = missed_r, missed_z
             rates[i, LAW_RR], rates[i, LAW_RZ], rates[i, LAW_ZZ] = lrr, lrz, lzz
             axial += moves * fz
             squares += fr * fr + fz * fz
@@ -237,29 +238,38 @@ def functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
         return axial, squares, violation, slipping, switched, wanting
 
     @ti.func
-    def add_missing(count, nodes: ti.template(), shapes: ti.template(), rates: ti.template(),
+    def follow(i, pr, pz, rates: ti.template(), known: ti.template()):
+        """How the force of a point follows its motion and what its constraint missed, by the rates that the matrix
+        holds: any others, of stiff springs, would leave forces that nothing balances."""
+        krr, krz = known[i, RR] - known[i, KNOWN_LAW_RR], known[i, RZ] - known[i, KNOWN_LAW_RZ]
+        kzr, kzz = known[i, ZR] - known[i, KNOWN_LAW_RZ], known[i, ZZ] - known[i, KNOWN_LAW_ZZ]
+        wr, wz = pr + rates[i, MISSED_R], pz + rates[i, MISSED_Z]
+        return krr * wr + krz * wz, kzr * wr + kzz * wz
+
+    @ti.func
+    def add_missing(count, nodes: ti.template(), shapes: ti.template(), rates: ti.template(), known: ti.template(),
                     equation: ti.template(), residual: ti.template()):
         """Add to the right-hand side of a linear solution what the constraints still miss."""
         for i in range(count):
+            fr, fz = follow(i, 0.0, 0.0, rates, known)
             for a in range(shapes.shape[1]):
                 ir, iz = equation[2 * nodes[i, a]], equation[2 * nodes[i, a] + 1]
-                residual[ir] = residual[ir] + shapes[i, a] * rates[i, MISSING_R]
-                residual[iz] = residual[iz] + shapes[i, a] * rates[i, MISSING_Z]
+                residual[ir] = residual[ir] + shapes[i, a] * fr
+                residual[iz] = residual[iz] + shapes[i, a] * fz
 
     @ti.func
     def update_forces(count, move, multipliers, nodes: ti.template(), shapes: ti.template(), spans: ti.template(),
-                      rates: ti.template(), motion: ti.template(), x: ti.template()):
+                      rates: ti.template(), known: ti.template(), motion: ti.template(), x: ti.template()):
         """Let the forces follow a linear solution, in which the tool went down by `move`."""
         for i in range(count):
-            krr, krz = rates[i, RR] - rates[i, LAW_RR], rates[i, RZ] - rates[i, LAW_RZ]
-            kzr, kzz = rates[i, ZR] - rates[i, LAW_RZ], rates[i, ZZ] - rates[i, LAW_ZZ]
             pr, pz = 0.0, float(spans[i, MOVES]) * move
             for a in range(shapes.shape[1]):
                 pr += shapes[i, a] * motion[2 * nodes[i, a]]
                 pz += shapes[i, a] * motion[2 * nodes[i, a] + 1]
+            fr, fz = follow(i, pr, pz, rates, known)
             at = multipliers + 2 * i
-            x[at] = x[at] + rates[i, MISSING_R] + krr * pr + krz * pz
-            x[at + 1] = x[at + 1] + rates[i, MISSING_Z] + kzr * pr + kzz * pz
+            x[at] = x[at] + fr
+            x[at + 1] = x[at + 1] + fz
 
     @ti.func
     def take_off_forces(count, multipliers, nodes: ti.template(), shapes: ti.template(), equation: ti.template(),

@@ -3,7 +3,7 @@
 from functools import cache
 from typing import NamedTuple
 
-from tissue_sim.fem.axisymmetric.contact import FRICTION, MOVES, RZ, ZR, ZZ
+from tissue_sim.fem.axisymmetric.contact import FRICTION, KNOWN, LAW_RR, MOVES, RZ, ZR, ZZ
 from tissue_sim.fem.linear.band import BLOCK, add_any_function, add_entry_function
 from tissue_sim.fem.taichi.runtime import initialise
 
@@ -31,7 +31,7 @@ def rate_functions(slips: bool) -> RateFunctions:
     def forget_rates(count, known: ti.template()):
         """The matrix holds none."""
         for i in range(count):
-            for k in ti.static(range(4)):
+            for k in ti.static(range(KNOWN)):
                 known[i, k] = 0.0
 
     @ti.func
@@ -90,6 +90,8 @@ def rate_functions(slips: bool) -> RateFunctions:
                                     add_entry(row, column, value, free, width, entries)
                 for k in ti.static(range(4)):
                     known[i, k] = rates[i, k]
+                for k in ti.static(range(KNOWN - 4)):
+                    known[i, 4 + k] = rates[i, LAW_RR + k]
 
     @ti.func
     def add_tool_rates(count, free, nodes: ti.template(), shapes: ti.template(), spans: ti.template(),

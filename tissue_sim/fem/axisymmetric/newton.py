@@ -5,6 +5,7 @@ from functools import cache
 from tissue_sim.fem.axisymmetric import contact_kernels
 from tissue_sim.fem.axisymmetric.assembly import element_functions
 from tissue_sim.fem.axisymmetric.batches import LANES
+from tissue_sim.fem.axisymmetric.condensation import condensation_functions
 from tissue_sim.fem.axisymmetric.contact_rates import rate_functions
 from tissue_sim.fem.linear import band as band_matrix
 from tissue_sim.fem.linear.cholesky import cholesky_functions
@@ -16,12 +17,11 @@ from tissue_sim.laws import KernelEnergy
 
 #: Friction of a point that is no friction, as a share of the least load that residuals are measured against.
 FRICTION_FLOOR = 1e-9
-#: A factor serves again where each solve with it takes the residual down to this share, or where two more solves that
-#: gain as much as the last one will do.
-REUSE = 1e-3
-#: A solution that begins so far off is followed by a new tangent at once; that of a test, whose steps are longer than
-#: those in real time, from the second on.
-FAR = 100.0, 10.0
+#: A factor serves again where each solve with it takes the residual down to this share, or where so many more solves
+#: that gain as much as the last one will do: of a test, and in real time, whose smaller meshes have cheaper factors.
+GAIN, MORE = (1e-2, 1e-3), (3, 2)
+#: A solution that begins so far off is followed by a new tangent at once.
+FAR = 100.0
 #: After a linear solution contact settles on the tissue as it was linearised, whose factor follows the points that
 #: change, in so many rounds at most.
 ROUNDS = 8
@@ -53,7 +53,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
     `slips` against friction it contains the solution of unsymmetric equations.
     """
     ti = initialise()
-    work = element_functions(element_name, energy, effects)
+    work, own = element_functions(element_name, energy, effects), condensation_functions(element_name)
     vec = ti.types.vector(LANES, ti.f64)
     block = ti.types.vector(band_matrix.BLOCK, ti.f64)
     B = band_matrix.BLOCK
@@ -84,6 +84,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
              vector1, mode_values: vector1, volumes: vector1, moduli: vector1, equations_r: int2, equations_z: int2,
              places: int2, pull_starts: int1, pulls: int2, pull_factors: real1, k_rr: vector1, k_zr: vector1, k_rz:
              vector1, k_zz: vector1, element_stiffness: real1, volume_r: vector1, volume_z: vector1, gap: vector1,
+             known_volume_r: vector1, known_volume_z: vector1,
              rows_rr: vector1, rows_rz: vector1, rows_zr: vector1, rows_zz: vector1, inverse_rr: vector1, inverse_rz:
              vector1, inverse_zz: vector1, force_r: vector1, force_z: vector1, contact_nodes: int2, contact_shapes:
              real2, spans: int2, contact_places: real2, areas: real1, vertices: real2,
@@ -132,6 +133,9 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
             if counts[KEEPS] == 2:
                 bending = float(counts[BENDING])
             first, first_ratio, last_ratio, axial = 1, 0.0, 0.0, 0.0
+            gain, more = GAIN[0], MORE[0]
+            if counts[STIFFNESS_ASKED] == 1:
+                gain, more = GAIN[1], MORE[1]
             # The status lives in the report: Taichi 1.7.4 loses a local variable that a branch of such a loop sets.
             # Each solve may need more passes: for halves of it, for a tangent that was skipped, for points that have to
             # change, for contact that settles.
@@ -158,15 +162,16 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                     if inertia != 0.0:
                         work.add_inertia(b, inertia, settings[DENSITY], volumes, dofs, rest)
                     if tangent == 1:
+                        own.keep_volume(b, volume_r, volume_z, known_volume_r, known_volume_z)
                         definite = ti.min(definite, work.stiffen(
                             b, kappa, pending, inertia * settings[DENSITY], moduli, gradient_r, gradient_z, value_r,
                             dofs, motion, volumes, k_rr, k_zr, k_rz, k_zz, rows_rr, rows_rz, rows_zr, rows_zz,
                             inverse_rr, inverse_rz, inverse_zz))
                         work.scatter_stiffness(b, places, element_stiffness, scattered, pull_starts, pulls,
                                                pull_factors, pull)
-                    interior += work.interior(b, real, rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr, inverse_rz,
-                                              inverse_zz, force_r, force_z)
-                    work.scatter_force(b, equations_r, equations_z, residual)
+                    interior += own.interior(b, real, rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr, inverse_rz,
+                                             inverse_zz, force_r, force_z)
+                    own.scatter_force(b, equations_r, equations_z, residual)
                 if smallest <= 0.0 and halvings < HALVINGS:
                     halvings += 1
                     for i in range(x.shape[0]):
@@ -281,8 +286,8 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                     report[STATUS] = slow
                 elif iterations > first + 2 and ratio > 1e3 * ti.max(first_ratio, 1.0):
                     report[STATUS] = diverged
-                elif tangent == 0 and (switched > 0 or (ratio > REUSE * last_ratio and (
-                        ratio * ratio * ratio > goal * last_ratio * last_ratio))):
+                elif tangent == 0 and (switched > 0 or (
+                        ratio > gain * last_ratio and ratio * (ratio / last_ratio)**more > goal)):
                     tangent = 1
                 else:
                     solves = 1
@@ -304,7 +309,12 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                                 if equation[dof] >= free:
                                     stiff += inertia * masses[dof] * direction[dof] * direction[dof]
                     if solves == 1:
-                        contact.add_missing(counts[CONTACTS], contact_nodes, contact_shapes, contact_rates,
+                        for b in range(batches if part == WHOLE and fresh == 0 else 0):
+                            own.add_known_volume(b, kappa, real, moduli, volume_r, volume_z, known_volume_r,
+                                                 known_volume_z, gap, rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr,
+                                                 inverse_rz, inverse_zz, force_r, force_z, equations_r, equations_z,
+                                                 residual)
+                        contact.add_missing(counts[CONTACTS], contact_nodes, contact_shapes, contact_rates, known_rates,
                                             equation, residual)
                     for I in range(rows):
                         for k in ti.static(range(B)):
@@ -358,14 +368,13 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                                 motion[dof] = -right[i // B][i % B]
                                 x[dof] = x[dof] + motion[dof]
                         for b in range(batches):
-                            work.update(b, kappa, x, pressures, motion, elements, dofs, real, moduli, volume_r,
-                                        volume_z, gap, rows_rr, rows_rz, rows_zr, rows_zz, force_r, force_z)
+                            own.update(b, kappa, x, pressures, motion, elements, dofs, real, moduli, known_volume_r,
+                                       known_volume_z, gap, rows_rr, rows_rz, rows_zr, rows_zz, force_r, force_z)
                         contact.update_forces(counts[CONTACTS], depth - tool, multipliers, contact_nodes,
-                                              contact_shapes, spans, contact_rates, motion, x)
+                                              contact_shapes, spans, contact_rates, known_rates, motion, x)
                         if part == WHOLE:
                             # Where the old factor is likely to serve again, only the residual is computed first.
-                            tangent = 1 if pending == 1 or ratio > FAR[0] or (
-                                ratio > FAR[1] and counts[STIFFNESS_ASKED] == 0) else 0
+                            tangent = 1 if pending == 1 or ratio > FAR else 0
                             last_ratio = ratio
                             bending = 1.0 if ratio < 0.1 else 0.0
                             pending, settled = 0, 0

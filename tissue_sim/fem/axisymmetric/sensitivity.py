@@ -99,7 +99,9 @@ class Sensitivity:
     def _rates_at_points(self, m: int, terms: int) -> dict[str, np.ndarray]:
         """Of the memory: a row of lanes for each batch, point, parameter, term and component, the last ones fastest."""
         batches, q = self._equations.batches.batches, self._equations.reference.weights.shape[1]
-        rows = {"centre_r": m, "centre_z": m, "way_r": 1, "way_z": 1, "law": KEPT * q}
+        modes = self._equations.mesh.element.pressure_modes
+        rows = {"centre_r": m, "centre_z": m, "way_r": 1, "way_z": 1, "law": KEPT * q, "pressure_rates": modes,
+                "swelling": modes}
         of_memory = {"largest_rates": m * q, "energy_rates": m * q, "stress_rates": 4 * m * q,
                      "before_rates": 4 * m * q, "internal_rates": 4 * m * terms * q}
         rows |= of_memory if self._equations.memory.works else dict.fromkeys(of_memory, 0)

@@ -1,6 +1,7 @@
 """The exact tangent of elastic tissue times a motion, element by element, as Taichi functions.
 
-With it the last factor of a step, which is that of a tangent nearby, solves the equations of the exact one.
+With it the last factor of a step, which is that of a tangent nearby, solves the equations of the exact one: those of
+displacements and pressures, which that tangent is near whatever K/mu is (`condensation`).
 """
 
 from functools import cache
@@ -17,7 +18,7 @@ class ProductFunctions(NamedTuple):
     """Taichi functions of one element."""
 
     add_product: object
-    move_interior: object
+    follow: object
 
 
 @cache
@@ -34,16 +35,19 @@ def product_functions(element_name: str) -> ProductFunctions:
     row = point.PLACE
 
     @ti.func
-    def add_product(b, k, kappa, batches, one, tangents: ti.template(), dx: ti.template(), dofs: ti.template(),
-                    gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template(), moduli:
+    def add_product(b, k, kappa, batches, one, tangents: ti.template(), dx: ti.template(), dofs: ti.template(), real:
+                    ti.template(), gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template(), moduli:
                     ti.template(), equations_r: ti.template(), equations_z: ti.template(), volume_r: ti.template(),
-                    volume_z: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(), rows_zr: ti.template(),
-                    rows_zz: ti.template(), inverse_rr: ti.template(), inverse_rz: ti.template(), inverse_zz:
-                    ti.template(), centre_r: ti.template(), centre_z: ti.template(), way_r: ti.template(), way_z:
-                    ti.template(), residual: ti.template()):
-        """Add the forces that row k of `dx` makes to the residual, and note in `way_r`, `way_z` how the interior nodes
-        go for theirs, those without motion (`centre_r`, `centre_z`) included; `tangents` are those of the points times
-        their weight, the pressures eliminated."""
+                    volume_z: ti.template(), known_r: ti.template(), known_z: ti.template(), pressure_rates:
+                    ti.template(), swelling: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(), rows_zr:
+                    ti.template(), rows_zz: ti.template(), inverse_rr: ti.template(), inverse_rz: ti.template(),
+                    inverse_zz: ti.template(), centre_r: ti.template(), centre_z: ti.template(), way_r: ti.template(),
+                    way_z: ti.template(), residual: ti.template()):
+        """Add the forces that row k of `dx` and `pressure_rates` make to the residual, and note in `way_r`, `way_z` how
+        the interior nodes go for theirs, those without motion (`centre_r`, `centre_z`) included, and in `swelling` by
+        how much the volume misses what the pressures ask for, which is eliminated with the rates that the matrix holds
+        (`known_r`, `known_z`); `tangents` are those of the points times their weight. Returns the sum of what other
+        forces these rates make of that than those of now."""
         for a in range(nodes):
             i = b * nodes + a
             s[UR + a] = ti.Vector([dx[k, dofs[i, l]] for l in ti.static(range(LANES))])
@@ -75,16 +79,22 @@ def product_functions(element_name: str) -> ProductFunctions:
                 fr = fr + s[at] * gr + s[at + 1] * gz + s[at + 4] * gh
                 fz = fz + s[at + 2] * gr + s[at + 3] * gz
             s[FR + a], s[FZ + a] = fr, fz
+        aside = vec(0.0)
         for m in range(modes):
-            swells = vec(0.0)
+            mode = b * modes + m
+            p, bulk = pressure_rates[mode], kappa * moduli[b]
+            missed = -p / bulk
             for a in range(nodes):
-                v = (b * modes + m) * nodes + a
-                swells = swells + volume_r[v] * s[UR + a] + volume_z[v] * s[UZ + a]
-            p = kappa * moduli[b] * swells
+                v = mode * nodes + a
+                missed = missed + volume_r[v] * s[UR + a] + volume_z[v] * s[UZ + a]
+            swelling[mode] = missed
+            missed = bulk * missed
             for a in range(nodes):
-                v = (b * modes + m) * nodes + a
-                s[FR + a] = s[FR + a] + p * volume_r[v]
-                s[FZ + a] = s[FZ + a] + p * volume_z[v]
+                v = mode * nodes + a
+                s[FR + a] = s[FR + a] + p * volume_r[v] + missed * known_r[v]
+                s[FZ + a] = s[FZ + a] + p * volume_z[v] + missed * known_z[v]
+                aside = aside + ti.abs(missed * (known_r[v] - volume_r[v])) + ti.abs(
+                    missed * (known_z[v] - volume_z[v]))
         if ti.static(has_centre):
             own = k * batches + b
             f0, f1 = s[FR + centre], s[FZ + centre]
@@ -100,24 +110,37 @@ def product_functions(element_name: str) -> ProductFunctions:
             for l in ti.static(range(LANES)):
                 residual[equations_r[at, l]] = residual[equations_r[at, l]] + fr[l]
                 residual[equations_z[at, l]] = residual[equations_z[at, l]] + fz[l]
+        return (real[b] * aside).sum()
 
     @ti.func
-    def move_interior(b, k, motion: ti.template(), dofs: ti.template(), real: ti.template(), rows_rr: ti.template(),
-                      rows_rz: ti.template(), rows_zr: ti.template(), rows_zz: ti.template(), way_r: ti.template(),
-                      way_z: ti.template(), dx: ti.template()):
-        """Let the interior nodes of row k of `dx` follow their forces and the `motion` of the shared nodes."""
+    def follow(b, k, kappa, motion: ti.template(), dofs: ti.template(), real: ti.template(), moduli: ti.template(),
+               known_r: ti.template(), known_z: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(),
+               rows_zr: ti.template(), rows_zz: ti.template(), way_r: ti.template(), way_z: ti.template(),
+               pressure_rates: ti.template(), swelling: ti.template(), dx: ti.template()):
+        """Let the interior nodes of row k of `dx` and the pressures follow the `motion` of the shared nodes, and what
+        was missed before."""
+        for a in range(nb):
+            i = b * nodes + a
+            s[UR + a] = ti.Vector([motion[dofs[i, l]] for l in ti.static(range(LANES))])
+            s[UZ + a] = ti.Vector([motion[dofs[i, l] + 1] for l in ti.static(range(LANES))])
         if ti.static(has_centre):
             cr, cz = -way_r[b], -way_z[b]
             for a in range(nb):
-                i, at = b * nodes + a, b * nb + a
-                sr = ti.Vector([motion[dofs[i, l]] for l in ti.static(range(LANES))])
-                sz = ti.Vector([motion[dofs[i, l] + 1] for l in ti.static(range(LANES))])
-                cr = cr - (rows_rr[at] * sr + rows_rz[at] * sz)
-                cz = cz - (rows_zr[at] * sr + rows_zz[at] * sz)
+                at = b * nb + a
+                cr = cr - (rows_rr[at] * s[UR + a] + rows_rz[at] * s[UZ + a])
+                cz = cz - (rows_zr[at] * s[UR + a] + rows_zz[at] * s[UZ + a])
+            s[UR + centre], s[UZ + centre] = cr, cz
             i = b * nodes + centre
             for l in ti.static(range(LANES)):
                 if real[b][l] > 0.0:
                     dx[k, dofs[i, l]] = dx[k, dofs[i, l]] + cr[l]
                     dx[k, dofs[i, l] + 1] = dx[k, dofs[i, l] + 1] + cz[l]
+        for m in range(modes):
+            mode = b * modes + m
+            change = swelling[mode]
+            for a in range(nodes):
+                v = mode * nodes + a
+                change = change + known_r[v] * s[UR + a] + known_z[v] * s[UZ + a]
+            pressure_rates[mode] = pressure_rates[mode] + kappa * moduli[b] * change
 
-    return ProductFunctions(add_product, move_interior)
+    return ProductFunctions(add_product, follow)

@@ -158,8 +158,8 @@ class ContactNodes:
         bound: `FREE`, `HELD` or `TOUCHED`; anchors: where, as a displacement in the body's frame, m, shape (n, 3).
         pressed, slips: states of a step, shape (n,); slipped: which slipped at the last equilibrium.
         forces: of contact and friction on the bodies, N, in the frame of the mesh, shape (n, 3).
-        rates: of all forces with the motion of the nodes against their bodies, N/m, shape (n, 3, 3); missing: what
-            their constraints still miss, N, shape (n, 3).
+        rates: of all forces with the motion of the nodes against their bodies, N/m, shape (n, 3, 3); known_rates: those
+            that the matrix holds, without laws. missed: by how much the constraints are, m, shape (n, 3).
         state: what each does where it was looked at last.
     """
 
@@ -190,8 +190,8 @@ class ContactNodes:
         self._met, self._met_at = self.bound.copy(), self.anchors.copy()
         self.pressed, self.slips, self.slipped = np.zeros((3, n), dtype=bool)
         self._ways, self.ways_before = np.zeros((2, n, 3))
-        self.forces, self.missing = np.zeros((2, n, 3))
-        self.rates = np.zeros((n, 3, 3))
+        self.forces, self.missed = np.zeros((2, n, 3))
+        self.rates, self.known_rates = np.zeros((2, n, 3, 3))
         self.normals = np.zeros((n, 3))
         self.laws = laws or NodeLaws()
         self._law_forces, self._law_rates = np.zeros((n, 3)), np.zeros((n, 3, 3))
@@ -279,7 +279,7 @@ class ContactNodes:
             tolerance: how far a condition may be violated, m.
         """
         n = len(self.nodes)
-        self.rates[:], self.missing[:] = 0.0, 0.0
+        self.rates[:], self.missed[:] = 0.0, 0.0
         travel, gap, curved, shaft, turn, meridians = self._measure(displacement, frame)
         normals, forces, springs = self.normals, self.forces, self.springs
         mu = np.where(shaft, self._friction[:, 1], self._friction[:, 0])
@@ -309,11 +309,11 @@ class ContactNodes:
         # Held where they touched.
         stiff = (HOLD * springs)[:, None, None] * eye
         self.rates[held] = stiff[held]
-        self.missing[held] = HOLD * springs[held, None] * slip[held]
+        self.missed[held] = slip[held]
         found_forces[held] = forces[held]
         # Pressed: no way into the body, and along its surface what friction says.
         rates = springs[:, None, None] * nn + bending * normal[:, None, None] * curved
-        missing = (springs * gap)[:, None] * normals
+        missed = gap[:, None] * normals
         pushed = normal[:, None] * normals
         rubs = pressed & (mu > 0.0) & (self.held == TOUCHED) & (mu * np.maximum(-trial, 0.0) > negligible)
         limit = mu * np.maximum(-normal, 0.0)
@@ -337,18 +337,16 @@ class ContactNodes:
         ways = self._ways
         tangent = eye - nn
         rates = np.where(sticks[:, None, None], rates + (HOLD * springs)[:, None, None] * tangent, rates)
-        missing = np.where(sticks[:, None], missing + (HOLD * springs)[:, None] * along, missing)
+        missed = np.where(sticks[:, None], missed + along, missed)
         pushed = np.where(sticks[:, None], pushed + tangential, pushed)
         dragged = -(mu * springs)[:, None, None] * ways[:, :, None] * normals[:, None]
         steer = np.minimum(limit / np.maximum(length, 1e-300), HOLD * springs)
         dragged = dragged + steer[:, None, None] * (tangent - ways[:, :, None] * ways[:, None])
         rates = np.where(sliding[:, None, None], rates + dragged, rates)
-        missing = np.where(sliding[:, None], missing - (mu * springs * gap)[:, None] * ways, missing)
         pushed = np.where(sliding[:, None], pushed + limit[:, None] * ways, pushed)
-        if sticks.any():
-            violation = max(violation, length[sticks].max())
-        self.rates[pressed], self.missing[pressed], found_forces[pressed] = (
-            rates[pressed], missing[pressed], pushed[pressed])
+        violation = max(violation, length[sticks].max(initial=0.0))
+        for noted, found in ((self.rates, rates), (self.missed, missed), (found_forces, pushed)):
+            noted[pressed] = found[pressed]
         forces[:] = found_forces
         near = self.moves & (self.held == TOUCHED) & (gap < self.laws.reach)
         if self.laws:
@@ -372,10 +370,13 @@ class ContactNodes:
                                   springs, HOLD * springs, normals, slip, ways, curved, turn)
         return Look(float(violation), int(sliding.sum()), switched, wanting)
 
+    def keep_rates(self) -> None:
+        """Those of now, without those of laws, are those that the matrix holds of the contact."""
+        self.known_rates[:] = self.rates - self._law_rates
+
     def follow(self, motion: np.ndarray) -> None:
         """Let the forces follow a linear solution in which the nodes moved so against their bodies, m, shape (n, 3)."""
-        rates = self.rates - self._law_rates if self.laws else self.rates
-        self.forces += self.missing + np.einsum("nij,nj->ni", rates, motion)
+        self.forces += np.einsum("nij,nj->ni", self.known_rates, self.missed + motion)
 
     def release(self) -> int:
         """Let go of nodes that are held and pull at an equilibrium; returns how many there are."""

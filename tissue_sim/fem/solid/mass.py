@@ -51,11 +51,12 @@ class Mass:
         """Before a step of dt (s) from displacements x, m, shape (freedoms,)."""
         self.rate = self.motion.prepare(x, dt) if inertial else 0.0
 
-    def resist(self, x: np.ndarray, residual: np.ndarray, matrix: Any) -> None:
-        """Add forces of inertia at displacements x, m, to the residual, N, and their rates to the matrix."""
+    def resist(self, x: np.ndarray, residual: np.ndarray, matrix: Any | None) -> None:
+        """Add forces of inertia at displacements x, m, to the residual, N, and their rates to a matrix."""
         if self.rate:
             residual[:] += self.rate * self._masses * (x - self._rest)
-            matrix.data[self._diagonal] += self.rate * self._masses
+            if matrix is not None:
+                matrix.data[self._diagonal] += self.rate * self._masses
 
     def ahead(self, x: np.ndarray, dt: float, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See `Motion.ahead`."""

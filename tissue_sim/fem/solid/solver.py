@@ -19,6 +19,7 @@ from tissue_sim.fem.solid.mass import Mass
 from tissue_sim.fem.solid.sensitivity import SolidParts, SolidSensitivity
 from tissue_sim.fem.solid.state import Sample, SavedState
 from tissue_sim.fem.solid.surface import SolidSurface
+from tissue_sim.fem.solid.tangent import Tangent
 from tissue_sim.fem.solid.tissue import Tissue
 from tissue_sim.fem.solid.tool_wrench import Grip, rows
 from tissue_sim.fem.solver import Neighbours, Solver, Step, StepStatus
@@ -93,8 +94,9 @@ class SolidSolver(Solver):
         if lift is not None:
             self.contact.places[self.contact.moves, 2] -= lift[self.contact.nodes[self.contact.moves]]
         self.contact.bring_down(start, datum, self.x.reshape(-1, 3), None if settled is None else settled.contact)
-        self._sparse = SparseSolver()
         self._matrix = FreePart(self.batches.matrix, self._free, freedoms[self.contact.nodes])
+        self._sparse = SparseSolver()
+        self._tangent = Tangent(self.tissue, self.contact, self._matrix, self._sparse, self._free)
         self._largest_force, self._asked, self._modulus, self._least = 0.0, False, 0.0, 0.0
         self._committed, self._rest = (tuple(array.copy() for array in self._state) for _ in range(2))
         self._derivatives: SolidSensitivity | None = None
@@ -169,7 +171,7 @@ class SolidSolver(Solver):
 
     def _iterate(self, frame: Frame, tolerance: float, max_iterations: int) -> Step:
         """Newton's iteration from the state as it is."""
-        contact, batches, x = self.contact, self.batches, self.x
+        contact, batches, x, tangent = self.contact, self.batches, self.x, self._tangent
         goal = self.held_displacement(frame)
         here = self._here
         way = np.zeros_like(x)
@@ -180,9 +182,9 @@ class SolidSolver(Solver):
         changeable, bending, iterations, halvings = ALL, 0.0, 0, 0
         floor = max(self._floor, _FLOOR_SHARE * self._largest_force)
         before = first_ratio = None
-        factor: Factor | None = None
+        tangent.stale = False
         while True:
-            self._assemble()
+            self._assemble(not tangent.stale)
             if self._least <= 0.0 and before is not None and halvings < _HALVINGS:
                 halvings += 1
                 for array, earlier in zip(self._state, before, strict=True):
@@ -205,8 +207,10 @@ class SolidSolver(Solver):
                 status = StepStatus.DIVERGED
             elif not pending and ratio <= tolerance and look.violation <= self._tolerance and not look.wanting:
                 if contact.release():
-                    changeable, first_ratio = ALL, None
+                    changeable, first_ratio, tangent.stale = ALL, None, False
                     continue
+                if tangent.stale and (self._asked or self._derivatives is not None):
+                    self._assemble()
                 if self._derivatives is not None:
                     # They are those of this step, whose bonds are the earlier ones.
                     contact.look(displacement, frame, 0, 0.0, 1.0, _FRICTION_FLOOR * floor, self._tolerance)
@@ -224,8 +228,12 @@ class SolidSolver(Solver):
                 status = StepStatus.DIVERGED
             if status is not None and not (status is StepStatus.CONVERGED and self._asked):
                 return self._answer(status, iterations, ratio, look, frame)
-            self._matrix.add(contact.rates)
-            factor = self._sparse.factorise(self._matrix.free, symmetric=not look.slipping)
+            if tangent.stale and status is None and not tangent.serves(ratio, tolerance, look.switched > 0):
+                tangent.stale, changeable = False, 0
+                continue
+            if status is not None or not tangent.stale:
+                tangent.factorise(symmetric=not look.slipping)
+            factor = tangent.factor
             if factor is None or not factor.definite:
                 if bending > 0.0 and status is None:
                     bending = 0.0
@@ -237,23 +245,16 @@ class SolidSolver(Solver):
                 return self._answer(status, iterations, ratio, look, frame, factor)
             if iterations == 1:
                 first_ratio = ratio
-            right = residual
-            np.add.at(right.reshape(-1, 3), contact.nodes, contact.missing)
-            motion = np.zeros_like(x)
-            apart = np.zeros_like(displacement)
-            if pending:
-                motion += way
-                apart = -np.where(contact.moves[:, None], tool_way, 0.0)
-                np.add.at(right.reshape(-1, 3), contact.nodes, np.einsum("nij,nj->ni", contact.rates, apart))
-                right += self._matrix.all @ way
+            apart = -np.where(contact.moves[:, None] & pending, tool_way, 0.0)
             before = tuple(array.copy() for array in self._state)
-            motion[self._free] = -factor.solve(right[self._free])
+            motion = tangent.solve(residual, way if pending else None, apart)
             x += motion
             self.tissue.follow(motion)
             contact.follow(motion.reshape(-1, 3)[contact.nodes] + apart)
             self._here = frame
             iterations += 1
             halvings = _HALVINGS if pending else 0  # the tool's way is not cut in here
+            tangent.keep(ratio, far=pending)
             pending = False
             changeable = ALL if iterations < _CIRCLING else iterations
             bending = 1.0 if ratio < 0.1 else 0.0
@@ -273,8 +274,10 @@ class SolidSolver(Solver):
 
     def _assemble(self, tangent: bool = True) -> None:
         self._least = self.tissue.assemble(tangent)
+        if tangent:
+            self.batches.keep_volume_rates()
         if self._mass is not None:
-            self._mass.resist(self.x, self.batches.residual[:-1], self._matrix.all)
+            self._mass.resist(self.x, self.batches.residual[:-1], self._matrix.all if tangent else None)
 
     def _grip(self, frame: Frame) -> Grip:
         return Grip(frame, self._moved, self._places_of(self._bonded),
@@ -295,8 +298,7 @@ class SolidSolver(Solver):
         self._mass.rate, rate = 0.0, self._mass.rate
         self._assemble()
         self._mass.rate = rate
-        self._matrix.add(self.contact.rates)
-        factor = self._sparse.factorise(self._matrix.free, symmetric=not self.contact.state.slides.any())
+        factor = self._tangent.factorise(symmetric=not self.contact.state.slides.any())
         if factor is None or not factor.definite:
             return None
         return rows(self._grip(frame).stiffness(self._matrix.all, factor, self._free)[0])

@@ -147,6 +147,10 @@ class Tissue:
         """Let the pressures follow a linear solution, in which the freedoms moved so, shape (freedoms,), m."""
         self.batches.follow(motion, self.bulk_moduli)
 
+    def add_known_volumes(self, forces: np.ndarray) -> None:
+        """See `ElementBatches.add_known_volumes`."""
+        self.batches.add_known_volumes(forces, self.bulk_moduli)
+
     def prepare(self, dt: float) -> None:
         """Before a step; see `Memory.prepare`."""
         for region in self._regions:
