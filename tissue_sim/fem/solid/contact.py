@@ -158,8 +158,8 @@ class ContactNodes:
         bound: `FREE`, `HELD` or `TOUCHED`; anchors: where, as a displacement in the body's frame, m, shape (n, 3).
         pressed, slips: states of a step, shape (n,); slipped: which slipped at the last equilibrium.
         forces: of contact and friction on the bodies, N, in the frame of the mesh, shape (n, 3).
-        rates: of all forces with the motion of the nodes against their bodies, N/m, shape (n, 3, 3); known_rates: those
-            that the matrix holds, without laws. missed: by how much the constraints are, m, shape (n, 3).
+        rates: of all forces with the motion of the nodes against their bodies, N/m, shape (n, 3, 3); known_rates: in the
+            matrix, without laws. missed: by how much the constraints are, m, shape (n, 3).
         state: what each does where it was looked at last.
     """
 
@@ -190,11 +190,9 @@ class ContactNodes:
         self._met, self._met_at = self.bound.copy(), self.anchors.copy()
         self.pressed, self.slips, self.slipped = np.zeros((3, n), dtype=bool)
         self._ways, self.ways_before = np.zeros((2, n, 3))
-        self.forces, self.missed = np.zeros((2, n, 3))
-        self.rates, self.known_rates = np.zeros((2, n, 3, 3))
-        self.normals = np.zeros((n, 3))
+        self.forces, self.missed, self.normals, self._law_forces = np.zeros((4, n, 3))
+        self.rates, self.known_rates, self._law_rates = np.zeros((3, n, 3, 3))
         self.laws = laws or NodeLaws()
-        self._law_forces, self._law_rates = np.zeros((n, 3)), np.zeros((n, 3, 3))
 
     @property
     def acting(self) -> np.ndarray:
