@@ -26,6 +26,11 @@ def arrays(**changes):
     return {"x": np.arange(3.0), "factor": np.array([2.0]), "y": np.zeros((3, 2))} | changes
 
 
+def test_what_others_have_compiled_is_kept():
+    """Taichi's own bound is seven of our larger kernels."""
+    assert initialise().lang.impl.current_cfg().offline_cache_max_size_of_files > 100 * 15e6
+
+
 def test_bound_call_is_a_plain_call(kernel):
     bound, plain = arrays(), np.zeros((3, 2))
     run = launch.BoundKernel(kernel, bound)
