@@ -63,7 +63,7 @@ def data_folder() -> Path:
 
 @pytest.fixture
 def undrawn(monkeypatch):
-    """Figures of reports are composed and not drawn, which takes longer than most fits; each is the same black pixel."""
+    """Figures of reports are composed and not drawn, which takes longer than most fits: each is one black pixel."""
     from PIL import Image
 
     pixel = io.BytesIO()

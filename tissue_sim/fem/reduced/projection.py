@@ -3,8 +3,9 @@
 from functools import cache
 
 from tissue_sim.fem.solid.batches import LANES
-from tissue_sim.fem.solid.element import KAPPA, REMEMBERS, element_functions
+from tissue_sim.fem.solid.element import KAPPA, REMEMBERS, SCRATCH, element_functions
 from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.taichi.scratch import scratch
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.solid import SOLID_ELEMENTS
 
@@ -25,7 +26,7 @@ def projection_kernel(element_name: str, energy: KernelEnergy):
     freedoms = 3 * nodes
     integrate, stiffen = element_functions(element_name, energy)
     vec = ti.types.vector(LANES, ti.f64)
-    row = ti.Vector.field(LANES, ti.f64, shape=2 * freedoms)
+    s = scratch(LANES, SCRATCH + 2 * freedoms)
     real1, real2, real3 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2, 3))
     int1, int2 = (ti.types.ndarray(ti.i32, ndim=n) for n in (1, 2))
     vector1 = ti.types.ndarray(vec, ndim=1)
@@ -39,12 +40,12 @@ def projection_kernel(element_name: str, energy: KernelEnergy):
             moved = vec(0.0)
             for j in range(modes):
                 moved = moved + basis[(b * freedoms + i) * modes + j] * change[j]
-            row[i] = moved
+            s[SCRATCH + i] = moved
         for m in range(pressure_modes):
             at = b * pressure_modes + m
             gap = gaps[at]
             for i in range(freedoms):
-                gap = gap + volume_rates[at * freedoms + i] * row[i]
+                gap = gap + volume_rates[at * freedoms + i] * s[SCRATCH + i]
             pressures[at] = pressures[at] + bulk * gap
 
     @ti.func
@@ -54,27 +55,27 @@ def projection_kernel(element_name: str, energy: KernelEnergy):
         for half in range(modes // 2):
             j = 2 * half
             for i in range(2 * freedoms):
-                row[i] = vec(0.0)
+                s[SCRATCH + i] = vec(0.0)
             for c in range(nodes):
                 at_c = (b * freedoms + 3 * c) * modes + j
                 C = [basis[at_c + k * modes] for k in ti.static(range(3))]
                 D = [basis[at_c + k * modes + 1] for k in ti.static(range(3))]
-                Y = [row[6 * c + i] for i in ti.static(range(6))]
+                Y = [s[SCRATCH + 6 * c + i] for i in ti.static(range(6))]
                 for a in range(c):
                     # The force on a along i for a motion of c along k stands at 3 k + i.
                     pair = 9 * (c * (c + 1) // 2 + a)
                     at_a = (b * freedoms + 3 * a) * modes + j
                     for i in ti.static(range(3)):
                         moved_a, moved_e = basis[at_a + i * modes], basis[at_a + i * modes + 1]
-                        one, other = row[6 * a + i], row[6 * a + 3 + i]
+                        one, other = s[SCRATCH + 6 * a + i], s[SCRATCH + 6 * a + 3 + i]
                         for k in ti.static(range(3)):
                             K = stiffness[pair + 3 * k + i]
                             one = one + K * C[k]
                             other = other + K * D[k]
                             Y[k] = Y[k] + K * moved_a
                             Y[ti.static(3 + k)] = Y[ti.static(3 + k)] + K * moved_e
-                        row[6 * a + i] = one
-                        row[6 * a + 3 + i] = other
+                        s[SCRATCH + 6 * a + i] = one
+                        s[SCRATCH + 6 * a + 3 + i] = other
                 own = 9 * (c * (c + 1) // 2 + c)
                 for i in ti.static(range(3)):
                     one, other = Y[i], Y[ti.static(3 + i)]
@@ -82,16 +83,17 @@ def projection_kernel(element_name: str, energy: KernelEnergy):
                         K = stiffness[own + 3 * k + i]
                         one = one + K * C[k]
                         other = other + K * D[k]
-                    row[6 * c + i] = one
-                    row[6 * c + 3 + i] = other
+                    s[SCRATCH + 6 * c + i] = one
+                    s[SCRATCH + 6 * c + 3 + i] = other
             for h in range(j + 2):
                 y0, y1, y2 = vec(0.0), vec(0.0), vec(0.0)
                 z0, z1, z2 = vec(0.0), vec(0.0), vec(0.0)
                 for c in range(nodes):
                     at = (b * freedoms + 3 * c) * modes + h
                     m0, m1, m2 = basis[at], basis[at + modes], basis[at + 2 * modes]
-                    y0, y1, y2 = y0 + m0 * row[6 * c], y1 + m1 * row[6 * c + 1], y2 + m2 * row[6 * c + 2]
-                    z0, z1, z2 = z0 + m0 * row[6 * c + 3], z1 + m1 * row[6 * c + 4], z2 + m2 * row[6 * c + 5]
+                    row = SCRATCH + 6 * c
+                    y0, y1, y2 = y0 + m0 * s[row], y1 + m1 * s[row + 1], y2 + m2 * s[row + 2]
+                    z0, z1, z2 = z0 + m0 * s[row + 3], z1 + m1 * s[row + 4], z2 + m2 * s[row + 5]
                 if h <= j:
                     tangents[group, h, j] = tangents[group, h, j] + (y0 + y1 + y2).sum()
                 tangents[group, h, j + 1] = tangents[group, h, j + 1] + (z0 + z1 + z2).sum()
