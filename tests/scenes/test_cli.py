@@ -34,7 +34,7 @@ for words in json.loads(sys.argv[1]):
 
 @pytest.fixture(scope="module")
 def answers():
-    """Of one process that is asked for help in every way: exit code, what is said, and what has been imported by then."""
+    """Of one process that is asked for help in every way: exit code, what is said, what has been imported by then."""
     done = subprocess.run([sys.executable, "-c", ANSWERS, json.dumps(HELPS)], cwd=ROOT, capture_output=True, text=True,
                           encoding="utf-8")
     assert (done.returncode, done.stderr) == (0, "")
