@@ -17,6 +17,8 @@ def main() -> None:
         ts.sensitivities(ts.Model(bonded, material), [parameter])
         ts.simulate(ts.Model(bonded, material), mesh=linear)
     ts.simulate(ts.Model(slipping, polynomial))
+    for resolution in ("realtime", "fast"):
+        ts.simulate(ts.Model(bonded, polynomial), solver="solid", resolution=resolution)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Folders that tests share, and the order of the tests."""
 
 import gc
+import io
 import os
 import subprocess
 import sys
@@ -58,6 +59,16 @@ def data_folder() -> Path:
                     "docs/viscoelasticity.md say where they are; set TISSUE_SIM_DATA to the folder that holds "
                     "ecoflex_compression and the others")
     return folder
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Figures of reports are composed and not drawn, which takes longer than most fits: each is one black pixel."""
+    from PIL import Image
+
+    pixel = io.BytesIO()
+    Image.new("RGB", (1, 1)).save(pixel, "png")
+    monkeypatch.setattr("calibration.report.drawing.as_png", lambda figure: pixel.getvalue())
 
 
 class Compilation:

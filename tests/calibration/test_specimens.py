@@ -16,6 +16,8 @@ from scenes.cli import main
 from tissue_sim.closed_form.column import Column
 from tissue_sim.errors import InputError
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 LAW = ts.find_law("reduced_polynomial_2")
 RADIUS, HEIGHT, DEPTH, NOISE = 0.015, 0.020, 6e-3, 0.01
 AREA, ORDER = np.pi * RADIUS**2, ["C10", "C20"]

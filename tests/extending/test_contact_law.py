@@ -128,6 +128,7 @@ def test_command_line_takes_it(film, tmp_path, capsys):
     assert "did you mean 'tack_Pa'" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_campaign_states_and_fits_it(film, tmp_path):
     """Data with the film's elastic shear between plates; the campaign finds its stiffness."""
     recording = ts.simulate(model(film(shear=1e5), tool=ts.Tool(), protocol=ts.Protocol.ramp(4e-3, 41),

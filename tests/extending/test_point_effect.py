@@ -252,6 +252,7 @@ def test_a_name_is_taken_once(branch):
         EFFECTS.register(type("Other", (branch,), {}))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_campaign_fits_it(branch, tmp_path):
     """Modulus, stress and time of the branch from a ramp and a hold between glued plates."""
     recording = ts.simulate(model(material(branch), protocol=ts.Protocol.parse("ramp 6mm @3mm/s; hold 8s", points=61)))

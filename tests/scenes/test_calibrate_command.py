@@ -63,6 +63,7 @@ def test_json(campaign, tmp_path, capsys):
     assert (out / "report.html").is_file()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_table(campaign, tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["calibrate", str(campaign), "-o", str(out)]) == 0
@@ -72,6 +73,7 @@ def test_table(campaign, tmp_path, capsys):
     assert f"wrote {out / 'report.html'}" in text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_material_of_a_calibration_can_be_shown_and_checked(campaign, tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["calibrate", str(campaign), "-o", str(out), "--json"]) == 0
@@ -92,6 +94,7 @@ def test_folder_with_other_work_is_kept(campaign, tmp_path, capsys):
     assert [path.name for path in out.iterdir()] == ["thesis.txt"]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_two_campaigns_in_one_call(campaign, tmp_path, capsys):
     second = tmp_path / "second.toml"
     second.write_text(CAMPAIGN.replace('"neo_hooke", ', ""), encoding="utf-8")
@@ -144,6 +147,7 @@ def test_a_reader_that_leaves_is_no_error(campaign, tmp_path):
     assert (tmp_path / "out" / "report.html").is_file()
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(("fits", "expected"), [(1, "no campaign was finished"),
                                                 (3, "campaigns that were finished are kept")])
 def test_ctrl_c_says_what_was_finished(fits, expected, campaign, tmp_path, capsys, monkeypatch):
@@ -163,6 +167,7 @@ def test_ctrl_c_says_what_was_finished(fits, expected, campaign, tmp_path, capsy
     assert f"stopped by Ctrl-C; {expected}: run the same command" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_only_what_this_call_wrote_is_announced(campaign, tmp_path, capsys):
     second = tmp_path / "second.toml"
     second.write_text(CAMPAIGN, encoding="utf-8")
@@ -179,6 +184,7 @@ def test_only_what_this_call_wrote_is_announced(campaign, tmp_path, capsys):
     assert [line for line in text.splitlines() if line.startswith("wrote ")] == [f"wrote {out / 'report.html'}"]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_table_of_fixed_bounded_and_unsound(campaign, tmp_path, capsys):
     text = CAMPAIGN.replace('"neo_hooke", ', '"mooney_rivlin", ').replace(
         "[noise]", "fixed = { C20 = 700.0 }\nbounds = { C01 = [2000.0, 5000.0] }\n[noise]")
@@ -219,6 +225,7 @@ def test_bad_campaign_writes_nothing(campaign, tmp_path, capsys, old, new, expec
     assert not out.exists()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_measured_silicone(data_folder, tmp_path, capsys):
     """Ecoflex 00-10, ten recordings pooled to 66 % strain: the published Yeoh parameters 7.702, -0.063, 0.248 kPa."""
     path = tmp_path / "ef10.toml"

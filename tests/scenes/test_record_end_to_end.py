@@ -95,6 +95,7 @@ def protocol(tmp_path):
     return path, rdt, http
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_what_is_recorded_over_the_protocols_finds_the_specimen(protocol, tmp_path, capsys, monkeypatch):
     # The specimen is simulated in this process, too, and on a busy machine its solutions keep the Tic from answering.
     monkeypatch.setattr("haptics.devices.tic._ANSWER", 30.0)

@@ -178,6 +178,7 @@ def test_material_beyond_its_range_and_stability_is_warned_of(tmp_path, capsys):
     assert "fitted for stretches from 0.9 to 1 only" in err and "not stable over the mean stretches" in err
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_test_it_was_fitted_to_is_in_its_range(tmp_path, capsys):
     """A thin needle in a large specimen stretches almost none of it, whatever the mean stretch."""
     experiment = ts.KINDS["needle_indentation"].experiment(

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from tissue_sim.errors import MissingBackendError
+from tissue_sim.fem.axisymmetric.scratch import scratch as solver_scratch
 from tissue_sim.fem.taichi import launch
 from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.taichi.scratch import scratch
 
 
 @pytest.fixture(scope="module")
@@ -24,6 +26,20 @@ def kernel():
 
 def arrays(**changes):
     return {"x": np.arange(3.0), "factor": np.array([2.0]), "y": np.zeros((3, 2))} | changes
+
+
+def test_what_others_have_compiled_is_kept():
+    """Taichi's own bound is seven of our larger kernels."""
+    assert initialise().lang.impl.current_cfg().offline_cache_max_size_of_files > 100 * 15e6
+
+
+def test_a_kept_kernel_is_found_whatever_was_used_before(root):
+    """Taichi knows it by the numbers of its fields, in the order in which they were made: there is one."""
+    assert solver_scratch() is scratch(4, 1)
+    makers = [path for path in (root / "tissue_sim").rglob("*.py") if ".field(" in path.read_text(encoding="utf-8")]
+    assert [path.name for path in makers] == ["scratch.py"]
+    with pytest.raises(ValueError, match="4000 vectors of 4 asked for"):
+        scratch(4, 4000)
 
 
 def test_bound_call_is_a_plain_call(kernel):

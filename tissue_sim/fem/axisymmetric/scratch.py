@@ -1,9 +1,7 @@
 """Where the batch of elements that a kernel works on keeps what it has computed."""
 
-from functools import cache
-
 from tissue_sim.fem.axisymmetric.batches import LANES
-from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.taichi import scratch as shared
 
 #: Most nodes, points and pressure modes of an element.
 _NODES, _POINTS, _MODES = 9, 9, 3
@@ -21,8 +19,6 @@ AT = {name: sum(size for _, size in _sizes[:i]) for i, (name, _) in enumerate(_s
 _SIZE = sum(size for _, size in _sizes)
 
 
-@cache
 def scratch():
-    """The Taichi field of a batch that is worked on; one for all solvers of the process."""
-    ti = initialise()
-    return ti.Vector.field(LANES, ti.f64, shape=_SIZE)
+    """The Taichi field of a batch that is worked on."""
+    return shared.scratch(LANES, _SIZE)

@@ -13,6 +13,7 @@ from tissue_sim.fem.history import FACTOR, INSTANT, LOSS, LOSS_MODULUS, LOSS_SHA
 from tissue_sim.fem.solid import energy as point
 from tissue_sim.fem.solid.batches import LANES
 from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.taichi.scratch import scratch
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.solid import SOLID_ELEMENTS
 
@@ -26,13 +27,8 @@ _NODES, _POINTS, _MODES = 27, 27, 4
 _sizes = (("U", 3 * _NODES), ("PRESSURE", _MODES), ("GAP", _MODES), ("V", 3 * _MODES * _NODES), ("STRESS", 9 * _POINTS),
           ("A", 45 * _POINTS), ("COFACTOR", 9 * _POINTS), ("MODE", _MODES * _POINTS), ("RATE", 27 * _POINTS))
 _AT = {name: sum(size for _, size in _sizes[:i]) for i, (name, _) in enumerate(_sizes)}
-
-
-@cache
-def _scratch():
-    """The Taichi field of a batch that is worked on; one for all solvers of the process."""
-    ti = initialise()
-    return ti.Vector.field(LANES, ti.f64, shape=sum(size for _, size in _sizes))
+#: Where others go on in the scratch field.
+SCRATCH = sum(size for _, size in _sizes)
 
 
 class ElementFunctions(NamedTuple):
@@ -48,7 +44,7 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
     ti = initialise()
     element = SOLID_ELEMENTS[element_name]
     nodes, modes, points = element.nodes, element.pressure_modes, element.quadrature[1].size
-    s = _scratch()
+    s = scratch(LANES, SCRATCH)
     stress_and_tangent = point.function(energy)
     inverse_root, cofactor = inverse_root_function(), point.cofactor_function()
     soften, relax = soften_function(9), point.relax_function()

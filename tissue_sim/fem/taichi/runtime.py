@@ -23,6 +23,9 @@ from tissue_sim.files import cache_folder
 
 #: Taichi compiles and starts kernels for one thread at a time. A running kernel holds the interpreter lock anyway.
 LOCK = threading.RLock()
+#: So much of compiled kernels is kept, the most that Taichi counts to. It keeps 100 MB unless told otherwise, seven of
+#: our larger kernels, and a process that ends throws away a quarter of what others have compiled.
+CACHE_BYTES = 2**31 - 1
 
 
 def initialise():
@@ -53,7 +56,8 @@ def _initialise():
     folder.mkdir(parents=True, exist_ok=True)
     with contextlib.redirect_stdout(io.StringIO()):
         ti.init(arch=ti.cpu, default_fp=ti.f64, default_ip=ti.i32, cpu_max_num_threads=1, offline_cache=True,
-                offline_cache_file_path=str(folder), log_level=ti.ERROR, fast_math=True,
+                offline_cache_file_path=str(folder), offline_cache_max_size_of_files=CACHE_BYTES,
+                log_level=ti.ERROR, fast_math=True,
                 # LLVM finds what is common and what is not read again as well, and in a fraction of the time. Taichi
                 # takes time that grows with the square of a kernel.
                 cfg_optimization=False, opt_level=0,
