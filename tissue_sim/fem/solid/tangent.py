@@ -73,5 +73,5 @@ class Tangent:
 
     def serves(self, ratio: float, goal: float, changed: bool) -> bool:
         """Whether an earlier state's factor is near enough; none is where the contact has changed."""
-        gain = ratio / self._before
+        gain = ratio / max(self._before, 1e-300)
         return not changed and (gain <= _GAIN or ratio * gain**_MORE <= goal)
