@@ -79,7 +79,7 @@ def test_its_parameters_are_those_of_the_model(film):
     changed = with_values(tested, {"experiment.contact_laws.tacky_film.tack": 60.0})
     assert force(changed).min() < 1.3 * force(tested).min() < 0.0
     rates = ts.sensitivities(tested, ["experiment.contact_laws.tacky_film.tack"])
-    assert not rates.exact.any() and rates.values[3, 0] < 0.0
+    assert not rates.exact.any() and (rates.values[5:11, 0] < 0.0).all(), "on the way out, where it pulls"
 
 
 def test_the_way_out_counts(film):

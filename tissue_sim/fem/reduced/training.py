@@ -129,7 +129,8 @@ def modes(states: np.ndarray, group: Sequence[Symmetry], count: int) -> tuple[np
     singular = np.sqrt(len(parts)) * np.concatenate([values for values, _ in found])
     vectors = np.concatenate([vectors for _, vectors in found])
     leading = np.concatenate([values[: len(vectors)] for values, vectors in found])
-    best = np.argsort(leading)[::-1][:count]
+    # Images of one mode in two of the parts are equally strong; rounding must not choose which comes first.
+    best = np.argsort(-np.round(np.log(np.maximum(leading, 1e-300)), 7), kind="stable")[:count]
     return vectors[best[leading[best] > 1e-9 * leading[best[0]]]].T, np.sort(singular)[::-1]
 
 
