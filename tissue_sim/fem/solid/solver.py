@@ -229,7 +229,8 @@ class SolidSolver(Solver):
             if status is not None and not (status is StepStatus.CONVERGED and self._asked):
                 return self._answer(status, iterations, ratio, look, frame)
             if tangent.stale and status is None and not tangent.serves(ratio, tolerance, look.switched > 0):
-                tangent.stale, changeable = False, 0
+                # All that would have changed may, where only some of them did.
+                tangent.stale, changeable = False, ALL if look.wanting else 0
                 continue
             if status is not None or not tangent.stale:
                 tangent.factorise(symmetric=not look.slipping)
