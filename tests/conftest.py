@@ -25,6 +25,8 @@ settings.load_profile("shared machine")
 ROOT = Path(__file__).resolve().parents[1]
 # What tests of several folders share is a module beside this one.
 sys.path.insert(0, str(ROOT / "tests"))
+#: s; after that tests compile for themselves what nobody has.
+COMPILING = 1800.0
 #: With more processes a machine has too little memory before it has too few cores.
 MOST_PROCESSES = 8
 #: Tests that use no finite elements, but for those of the calibration that do; they take more than a minute.
@@ -119,7 +121,8 @@ class Compilation:
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
         # Taichi looks for kept kernels once, when it starts in this process.
         if self._mark is not None and may_use_kernels(item):
-            while self._mark.exists():
+            deadline = time.monotonic() + COMPILING
+            while self._mark.exists() and time.monotonic() < deadline:
                 time.sleep(0.1)
             self._mark = None
 

@@ -195,7 +195,7 @@ class CalibrationRun:
             InputError: a fit runs, there is no recording, they are of different tests, or no process starts.
         """
         self._require_rest()
-        self.measured  # noqa: B018  refuses what cannot be shown together
+        _ = self.measured  # refuses what cannot be shown together
         wanted = Wanted(scene.kind.name, scene.experiment, scene.rig, scene.material,
                         replicates(self.state.recordings),
                         {each.file.name: each.file.origin for each in self.state.recordings

@@ -16,11 +16,18 @@ def environment(*names):
     return {name: os.environ.get(name) for name in names}
 
 
+def wait_until(condition, seconds=600.0):
+    """Looks again and again until it holds; an error where it never does, so that no process stays behind."""
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, f"not within {seconds} s"
+        time.sleep(0.01)
+
+
 def meet(folder, *names):
     """Variables of this process, once another one works beside it."""
     Path(folder, str(os.getpid())).touch()
-    while len(list(Path(folder).iterdir())) < 2:
-        time.sleep(0.01)
+    wait_until(lambda: len(list(Path(folder).iterdir())) >= 2)
     return environment(*names)
 
 
@@ -57,12 +64,9 @@ def refuse(kind, marker=None):
     return kind
 
 
-def wait_for(marker, value, seconds=600.0):
-    """The value, once the marker is there; an error where it does not come, so that no process stays behind."""
-    deadline = time.monotonic() + seconds
-    while not Path(marker).exists():
-        assert time.monotonic() < deadline, f"no {marker} within {seconds} s"
-        time.sleep(0.01)
+def wait_for(marker, value):
+    """The value, once the marker is there."""
+    wait_until(Path(marker).exists)
     return value
 
 

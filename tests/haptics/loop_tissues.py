@@ -139,8 +139,9 @@ def write_fast(ring_path, board_path, stop_path):
 def read_forces(path, count):
     """The first forces of a ring, as an unrelated process sees them."""
     with RingReader(path) as reader:
-        number = 0
+        number, deadline = 0, time.monotonic() + 300.0
         while number < count:
+            assert time.monotonic() < deadline, f"{number} of {count} ticks within 300 s"
             ticks = reader.since(number)
             number = ticks.number
             time.sleep(0.01)

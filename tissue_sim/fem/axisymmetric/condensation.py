@@ -21,6 +21,8 @@ class CondensationFunctions(NamedTuple):
     scatter_force: object
     keep_volume: object
     add_known_volume: object
+    follow: object
+    swell: object
     update: object
 
 
@@ -100,11 +102,9 @@ def condensation_functions(element_name: str) -> CondensationFunctions:
         scatter_force(b, equations_r, equations_z, residual)
 
     @ti.func
-    def update(b, kappa, x: ti.template(), pressures, step: ti.template(), elements: ti.template(),
-               dofs: ti.template(), real: ti.template(), moduli: ti.template(), known_r: ti.template(),
-               known_z: ti.template(), gap: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(),
+    def follow(b, step: ti.template(), dofs: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(),
                rows_zr: ti.template(), rows_zz: ti.template(), force_r: ti.template(), force_z: ti.template()):
-        """Move what was eliminated, interior nodes and pressures, after the `step` of the shared nodes."""
+        """Note the motion of all nodes, that of the interior one after the `step` of the shared ones."""
         for a in range(nb):
             i = b * nodes + a
             s[SR + a] = gather(step, dofs, i)
@@ -116,21 +116,35 @@ def condensation_functions(element_name: str) -> CondensationFunctions:
                 cr = cr - (rows_rr[at] * s[SR + a] + rows_rz[at] * s[SZ + a])
                 cz = cz - (rows_zr[at] * s[SR + a] + rows_zz[at] * s[SZ + a])
             s[SR + centre], s[SZ + centre] = cr, cz
-            i = b * nodes + centre
+
+    @ti.func
+    def swell(mode, known_r: ti.template(), known_z: ti.template()):
+        """What the motion noted does to the volume of a pressure mode, by the rates that the matrix holds."""
+        swelling = vec(0.0)
+        for a in range(nodes):
+            v = mode * nodes + a
+            swelling = swelling + known_r[v] * s[SR + a] + known_z[v] * s[SZ + a]
+        return swelling
+
+    @ti.func
+    def update(b, kappa, x: ti.template(), pressures, step: ti.template(), elements: ti.template(),
+               dofs: ti.template(), real: ti.template(), moduli: ti.template(), known_r: ti.template(),
+               known_z: ti.template(), gap: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(),
+               rows_zr: ti.template(), rows_zz: ti.template(), force_r: ti.template(), force_z: ti.template()):
+        """Move what was eliminated, interior nodes and pressures, after the `step` of the shared nodes."""
+        follow(b, step, dofs, rows_rr, rows_rz, rows_zr, rows_zz, force_r, force_z)
+        if ti.static(has_centre):
+            i, cr, cz = b * nodes + centre, s[SR + centre], s[SZ + centre]
             for l in ti.static(range(LANES)):
                 if real[b][l] > 0.0:
                     x[dofs[i, l]] = x[dofs[i, l]] + cr[l]
                     x[dofs[i, l] + 1] = x[dofs[i, l] + 1] + cz[l]
         for m in range(modes):
             at = b * modes + m
-            change = gap[at]
-            for a in range(nodes):
-                v = (b * modes + m) * nodes + a
-                change = change + known_r[v] * s[SR + a] + known_z[v] * s[SZ + a]
-            change = kappa * moduli[b] * change
+            change = kappa * moduli[b] * (gap[at] + swell(at, known_r, known_z))
             for l in ti.static(range(LANES)):
                 if real[b][l] > 0.0:
                     i = pressures + modes * elements[b, l] + m
                     x[i] = x[i] + change[l]
 
-    return CondensationFunctions(interior, scatter_force, keep_volume, add_known_volume, update)
+    return CondensationFunctions(interior, scatter_force, keep_volume, add_known_volume, follow, swell, update)

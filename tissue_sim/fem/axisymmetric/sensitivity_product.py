@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from tissue_sim.fem.axisymmetric import energy as point
 from tissue_sim.fem.axisymmetric.batches import LANES
+from tissue_sim.fem.axisymmetric.condensation import condensation_functions
 from tissue_sim.fem.axisymmetric.scratch import AT, scratch
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.mesh.elements import ELEMENTS
@@ -26,12 +27,13 @@ def product_functions(element_name: str) -> ProductFunctions:
     """See the functions themselves."""
     ti = initialise()
     element = ELEMENTS[element_name]
-    nodes, nb, modes = element.nodes, element.boundary_nodes, element.pressure_modes
+    nodes, modes = element.nodes, element.pressure_modes
     points = element.quadrature[1].size
-    has_centre, centre = nodes > nb, nodes - 1
+    has_centre, centre = nodes > element.boundary_nodes, nodes - 1
+    own = condensation_functions(element_name)
     vec = ti.types.vector(LANES, ti.f64)
     s = scratch()
-    UR, UZ, FR, FZ, RATE = AT["UR"], AT["UZ"], AT["FR"], AT["FZ"], AT["STRESS"]
+    UR, UZ, FR, FZ, SR, SZ, RATE = (AT[name] for name in ("UR", "UZ", "FR", "FZ", "SR", "SZ", "STRESS"))
     row = point.PLACE
 
     @ti.func
@@ -95,21 +97,11 @@ def product_functions(element_name: str) -> ProductFunctions:
                 s[FZ + a] = s[FZ + a] + p * volume_z[v] + missed * known_z[v]
                 aside = aside + ti.abs(missed * (known_r[v] - volume_r[v])) + ti.abs(
                     missed * (known_z[v] - volume_z[v]))
+        own.interior(b, real, rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr, inverse_rz, inverse_zz, way_r, way_z)
         if ti.static(has_centre):
-            own = k * batches + b
-            f0, f1 = s[FR + centre], s[FZ + centre]
-            way_r[b] = centre_r[own] + inverse_rr[b] * f0 + inverse_rz[b] * f1
-            way_z[b] = centre_z[own] + inverse_rz[b] * f0 + inverse_zz[b] * f1
-            for a in range(nb):
-                at = b * nb + a
-                s[FR + a] = s[FR + a] - (f0 * rows_rr[at] + f1 * rows_zr[at])
-                s[FZ + a] = s[FZ + a] - (f0 * rows_rz[at] + f1 * rows_zz[at])
-        for a in range(nb):
-            at = b * nb + a
-            fr, fz = s[FR + a], s[FZ + a]
-            for l in ti.static(range(LANES)):
-                residual[equations_r[at, l]] = residual[equations_r[at, l]] + fr[l]
-                residual[equations_z[at, l]] = residual[equations_z[at, l]] + fz[l]
+            at = k * batches + b
+            way_r[b], way_z[b] = way_r[b] + centre_r[at], way_z[b] + centre_z[at]
+        own.scatter_force(b, equations_r, equations_z, residual)
         return (real[b] * aside).sum()
 
     @ti.func
@@ -119,28 +111,16 @@ def product_functions(element_name: str) -> ProductFunctions:
                pressure_rates: ti.template(), swelling: ti.template(), dx: ti.template()):
         """Let the interior nodes of row k of `dx` and the pressures follow the `motion` of the shared nodes, and what
         was missed before."""
-        for a in range(nb):
-            i = b * nodes + a
-            s[UR + a] = ti.Vector([motion[dofs[i, l]] for l in ti.static(range(LANES))])
-            s[UZ + a] = ti.Vector([motion[dofs[i, l] + 1] for l in ti.static(range(LANES))])
+        own.follow(b, motion, dofs, rows_rr, rows_rz, rows_zr, rows_zz, way_r, way_z)
         if ti.static(has_centre):
-            cr, cz = -way_r[b], -way_z[b]
-            for a in range(nb):
-                at = b * nb + a
-                cr = cr - (rows_rr[at] * s[UR + a] + rows_rz[at] * s[UZ + a])
-                cz = cz - (rows_zr[at] * s[UR + a] + rows_zz[at] * s[UZ + a])
-            s[UR + centre], s[UZ + centre] = cr, cz
-            i = b * nodes + centre
+            i, cr, cz = b * nodes + centre, s[SR + centre], s[SZ + centre]
             for l in ti.static(range(LANES)):
                 if real[b][l] > 0.0:
                     dx[k, dofs[i, l]] = dx[k, dofs[i, l]] + cr[l]
                     dx[k, dofs[i, l] + 1] = dx[k, dofs[i, l] + 1] + cz[l]
         for m in range(modes):
             mode = b * modes + m
-            change = swelling[mode]
-            for a in range(nodes):
-                v = mode * nodes + a
-                change = change + known_r[v] * s[UR + a] + known_z[v] * s[UZ + a]
-            pressure_rates[mode] = pressure_rates[mode] + kappa * moduli[b] * change
+            pressure_rates[mode] = pressure_rates[mode] + kappa * moduli[b] * (
+                swelling[mode] + own.swell(mode, known_r, known_z))
 
     return ProductFunctions(add_product, follow)
