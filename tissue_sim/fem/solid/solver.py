@@ -179,7 +179,7 @@ class SolidSolver(Solver):
         # Nodes that touch the tool begin by going with it.
         tool_way = frame.out_of(here.into(self._places())) - self._places()
         pending = max(np.abs(way).max(), np.abs(tool_way).max(initial=0.0)) > _NO_WAY * float(np.ptp(self.mesh.nodes))
-        changeable, bending, iterations, halvings = ALL, 0.0, 0, 0
+        changeable, bending, iterations, halvings, waits = ALL, 0.0, 0, 0, 0
         floor = max(self._floor, _FLOOR_SHARE * self._largest_force)
         before = first_ratio = None
         tangent.stale = False
@@ -195,6 +195,7 @@ class SolidSolver(Solver):
             slack = 1e-9 if pending or (contact.laws.strength > 0.0 and iterations == 0) else 0.0
             look = contact.look(displacement, here if pending else frame, changeable, slack, bending,
                                 _FRICTION_FLOOR * floor, self._tolerance)
+            wanting, waits = max(look.wanting, waits), 0
             residual = batches.residual[:-1].copy()
             np.add.at(residual.reshape(-1, 3), contact.nodes, contact.acting)
             unbalanced = float(np.linalg.norm(residual[self._free]))
@@ -205,7 +206,7 @@ class SolidSolver(Solver):
                 status = StepStatus.INVERTED
             elif not np.isfinite(ratio):
                 status = StepStatus.DIVERGED
-            elif not pending and ratio <= tolerance and look.violation <= self._tolerance and not look.wanting:
+            elif not pending and ratio <= tolerance and look.violation <= self._tolerance and not wanting:
                 if contact.release():
                     changeable, first_ratio, tangent.stale = ALL, None, False
                     continue
@@ -229,8 +230,7 @@ class SolidSolver(Solver):
             if status is not None and not (status is StepStatus.CONVERGED and self._asked):
                 return self._answer(status, iterations, ratio, look, frame)
             if tangent.stale and status is None and not tangent.serves(ratio, tolerance, look.switched > 0):
-                # All that would have changed may, where only some of them did.
-                tangent.stale, changeable = False, ALL if look.wanting else 0
+                tangent.stale, changeable, waits = False, 0, look.wanting
                 continue
             if status is not None or not tangent.stale:
                 tangent.factorise(symmetric=not look.slipping)
