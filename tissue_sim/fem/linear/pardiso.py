@@ -14,9 +14,10 @@ DEFINITE, SYMMETRIC, OTHER = 2, -2, 11
 #: Its phases: analysis, numbers, all of a solution, and its two halves.
 _ANALYSE, _FACTORISE, _SOLVE, _FORWARD, _BACKWARD = 11, 22, 33, 331, 333
 #: Of its parameters, counted from 0: use of what follows, ordering (2: nested dissection), size of pivots that are made
-#: larger, how many were, eigenvalues that are negative, and whether a Schur complement is left over (2: with what
-#: solutions need).
-_USE, _ORDERING, _SMALLEST, _PERTURBED, _NEGATIVE, _SCHUR = 0, 1, 9, 13, 22, 35
+#: larger, scaling, matching, how many pivots were made larger, pivots of 2 x 2, eigenvalues that are negative, single
+#: precision, and whether a Schur complement is left over (2: with what solutions need).
+_USE, _ORDERING, _SMALLEST, _SCALING, _MATCHING, _PERTURBED, _PIVOTING, _NEGATIVE, _SINGLE, _SCHUR = (
+    0, 1, 9, 10, 12, 13, 20, 22, 27, 35)
 #: Where pypardiso looks for its library, which takes it a quarter of a second each time.
 _LIBRARY = "PYPARDISO_MKL_RT"
 
@@ -32,12 +33,13 @@ class PardisoPattern:
         matrix: one of them, a `scipy.sparse.csc_array` with sorted rows.
         kind: `DEFINITE`, `SYMMETRIC` or `OTHER`.
         interface: sorted numbers of equations that are left over: their Schur complement is found with the factor.
+        single: single precision, which takes half of the time and memory.
 
     Raises:
         PardisoError: the analysis failed.
     """
 
-    def __init__(self, matrix: Any, kind: int, interface: np.ndarray | None = None):
+    def __init__(self, matrix: Any, kind: int, interface: np.ndarray | None = None, *, single: bool = False):
         from pypardiso import PyPardisoSolver
         from scipy import sparse
 
@@ -50,13 +52,18 @@ class PardisoPattern:
         rows.sort_indices()
         self._places = rows.data.astype(np.intp) - 1
         self._row_starts, self._columns = (part.astype(np.int32) + 1 for part in (rows.indptr, rows.indices))
-        self._data = np.zeros(rows.nnz)
+        self._data = np.zeros(rows.nnz, dtype=np.float32 if single else np.float64)
         parameters = self._solver.iparm
         self.interface = interface
         if interface is not None:
             self._solver.perm = np.zeros(self._size, dtype=np.int32)
             self._solver.perm[interface] = 1
             parameters[[_USE, _ORDERING, _SMALLEST, _SCHUR]] = 1, 2, 8, 2
+        else:
+            # Its own choices, but for solutions: without this each is refined twice, to no smaller error.
+            exchanges = int(kind == OTHER)
+            parameters[[_USE, _ORDERING, _SMALLEST, _SCALING, _MATCHING, _PIVOTING, _SINGLE]] = (
+                1, 2, 13 if exchanges else 8, exchanges, exchanges, 1, int(single))
         self._analysed = False
 
     def factorise(self, matrix: Any) -> np.ndarray | None:
@@ -65,9 +72,9 @@ class PardisoPattern:
         Raises:
             PardisoError: a singular matrix, or one that is not definite where it should be.
         """
-        np.take(matrix.data, self._places, out=self._data)
+        self._data[:] = matrix.data[self._places]
         left = None if self.interface is None else np.zeros((self.interface.size, self.interface.size))
-        nothing = np.zeros((self._size, 1))
+        nothing = np.zeros((self._size, 1), dtype=self._data.dtype)
         if not self._analysed:
             self._run(_ANALYSE, nothing, nothing)
             self._analysed = True
@@ -111,10 +118,10 @@ class PardisoPattern:
         return self._solved(_BACKWARD, reduced)
 
     def _solved(self, phase: int, right: np.ndarray) -> np.ndarray:
-        columns = np.asfortranarray(right.reshape(self._size, -1))
+        columns = np.asfortranarray(right.reshape(self._size, -1), dtype=self._data.dtype)
         answer = np.zeros_like(columns, order="F")
         self._run(phase, columns, answer)
-        return np.ascontiguousarray(answer).reshape(right.shape)
+        return np.ascontiguousarray(answer, dtype=np.float64).reshape(right.shape)
 
     def _run(self, phase: int, right: np.ndarray, answer: np.ndarray) -> None:
         solver, numbers = self._solver, ctypes.POINTER(ctypes.c_int32)

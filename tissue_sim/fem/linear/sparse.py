@@ -12,9 +12,12 @@ from typing import Any, Protocol
 import numpy as np
 
 from tissue_sim.fem.linear.pardiso import DEFINITE, OTHER, SYMMETRIC, PardisoError, PardisoPattern
+from tissue_sim.fem.linear.single import SingleFactor
 
 #: ``TISSUE_SIM_SPARSE=scipy`` keeps to SciPy where pypardiso is installed, too.
 _CHOICE = "TISSUE_SIM_SPARSE"
+#: Pardiso's factors of so many equations are in single precision where that is enough; smaller ones take no time.
+_SINGLE_FROM = 1000
 
 
 class Factor(Protocol):
@@ -46,16 +49,24 @@ class SparseSolver:
 
     def __init__(self) -> None:
         self._kept: dict[int, PardisoPattern] = {}
+        self._single: dict[int, PardisoPattern] = {}
+        self._single_is_enough = True
 
     def factorise(self, matrix: Any, *, symmetric: bool) -> Factor | None:
         """A factor of a square matrix, a `scipy.sparse.csc_array` with sorted rows; None where it is singular."""
         if library() != "pardiso":
             return _SuperLU.of(matrix, symmetric)
-        kind = SYMMETRIC if symmetric else OTHER
-        pattern = self._kept.get(kind)
-        if pattern is None or pattern.indices is not matrix.indices:
-            pattern = self._kept[kind] = PardisoPattern(matrix, kind)
-        return _Pardiso.of(pattern, matrix, symmetric)
+        tried = self._single_is_enough and matrix.shape[0] >= _SINGLE_FROM
+        if tried:
+            kind = DEFINITE if symmetric else OTHER
+            single = SingleFactor.of(_pattern(self._single, matrix, kind, single=True), matrix, symmetric)
+            if single is not None:
+                return single
+        factor = _Pardiso.of(_pattern(self._kept, matrix, SYMMETRIC if symmetric else OTHER), matrix, symmetric)
+        if tried and factor is not None and factor.definite:
+            self._single_is_enough = False
+            self._single.clear()
+        return factor
 
     def condense(self, matrix: Any, interface: np.ndarray) -> CondensedFactor | None:
         """The same of a symmetric matrix, condensed onto its equations `interface`, sorted; None where it is singular,
@@ -67,6 +78,13 @@ class SparseSolver:
                                                                                           interface):
             pattern = self._kept[DEFINITE] = PardisoPattern(matrix, DEFINITE, interface)
         return _CondensedPardiso.of(pattern, matrix)
+
+
+def _pattern(kept: dict[int, PardisoPattern], matrix: Any, kind: int, *, single: bool = False) -> PardisoPattern:
+    pattern = kept.get(kind)
+    if pattern is None or pattern.indices is not matrix.indices:
+        pattern = kept[kind] = PardisoPattern(matrix, kind, single=single)
+    return pattern
 
 
 def factorise(matrix: Any, *, symmetric: bool) -> Factor | None:
