@@ -15,7 +15,7 @@ import numpy as np
 from tissue_sim.fem.linear.pardiso import OTHER, SYMMETRIC, PardisoError, PardisoPattern
 
 #: What is left of a right-hand side of a solution, and of the random one that a new factor is asked first.
-_LEFT, _ASKED = 1e-10, 1e-6
+_LEFT, _ASKED = 1e-13, 1e-6
 #: Steps until then; a factor that needs more for the first is of no use.
 _STEPS, _FIRST_STEPS = 40, 12
 
