@@ -7,18 +7,20 @@ import time as clock
 from collections import deque
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, cast
+
+import numpy as np
 
 from haptics.loop.bulk_link import BulkLink, BulkProcess
 from tissue_sim.errors import InputError
-from tissue_sim.fem.condensed.model import LINEARISATIONS, CondensedContact
+from tissue_sim.fem.condensed.model import LINEARISATIONS
 from tissue_sim.fem.condensed.stepper import CondensedStepper, ContactStep
 from tissue_sim.live_material import require_same_layers, require_tissue
 from tissue_sim.material.effect import ReducedForce
 from tissue_sim.material.material import BULK_RATIOS
 from tissue_sim.model import Model
 from tissue_sim.parameters import with_values
-from tissue_sim.pose import Pose, added, scaled
+from tissue_sim.pose import Pose, Screw, added, motion, scaled
 from tissue_sim.simulator import Simulator
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import ForceStatus, ToolForce, axial_stiffness, axial_wrench, pose_of, scaled_matrix
@@ -131,9 +133,13 @@ class MultiRateTissue:
         self._ticks += 1
         model = self._link.receive(self._time)
         news = model is not None and model.epoch == self._epoch
+        before = self._step
         if model is not None and news:
-            self._change_to(model)
+            self.models, self._made = self.models + 1, model.time
+            stepper.adopt(model)
         step = self._step = stepper.step(pose)
+        if news and before is not None:
+            self._take_over(before, pose, step)
         self._poses.append((self._time, pose))
         if news or self._ticks % _SEND_EVERY == 0:
             earlier, before = self._poses[0]
@@ -143,22 +149,14 @@ class MultiRateTissue:
         self._answer = self._found(step, pose, dt, began)
         return self._answer
 
-    def _change_to(self, model: CondensedContact) -> None:
-        """Take a model; what it changes at the pose of the last tick becomes an offset."""
-        stepper = self._stepper
-        assert stepper is not None
-        self.models, self._made = self.models + 1, model.time
-        if not self._poses:
-            stepper.adopt(model)
-            return
-        assert self._step is not None
+    def _take_over(self, before: ContactStep, pose: Pose, after: ContactStep) -> None:
+        """What a new model changes becomes an offset: the wrench goes on as the last step said that it would."""
+        assert self._stepper is not None
         _, last = self._poses[-1]
-        before = self._step
-        stepper.adopt(model)
-        after = stepper.step(last)
-        self._offset = added(self._offset, added(before.wrench, scaled(-1.0, after.wrench)))
-        change = math.dist(before.wrench[:3], after.wrench[:3])
-        way = max(before.way, _SHORT * stepper.surface.radius)
+        expected = np.array(before.wrench) - np.array(before.stiffness_matrix) @ np.array(motion(last, pose))
+        self._offset = added(self._offset, cast("Screw", tuple((expected - np.array(after.wrench)).tolist())))
+        change = math.dist(expected[:3], after.wrench[:3])
+        way = max(before.way, _SHORT * self._stepper.surface.radius)
         self._growth = max(_MEMORY * self._growth, change / way**2)
 
     def _found(self, step: ContactStep, pose: Pose, dt: float, began: float) -> ToolForce:
