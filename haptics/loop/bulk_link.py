@@ -18,8 +18,14 @@ from haptics.loop.shared_slots import SlotReader, SlotWriter, remove, unused_pat
 from haptics.loop.slow_bulk import KIND_CORRECTION, KIND_MODEL, KIND_STATE, Started, first_state, make_linearisation
 from haptics.loop.snapshot_board import SnapshotReader
 from tissue_sim.errors import InputError
-from tissue_sim.fem.condensed.foresight import ForesightedLinearisation
-from tissue_sim.fem.condensed.model import BulkLinearisation, CondensedContact, ContactState, ContactSurface, packed_state_size
+from tissue_sim.fem.condensed.foresight import LEAD, ForesightedLinearisation
+from tissue_sim.fem.condensed.model import (
+    BulkLinearisation,
+    CondensedContact,
+    ContactState,
+    ContactSurface,
+    packed_state_size,
+)
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.packing import pack
@@ -109,7 +115,7 @@ class DelayedBulk:
         if self._coming is None:
             began, self._now = time.process_time(), state.time
             serves = 2.0 * (self._delay if self._tangent is None else self._tangent)
-            self._coming = state.time + self._delay, self._foresighted.linearise(state, self._delay, serves)
+            self._coming = state.time + self._delay, self._foresighted.linearise(state, LEAD * self._delay, serves)
             self.linearising += time.process_time() - began
 
     def receive(self, now: float) -> CondensedContact | None:

@@ -21,7 +21,7 @@ import numpy as np
 from haptics.loop.shared_slots import SlotReader, SlotWriter, remove
 from haptics.loop.snapshot_board import SnapshotBoard
 from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError
-from tissue_sim.fem.condensed.foresight import ForesightedLinearisation
+from tissue_sim.fem.condensed.foresight import LEAD, ForesightedLinearisation
 from tissue_sim.fem.condensed.model import (
     LINEARISATIONS,
     BulkLinearisation,
@@ -39,6 +39,8 @@ KIND_STATE, KIND_MODEL, KIND_CORRECTION = b"tsSTATE\0", b"tsBULK\0\0", b"tsCORR\
 _SLOTS = 4
 #: How long to sleep where there is nothing new, and between two publications of the surface, s.
 _NAP, _SHOW_EVERY = 0.5e-3, 0.05
+#: By how much the priority of the process is lower than the loop's.
+_NICE = 5
 
 
 class Started(NamedTuple):
@@ -95,8 +97,9 @@ def serve(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
         answers.flush()
         return
     pattern = _snapshot(bulk, first)
-    with (SlotWriter(models_path, KIND_MODEL, _SLOTS, 8 * packed_size(bulk.surface)) as models,
-          SlotWriter(corrections_path, KIND_CORRECTION, _SLOTS, 8 * packed_size(bulk.surface, whole=False)) as corrections,
+    whole, part = (8 * packed_size(bulk.surface, is_whole) for is_whole in (True, False))
+    with (SlotWriter(models_path, KIND_MODEL, _SLOTS, whole) as models,
+          SlotWriter(corrections_path, KIND_CORRECTION, _SLOTS, part) as corrections,
           SnapshotBoard(surface_path, pattern) as board):
         pickle.dump(Started(bulk.surface, first, pattern), answers)
         answers.flush()
@@ -130,7 +133,7 @@ def _linearise(bulk: BulkLinearisation, foresighted: ForesightedLinearisation, s
             continue
         (models if model.is_whole else corrections).write(model.packed().tobytes())
         now = time.monotonic()
-        lead = now - began
+        lead = LEAD * (now - began)
         if model.is_whole:
             # A tangent serves until the next one is there, which is begun when it comes.
             changed, serves = now, 2.0 * (now - changed)
@@ -159,6 +162,8 @@ def main() -> None:
     orders = sys.stdin.buffer
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what is printed must not stand between the answers
+    if hasattr(os, "nice"):
+        os.nice(_NICE)  # the loop comes first where there are few cores
     size, = struct.unpack("<Q", orders.read(8))
     serve(orders.read(size), orders, answers)
 

@@ -8,6 +8,9 @@ from tissue_sim.fem.condensed.model import BulkLinearisation, CondensedContact, 
 from tissue_sim.fem.condensed.stepper import CondensedStepper
 from tissue_sim.pose import Pose, between, motion
 
+#: A model is made for the pose so many times the time that it takes ahead: it comes after once that time and serves for
+#: as long again; farther ahead costs more at corners than it gains on the way.
+LEAD = 1.25
 #: A tool is not followed further ahead than this share of the contact's radius.
 _FARTHEST = 1.0
 #: Its way is gone in parts of this share of that: friction is not remembered.

@@ -169,9 +169,9 @@ class CondensedStepper:
             self._signature[:] = -1
             self._settings[COUNT] = n
             self._stiffest = _STIFFEST / float(np.abs(np.diag(model.compliance)).min(initial=math.inf))
-            self._columns = self._columns[:0]
+            self._columns, self._settings[ANEW] = self._columns[:0], 1.0
         self._middle[:n] = model.middle
-        self._settings[[MODULUS, ANEW]] = model.modulus, 1.0
+        self._settings[MODULUS] = model.modulus
         self.model = model
 
     def step(self, pose: Pose, exact: bool = False) -> ContactStep:

@@ -208,11 +208,10 @@ class ElementBatches:
         shape = self.batches, self._modes, -1, LANES
         missed = (kappa[:, None] * self.moduli)[:, None] * self.gaps.reshape(self.batches, self._modes, LANES)
         more = (missed[:, :, None] * (self.known_rates - self.volume_rates).reshape(shape)).sum(axis=1)
-        whole = np.append(forces, 0.0)
-        np.add.at(whole, self._equations.reshape(more.shape), more)
-        forces[:] = whole[:-1]
+        # The equation after the last one is that of lanes which are left over.
+        forces += np.bincount(self._equations.ravel(), more.ravel(), minlength=forces.size + 1)[:-1]
 
-    @property
+    @cached_property
     def _equations_of_nodes(self) -> np.ndarray:
         # Of lanes that are left over those of the last element, so that they stay its copies.
         own = (self._dofs[:, :, None] + np.arange(3, dtype=np.int32)).reshape(self.count, -1)

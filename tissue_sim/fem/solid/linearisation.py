@@ -16,6 +16,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.fem.condensed.model import Beside, CondensedContact, ContactState, ContactSurface, at_once
+from tissue_sim.fem.linear.sparse import library
 from tissue_sim.fem.solid.condensed_tangent import CondensedTangent
 from tissue_sim.fem.solid.contact import STIFFNESS, Body, nearest
 from tissue_sim.fem.solid.discretisation import make_solver
@@ -26,15 +27,14 @@ from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose, between
 
-#: Most nodes onto which the bulk is condensed; and share of them, the nearest, of which all must be there, or others
-#: are chosen: another choice costs an analysis.
-CANDIDATES, _NEEDED = 100, 0.6
+#: Most nodes that are published. The bulk is condensed onto so many times as many by Pardiso, whose cost hardly depends
+#: on it; of them the nearest share must be there, or others are chosen: another choice costs an analysis.
+CANDIDATES, _MORE, _NEEDED = 100, 3, 0.6
 #: Shares of a step that are tried where the whole of it turns elements inside out.
 _SHARES = (1.0, 0.5, 0.25)
 #: The same with the tangent of an earlier iterate, which would overshoot where tissue has become more than twice as
-#: stiff; and what a step may leave to the next one, of its length, or it leads away (the natural monotonicity test:
-#: Deuflhard, Newton Methods for Nonlinear Problems, 2011, section 2.1).
-_OLD_SHARES, _LEFT = (0.8, 0.4, 0.2), 1.0
+#: stiff. Motions below the other share of the displacement are none.
+_OLD_SHARES, _ROUNDING = (0.8, 0.4, 0.2), 1e-5
 #: A radius below this share of a line's length is none.
 _ON_AXIS = 1e-9
 
@@ -48,10 +48,16 @@ class _Step:
     pushed: np.ndarray
     carried: np.ndarray
 
-    def leaves(self, settles: np.ndarray, share: float) -> float:
-        """What the next step would do beside the rest of this one, over its length, where it was made to a share."""
-        more = settles + self.pushed + (1.0 - share) * (self.carried - self.motion)
-        return float(np.linalg.norm(more)) / max(float(np.linalg.norm(self.motion)), 1e-300)
+    def leads_on(self, settles: np.ndarray, share: float, rounding: float) -> bool:
+        """Whether a share of it led towards the equilibrium: the next step is shorter (the restricted monotonicity
+        test: Deuflhard, Newton Methods for Nonlinear Problems, 2011, section 3.3).
+
+        Args:
+            settles: motion that now balances the tissue without contact, m.
+            share: that was made. rounding: length that is none, m.
+        """
+        following = settles + self.pushed + (1.0 - share) * self.carried
+        return float(np.linalg.norm(following)) <= (1.0 - 0.25 * share) * float(np.linalg.norm(self.motion)) + rounding
 
 
 class SolidLinearisation:
@@ -86,12 +92,13 @@ class SolidLinearisation:
         self._equations = equation[self._freedoms]
         self._meets = np.flatnonzero((self._equations >= 0).all(axis=1))
         self._count = min(candidates, self._meets.size)
+        self._most = min(self._count * (_MORE if library() == "pardiso" else 1), self._meets.size)
         self.surface = self._describe(self._count)
         self._untouched = solver.save()
         self._epoch, self._number, self._time = 0, 0, 0.0
-        self._chosen = self._meets[:0]
+        self._interface = self._meets[:0]
         self._none = np.zeros_like(contact.rates)
-        self._tangents = [CondensedTangent(solver._matrix) for _ in range(2)]
+        self._tangents = [CondensedTangent(solver._matrix, solver._moved) for _ in range(2)]
         # The one in use, the one that is being made, and the motion that balances the tissue without contact.
         self._tangent: CondensedTangent | None = None
         self._coming: CondensedTangent | None = None
@@ -122,6 +129,7 @@ class SolidLinearisation:
     def set_material(self, material: Material) -> None:
         """See `SolidSolver.set_material`."""
         self._solver.set_material(material)
+        self._tangent = None
         self._untouched = self._solver.save() if self._number == 0 else self._untouched
 
     @property
@@ -140,7 +148,7 @@ class SolidLinearisation:
         if state.model != self._number:
             return None
         due = self._coming is None or self._coming.is_done
-        if due and self._change():
+        if due and self._change(state, state.pose, ahead):
             self._settle()
         before, here = tuple(array.copy() for array in solver._state), solver.pose
         step = self._step(state)
@@ -155,10 +163,11 @@ class SolidLinearisation:
             pose, self._stale = between(here, state.pose, share), True
             if old:
                 self._settle()
-                if not step.leaves(self._settles, share) <= _LEFT * share:
+                if not step.leads_on(self._settles, share, _ROUNDING * float(np.linalg.norm(solver.x))):
                     continue
-            if due and self._begin(state, pose, ahead, self.beside) and self._coming.is_done:
-                if not self._change():
+            begun = self._begin(state, pose, ahead, self.beside) if due else None
+            if begun is not None and begun.is_done:
+                if not self._change(state, pose, ahead):
                     continue  # who waits for a tangent does not go where there is none
                 self._stale = False
             if not (old and self._stale):
@@ -181,6 +190,7 @@ class SolidLinearisation:
         for array, rest in zip(solver._committed, solver._rest, strict=True):
             array[:] = rest
         solver.tissue.prepare(0.0)
+        solver._go_back()
 
     def _begin_anew(self, state: ContactState, ahead: Sequence[Pose]) -> CondensedContact | None:
         """The linearisation where the tissue stands, or where it is at rest if there is none."""
@@ -188,7 +198,10 @@ class SolidLinearisation:
         for go_back in (solver._go_back, self._rest):
             go_back()
             pose = solver.pose if self._holds else state.pose
-            if self._assembled(True) and self._begin(state, pose, ahead, at_once) and self._change():
+            if not self._assembled(True):
+                continue
+            self._begin(state, pose, ahead, at_once)
+            if self._change(state, pose, ahead):
                 self._stale = False
                 self._settle()
                 self._note_residual(state)
@@ -204,11 +217,11 @@ class SolidLinearisation:
             motion[solver._moved] = solver.held_displacement(Frame(state.pose, solver.datum)) - solver.x[solver._moved]
             carried = -tangent.solve((tangent.held @ motion[solver._moved])[solver._free])
         loaded = np.flatnonzero(state.forces.any(axis=1))
-        if np.isin(loaded, tangent.nodes).all():
-            pushed = -tangent.push(state.forces[tangent.nodes])
+        if np.isin(loaded, tangent.interface).all():
+            pushed = -tangent.push(state.forces[tangent.interface])
         else:
             right = np.zeros_like(solver.x)
-            np.add.at(right, self._freedoms[loaded], state.forces[loaded])
+            right[self._freedoms[loaded]] = state.forces[loaded]
             pushed = -tangent.solve(right[solver._free])
         free = motion[solver._free] = self._settles + pushed + carried
         solver.x += motion
@@ -241,42 +254,43 @@ class SolidLinearisation:
 
     def _note_residual(self, state: ContactState) -> None:
         solver, unbalanced = self._solver, self._solver.batches.residual[:-1].copy()
-        np.add.at(unbalanced, self._freedoms, state.forces)
+        unbalanced[self._freedoms] += state.forces
         held = float(np.linalg.norm(unbalanced[solver._reacting]))
         self.residual = float(np.linalg.norm(unbalanced[solver._free])) / max(held, solver._floor)
 
-    def _begin(self, state: ContactState, pose: Pose, ahead: Sequence[Pose], beside: Beside) -> bool:
-        """Condense the tangent that was assembled last; False where the last one that was begun is not done yet."""
-        if self._coming is not None:
-            return False
-        self._choose(state, pose, ahead)
-        # One may still be made that nobody needs any more.
+    def _begin(self, state: ContactState, pose: Pose, ahead: Sequence[Pose],
+               beside: Beside) -> CondensedTangent | None:
+        """Condense the tangent that was assembled last; None where one is still made."""
+        # It may be one that nobody needs any more.
         spare = next((each for each in self._tangents if each is not self._tangent and each.is_done), None)
-        if spare is None:
-            return False
-        solver = self._solver
-        spare.held = solver._matrix.all[:, solver._moved]
-        spare.begin(solver._matrix, self._chosen, self._equations[self._chosen], solver.batches.volume_rates, beside)
+        if spare is None or self._coming is not None:
+            return None
+        solver, order, loaded = self._solver, *self._nearest(state, pose, ahead)
+        if not np.isin(order[:max(int(_NEEDED * self._most), loaded)], self._interface).all():
+            self._interface = np.sort(order[:self._most])
+        spare.begin(solver._matrix, self._interface, self._equations[self._interface], solver.batches.volume_rates,
+                    beside)
         self._coming = spare
-        return True
+        return spare
 
-    def _change(self) -> bool:
+    def _change(self, state: ContactState, pose: Pose, ahead: Sequence[Pose]) -> bool:
         """Go on with the tangent that is done, if there is one and it could be condensed."""
         coming, self._coming = self._coming, None
         if coming is None or coming.factor is None:
             return False
+        order, _ = self._nearest(state, pose, ahead)
+        nodes = np.sort(order[np.isin(order, coming.interface)][:self._count])
+        coming.choose(nodes, self._equations[nodes])
         self._tangent, self._base = coming, self._number + 1
         self._solver.batches.known_rates[:] = coming.volume_rates
         return True
 
-    def _choose(self, state: ContactState, pose: Pose, ahead: Sequence[Pose]) -> None:
-        """The nodes that the tool can meet first."""
+    def _nearest(self, state: ContactState, pose: Pose, ahead: Sequence[Pose]) -> tuple[np.ndarray, int]:
+        """The nodes that the tool can meet, those that are loaded and those that it meets first in front, and how many
+        are loaded."""
         meets, loaded = self._meets, np.abs(state.forces).sum(axis=1) > 0.0
         gaps = np.stack([self._gaps(each) for each in (pose, *ahead)])[:, meets]
-        order = meets[np.lexsort((gaps.min(axis=0), ~loaded[meets]))]
-        needed = order[:max(int(_NEEDED * self._count), int(loaded.sum()))]
-        if not np.isin(needed, self._chosen).all():
-            self._chosen = np.sort(order[:self._count])
+        return meets[np.lexsort((gaps.min(axis=0), ~loaded[meets]))], int(loaded.sum())
 
     def _gaps(self, pose: Pose) -> np.ndarray:
         """Distances of the surface from the tool at a pose, m, shape (s,)."""
