@@ -214,7 +214,7 @@ class BulkProcess:
         if self._check != checksum or models.head(number) != (length, checksum):
             return None  # it was written while it was read: once more
         self._taken = number
-        return CondensedContact.unpacked(np.frombuffer(bytes(self._buffer[:length])))
+        return CondensedContact.unpacked(np.frombuffer(self._buffer, count=length // 8).copy())
 
     def _received_correction(self) -> CondensedContact | None:
         """A later state of the bulk on the tangent of the model that is here."""

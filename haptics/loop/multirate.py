@@ -7,9 +7,7 @@ import time as clock
 from collections import deque
 from dataclasses import replace
 from functools import partial
-from typing import Any, cast
-
-import numpy as np
+from typing import Any
 
 from haptics.loop.bulk_link import BulkLink, BulkProcess
 from haptics.loop.model_drift import ModelDrift
@@ -21,7 +19,7 @@ from tissue_sim.material.effect import ReducedForce
 from tissue_sim.material.material import BULK_RATIOS
 from tissue_sim.model import Model
 from tissue_sim.parameters import with_values
-from tissue_sim.pose import Pose, Screw, added, motion, scaled
+from tissue_sim.pose import Pose, added, scaled
 from tissue_sim.simulator import Simulator
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import ForceStatus, ToolForce, axial_stiffness, axial_wrench, pose_of, scaled_matrix
@@ -92,6 +90,7 @@ class MultiRateTissue:
         self._step: ContactStep | None = None
         self._poses: deque[tuple[float, Pose]] = deque(maxlen=_LOOK_BACK)
         self._made, self._models_before = 0.0, self.models
+        self._prepared = self._news = False
 
     def warm_up(self) -> None:
         """Start the process of the bulk and compile what a tick needs.
@@ -134,16 +133,11 @@ class MultiRateTissue:
                            compute_time=clock.perf_counter() - began)
         self._time += dt
         self._ticks += 1
-        model = self._link.receive(self._time)
-        news = model is not None and model.epoch == self._epoch
-        before, known = self._step, stepper.model
-        if model is not None and news:
-            self.models, self._made = self.models + 1, model.time
-            stepper.adopt(model)
+        if not self._prepared:
+            self.prepare()
         step = self._step = stepper.step(pose)
-        if news and before is not None and known is not None:
-            self._take_over(before, known.pose, pose, step)
         self._poses.append((self._time, pose))
+        news, self._news, self._prepared = self._news, False, False
         if news or self._ticks % _SEND_EVERY == 0:
             earlier, there = self._poses[0]
             self._link.send(stepper.state(self._time, pose, earlier, there, self._epoch))
@@ -152,27 +146,31 @@ class MultiRateTissue:
         self._answer = self._found(step, pose, dt, began)
         return self._answer
 
-    def _take_over(self, before: ContactStep, of: Pose, pose: Pose, after: ContactStep) -> None:
-        """What a new model changes becomes an offset: the wrench goes on as it would have without it.
-
-        Args:
-            before: the last step, on the model of a pose `of`.
-            pose: of the tool. after: the step there on the new model.
-        """
-        assert self._stepper is not None and self._stepper.model is not None and self._drift is not None
-        new, (_, here), drift = self._stepper.model.pose, self._poses[-1], self._drift
-        expected = cast("Screw", tuple((np.array(before.wrench) - np.array(before.stiffness_matrix) @ np.array(
-            motion(here, pose))).tolist()))
-        missed = added(after.wrench, scaled(-1.0, expected))
-        known = drift.beyond(of, pose)
+    def prepare(self) -> None:
+        """Take the newest model, where one has come: between two ticks, or `step` does it. What it changes where the
+        tool was last becomes an offset."""
+        self._prepared, stepper, drift = True, self._stepper, self._drift
+        if stepper is None or stepper.model is None or drift is None:
+            return
+        model = self._link.receive(self._time)
+        if model is None or model.epoch != self._epoch:
+            return
+        self.models, self._made, self._news = self.models + 1, model.time, True
+        before, of = self._step, stepper.model.pose
+        stepper.adopt(model)
+        if before is None:
+            return
+        _, here = self._poses[-1]
+        after, expected = stepper.step(here), drift.beyond(of, here)
+        missed = added(after.wrench, scaled(-1.0, before.wrench))
         if any(after.wrench):
-            drift.learn(missed, of, new)
+            drift.learn(missed, of, model.pose)
         else:
             drift.forget()
-        self._offset = added(self._offset, added(known, scaled(-1.0, added(missed, drift.beyond(new, pose)))))
-        change = math.dist(known[:3], missed[:3])
-        way = max(before.way, _SHORT * self._stepper.surface.radius)
-        self._growth = max(_MEMORY * self._growth, change / way**2)
+        for part in (expected, scaled(-1.0, missed), scaled(-1.0, drift.beyond(model.pose, here))):
+            self._offset = added(self._offset, part)
+        way = max(before.way, _SHORT * stepper.surface.radius)
+        self._growth = max(_MEMORY * self._growth, math.dist(expected[:3], missed[:3]) / way**2)
 
     def _found(self, step: ContactStep, pose: Pose, dt: float, began: float) -> ToolForce:
         stepper = self._stepper

@@ -101,21 +101,19 @@ class CondensedContact:
 
     def packed(self) -> np.ndarray:
         """As one array of numbers: all of a whole one, of others what they do not have from their base."""
-        from scipy.linalg import lapack
-
         n = len(self.nodes)
         own = [np.array([self.number, self.base, self.epoch, self.time, n, self.reach, self.modulus, self.residual,
                          *self.pose.position, *self.pose.orientation]), self.wrench, self.middle.ravel()]
         if self.is_whole:
-            lower, _ = lapack.dtrttp(self.compliance, uplo="L")
-            own += [self.nodes, self.stiffness.ravel(), self.drive.ravel(), lower]
+            own += [self.nodes, self.stiffness.ravel(), self.drive.ravel(), self.compliance.ravel()]
         return np.concatenate(own)
 
     @classmethod
     def unpacked(cls, numbers: np.ndarray, base: CondensedContact | None = None) -> CondensedContact | None:
-        """What `packed` gave, beside its base where it is not whole; None where that is another one."""
-        from scipy.linalg import lapack
+        """What `packed` gave, beside its base where it is not whole; None where that is another one.
 
+        Its arrays are parts of the one given.
+        """
         number, of, epoch, time, count, reach, modulus, residual, *where = numbers[:_MODEL_HEAD].tolist()
         n, rest = int(count), numbers[_MODEL_HEAD:]
         own = {"number": int(number), "base": int(of), "epoch": int(epoch), "time": time, "pose": _pose(where),
@@ -123,19 +121,16 @@ class CondensedContact:
                "residual": residual}
         if number != of:
             return None if base is None or base.base != of else replace(base, **own)
-        nodes, stiffness, drive, lower = np.split(rest[6 + 3 * n :], np.cumsum([n, 36, 18 * n]))
-        half, _ = lapack.dtpttr(3 * n, lower, uplo="L")
-        compliance = np.tril(half)
-        compliance += np.tril(half, -1).T
+        nodes, stiffness, drive, compliance = np.split(rest[6 + 3 * n :], np.cumsum([n, 36, 18 * n]))
         return cls(nodes=nodes.astype(np.intp), stiffness=stiffness.reshape(6, 6), drive=drive.reshape(3 * n, 6),
-                   compliance=compliance, **own)
+                   compliance=compliance.reshape(3 * n, 3 * n), **own)
 
 
 def packed_size(surface: ContactSurface, whole: bool = True) -> int:
     """The most numbers that a packed model of a surface has."""
     n = 3 * surface.candidates
     own = _MODEL_HEAD + 6 + n
-    return own + n // 3 + 36 + 6 * n + n * (n + 1) // 2 if whole else own
+    return own + n // 3 + 36 + 6 * n + n * n if whole else own
 
 
 @dataclass(frozen=True, eq=False)

@@ -119,8 +119,7 @@ class _CondensedSuperLU:
             return None
         unit = np.zeros((matrix.shape[0], interface.size))
         unit[interface, np.arange(interface.size)] = 1.0
-        compliance = factor.solve(unit)[interface]
-        return cls(factor, 0.5 * (compliance + compliance.T), interface, matrix.shape[0])
+        return cls(factor, np.ascontiguousarray(factor.solve(unit)[interface]), interface, matrix.shape[0])
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         return self._factor.solve(right)
