@@ -7,7 +7,9 @@ import time as clock
 from collections import deque
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, cast
+
+import numpy as np
 
 from haptics.loop.bulk_link import BulkLink, BulkProcess
 from haptics.loop.model_drift import ModelDrift
@@ -19,7 +21,7 @@ from tissue_sim.material.effect import ReducedForce
 from tissue_sim.material.material import BULK_RATIOS
 from tissue_sim.model import Model
 from tissue_sim.parameters import with_values
-from tissue_sim.pose import Pose, added, scaled
+from tissue_sim.pose import Pose, Screw, added, motion, scaled
 from tissue_sim.simulator import Simulator
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import ForceStatus, ToolForce, axial_stiffness, axial_wrench, pose_of, scaled_matrix
@@ -90,7 +92,9 @@ class MultiRateTissue:
         self._step: ContactStep | None = None
         self._poses: deque[tuple[float, Pose]] = deque(maxlen=_LOOK_BACK)
         self._made, self._models_before = 0.0, self.models
-        self._prepared = self._news = False
+        self._prepared = False
+        #: Of the model before the one that has come since the last step.
+        self._known: Pose | None = None
 
     def warm_up(self) -> None:
         """Start the process of the bulk and compile what a tick needs.
@@ -135,10 +139,12 @@ class MultiRateTissue:
         self._ticks += 1
         if not self._prepared:
             self.prepare()
-        step = self._step = stepper.step(pose)
+        before, step = self._step, stepper.step(pose)
+        known, self._known, self._step, self._prepared = self._known, None, step, False
+        if known is not None and before is not None:
+            self._take_over(before, known, pose, step)
         self._poses.append((self._time, pose))
-        news, self._news, self._prepared = self._news, False, False
-        if news or self._ticks % _SEND_EVERY == 0:
+        if known is not None or self._ticks % _SEND_EVERY == 0:
             earlier, there = self._poses[0]
             self._link.send(stepper.state(self._time, pose, earlier, there, self._epoch))
         if any(self._offset):
@@ -147,29 +153,34 @@ class MultiRateTissue:
         return self._answer
 
     def prepare(self) -> None:
-        """Take the newest model, where one has come: between two ticks, or `step` does it. What it changes where the
-        tool was last becomes an offset."""
-        self._prepared, stepper, drift = True, self._stepper, self._drift
-        if stepper is None or stepper.model is None or drift is None:
+        """Take the newest model, where one has come: between two ticks, or `step` does it."""
+        self._prepared, stepper = True, self._stepper
+        if stepper is None or stepper.model is None:
             return
         model = self._link.receive(self._time)
-        if model is None or model.epoch != self._epoch:
-            return
-        self.models, self._made, self._news = self.models + 1, model.time, True
-        before, of = self._step, stepper.model.pose
-        stepper.adopt(model)
-        if before is None:
-            return
-        _, here = self._poses[-1]
-        after, expected = stepper.step(here), drift.beyond(of, here)
-        missed = added(after.wrench, scaled(-1.0, before.wrench))
+        if model is not None and model.epoch == self._epoch:
+            self.models, self._made, self._known = self.models + 1, model.time, stepper.model.pose
+            stepper.adopt(model)
+
+    def _take_over(self, before: ContactStep, of: Pose, pose: Pose, after: ContactStep) -> None:
+        """What a new model changes becomes an offset: the wrench goes on as it would have without it.
+
+        Args:
+            before: the last step, on the model of a pose `of`.
+            pose: of the tool. after: the step there on the new model.
+        """
+        assert self._stepper is not None and self._stepper.model is not None and self._drift is not None
+        new, (_, here), drift = self._stepper.model.pose, self._poses[-1], self._drift
+        slope = np.array(before.stiffness_matrix) @ np.array(motion(here, pose))
+        went_on = cast("Screw", tuple((np.array(before.wrench) - slope).tolist()))
+        missed, expected = added(after.wrench, scaled(-1.0, went_on)), drift.beyond(of, pose)
         if any(after.wrench):
-            drift.learn(missed, of, model.pose)
+            drift.learn(missed, of, new)
         else:
             drift.forget()
-        for part in (expected, scaled(-1.0, missed), scaled(-1.0, drift.beyond(model.pose, here))):
+        for part in (expected, scaled(-1.0, missed), scaled(-1.0, drift.beyond(new, pose))):
             self._offset = added(self._offset, part)
-        way = max(before.way, _SHORT * stepper.surface.radius)
+        way = max(before.way, _SHORT * self._stepper.surface.radius)
         self._growth = max(_MEMORY * self._growth, math.dist(expected[:3], missed[:3]) / way**2)
 
     def _found(self, step: ContactStep, pose: Pose, dt: float, began: float) -> ToolForce:
