@@ -117,8 +117,8 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: Steps, solv
         campaign=campaign.name, law=campaign.fit.laws[0], verdict=judgement.verdict,
         message=message(judgement.verdict, effects, [titles.get(name, name) for name in judgement.indistinguishable],
                         regions, (*gaps, noise), sum(not row.testable for row in candidates), held_out,
-                        next(((row.title, row.explained_percent) for row in candidates
-                              if row.explained_percent is not None), None), before.repeated_in_words,
+                        next((row for row in candidates if row.explained_percent is not None), None),
+                        before.repeated_in_words,
                         stressed=all(curve.stressed for curve in before.problem.measured)),
         effects=effects, indistinguishable=judgement.indistinguishable, candidates=candidates, regions=regions,
         gap_before_N=gaps[0], gap_after_N=gaps[1], noise_N=noise,

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calibration.campaign.campaign import Campaign
+from calibration.campaign.parameter_space import ParameterSpace
 from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.extended import extend, unknowns
 from calibration.diagnosis.proposals import Proposal, Proposals, sharpened, step_of
@@ -80,25 +81,16 @@ class Refit:
         return {each.name: values[each.name] for each in space.unknowns if each.path in mine}
 
     @property
-    def on_bound(self) -> list[str]:
-        """Names of its numbers that ended on a bound which is not that of its absence."""
-        space, held = self.problem.space, []
-        for name in self.numbers:
-            if name not in space.free:
-                continue
-            place = space.free.index(name)
-            absent = self.proposal.absent.get(space.unknown(name).path)
-            value = self.theta[place]
-            for bound in (space.low[place], space.high[place]):
-                near = np.isfinite(bound) and abs(value - bound) <= _ON_BOUND * max(abs(bound), abs(value))
-                if near and bound != absent:
-                    held.append(name)
-        return held
+    def bounds_met(self) -> dict[str, float]:
+        """Name -> bound, SI, of its numbers that ended on a bound which is not that of its absence."""
+        absent = {name: self.proposal.absent.get(self.problem.space.unknown(name).path) for name in self.numbers}
+        met = {name: bound_met(self.problem.space, self.theta, name, there) for name, there in absent.items()}
+        return {name: bound for name, bound in met.items() if bound is not None}
 
     @property
     def beyond(self) -> bool:
         """Whether a size of it ended on a bound, where it makes no physical sense any more."""
-        return any(self.problem.space.unknown(name).path in self.proposal.candidate.sizes for name in self.on_bound)
+        return any(self.problem.space.unknown(name).path in self.proposal.candidate.sizes for name in self.bounds_met)
 
     @property
     def absent(self) -> bool:
@@ -113,6 +105,22 @@ class Refit:
         estimate = Estimate(1, self.theta, self.error, True, "", (), {}, 0.0, problem=self.problem,
                             differences=before.estimate.differences, refreshes=before.estimate.refreshes)
         return Evidence(self.campaign, before.measured, estimate)
+
+
+def bound_met(space: ParameterSpace, theta: np.ndarray, name: str, absent: float | None) -> float | None:
+    """The bound, SI, that a number ended on and that is not the value at which it is absent; None: none, or held.
+
+    Args:
+        theta: free parameters at the minimum, shape (p,).
+    """
+    if name not in space.free:
+        return None
+    place = space.free.index(name)
+    for bound in (space.low[place], space.high[place]):
+        near = np.isfinite(bound) and abs(theta[place] - bound) <= _ON_BOUND * max(abs(bound), abs(theta[place]))
+        if near and bound != absent:
+            return float(bound)
+    return None
 
 
 def refit(evidence: Evidence, proposals: Proposals, steps: Steps, words: str = "fits with an effect",
