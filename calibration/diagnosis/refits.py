@@ -226,7 +226,7 @@ def refit_one(problem: Problem, campaign: Campaign, proposal: Proposal, values: 
     promised = -2.0 * proposal.improbability - (error - _error_of(extended, descent))
     if proposal.direction.freedom == 1 and promised > _SHORT:
         # Nearly dependent numbers: a step that gains little may be followed by one that gains more.
-        again = descend(extended, descent.theta, corrected=True, enough=0.0)
+        again = descend(extended, descent.theta, corrected=True, enough=0.0, tolerance=_TOLERANCE)
         descent = again if again.error < descent.error else descent
     for _ in range(_AGAIN if candidate.jump else 0):
         moved = _with_jump_moved(problem, campaign, proposal, extended, descent)

@@ -21,6 +21,8 @@ ENOUGH, ENOUGH_OF_A_START = 1e-3, 3e-2
 MOST_SOLVES = 60
 #: An unknown this near to its bound, relative to itself, is on it.
 _ON_BOUND = 1e-3
+#: Rounding of unknowns that become variables and unknowns again, relative.
+_ROUNDING = 1e-12
 #: Of scipy's test of the gradient, which the gain replaces.
 GRADIENT = 1e-14
 
@@ -54,11 +56,19 @@ class _Outer:
         self.problem, self.note, self.enough = problem, note, enough
         self.variables = problem.variables(theta)
         self.start = np.clip(self.variables.of(theta), *self.variables.bounds)
+        self.first = theta
         self.failure = ""
+
+    def unknowns(self, u: np.ndarray) -> np.ndarray:
+        """The unknowns of these variables, shape (k,); those that the descent starts from to the last digit, so that
+        what was simulated for them is not simulated again."""
+        unknowns = self.variables.unknowns(u)
+        same = np.array_equal(u, self.start) and np.allclose(unknowns, self.first, rtol=_ROUNDING, atol=0.0)
+        return self.first if same else unknowns
 
     def residual(self, u: np.ndarray) -> np.ndarray:
         try:
-            evaluation = self.problem.evaluate(self.variables.unknowns(u))
+            evaluation = self.problem.evaluate(self.unknowns(u))
         except InfeasibleError as error:
             self.failure = str(error)
             return np.full(self.size, np.inf)
@@ -68,7 +78,7 @@ class _Outer:
         return residual
 
     def jacobian(self, u: np.ndarray) -> np.ndarray:
-        evaluation = self.problem.evaluate(self.variables.unknowns(u))
+        evaluation = self.problem.evaluate(self.unknowns(u))
         residual, jacobian = evaluation.projected
         jacobian = self.variables.times(jacobian, u)
         if self.enough:
@@ -90,7 +100,7 @@ class _Outer:
     def _settled(self, u: np.ndarray, evaluation: Evaluation) -> _SettledError:
         """The end of the descent: on the bounds that it would cross, unless that is no better."""
         try:
-            there = self.problem.evaluate(np.clip(self.variables.unknowns(u), *self.problem.bounds))
+            there = self.problem.evaluate(np.clip(self.unknowns(u), *self.problem.bounds))
         except InfeasibleError:
             there = evaluation
         best = there if there.error <= evaluation.error else evaluation
@@ -163,7 +173,7 @@ def descend(problem: LeastSquares, theta: np.ndarray, *, start: int = 1, correct
             ftol=tolerance, xtol=tolerance, gtol=gradient, max_nfev=most_solves)
     except _SettledError as settled:
         return done(settled.theta, settled.error, True, "")
-    theta = outer.variables.unknowns(result.x)
+    theta = outer.unknowns(result.x)
     failure = "" if result.status > 0 else \
         f"no minimum after {most_solves} solves{f'; {outer.failure}' if outer.failure else ''}"
     return done(theta, float(2 * result.cost), result.status > 0, failure)
