@@ -331,6 +331,20 @@ class Reader:
             self.press(button)
         return coming.value
 
+    def downloads(self, button: str, count: int) -> list:
+        """Press a button and take the files that come, in their order."""
+        files: list = []
+
+        def take(download) -> None:
+            files.append(download)
+
+        self.page.on("download", take)
+        try:
+            self.press(button)
+            return self.until(lambda: files, lambda come: len(come) == count)
+        finally:
+            self.page.remove_listener("download", take)
+
     def curves(self) -> list[dict]:
         """Of each plot, from the top: the finite values of each series by its label."""
         return self.page.evaluate("""() => Object.values(window.__viserTestpoints.uplots)
