@@ -19,6 +19,7 @@ from calibration.campaign.digest import digest_of
 from calibration.campaign.measured import MeasuredCurve, read_measured, scale_offsets
 from calibration.diagnosis.confirmation import gap, region_gaps, unseen_replicates, unseen_tests
 from calibration.diagnosis.diagnosis import Diagnosis, Stage
+from calibration.diagnosis.duration import in_words, seconds_of_each
 from calibration.diagnosis.evidence import Evidence, Measured, gather, whole_campaign
 from calibration.diagnosis.next_experiment import next_experiments
 from calibration.diagnosis.proposals import Proposals, propose
@@ -190,7 +191,10 @@ class CampaignDiagnosis:
         self.steps.say("looking at the start")
         campaign = scale_offsets(self.campaign, self.measured)
         with self._clock.stage("look at the start"):
-            Generalised(campaign, self.measured, self.solves).check(campaign.fit.laws[0], 0)
+            estimator, law = Generalised(campaign, self.measured, self.solves), campaign.fit.laws[0]
+            estimator.check(law, 0)
+            if self.steps.announce is not None and (words := in_words(seconds_of_each(estimator.problem(law)))):
+                self.steps.announce(f"{campaign.name}: {words}")
 
     def run(self, *, figures: bool, figures_format: str | None = None) -> DiagnosisResult:
         """Diagnose it and write everything into the folder; ``diagnosis.json`` last, because it says that it is

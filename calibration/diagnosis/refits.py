@@ -146,7 +146,8 @@ def refit(evidence: Evidence, proposals: Proposals, steps: Steps, words: str = "
             ways = [sharpened(ways[0], evidence)]
         tasks += [(evidence.problem, evidence.campaign, way, evidence.values, error, evidence.samples)
                   for way in ways[:2] if way.improbability < ways[0].improbability + 0.5 * AS_GOOD]
-    fits = [each for each in steps.all_of(refit_one, tasks, words) if each is not None] if tasks else []
+    titles = [way.candidate.title for *_, way, _, _, _ in tasks]
+    fits = [each for each in steps.all_of(refit_one, tasks, words, names=titles) if each is not None] if tasks else []
     best: dict[str, Refit] = {}
     for each in sorted(fits, key=lambda one: -one.gain):
         # Tasks of other processes come with copies of what has been simulated.
@@ -160,7 +161,7 @@ def refit(evidence: Evidence, proposals: Proposals, steps: Steps, words: str = "
     if len(near) > 1:
         # What the accurate mesh has more depends on the effect, and may decide between two that are alike.
         again = steps.all_of(corrected, [(each, evidence.problem, error, evidence.samples) for each in near],
-                             "their mesh corrections")
+                             "their mesh corrections", names=[each.proposal.candidate.title for each in near])
         for each in again:
             each.problem.solves = evidence.problem.solves
             best[each.name] = each
