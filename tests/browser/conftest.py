@@ -309,9 +309,10 @@ class Reader:
 
     def enter(self, label: str, number: str) -> None:
         """Key by key: put in at once, a number that stood there before the program wrote another one is overlooked."""
-        self.field(label).press("Control+a")
-        self.page.keyboard.type(number)
-        self.page.keyboard.press("Enter")
+        field = self.field(label)
+        field.press("Control+a")
+        field.press_sequentially(number)
+        field.press("Enter")
 
     def choose(self, label: str, option: str) -> None:
         """From a list."""
