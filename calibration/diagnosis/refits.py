@@ -48,6 +48,8 @@ _STARTS = (1.0, 0.3, 0.1)
 _SOUGHT, _AGAIN = (0.25, 0.5, 1.0, 2.0), 3
 #: Fits are compared by their sums of squares, which these ends of a descent tell to far less than matters.
 _ENOUGH, _TOLERANCE = 0.1, 2e-5
+#: A fit that goes on does so for as many solves as gain more than that together.
+_PATIENT = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +229,8 @@ def refit_one(problem: Problem, campaign: Campaign, proposal: Proposal, values: 
     promised = -2.0 * proposal.improbability - (error - _error_of(extended, descent))
     if proposal.direction.freedom == 1 and promised > _SHORT:
         # Nearly dependent numbers: a step that gains little may be followed by one that gains more.
-        again = descend(extended, descent.theta, corrected=True, enough=0.0, tolerance=_TOLERANCE)
+        again = descend(extended, descent.theta, corrected=True, enough=0.0, tolerance=_TOLERANCE,
+                        stalled=(_PATIENT, _ENOUGH))
         descent = again if again.error < descent.error else descent
     for _ in range(_AGAIN if candidate.jump else 0):
         moved = _with_jump_moved(problem, campaign, proposal, extended, descent)

@@ -52,8 +52,12 @@ class Descent:
 class _Outer:
     """The problem as scipy sees it."""
 
-    def __init__(self, problem: LeastSquares, theta: np.ndarray, note: Callable, enough: float):
-        self.problem, self.note, self.enough = problem, note, enough
+    def __init__(self, problem: LeastSquares, theta: np.ndarray, note: Callable, enough: float,
+                 stalled: tuple[int, float] | None):
+        self.problem, self.note, self.enough, self.stalled = problem, note, enough, stalled
+        #: Sums of squares so far, and unknowns of the least.
+        self.errors: list[float] = []
+        self.best = theta
         self.variables = problem.variables(theta)
         self.start = np.clip(self.variables.of(theta), *self.variables.bounds)
         self.first = theta
@@ -73,6 +77,14 @@ class _Outer:
             self.failure = str(error)
             return np.full(self.size, np.inf)
         self.note(evaluation)
+        if evaluation.error < min(self.errors, default=np.inf):
+            self.best = evaluation.theta
+        self.errors.append(evaluation.error)
+        if self.stalled is not None:
+            solves, gain = self.stalled
+            before = self.errors[:-solves]
+            if before and min(before) - min(self.errors) < gain:
+                raise _SettledError(self.best, min(self.errors))
         residual = evaluation.projected[0]
         self.size = residual.size
         return residual
@@ -119,7 +131,8 @@ class _SettledError(Exception):
 
 def descend(problem: LeastSquares, theta: np.ndarray, *, start: int = 1, corrected: bool = False,
             enough: float = ENOUGH, tolerance: float = TOLERANCE, gradient: float = GRADIENT,
-            most_solves: int = MOST_SOLVES, listen: Listener | None = None, past: int = 0) -> Descent:
+            most_solves: int = MOST_SOLVES, stalled: tuple[int, float] | None = None, listen: Listener | None = None,
+            past: int = 0) -> Descent:
     """Trust-region Levenberg-Marquardt from `theta`.
 
     Where forces are proportional to the moduli and none is fixed, the first solve finds the factor that suits all of
@@ -130,6 +143,7 @@ def descend(problem: LeastSquares, theta: np.ndarray, *, start: int = 1, correct
         start: number for the history. corrected: whether the difference to the accurate mesh is in.
         enough: gain in the sum of squares, in units of the noise or the residuals, that is not worth a solve; 0: any
             gain is, and the tolerances alone end the descent. tolerance, gradient, most_solves: scipy's.
+        stalled: so many solves that lower the sum of squares by less than so much, all together, end it; None: none do.
         listen: called after each solve. past: solves of this start so far.
 
     Source: trust region reflective method of scipy.optimize.least_squares (Branch, Coleman, Li, SIAM J. Sci. Comput.
@@ -165,7 +179,7 @@ def descend(problem: LeastSquares, theta: np.ndarray, *, start: int = 1, correct
         return done(theta, np.inf, False, str(error))
     if not theta.size:
         return done(theta, evaluation.error, True, "")
-    outer = _Outer(problem, theta, note, enough)
+    outer = _Outer(problem, theta, note, enough, stalled)
     try:
         # Scaled by the columns of the Jacobian: Pa, exponents, metres and newtons stand side by side.
         result = least_squares(

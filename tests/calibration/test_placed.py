@@ -173,6 +173,21 @@ def test_a_descent_does_not_simulate_its_start_again(tmp_path):
     assert solves.counts.total() == counted and np.array_equal(end.theta, start)
 
 
+def test_a_descent_that_gains_nothing_more_ends(tmp_path):
+    """After so many solves, at the best of all of them."""
+    test, space, solves = study(tmp_path, start=', "experiment.friction" = 0.05')
+    problem = Problem(space, (test,), solves, Jitter(0.0, 0.005, None), (0.0,))
+    start = np.array([{"C10": 0.9 * C10}.get(name, 0.06) for name in space.free])
+    whole = descend(problem, start, corrected=True, enough=0.0)
+    assert len(whole.history) > 6
+    short = descend(problem, start, corrected=True, enough=0.0, stalled=(2, 0.1))
+    errors = [each.error for each in short.history]
+    assert len(errors) < len(whole.history) and short.error == min(errors) and short.converged
+    assert min(errors[:-2]) - min(errors) < 0.1 < min(errors[:-3]) - min(errors)
+    assert short.error - whole.error < 0.2
+    assert [each.error for each in whole.history[:len(errors)]] == errors
+
+
 def test_a_face_that_leans_is_averaged_at_every_sample(tmp_path):
     test, space, solves = study(tmp_path, start=', "experiment.tilt" = 0.1')
     tilt = 0.4e-3
