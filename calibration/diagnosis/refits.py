@@ -48,8 +48,8 @@ _STARTS = (1.0, 0.3, 0.1)
 _SOUGHT, _AGAIN = (0.25, 0.5, 1.0, 2.0), 3
 #: Fits are compared by their sums of squares, which these ends of a descent tell to far less than matters.
 _ENOUGH, _TOLERANCE = 0.1, 2e-5
-#: A fit that goes on does so for as many solves as gain more than that together.
-_PATIENT = 3
+#: A fit goes on while so many solves together gain more than that.
+_PATIENT = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +223,7 @@ def refit_one(problem: Problem, campaign: Campaign, proposal: Proposal, values: 
     theta = _near_enough(extended, [unknowns(extended.space, values, {**candidate.shape, **{
         path: proposal.absent[path] + share * (size - proposal.absent[path]) for path, size in start.items()}})
         for share in _STARTS], error)
-    descent = descend(extended, theta, corrected=True, enough=_ENOUGH, tolerance=_TOLERANCE)
+    descent = descend(extended, theta, corrected=True, enough=_ENOUGH, tolerance=_TOLERANCE, stalled=(_PATIENT, _ENOUGH))
     if not np.isfinite(descent.error):
         return Refit(proposal, extended, changed, descent.theta, descent.error, -np.inf, descent.failure)
     promised = -2.0 * proposal.improbability - (error - _error_of(extended, descent))

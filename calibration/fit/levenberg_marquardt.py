@@ -82,9 +82,9 @@ class _Outer:
         self.errors.append(evaluation.error)
         if self.stalled is not None:
             solves, gain = self.stalled
-            before = self.errors[:-solves]
-            if before and min(before) - min(self.errors) < gain:
-                raise _SettledError(self.best, min(self.errors))
+            before, best = self.errors[:-solves], min(self.errors)
+            if before and min(before) - best < gain * max(1.0, best / self.problem.samples):
+                raise _SettledError(self.best, best)
         residual = evaluation.projected[0]
         self.size = residual.size
         return residual
@@ -143,7 +143,8 @@ def descend(problem: LeastSquares, theta: np.ndarray, *, start: int = 1, correct
         start: number for the history. corrected: whether the difference to the accurate mesh is in.
         enough: gain in the sum of squares, in units of the noise or the residuals, that is not worth a solve; 0: any
             gain is, and the tolerances alone end the descent. tolerance, gradient, most_solves: scipy's.
-        stalled: so many solves that lower the sum of squares by less than so much, all together, end it; None: none do.
+        stalled: so many solves that lower the sum of squares by less than so much, all together and in the same units,
+            end it; None: none do.
         listen: called after each solve. past: solves of this start so far.
 
     Source: trust region reflective method of scipy.optimize.least_squares (Branch, Coleman, Li, SIAM J. Sci. Comput.

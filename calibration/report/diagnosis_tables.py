@@ -65,8 +65,7 @@ def fitted_table(candidates: Sequence[CandidateStatement], units: Units) -> str:
     rows = []
     for each in (each for each in candidates if each.refitted):
         fitted = "<br>".join(number_in_words(number, units) for number in each.parameters)
-        notes = [f"{plain_symbol(number.symbol)} ended on its bound" for number in each.parameters
-                 if number.bound is not None]
+        notes = [f"{', '.join(map(plain_symbol, each.on_bound))} on a bound"] if each.on_bound else []
         notes += [each.note] if each.note else []
         fitted += f'<br><span class="bad">{escape("; ".join(notes))}</span>' if notes else ""
         rows.append([escape(label_of(each)), fitted or "-", "-" if each.score is None else with_minus(

@@ -191,8 +191,9 @@ def test_where_any_mesh_is_exact_eight_elements_are_enough(more):
     assert exact_mesh(model, "solid").connectivity.shape[0] == 8
     few = simulate_curve(model, None, ["C10"], "realtime", "solid")
     many = ts.sensitivities(model, ["C10"], resolution="realtime", solver="solid")
-    assert few.force == pytest.approx(many.recording.force, rel=1e-8, abs=1e-10)
-    assert np.array(few.rates) == pytest.approx(many.values, rel=1e-8, abs=1e-14)
+    # Steps end where forces balance to 1e-6.
+    for found, expected in ((few.force, many.recording.force), (few.rates, many.values)):
+        np.testing.assert_allclose(found, expected, rtol=0, atol=2e-6 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("change", [
