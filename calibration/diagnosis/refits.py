@@ -223,7 +223,8 @@ def refit_one(problem: Problem, campaign: Campaign, proposal: Proposal, values: 
     theta = _near_enough(extended, [unknowns(extended.space, values, {**candidate.shape, **{
         path: proposal.absent[path] + share * (size - proposal.absent[path]) for path, size in start.items()}})
         for share in _STARTS], error)
-    descent = descend(extended, theta, corrected=True, enough=_ENOUGH, tolerance=_TOLERANCE, stalled=(_PATIENT, _ENOUGH))
+    descent = descend(extended, theta, corrected=True, enough=_ENOUGH, tolerance=_TOLERANCE,
+                      stalled=(_PATIENT, _ENOUGH))
     if not np.isfinite(descent.error):
         return Refit(proposal, extended, changed, descent.theta, descent.error, -np.inf, descent.failure)
     promised = -2.0 * proposal.improbability - (error - _error_of(extended, descent))
