@@ -108,6 +108,7 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: Steps, solv
         effects = [] if after is None else found_effects(judgement, before, after)
         regions = region_gaps(before, after)
     with clock.stage("the next experiment"):
+        steps.say("what to measure next")
         further = next_experiments(before, proposals, judgement)
     gaps = gap(before), None if after is None else gap(after)
     noises = [curve.noise for curve in before.problem.measured]
