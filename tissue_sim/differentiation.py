@@ -41,7 +41,8 @@ class Sensitivities:
 
 
 def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolution: str = "fast",
-                  mesh: Any = None, solver: str = "axisymmetric", topology: Model | None = None) -> Sensitivities:
+                  mesh: Any = None, solver: str = "axisymmetric", topology: Model | None = None,
+                  one_sided: bool = False) -> Sensitivities:
     """Simulate a test with its derivatives.
 
     Those with the material are exact: the equations of every converged step are differentiated, history, slip and
@@ -56,6 +57,7 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
         model: experiment, material, rig; forces are those on the tool, before the sensor of the rig reads them.
         names: parameters; None: all of the material.
         resolution, mesh, solver, topology: as `simulate`; of a solver that has no derivatives all are differences.
+        one_sided: differences are to the simulation that there is anyhow, which takes one less for each.
 
     Raises:
         ConvergenceError: as `simulate`; of differences also where a neighbouring simulation fails.
@@ -83,7 +85,7 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
         raise ConvergenceError("the tangent of a converged step is singular, so the force has no derivative there",
                                recording=recording, depth=float(recording.displacement[-1]))
     for k in np.flatnonzero(~exact):
-        values[:, k] = _difference(model, asked[k], options)
+        values[:, k] = _difference(model, asked[k], recording.force, options, one_sided=one_sided)
     return Sensitivities(recording, names, values, exact, np.array(watch.kinks, dtype=bool))
 
 
@@ -149,10 +151,28 @@ def _neighbours(change: Callable, value: float, half: float):
     return more, less, high - low
 
 
-def _difference(model: Model, parameter: Parameter, options: dict) -> np.ndarray:
-    """Central difference of two simulations on one mesh, whose nodes move with the geometry."""
+def _difference(model: Model, parameter: Parameter, force: np.ndarray, options: dict, *, one_sided: bool) -> np.ndarray:
+    """Central difference of two simulations on one mesh, whose nodes move with the geometry; one-sided, against the
+    force of the model itself, N, where that is asked for or only one side is allowed.
+
+    Raises:
+        InputError: neither side is allowed.
+    """
     length = model.experiment.tool.radius or model.experiment.specimen.margin()
-    size = abs(parameter.value) or (length if parameter.declaration.unit == "m" else 1.0)
-    more, less, width = _neighbours(lambda new: with_values(model, {parameter.path: new}), parameter.value,
-                                    0.5 * SIMULATION_WIDTH * size)
-    return (simulate(more, **options).force - simulate(less, **options).force) / width
+    size, value = abs(parameter.value) or (length if parameter.declaration.unit == "m" else 1.0), parameter.value
+    half, sides = 0.5 * SIMULATION_WIDTH * size, []
+    for step in (2.0 * half, -2.0 * half) if one_sided else (half, -half):
+        try:
+            neighbour = with_values(model, {parameter.path: value + step})
+        except InputError as error:
+            refusal = error
+            continue
+        sides.append((simulate(neighbour, **options).force, value + step))
+        if one_sided:
+            break
+    if not sides:
+        raise refusal
+    if len(sides) == 1:
+        sides.append((force, value))
+    (more, high), (less, low) = sides
+    return (more - less) / (high - low)
