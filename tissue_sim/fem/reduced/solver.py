@@ -12,9 +12,11 @@ from tissue_sim.errors import InputError
 from tissue_sim.fem.reduced.contact import LayerContact
 from tissue_sim.fem.reduced.elements import SampledElements
 from tissue_sim.fem.reduced.fields import reduced_fields
+from tissue_sim.fem.reduced.lifting import Lifting
+from tissue_sim.fem.reduced.linear import size, solution
 from tissue_sim.fem.reduced.model import ReducedModel, require_one_material
 from tissue_sim.fem.solid.discretisation import tool_contact
-from tissue_sim.fem.solid.frame import Frame, turned_with
+from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.solid.surface import SolidSurface
 from tissue_sim.fem.solid.tissue import bulk_modulus
 from tissue_sim.fem.solver import Fields, Solver, Step, StepStatus
@@ -77,7 +79,7 @@ class ReducedSolver(Solver):
         self._reach = experiment.contact_radius
         self.contact = LayerContact(bodies, mesh.nodes, mesh.node_areas, reduced.basis, reach=self._reach,
                                     softness=reduced.softness)
-        self._first = Frame(self._start, self.datum)
+        self._lifted = Lifting(reduced.lifting, Frame(self._start, self.datum))
         modes = reduced.basis.shape[1]
         self._lifting = reduced.lifting
         #: The modes that are solved for.
@@ -121,7 +123,7 @@ class ReducedSolver(Solver):
         if not resumes:
             self._go_back()
         frame, box = Frame(pose, self.datum), self.reduced.box
-        pressed_in = bool(frame.origin[2] <= self._first.origin[2])
+        pressed_in = bool(frame.origin[2] <= self._lifted.first.origin[2])
         inside = box.holds(pose, self._start)
         clear = not inside and self._is_clear_of(frame)
         # A tool that goes up out of the box takes leave of the tissue within the width of the layer.
@@ -139,7 +141,7 @@ class ReducedSolver(Solver):
         way = np.array(motion(self._pose, pose)) if (
             predictor_order and inside and not resumes) else np.zeros(6)
         here = self.amplitudes + self._answer @ way
-        here[:held] = self._lifted(frame)
+        here[:held] = self._lifted.amplitudes(frame)
         iterations, ratio, last, anew, halvings, status = 0, 0.0, np.inf, 1, 0, None
         base = self.amplitudes.copy(), elements.pressures.copy()
         if elements.are_known and inside and not (held or resumes):
@@ -151,7 +153,7 @@ class ReducedSolver(Solver):
         while status is None:
             elements.evaluate(here, change, anew)
             residual = elements.forces + pushed
-            unbalanced = float(np.linalg.norm(residual[free]))
+            unbalanced = size(residual[free])
             balanced = self._balanced(pushed)
             ratio = unbalanced / self._scale(balanced)
             bad = not (elements.least > _LEAST and np.isfinite(ratio))
@@ -162,7 +164,7 @@ class ReducedSolver(Solver):
                 # Half of the way back.
                 halvings += 1
                 here = 0.5 * (here + base[0])
-                here[:held] = self._lifted(frame)
+                here[:held] = self._lifted.amplitudes(frame)
                 elements.pressures[:] = 0.5 * (elements.pressures + base[1])
                 change = None
                 pushed, rates = self._press(here, frame, pressed_in)
@@ -183,7 +185,7 @@ class ReducedSolver(Solver):
         self.amplitudes[:] = here
         stiffness, error, wrench = None, None, np.zeros(6)
         if status is StepStatus.CONVERGED:
-            wrench = contact.wrench(frame) - self._lifted_rates(frame).T @ residual[:held]
+            wrench = contact.wrench(frame) - self._lifted.rates(frame).T @ residual[:held]
             self._answer[:] = self._follows(frame, rates)
             error = self._force_error(frame, rates, residual, wrench)
             if self._asked:
@@ -218,7 +220,7 @@ class ReducedSolver(Solver):
 
     def _balanced(self, pushed: np.ndarray) -> float:
         """What the contact and the held face are pressed with."""
-        return float(np.linalg.norm(pushed)) + float(np.linalg.norm(self.elements.forces[: self._lifting]))
+        return size(pushed) + size(self.elements.forces[: self._lifting])
 
     def _scale(self, balanced: float) -> float:
         """What unbalanced forces are measured against."""
@@ -241,7 +243,7 @@ class ReducedSolver(Solver):
         while True:
             pushed, rates = self._press(at, frame, pressed_in)
             residual = (forces + tangent @ (at - known) + pushed)[free]
-            unbalanced = float(np.linalg.norm(residual))
+            unbalanced = size(residual)
             if unbalanced <= goal * self._scale(self._balanced(pushed)) or solves >= _MOST_SOLVES:
                 return at, pushed, rates
             if unbalanced > (1.0 - _DESCENT) * last and halvings < _MOST_HALVINGS:
@@ -249,7 +251,7 @@ class ReducedSolver(Solver):
                 continue
             before, last, halvings = at, unbalanced, 0
             at = at.copy()
-            at[free] -= np.linalg.solve((tangent + rates)[free, free], residual)
+            at[free] -= solution((tangent + rates)[free, free], residual)
             solves += 1
 
     def _is_clear_of(self, frame: Frame) -> bool:
@@ -272,26 +274,14 @@ class ReducedSolver(Solver):
         """To the last committed state."""
         self.amplitudes[:], self.elements.pressures[:] = self._committed
 
-    def _lifted(self, frame: Frame) -> np.ndarray:
-        """Amplitudes of the modes that the tool's pose says, shape (lifting,): its way, and how its axes turned."""
-        return frame.motion_from(self._first)[: self._lifting]
-
-    def _lifted_rates(self, frame: Frame) -> np.ndarray:
-        """How these change with the position and a rotation of the tool, shape (lifting, 6)."""
-        rates = np.zeros((self._lifting, 6))
-        if self._lifting:
-            rates[:3, :3] = np.eye(3)
-            rates[3:, 3:] = turned_with(frame.rotation.T).transpose(1, 0, 2).reshape(9, 6)[:, 3:]
-        return rates
-
     def _follows(self, frame: Frame, rates: np.ndarray) -> np.ndarray:
         """How the amplitudes follow the position and a rotation of the tool, shape (modes, 6)."""
         held, free = self._lifting, self._free
         tangent = self.elements.tangent + rates
         answer = np.zeros((tangent.shape[0], 6))
-        answer[:held] = self._lifted_rates(frame)
+        answer[:held] = self._lifted.rates(frame)
         pushed = self.contact.rates_of_modes(frame)
-        answer[free] = -np.linalg.solve(tangent[free, free], pushed[free] + tangent[free, :held] @ answer[:held])
+        answer[free] = -solution(tangent[free, free], pushed[free] + tangent[free, :held] @ answer[:held])
         return answer
 
     def _force_error(self, frame: Frame, rates: np.ndarray, residual: np.ndarray, wrench: np.ndarray) -> float | None:
@@ -304,10 +294,10 @@ class ReducedSolver(Solver):
         held, rest = self._lifting, slice(self._lifting, None)
         tangent = self.elements.tangent + rates
         change = np.zeros(len(residual))
-        change[rest] = -np.linalg.solve(tangent[rest, rest], residual[rest])
-        force = self.contact.force_of(change) - (self._lifted_rates(frame).T @ (tangent[:held] @ change))[:3]
+        change[rest] = -solution(tangent[rest, rest], residual[rest])
+        force = self.contact.force_of(change) - (self._lifted.rates(frame).T @ (tangent[:held] @ change))[:3]
         changed, own = self.reduced.error_factors
-        return changed * float(np.linalg.norm(force)) + own * float(np.linalg.norm(wrench[:3]))
+        return changed * size(force) + own * size(wrench[:3])
 
     def _stiffness(self, frame: Frame, rates: np.ndarray) -> np.ndarray:
         """Minus the derivative of the wrench with the tool's pose, shape (6, 6)."""
