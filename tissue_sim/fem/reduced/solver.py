@@ -15,6 +15,7 @@ from tissue_sim.fem.reduced.fields import reduced_fields
 from tissue_sim.fem.reduced.lifting import Lifting
 from tissue_sim.fem.reduced.linear import size, solution
 from tissue_sim.fem.reduced.model import ReducedModel, require_one_material
+from tissue_sim.fem.reduced.prediction import Prediction
 from tissue_sim.fem.solid.discretisation import tool_contact
 from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.solid.surface import SolidSurface
@@ -85,8 +86,7 @@ class ReducedSolver(Solver):
         #: The modes that are solved for.
         self._free = slice(reduced.lifting, modes - reduced.watched)
         self.amplitudes = np.zeros(modes)
-        #: How they follow the tool at the last equilibrium.
-        self._answer = np.zeros((modes, 6))
+        self._prediction = Prediction(modes, self._reach)
         self._committed = self.amplitudes.copy(), self.elements.pressures.copy()
         #: Of the elements on the modes there; and steps in which stiffness was computed since it came to rest.
         self._forces, self._rested, self._largest_force = np.zeros(modes), 0, 0.0
@@ -103,6 +103,7 @@ class ReducedSolver(Solver):
         self.contact.set_stiffness(material.mu0)
         for pressures in (self._committed[1], self.elements.pressures):
             pressures *= material.mu0 / before
+        self._prediction.forget_what_was_missed()
         self._floor = 1e-3 * material.mu0 * self._reach**2
         self._renew()
 
@@ -138,9 +139,10 @@ class ReducedSolver(Solver):
         elements.memory.prepare(dt)
         held, free = self._lifting, self._free
         # It begins by going with the tool as it would if the contact did not change, or where the last step ended.
-        way = np.array(motion(self._pose, pose)) if (
-            predictor_order and inside and not resumes) else np.zeros(6)
-        here = self.amplitudes + self._answer @ way
+        follows = predictor_order and inside and not resumes
+        way = np.array(motion(self._pose, pose)) if follows else np.zeros(6)
+        # What touches is balanced below, from the forces that were left.
+        here = self.amplitudes + (self._prediction.change(way) if held and follows else self._prediction.answer @ way)
         here[:held] = self._lifted.amplitudes(frame)
         iterations, ratio, last, anew, halvings, status = 0, 0.0, np.inf, 1, 0, None
         base = self.amplitudes.copy(), elements.pressures.copy()
@@ -186,7 +188,8 @@ class ReducedSolver(Solver):
         stiffness, error, wrench = None, None, np.zeros(6)
         if status is StepStatus.CONVERGED:
             wrench = contact.wrench(frame) - self._lifted.rates(frame).T @ residual[:held]
-            self._answer[:] = self._follows(frame, rates)
+            self._prediction.learn(np.array(motion(self._pose, pose)), here - self._committed[0],
+                                   *self._follows(frame, rates, residual))
             error = self._force_error(frame, rates, residual, wrench)
             if self._asked:
                 stiffness = self._stiffness(frame, rates)
@@ -207,7 +210,8 @@ class ReducedSolver(Solver):
             self._rested += 1
             self.elements.evaluate(self.amplitudes, None, 1)
         self._committed, self._forces = (self.amplitudes.copy(), self.elements.pressures.copy()), 0.0 * self._forces
-        self._answer[:], self._pose = 0.0, pose
+        self._prediction.forget()
+        self._pose = pose
         self.contact.forget()
         stiffness = ((0.0,) * 6,) * 6 if self._asked else None
         error = 0.0 if self.reduced.watched else None
@@ -274,15 +278,18 @@ class ReducedSolver(Solver):
         """To the last committed state."""
         self.amplitudes[:], self.elements.pressures[:] = self._committed
 
-    def _follows(self, frame: Frame, rates: np.ndarray) -> np.ndarray:
-        """How the amplitudes follow the position and a rotation of the tool, shape (modes, 6)."""
+    def _follows(self, frame: Frame, rates: np.ndarray, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How the amplitudes follow the position and a rotation of the tool, shape (modes, 6), and what is left
+        unbalanced, (modes,)."""
         held, free = self._lifting, self._free
         tangent = self.elements.tangent + rates
-        answer = np.zeros((tangent.shape[0], 6))
-        answer[:held] = self._lifted.rates(frame)
-        pushed = self.contact.rates_of_modes(frame)
-        answer[free] = -solution(tangent[free, free], pushed[free] + tangent[free, :held] @ answer[:held])
-        return answer
+        answer = np.zeros((tangent.shape[0], 7))
+        answer[:held, :6] = self._lifted.rates(frame)
+        right = np.empty((free.stop - held, 7), order="F")
+        right[:, :6] = self.contact.rates_of_modes(frame)[free] + tangent[free, :held] @ answer[:held, :6]
+        right[:, 6] = residual[free]
+        answer[free] = -solution(tangent[free, free], right)
+        return answer[:, :6], answer[:, 6]
 
     def _force_error(self, frame: Frame, rates: np.ndarray, residual: np.ndarray, wrench: np.ndarray) -> float | None:
         """How far the force may be off, N: shares of it, and of its change if what is watched were made, too.
@@ -293,15 +300,17 @@ class ReducedSolver(Solver):
             return None
         held, rest = self._lifting, slice(self._lifting, None)
         tangent = self.elements.tangent + rates
-        change = np.zeros(len(residual))
-        change[rest] = -solution(tangent[rest, rest], residual[rest])
+        change, unbalanced = np.zeros(len(residual)), residual.copy()
+        unbalanced[self._free] = 0.0  # what the iteration has left says nothing of the modes
+        change[rest] = -solution(tangent[rest, rest], unbalanced[rest])
         force = self.contact.force_of(change) - (self._lifted.rates(frame).T @ (tangent[:held] @ change))[:3]
         changed, own = self.reduced.error_factors
         return changed * size(force) + own * size(wrench[:3])
 
     def _stiffness(self, frame: Frame, rates: np.ndarray) -> np.ndarray:
         """Minus the derivative of the wrench with the tool's pose, shape (6, 6)."""
-        stiffness, held = self.contact.stiffness(frame, self._answer), self._lifting
+        answer, held = self._prediction.answer, self._lifting
+        stiffness = self.contact.stiffness(frame, answer)
         if not held:
             # Where the box has no size the modes know no answer: what would be left is the layer.
             box = self.reduced.box
@@ -309,15 +318,15 @@ class ReducedSolver(Solver):
             stiffness = np.where(known[:, None] & known, stiffness, 0.0)
         if held:
             # Of the contact only what the lifted modes move beside the held face is in the residual.
-            forces = (self.elements.tangent + rates)[:held] @ self._answer + self.contact.rates_of_modes(frame)[:held]
-            stiffness = stiffness + self._answer[:held].T @ forces
+            forces = (self.elements.tangent + rates)[:held] @ answer + self.contact.rates_of_modes(frame)[:held]
+            stiffness = stiffness + answer[:held].T @ forces
         return stiffness
 
     def lift_off(self) -> None:
         """Take the tool away at once; see `Solver.lift_off`."""
         for array in self._committed:
             array[:] = 0.0
-        self._answer[:] = 0.0
+        self._prediction.forget()
         self.contact.forget()
         self._pose = self._start
         self._renew()
@@ -335,7 +344,7 @@ class ReducedSolver(Solver):
 
     @property
     def _kept(self) -> tuple[np.ndarray, ...]:
-        return (*self._committed, self._answer, *self.contact.kept, *self.elements.memory.kept)
+        return (*self._committed, *self._prediction.kept, *self.contact.kept, *self.elements.memory.kept)
 
     def displacement(self) -> np.ndarray:
         """Of all nodes at the last committed state, m, shape (nodes, 3)."""
