@@ -13,14 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissue_sim.fem.history import INSTANT, Memory
 from tissue_sim.fem.linear.sparse import factorise
 from tissue_sim.fem.solid.batches import ElementBatches
 from tissue_sim.fem.solid.contact import ContactNodes
 from tissue_sim.fem.solid.free_part import FreePart
+from tissue_sim.fem.solid.memory_rates import MemoryRates
+from tissue_sim.fem.solid.tissue import RegionParts
 from tissue_sim.fem.solver import Neighbours
 from tissue_sim.material.material import Material
-from tissue_sim.material.viscoelasticity import Prony
 
 #: Half width of the differences, in those of the neighbours, which are a millionth of the parameter apart.
 _WIDTH = 10.0
@@ -34,9 +34,9 @@ class SolidParts:
 
     Attributes:
         x: displacements, m, shape (freedoms,). free, moved: numbers of those that are free, and that the tool holds.
-        batches, contact, memory, matrix: of the solver.
-        inputs: arrays that the material sets and the assembly reads, written in place.
-        assemble: forces at the state as it is, and the matrix, if asked for.
+        batches, contact, matrix: of the solver.
+        regions: of the tissue.
+        assemble: forces of the regions of these numbers at the state as it is.
     """
 
     x: np.ndarray
@@ -44,10 +44,9 @@ class SolidParts:
     moved: np.ndarray
     batches: ElementBatches
     contact: ContactNodes
-    memory: Memory
     matrix: FreePart
-    inputs: tuple[np.ndarray, ...]
-    assemble: Callable[[bool], None]
+    regions: tuple[RegionParts, ...]
+    assemble: Callable[[Sequence[int]], object]
 
 
 class SolidSensitivity:
@@ -55,26 +54,24 @@ class SolidSensitivity:
 
     Args:
         parts: of a solver before its first step.
-        input_rates: of `parts.inputs` with each parameter, in their order. past_rates: of `Memory.past`, shape (m, 5).
-        relaxations: of each parameter what relaxes with a little more and a little less of it.
-        widths: difference of the two, shape (m,).
+        input_rates: of each region's inputs, in their order, with the parameters, shape (m, ...).
+        memories: of each region.
+        widths: difference of each parameter's neighbours, shape (m,).
 
     Attributes:
         force: of the force along z, N per unit, shape (m,). vector: of all three components, shape (m, 3).
     """
 
-    def __init__(self, parts: SolidParts, input_rates: Sequence[Sequence[np.ndarray]], past_rates: np.ndarray,
-                 relaxations: Sequence[tuple[Prony | None, Prony | None]], widths: np.ndarray):
-        self._parts, self._input_rates, self._past_rates = parts, input_rates, past_rates
-        self._relaxations, self._half = relaxations, _WIDTH * widths
-        self._widths, m = widths, widths.size
-        memory, n = parts.memory, parts.contact.nodes.size
+    def __init__(self, parts: SolidParts, input_rates: Sequence[Sequence[np.ndarray]], memories: Sequence[MemoryRates],
+                 widths: np.ndarray):
+        self._parts, self._memories, self._half = parts, memories, _WIDTH * widths
+        m, n = widths.size, parts.contact.nodes.size
+        #: Of each parameter and region, what it does to the region's inputs.
+        self._inputs = [[[(array, rate[k]) for array, rate in zip(region.inputs, rates, strict=True) if rate[k].any()]
+                         for region, rates in zip(parts.regions, input_rates, strict=True)] for k in range(m)]
         self.vector = np.zeros((m, 3))
         self.force = self.vector[:, 2]
         self._anchors = np.zeros((n, 3, m))
-        shape = (m, *memory.stresses.shape) if memory.works else (m, 0)
-        self._before, self._largest = np.zeros(shape), np.zeros(shape[:-1])
-        self._internal = np.zeros((m, *memory.internal.shape))
         self._kinds, self._changed = np.zeros((4, n), dtype=bool), False
 
     @classmethod
@@ -86,22 +83,27 @@ class SolidSensitivity:
             parts: of a solver before its first step. neighbours: see `tissue_sim.fem.solver.Neighbours`.
             here: its material. contact_radius: m; how fast the pores drain.
         """
-        def inputs(material: Material) -> list[np.ndarray]:
+        def inputs(material: Material) -> list[list[np.ndarray]]:
             set_material(material)
-            return [array.copy() for array in (*parts.inputs, parts.memory.past)]
+            return [[array.copy() for array in (*region.inputs, region.memory.past)] for region in parts.regions]
 
         try:
             sides = [(inputs(more), inputs(less)) for more, less, _ in neighbours]
         finally:
             set_material(here)
         widths = np.array([width for *_, width in neighbours])
-        rates = [[(a - b) / width for a, b in zip(*both, strict=True)]
-                 for both, width in zip(sides, widths, strict=True)]
-        relaxations = [(more.relaxation(contact_radius), less.relaxation(contact_radius))
-                       for more, less, _ in neighbours]
-        past = np.array([rate[-1] for rate in rates]).reshape(-1, parts.memory.past.size)
-        past[:, INSTANT] = 0.0
-        return cls(parts, [rate[:-1] for rate in rates], past, relaxations, widths)
+        rates, memories = [], []
+        for number, region in enumerate(parts.regions):
+            arrays = (*region.inputs, region.memory.past)
+            found = [np.zeros((widths.size, *array.shape)) for array in arrays]
+            for k, (more, less) in enumerate(sides):
+                for rate, above, below in zip(found, more[number], less[number], strict=True):
+                    rate[k] = (above - below) / widths[k]
+            rates.append(found[:-1])
+            relaxations = [tuple(side.regions.get(region.name, side).relaxation(contact_radius)
+                                 for side in (more, less)) for more, less, _ in neighbours]
+            memories.append(MemoryRates(region.memory, found[-1], relaxations, widths))
+        return cls(parts, rates, memories, widths)
 
     def pop_changed(self) -> bool:
         """Whether since the last call the contact changed; see `tissue_sim.fem.solver.Derivatives`."""
@@ -111,67 +113,61 @@ class SolidSensitivity:
     def advance(self) -> None:
         """At an equilibrium whose contact was looked at with the bonds of the step, before it binds anew and anything
         is committed. The matrix is that of the tissue, and gets the rates of contact."""
-        parts, m = self._parts, self._widths.size
+        parts, m = self._parts, self._half.size
         state = parts.contact.state
         self._changed |= not np.array_equal(state.kinds, self._kinds)
         self._kinds = state.kinds
         if not m:
             return
-        inherited, decays, gains = self._inherited_rates()
-        rates = np.empty((parts.x.size, m))
-        for k in range(m):
-            rates[:, k] = self._difference(k, inherited[k], None)[0]
+        for memory in self._memories:
+            memory.begin_step()
+        rates = np.stack([self._forces(k) for k in range(m)], axis=1)
         motion, forces = self._solve(rates)
         held = -(rates + self._product(motion))[parts.moved].reshape(-1, 3, m)
         self.vector[:] = held.sum(axis=0).T + forces[parts.contact.moves].sum(axis=0).T
-        if parts.memory.works:
-            self._remember(motion, inherited, decays, gains)
+        self._remember(motion)
         self._anchors = state.anchor_rates(self._at_contact(motion), self._anchors)
 
-    def _inherited_rates(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of what is left of earlier stresses, nothing moving now, shape (m, elements, q, 6), and of decay and gain of
-        the terms, (m, terms)."""
-        memory, m = self._parts.memory, self._widths.size
-        terms = len(memory.internal)
-        decays, gains = np.zeros((2, m, terms))
-        inherited = np.zeros_like(self._before)
-        if not terms:
-            return inherited, decays, gains
-        decay, gain = memory.step
-        for k, ((more, less), width) in enumerate(zip(self._relaxations, self._widths, strict=True)):
-            if more is not None and less is not None and more != less:
-                self._past_rates[k, INSTANT], decays[k], gains[k] = (
-                    (np.asarray(a) - np.asarray(b)) / width
-                    for a, b in zip(more.increment(memory.dt), less.increment(memory.dt), strict=True))
-            else:
-                self._past_rates[k, INSTANT] = 0.0
-            inherited[k] = (np.tensordot(decay, self._internal[k], 1) + np.tensordot(decays[k], memory.internal, 1)
-                            - gain.sum() * self._before[k] - gains[k].sum() * memory.before)
-        return inherited, decays, gains
+    def _forces(self, k: int) -> np.ndarray:
+        """Rates with parameter k of the forces of tissue that does not move, N per unit, shape (freedoms,)."""
+        found = [(number, acting) for number in range(len(self._memories))
+                 if (acting := [(array, rate) for array, rate in self._directions(k, number) if rate.any()])]
+        forces, = self._difference(k, [number for number, _ in found], [each for _, acting in found for each in acting],
+                                   [self._parts.batches.residual])
+        return forces[:-1]
 
-    def _difference(self, k: int, inherited: np.ndarray, motion: np.ndarray | None) -> list[np.ndarray]:
-        """Rates with parameter k of the forces, shape (freedoms,), and of stresses and energies of the law at the
-        points; without motion at a fixed place. All of these are as they were afterwards."""
-        parts, memory = self._parts, self._parts.memory
-        arrays = [*parts.inputs, memory.past, parts.x]
-        rates = [*self._input_rates[k], self._past_rates[k], np.zeros_like(parts.x) if motion is None else motion]
-        if memory.works:
-            arrays += [memory.inherited, memory.largest]
-            rates += [inherited, self._largest[k]]
-        results = [parts.batches.residual, memory.stresses, memory.energies]
-        here = [array.copy() for array in arrays + results]
-        found = []
+    def _remember(self, motion: np.ndarray) -> None:
+        """What the memories make of it when the step is committed."""
+        for number, each in enumerate(self._memories):
+            memory = each.memory
+            for k in range(motion.shape[1] if memory.works else 0):
+                directions = [*self._directions(k, number), (self._parts.x, motion[:, k])]
+                each.commit(k, *self._difference(k, [number], directions, [memory.stresses, memory.energies]))
+
+    def _directions(self, k: int, number: int) -> list[tuple[np.ndarray, np.ndarray]]:
+        """What the assembly of a region reads, and its rates with parameter k, nothing moving."""
+        return self._inputs[k][number] + self._memories[number].directions(k)
+
+    def _difference(self, k: int, regions: Sequence[int], directions: Sequence[tuple[np.ndarray, np.ndarray]],
+                    results: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Rates of what the assembly of these regions makes, along directions of arrays that it reads, a step of
+        parameter k wide. Everything is as it was afterwards."""
+        arrays = [array for array, _ in directions]
+        written = [self._parts.batches.residual]
+        for number in regions:
+            written += [self._memories[number].memory.stresses, self._memories[number].memory.energies]
+        kept = [(array, array.copy()) for array in arrays + written]
+        here, found = [value for _, value in kept], []
         try:
             for step in (self._half[k], -self._half[k]):
-                for array, value, rate in zip(arrays, here, rates, strict=False):
+                for (array, rate), value in zip(directions, here, strict=False):
                     array[:] = value + step * rate
-                parts.assemble(False)
+                self._parts.assemble(regions)
                 found.append([result.copy() for result in results])
         finally:
-            for array, value in zip(arrays + results, here, strict=True):
+            for array, value in kept:
                 array[:] = value
-        forces, *others = [(more - less) / (2.0 * self._half[k]) for more, less in zip(*found, strict=True)]
-        return [forces[:-1], *others]
+        return [(more - less) / (2.0 * self._half[k]) for more, less in zip(*found, strict=True)]
 
     def _solve(self, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """How the tissue moves, m per unit, shape (freedoms, m), and how forces of its contact change, (n, 3, m)."""
@@ -211,17 +207,3 @@ class SolidSensitivity:
 
     def _at_contact(self, motion: np.ndarray) -> np.ndarray:
         return motion.reshape(-1, 3, motion.shape[1])[self._parts.contact.nodes]
-
-    def _remember(self, motion: np.ndarray, inherited: np.ndarray, decays: np.ndarray, gains: np.ndarray) -> None:
-        """What the memory makes of it when the step is committed."""
-        memory = self._parts.memory
-        for k in range(motion.shape[1]):
-            _, stress, energy = self._difference(k, inherited[k], motion[:, k])
-            if len(memory.internal):
-                decay, gain = memory.step
-                wide = (slice(None), None, None, None)
-                self._internal[k] = (decay[wide] * self._internal[k] + decays[k][wide] * memory.internal
-                                     + gain[wide] * (stress - self._before[k])
-                                     + gains[k][wide] * (memory.stresses - memory.before))
-            self._before[k] = stress
-            self._largest[k] = np.where(memory.energies > memory.largest, energy, self._largest[k])

@@ -8,7 +8,6 @@ from typing import Any, cast
 
 import numpy as np
 
-from tissue_sim.fem.history import Memory
 from tissue_sim.fem.linear.sparse import Factor, SparseSolver
 from tissue_sim.fem.solid.contact import ALL, Body, ContactNodes, Look
 from tissue_sim.fem.solid.contact_laws import NodeLaws
@@ -122,11 +121,6 @@ class SolidSolver(Solver):
         self.contact.set_stiffness(material.mu0)
         top = self.mesh.nodes[self.mesh.sets["top"]]
         self._floor = 1e-6 * material.mu0 * float(np.prod(np.ptp(top[:, :2], axis=0)))
-
-    @property
-    def memory(self) -> Memory:
-        """See `Tissue.memory`."""
-        return self.tissue.memory
 
     @property
     def pose(self) -> Pose:
@@ -270,8 +264,7 @@ class SolidSolver(Solver):
 
     def _places(self) -> np.ndarray:
         """Where the nodes of the contact are, m, shape (n, 3)."""
-        nodes = self.contact.nodes
-        return self.mesh.nodes[nodes] + self.x.reshape(-1, 3)[nodes]
+        return self._places_of(self.contact.nodes)
 
     def _assemble(self, tangent: bool = True) -> None:
         self._least = self.tissue.assemble(tangent)
@@ -322,14 +315,13 @@ class SolidSolver(Solver):
         return self.mesh.nodes[nodes] + self.x.reshape(-1, 3)[nodes]
 
     def differentiate(self, neighbours: Neighbours) -> SolidSensitivity | None:
-        """Carry exact derivatives along from now on; see `Solver.differentiate`. There are none of a mesh of several
-        materials, of tissue that weighs, nor with laws of contact."""
+        """Carry exact derivatives along from now on; see `Solver.differentiate`. There are none with effects at points,
+        of tissue that weighs, nor with laws of contact."""
         tissue = self.tissue
-        inputs = tissue.inputs
-        if inputs is None or tissue.specific_weight or self.contact.laws:
+        if tissue.effects or tissue.specific_weight or self.contact.laws:
             return None
-        parts = SolidParts(self.x, self._free, self._moved, self.batches, self.contact, self.memory, self._matrix,
-                           inputs, self._assemble)
+        parts = SolidParts(self.x, self._free, self._moved, self.batches, self.contact, self._matrix, tissue.regions,
+                           tissue.assemble_regions)
         self._derivatives = SolidSensitivity.of(parts, neighbours, self.material, self.set_material,
                                                 tissue.contact_radius)
         return self._derivatives
