@@ -6,8 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tissue_sim.fem.history import INSTANT, Memory
+from tissue_sim.fem.history import INSTANT, LOSS, Memory
 from tissue_sim.material.viscoelasticity import Prony
+
+#: A point whose energy is this near to the largest so far, of itself, is at it; below it, and beyond it, a step of the
+#: differences leads over it from so near.
+_TIE, _BELOW, _BEYOND = 1e-7, 1e-5, 1e-4
 
 
 class MemoryRates:
@@ -32,6 +36,7 @@ class MemoryRates:
         self._before, self._largest = np.zeros(shape), np.zeros(shape[:-1])
         self._internal = np.zeros((m, *memory.internal.shape))
         self.inherited = np.zeros_like(self._before)
+        self._kept: list[tuple[np.ndarray, np.ndarray]] = []
         self._decays, self._gains = np.zeros((2, m, len(memory.internal)))
 
     @property
@@ -53,6 +58,27 @@ class MemoryRates:
             self.inherited[k] = (np.tensordot(decay, self._internal[k], 1)
                                  + np.tensordot(self._decays[k], memory.internal, 1)
                                  - gain.sum() * self._before[k] - self._gains[k].sum() * memory.before)
+
+    def begin_aside(self) -> bool:
+        """Take points that are about at their largest load away from it, until `end_aside`, so that no difference
+        straddles the kink there: those that are loaded on are as if for the first time, which changes no force, and
+        `_BELOW` of the largest load is added to that of others. Returns whether there are any; then the forces have to
+        be assembled anew."""
+        memory = self.memory
+        self._kept = []
+        if memory.works and memory.past[LOSS] != 0.0:
+            largest, more = memory.largest, memory.energies - memory.largest
+            near = (largest > 0.0) & (more >= -_BELOW * largest) & (more <= _BEYOND * largest)
+            if near.any():
+                self._kept = [(array, array.copy()) for array in (largest, memory.stresses, memory.energies)]
+                aside = np.where(more >= -_TIE * largest, 0.0, (1.0 + _BELOW) * largest)
+                largest[near] = aside[near]
+        return bool(self._kept)
+
+    def end_aside(self) -> None:
+        """Everything is as it was before `begin_aside`."""
+        for array, before in self._kept:
+            array[:] = before
 
     def directions(self, k: int) -> list[tuple[np.ndarray, np.ndarray]]:
         """Arrays of the memory that the assembly reads, and their rates with parameter k."""

@@ -10,15 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
 from tissue_sim.fem.linear.sparse import factorise
-from tissue_sim.fem.solid.batches import ElementBatches
 from tissue_sim.fem.solid.contact import ContactNodes
+from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.solid.free_part import FreePart
 from tissue_sim.fem.solid.memory_rates import MemoryRates
-from tissue_sim.fem.solid.tissue import RegionParts
+from tissue_sim.fem.solid.tissue import Tissue
 from tissue_sim.fem.solver import Neighbours
 from tissue_sim.material.material import Material
 
@@ -33,20 +34,46 @@ class SolidParts:
     """What a sensitivity sees of its solver.
 
     Attributes:
+        nodes: where those of the mesh are, undeformed, m, shape (nodes, 3).
         x: displacements, m, shape (freedoms,). free, moved: numbers of those that are free, and that the tool holds.
-        batches, contact, matrix: of the solver.
-        regions: of the tissue.
-        assemble: forces of the regions of these numbers at the state as it is.
+        tissue, contact, matrix: of the solver.
+        first: the tool where it first touches.
+        assemble: forces and the matrix of the tissue at the state as it is.
     """
 
+    nodes: np.ndarray
     x: np.ndarray
     free: np.ndarray
     moved: np.ndarray
-    batches: ElementBatches
+    tissue: Tissue
     contact: ContactNodes
     matrix: FreePart
-    regions: tuple[RegionParts, ...]
-    assemble: Callable[[Sequence[int]], object]
+    first: Frame
+    assemble: Callable[[], None]
+
+
+@dataclass(frozen=True, eq=False)
+class StartRates:
+    """How the state in which the tool touches changes with m parameters.
+
+    Attributes:
+        stretch: of the logarithm of the height of the undeformed mesh, shape (m,).
+        settled: what `SolidSensitivity.carried` was of the specimen that has settled; None: it has not moved.
+        resting: numbers of the nodes of its contact.
+        datum: of the height of the scene's origin in the frame of the mesh, m, shape (m,).
+        lift: of how much higher nodes stand than the tool takes them to, m, shape (nodes, m); None: of nothing.
+    """
+
+    stretch: np.ndarray
+    settled: Sequence[np.ndarray] | None
+    resting: np.ndarray
+    datum: np.ndarray
+    lift: np.ndarray | None
+
+    @classmethod
+    def moulded(cls, stretch: np.ndarray) -> StartRates:
+        """Of a specimen as moulded."""
+        return cls(stretch, None, np.zeros(0, dtype=np.intp), np.zeros_like(stretch), None)
 
 
 class SolidSensitivity:
@@ -65,27 +92,36 @@ class SolidSensitivity:
     def __init__(self, parts: SolidParts, input_rates: Sequence[Sequence[np.ndarray]], memories: Sequence[MemoryRates],
                  widths: np.ndarray):
         self._parts, self._memories, self._half = parts, memories, _WIDTH * widths
+        self._regions = range(len(memories))
         m, n = widths.size, parts.contact.nodes.size
         #: Of each parameter and region, what it does to the region's inputs.
         self._inputs = [[[(array, rate[k]) for array, rate in zip(region.inputs, rates, strict=True) if rate[k].any()]
-                         for region, rates in zip(parts.regions, input_rates, strict=True)] for k in range(m)]
+                         for region, rates in zip(parts.tissue.regions, input_rates, strict=True)] for k in range(m)]
         self.vector = np.zeros((m, 3))
         self.force = self.vector[:, 2]
-        self._anchors = np.zeros((n, 3, m))
+        #: Of where nodes are bound, in the frames of their bodies; of their undeformed places against the bodies;
+        #: of where those that the tool holds are in its frame, and of its origin and these in the frame of the mesh.
+        self._anchors, self._apart = np.zeros((2, n, 3, m))
+        self._held = np.zeros((parts.moved.size // 3, 3, m))
+        self._origin, self._undeformed = np.zeros((3, m)), np.zeros((*parts.nodes.shape, m))
+        self._stretch, self._motion = np.zeros(m), np.zeros((parts.x.size, m))
+        self._stretched: list[tuple[np.ndarray, np.ndarray]] = []
         self._kinds, self._changed = np.zeros((4, n), dtype=bool), False
 
     @classmethod
     def of(cls, parts: SolidParts, neighbours: Neighbours, here: Material, set_material: Callable[[Material], None],
-           contact_radius: float) -> SolidSensitivity:
+           ) -> SolidSensitivity:
         """With what the solver's `set_material` makes of the neighbours of its material, which it has again afterwards.
 
         Args:
             parts: of a solver before its first step. neighbours: see `tissue_sim.fem.solver.Neighbours`.
-            here: its material. contact_radius: m; how fast the pores drain.
+            here: its material.
         """
         def inputs(material: Material) -> list[list[np.ndarray]]:
             set_material(material)
-            return [[array.copy() for array in (*region.inputs, region.memory.past)] for region in parts.regions]
+            return [[array.copy() for array in (*region.inputs, region.memory.past)] for region in regions]
+
+        regions = parts.tissue.regions
 
         try:
             sides = [(inputs(more), inputs(less)) for more, less, _ in neighbours]
@@ -93,47 +129,91 @@ class SolidSensitivity:
             set_material(here)
         widths = np.array([width for *_, width in neighbours])
         rates, memories = [], []
-        for number, region in enumerate(parts.regions):
+        for number, region in enumerate(regions):
             arrays = (*region.inputs, region.memory.past)
             found = [np.zeros((widths.size, *array.shape)) for array in arrays]
             for k, (more, less) in enumerate(sides):
                 for rate, above, below in zip(found, more[number], less[number], strict=True):
                     rate[k] = (above - below) / widths[k]
             rates.append(found[:-1])
-            relaxations = [tuple(side.regions.get(region.name, side).relaxation(contact_radius)
-                                 for side in (more, less)) for more, less, _ in neighbours]
+            relaxations = [(region.relaxation(more), region.relaxation(less)) for more, less, _ in neighbours]
             memories.append(MemoryRates(region.memory, found[-1], relaxations, widths))
         return cls(parts, rates, memories, widths)
+
+    def begin(self, start: StartRates) -> None:
+        """Before the first step, where the state in which the tool touches depends on the parameters."""
+        parts, contact, first = self._parts, self._parts.contact, self._parts.first
+        self._stretch[:] = start.stretch
+        self._stretched = parts.tissue.batches.stretch_rates if start.stretch.any() else []
+        self._undeformed[:, 2] = parts.nodes[:, 2, None] * start.stretch
+        self._origin[2] = start.datum
+        self._apart[:] = self._undeformed[contact.nodes]
+        if start.lift is not None:
+            self._apart[contact.moves, 2] -= start.lift[contact.nodes[contact.moves]]
+        # What rests stands under the lowest nodes.
+        self._apart[contact.moves] -= self._origin
+        self._apart[~contact.moves, 2] -= parts.nodes[:, 2].min() * start.stretch
+        if start.settled is not None:
+            motion, anchors, *remembered = start.settled
+            self._motion[:] = motion.T
+            for array, left in zip([array for each in self._memories for array in each.kept], remembered, strict=True):
+                array[:] = left
+        met, turned = self._at_contact(self._motion) + self._apart, first.rotation.T
+        self._anchors[:] = np.where(contact.moves[:, None, None], turned @ met, met)
+        if start.settled is not None:
+            _, here, there = np.intersect1d(np.where(contact.moves, -1, contact.nodes), start.resting,
+                                            return_indices=True)
+            self._anchors[here] = np.moveaxis(anchors, 0, -1)[there]
+        places = self._undeformed + self._motion.reshape(self._undeformed.shape)
+        self._held[:] = turned @ (places[parts.moved[::3] // 3] - self._origin)
+
+    @property
+    def carried(self) -> list[np.ndarray]:
+        """Rates of displacements, of where nodes of the contact are bound, and of what the regions remember, parameters
+        first, at the last committed step."""
+        return [self._motion.T, np.moveaxis(self._anchors, -1, 0), *(array for each in self._memories
+                                                                     for array in each.kept)]
 
     def pop_changed(self) -> bool:
         """Whether since the last call the contact changed; see `tissue_sim.fem.solver.Derivatives`."""
         changed, self._changed = self._changed, False
         return changed
 
-    def advance(self) -> None:
-        """At an equilibrium whose contact was looked at with the bonds of the step, before it binds anew and anything
-        is committed. The matrix is that of the tissue, and gets the rates of contact."""
+    def advance(self, frame: Frame) -> None:
+        """At an equilibrium with the tool there, whose contact was looked at with the bonds of the step, before it
+        binds anew and anything is committed. The matrix is that of the tissue, and gets the rates of contact."""
         parts, m = self._parts, self._half.size
         state = parts.contact.state
         self._changed |= not np.array_equal(state.kinds, self._kinds)
         self._kinds = state.kinds
         if not m:
             return
-        for memory in self._memories:
-            memory.begin_step()
+        residual = parts.tissue.batches.residual.copy()
+        aside = [each for each in self._memories if each.begin_aside()]
+        if aside:
+            parts.assemble()
+        for each in self._memories:
+            each.begin_step()
         rates = np.stack([self._forces(k) for k in range(m)], axis=1)
-        motion, forces = self._solve(rates)
+        follows = frame.rotation @ self._held + self._origin - self._undeformed[parts.moved[::3] // 3]
+        motion, forces = self._solve(rates, follows.reshape(-1, m))
         held = -(rates + self._product(motion))[parts.moved].reshape(-1, 3, m)
         self.vector[:] = held.sum(axis=0).T + forces[parts.contact.moves].sum(axis=0).T
         self._remember(motion)
-        self._anchors = state.anchor_rates(self._at_contact(motion), self._anchors)
+        self._anchors = state.anchor_rates(self._at_contact(motion) + self._apart, self._anchors)
+        self._motion = motion
+        for each in aside:
+            each.end_aside()
+        parts.tissue.batches.residual[:] = residual
 
     def _forces(self, k: int) -> np.ndarray:
         """Rates with parameter k of the forces of tissue that does not move, N per unit, shape (freedoms,)."""
-        found = [(number, acting) for number in range(len(self._memories))
-                 if (acting := [(array, rate) for array, rate in self._directions(k, number) if rate.any()])]
-        forces, = self._difference(k, [number for number, _ in found], [each for _, acting in found for each in acting],
-                                   [self._parts.batches.residual])
+        acting = {number: [(array, rate) for array, rate in self._directions(k, number) if rate.any()]
+                  for number in self._regions}
+        stretched, tissue = self._stretches(k), self._parts.tissue
+        regions = [number for number in self._regions if acting[number] or stretched]
+        forces, = self._difference(k, regions, [*stretched, *chain(*acting.values())], [tissue.batches.residual])
+        forces[2:-1:3] += tissue.specific_weight * self._stretch[k] * tissue.batches.volumes
         return forces[:-1]
 
     def _remember(self, motion: np.ndarray) -> None:
@@ -141,19 +221,23 @@ class SolidSensitivity:
         for number, each in enumerate(self._memories):
             memory = each.memory
             for k in range(motion.shape[1] if memory.works else 0):
-                directions = [*self._directions(k, number), (self._parts.x, motion[:, k])]
+                directions = [*self._stretches(k), *self._directions(k, number), (self._parts.x, motion[:, k])]
                 each.commit(k, *self._difference(k, [number], directions, [memory.stresses, memory.energies]))
 
     def _directions(self, k: int, number: int) -> list[tuple[np.ndarray, np.ndarray]]:
         """What the assembly of a region reads, and its rates with parameter k, nothing moving."""
         return self._inputs[k][number] + self._memories[number].directions(k)
 
+    def _stretches(self, k: int) -> list[tuple[np.ndarray, np.ndarray]]:
+        """What the assembly of all regions reads, and its rates with parameter k."""
+        return [(array, self._stretch[k] * rate) for array, rate in self._stretched] if self._stretch[k] else []
+
     def _difference(self, k: int, regions: Sequence[int], directions: Sequence[tuple[np.ndarray, np.ndarray]],
                     results: Sequence[np.ndarray]) -> list[np.ndarray]:
         """Rates of what the assembly of these regions makes, along directions of arrays that it reads, a step of
         parameter k wide. Everything is as it was afterwards."""
         arrays = [array for array, _ in directions]
-        written = [self._parts.batches.residual]
+        written = [self._parts.tissue.batches.residual]
         for number in regions:
             written += [self._memories[number].memory.stresses, self._memories[number].memory.energies]
         kept = [(array, array.copy()) for array in arrays + written]
@@ -162,18 +246,20 @@ class SolidSensitivity:
             for step in (self._half[k], -self._half[k]):
                 for (array, rate), value in zip(directions, here, strict=False):
                     array[:] = value + step * rate
-                self._parts.assemble(regions)
+                self._parts.tissue.assemble_regions(regions)
                 found.append([result.copy() for result in results])
         finally:
             for array, value in kept:
                 array[:] = value
         return [(more - less) / (2.0 * self._half[k]) for more, less in zip(*found, strict=True)]
 
-    def _solve(self, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How the tissue moves, m per unit, shape (freedoms, m), and how forces of its contact change, (n, 3, m)."""
+    def _solve(self, rates: np.ndarray, follows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How the tissue moves, m per unit, shape (freedoms, m), and how forces of its contact change, (n, 3, m), where
+        what the tool holds moves so, (3 held nodes, m)."""
         parts, contact = self._parts, self._parts.contact
         state, m = contact.state, rates.shape[1]
         motion, forces = np.zeros_like(rates), np.zeros((contact.nodes.size, 3, m))
+        motion[parts.moved] = follows
         parts.matrix.add(contact.rates)
         factor = factorise(parts.matrix.free, symmetric=not state.slides.any())
         if factor is None:
@@ -181,7 +267,7 @@ class SolidSensitivity:
         # Measured by forces of tissue and contact; those of the springs that hold the contact are larger by far.
         size = np.linalg.norm(rates, axis=0)
         for _ in range(_SOLUTIONS):
-            found, missing = state.force_rates(self._at_contact(motion), self._anchors, forces)
+            found, missing = state.force_rates(self._at_contact(motion) + self._apart, self._anchors, forces)
             right = rates + self._product(motion)
             np.add.at(right.reshape(-1, 3, m), contact.nodes, found + missing)
             left = np.linalg.norm(right[parts.free], axis=0)
@@ -192,7 +278,7 @@ class SolidSensitivity:
             change[parts.free] = -factor.solve(np.asfortranarray(right[parts.free])).reshape(-1, m)
             motion += change
             forces = found + missing + contact.rates @ self._at_contact(change)
-        found, _ = state.force_rates(self._at_contact(motion), self._anchors, forces)
+        found, _ = state.force_rates(self._at_contact(motion) + self._apart, self._anchors, forces)
         if not (left <= _ENOUGH * size).all():
             return np.full_like(motion, np.nan), np.full_like(found, np.nan)
         return motion, found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.material.layer import Layer
 from tissue_sim.material.material import BULK_RATIOS, Material, incompressible_ratio
+from tissue_sim.material.viscoelasticity import Prony
 from tissue_sim.mesh.solid import SolidMesh
 
 
@@ -24,14 +25,14 @@ class RegionParts(NamedTuple):
     """What derivatives see of the elements of one material.
 
     Attributes:
-        name: of the region, ``""`` of what is in none.
         inputs: arrays that the material sets and the assembly reads, written in place.
         memory: what these elements remember.
+        relaxation: what relaxes in them, of a material of the whole.
     """
 
-    name: str
     inputs: tuple[np.ndarray, ...]
     memory: Memory
+    relaxation: Callable[[Material], Prony | None]
 
 
 class _Region:
@@ -94,8 +95,11 @@ class Tissue:
     @property
     def regions(self) -> tuple[RegionParts, ...]:
         """Of each region, what its material sets and its forces depend on."""
-        return tuple(RegionParts(region.name, (region.settings[KAPPA : KAPPA + 1], region.coefficients,
-                                               self.batches.moduli[part]), region.memory)
+        def relaxation(name: str) -> Callable[[Material], Prony | None]:
+            return lambda material: material.regions.get(name, material).relaxation(self.contact_radius)
+
+        return tuple(RegionParts((region.settings[KAPPA : KAPPA + 1], region.coefficients, self.batches.moduli[part]),
+                                 region.memory, relaxation(region.name))
                      for region, part in zip(self._regions, self.batches.parts, strict=True))
 
     def set_material(self, material: Material) -> None:
