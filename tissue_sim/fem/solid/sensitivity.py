@@ -16,6 +16,7 @@ import numpy as np
 
 from tissue_sim.fem.linear.sparse import factorise
 from tissue_sim.fem.solid.contact import ContactNodes
+from tissue_sim.fem.solid.contact_law_rates import LawRates
 from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.solid.free_part import FreePart
 from tissue_sim.fem.solid.memory_rates import MemoryRates
@@ -106,7 +107,7 @@ class SolidSensitivity:
         self._origin, self._undeformed = np.zeros((3, m)), np.zeros((*parts.nodes.shape, m))
         self._stretch, self._motion = np.zeros(m), np.zeros((parts.x.size, m))
         self._stretched: list[tuple[np.ndarray, np.ndarray]] = []
-        self._kinds, self._changed = np.zeros((4, n), dtype=bool), False
+        self._kinds, self._changed = np.zeros((5, n), dtype=bool), False
 
     @classmethod
     def of(cls, parts: SolidParts, neighbours: Neighbours, here: Material, set_material: Callable[[Material], None],
@@ -196,6 +197,7 @@ class SolidSensitivity:
             each.begin_step()
         rates = np.stack([self._forces(k) for k in range(m)], axis=1)
         follows = frame.rotation @ self._held + self._origin - self._undeformed[parts.moved[::3] // 3]
+        self._laws = LawRates.of(parts.contact, parts.x.reshape(-1, 3)[parts.contact.nodes], frame)
         motion, forces = self._solve(rates, follows.reshape(-1, m))
         held = -(rates + self._product(motion))[parts.moved].reshape(-1, 3, m)
         self.vector[:] = held.sum(axis=0).T + forces[parts.contact.moves].sum(axis=0).T
@@ -257,39 +259,54 @@ class SolidSensitivity:
         """How the tissue moves, m per unit, shape (freedoms, m), and how forces of its contact change, (n, 3, m), where
         what the tool holds moves so, (3 held nodes, m)."""
         parts, contact = self._parts, self._parts.contact
-        state, m = contact.state, rates.shape[1]
+        state, m, own = contact.state, rates.shape[1], contact.rates - contact.law_rates
         motion, forces = np.zeros_like(rates), np.zeros((contact.nodes.size, 3, m))
         motion[parts.moved] = follows
-        parts.matrix.add(contact.rates)
-        factor = factorise(parts.matrix.free, symmetric=not state.slides.any())
+        self._added = own if self._laws is None else own + self._laws.with_motion(own)
+        parts.matrix.add(self._added)
+        factor = factorise(parts.matrix.free, symmetric=not state.slides.any() and _are_symmetric(self._added))
         if factor is None:
             return np.full_like(motion, np.nan), np.full_like(forces, np.nan)
         # Measured by forces of tissue and contact; those of the springs that hold the contact are larger by far.
         size = np.linalg.norm(rates, axis=0)
         for _ in range(_SOLUTIONS):
-            found, missing = state.force_rates(self._at_contact(motion) + self._apart, self._anchors, forces)
+            found, missing, acting = self._contact_forces(motion, forces)
             right = rates + self._product(motion)
-            np.add.at(right.reshape(-1, 3, m), contact.nodes, found + missing)
+            np.add.at(right.reshape(-1, 3, m), contact.nodes, acting)
             left = np.linalg.norm(right[parts.free], axis=0)
             size = np.maximum(size, np.linalg.norm(found.reshape(-1, m), axis=0))
             if (left <= _LEFT * size).all():
-                return motion, found
+                return motion, acting - missing
             change = np.zeros_like(motion)
             change[parts.free] = -factor.solve(np.asfortranarray(right[parts.free])).reshape(-1, m)
             motion += change
-            forces = found + missing + contact.rates @ self._at_contact(change)
-        found, _ = state.force_rates(self._at_contact(motion) + self._apart, self._anchors, forces)
+            forces = found + missing + own @ self._at_contact(change)
+        _, missing, acting = self._contact_forces(motion, forces)
         if not (left <= _ENOUGH * size).all():
-            return np.full_like(motion, np.nan), np.full_like(found, np.nan)
-        return motion, found
+            return np.full_like(motion, np.nan), np.full_like(acting, np.nan)
+        return motion, acting - missing
+
+    def _contact_forces(self, motion: np.ndarray, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Rates of the forces that the contact allows, what its constraints still miss, and all that acts then, laws
+        included, N, shape (n, 3, m)."""
+        state, against = self._parts.contact.state, self._at_contact(motion) + self._apart
+        found, missing = state.force_rates(against, self._anchors, forces)
+        acting = found + missing
+        if self._laws is not None:
+            acting = acting + self._laws.forces(against, against - state.turn @ self._anchors, acting)
+        return found, missing, acting
 
     def _product(self, motion: np.ndarray) -> np.ndarray:
         """Forces of the tissue alone for a motion, the rates of contact being in the matrix."""
-        parts, contact = self._parts, self._parts.contact
-        product = parts.matrix.all @ motion
-        at = self._at_contact(motion)
-        np.add.at(product.reshape(-1, 3, motion.shape[1]), contact.nodes, -(contact.rates @ at))
+        product = self._parts.matrix.all @ motion
+        np.add.at(product.reshape(-1, 3, motion.shape[1]), self._parts.contact.nodes,
+                  -(self._added @ self._at_contact(motion)))
         return product
 
     def _at_contact(self, motion: np.ndarray) -> np.ndarray:
         return motion.reshape(-1, 3, motion.shape[1])[self._parts.contact.nodes]
+
+
+def _are_symmetric(blocks: np.ndarray) -> bool:
+    """Whether matrices, shape (n, 3, 3), are, but for the rounding of differences."""
+    return bool(np.abs(blocks - blocks.swapaxes(1, 2)).max(initial=0.0) <= 1e-9 * np.abs(blocks).max(initial=0.0))

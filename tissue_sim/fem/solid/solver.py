@@ -318,11 +318,11 @@ class SolidSolver(Solver):
         return self.mesh.nodes[nodes] + self.x.reshape(-1, 3)[nodes]
 
     def differentiate(self, neighbours: Neighbours) -> SolidSensitivity | None:
-        """Carry exact derivatives along from now on; see `Solver.differentiate`. There are none with effects at points
-        nor with laws of contact."""
+        """Carry exact derivatives along from now on; see `Solver.differentiate`. There are none with effects at
+        points."""
         starts = neighbours and self._start_rates is not None
         start = self._start_rates(neighbours) if starts else None
-        if self.tissue.effects or self.contact.laws or (starts and start is None):
+        if self.tissue.effects or (starts and start is None):
             return None
         parts = SolidParts(self.mesh.nodes, self.x, self._free, self._moved, self.tissue, self.contact, self._matrix,
                            Frame(self._start, self.datum), self._assemble)
