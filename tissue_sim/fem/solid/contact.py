@@ -158,8 +158,8 @@ class ContactNodes:
         bound: `FREE`, `HELD` or `TOUCHED`; anchors: where, as a displacement in the body's frame, m, shape (n, 3).
         pressed, slips: states of a step, shape (n,); slipped: which slipped at the last equilibrium.
         forces: of contact and friction on the bodies, N, in the frame of the mesh, shape (n, 3).
-        rates: of all forces with the motion of the nodes against their bodies, N/m, shape (n, 3, 3); law_rates: of those
-            of laws; known_rates: in the matrix, without these. missed: by how much the constraints are, m, shape (n, 3).
+        rates: of all forces with the motion of the nodes against their bodies, N/m, shape (n, 3, 3); law_rates: of laws
+            alone; known_rates: in the matrix, without them. missed: by how much the constraints are, m, shape (n, 3).
         state: what each does where it was looked at last.
     """
 

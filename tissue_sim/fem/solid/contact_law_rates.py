@@ -1,4 +1,4 @@
-"""How the forces of laws of contact change at an equilibrium, exactly: a law's own rates only help Newton's iteration."""
+"""How forces of laws of contact change at an equilibrium, exactly; a law's own rates only help Newton's iteration."""
 
 from __future__ import annotations
 
@@ -45,17 +45,15 @@ class LawRates(NamedTuple):
             along = slip[near] - np.einsum("ni,ni->n", slip[near], out)[:, None] * out
             return laws.act(nodes, gap[near], normal[near], along, out, meridians[near], curved[near], 0.0)[0]
 
-        n, step, still = near.size, _STEP * laws.reach, np.zeros(3)
+        n, step, still, slip, normal = near.size, _STEP * laws.reach, np.zeros(3), state.slip, state.normal
         by_place, by_slip = np.zeros((2, n, 3, 3))
         by_force = np.zeros((n, 3))
         for i, way in enumerate(step * np.eye(3)):
-            by_place[near, :, i] = (forces(way, state.slip, state.normal)
-                                    - forces(-way, state.slip, state.normal)) / (2.0 * step)
-            by_slip[near, :, i] = (forces(still, state.slip + way, state.normal)
-                                   - forces(still, state.slip - way, state.normal)) / (2.0 * step)
-        more = _STEP * np.maximum(np.abs(state.normal), _SMALL * np.abs(state.normal).max()) + 1e-300
-        by_force[near] = (forces(still, state.slip, state.normal + more) - forces(still, state.slip, state.normal - more)
-                          ) / (2.0 * more[near, None])
+            by_place[near, :, i] = (forces(way, slip, normal) - forces(-way, slip, normal)) / (2.0 * step)
+            by_slip[near, :, i] = (forces(still, slip + way, normal) - forces(still, slip - way, normal)) / (2.0 * step)
+        more = _STEP * np.maximum(np.abs(normal), _SMALL * np.abs(normal).max()) + 1e-300
+        by_force[near] = ((forces(still, slip, normal + more) - forces(still, slip, normal - more))
+                          / (2.0 * more[near, None]))
         contact.normals[:] = normals
         return cls(by_place, by_slip, by_force, normals)
 

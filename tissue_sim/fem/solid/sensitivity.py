@@ -14,7 +14,7 @@ from itertools import chain
 
 import numpy as np
 
-from tissue_sim.fem.linear.sparse import factorise
+from tissue_sim.fem.linear.sparse import SparseSolver
 from tissue_sim.fem.solid.contact import ContactNodes
 from tissue_sim.fem.solid.contact_law_rates import LawRates
 from tissue_sim.fem.solid.frame import Frame
@@ -106,6 +106,8 @@ class SolidSensitivity:
         self._held = np.zeros((parts.moved.size // 3, 3, m))
         self._origin, self._undeformed = np.zeros((3, m)), np.zeros((*parts.nodes.shape, m))
         self._stretch, self._motion = np.zeros(m), np.zeros((parts.x.size, m))
+        self._laws: LawRates | None = None
+        self._added, self._sparse = np.zeros((n, 3, 3)), SparseSolver()
         self._stretched: list[tuple[np.ndarray, np.ndarray]] = []
         self._kinds, self._changed = np.zeros((5, n), dtype=bool), False
 
@@ -239,7 +241,7 @@ class SolidSensitivity:
         """Rates of what the assembly of these regions makes, along directions of arrays that it reads, a step of
         parameter k wide. Everything is as it was afterwards."""
         arrays = [array for array, _ in directions]
-        written = [self._parts.tissue.batches.residual]
+        written: list[np.ndarray] = [self._parts.tissue.batches.residual]
         for number in regions:
             written += [self._memories[number].memory.stresses, self._memories[number].memory.energies]
         kept = [(array, array.copy()) for array in arrays + written]
@@ -264,7 +266,8 @@ class SolidSensitivity:
         motion[parts.moved] = follows
         self._added = own if self._laws is None else own + self._laws.with_motion(own)
         parts.matrix.add(self._added)
-        factor = factorise(parts.matrix.free, symmetric=not state.slides.any() and _are_symmetric(self._added))
+        symmetric = not state.slides.any() and _are_symmetric(self._added)
+        factor = self._sparse.factorise(parts.matrix.free, symmetric=symmetric)
         if factor is None:
             return np.full_like(motion, np.nan), np.full_like(forces, np.nan)
         # Measured by forces of tissue and contact; those of the springs that hold the contact are larger by far.

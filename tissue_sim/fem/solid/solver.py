@@ -320,9 +320,9 @@ class SolidSolver(Solver):
     def differentiate(self, neighbours: Neighbours) -> SolidSensitivity | None:
         """Carry exact derivatives along from now on; see `Solver.differentiate`. There are none with effects at
         points."""
-        starts = neighbours and self._start_rates is not None
-        start = self._start_rates(neighbours) if starts else None
-        if self.tissue.effects or (starts and start is None):
+        begins = self._start_rates if neighbours else None
+        start = None if begins is None else begins(neighbours)
+        if self.tissue.effects or (begins is not None and start is None):
             return None
         parts = SolidParts(self.mesh.nodes, self.x, self._free, self._moved, self.tissue, self.contact, self._matrix,
                            Frame(self._start, self.datum), self._assemble)
