@@ -164,9 +164,10 @@ def test_a_height_that_was_measured_as_placed(options, names):
      ["C10", "viscoelastic.terms[0].g"]),
     ({"tool": BALL, "specimen": HEAVY, "viscoelastic": PRONY, "laws": [ts.Adhesion(0.02, 0.5e-3)]},
      ["C10", "viscoelastic.terms[0].tau"]),
-    ({"tool": ts.Tool(), "way": (0.0, 1.0, 0.5, 0.0, -0.1), "specimen": HEAVY, "laws": [Gel()]}, ["C10"])],
+    ({"tool": ts.Tool(), "way": (0.0, 1.0, 0.5, 0.0, -0.1), "specimen": HEAVY, "laws": [Gel()]}, ["C10"]),
+    ({"tool": BALL, "specimen": PLACED, "laws": [Gel()]}, ["C10"])],
     ids=["adhesion", "adhesion and friction", "gel under a plate", "oblique gel", "adhesion and weight",
-         "gel and weight"])
+         "gel and weight", "gel and a height as placed"])
 def test_laws_of_contact(options, names):
     """In and out again; what has touched is pulled and dragged."""
     of = model(**{"friction": "frictionless", "way": OUT, **options})
@@ -174,7 +175,8 @@ def test_laws_of_contact(options, names):
     assert answer.recording.force.min() < 0.0 or of.experiment.approach, "some of it pulls"
 
 
-def test_by_difference_where_laws_act_on_a_height_as_placed():
+def test_by_difference_where_laws_act_on_a_side_as_high_as_placed():
+    """A plate may come to lie on the upper half of the side, whose area depends on the height."""
     of = model(ts.Tool(), "frictionless", (0.0, 1.0), specimen=PLACED, laws=[Gel()])
     answer = ts.sensitivities(of, ["C10"], solver="solid", mesh=mesh_of(of))
     assert not answer.exact.any() and answer.values[-1, 0] > 0.0

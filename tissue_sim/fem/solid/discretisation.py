@@ -120,8 +120,9 @@ def _start_rates(settling: Settling, experiment: Experiment, bodies: list[Body],
     """How the state in which the tool touches, places `top`, m, changes with parameters; None where that is not
     known."""
     mesh, start = settling.mesh, experiment.tool_pose(0.0)
-    if experiment.specimen.height_is == "placed" and experiment.acting_laws:
-        return None  # areas for tractions would change, too
+    specimen, over_sides = experiment.specimen, experiment.tool.is_plate or not experiment.specimen.is_flat
+    if specimen.height_is == "placed" and experiment.acting_laws and over_sides:
+        return None  # areas for tractions would change with the height, too
     found = settling.repeat(neighbours)
     if found is None:
         return None
