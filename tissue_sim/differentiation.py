@@ -47,11 +47,11 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
 
     Those with the material are exact: the equations of every converged step are differentiated, history, slip and
     anchors included; bulk modulus as the material states it, so that `bulk.bulk_ratio` is held while the law changes
-    where the bulk response is a ratio, and `bulk.K_Pa` where it is a modulus. Where the start or the motion depends on
-    the material (self-weight, a rig that gives way), the tool adheres, leans or slips in part, an effect was added to
-    the material or a law to the contact, or the parameter is one of the experiment, the rig or the mesh, it is a
-    central difference of two simulations `SIMULATION_WIDTH` apart, one-sided at the end of its range. Geometry moves
-    the nodes of one mesh, so that such a difference has no jumps of remeshing.
+    where the bulk response is a ratio, and `bulk.K_Pa` where it is a modulus. Where the rig gives way, the tool leans
+    or slips in part, an effect was added to the material, the solver has none (the axisymmetric one of a specimen that
+    weighs, and with adhesion or another law of contact), or the parameter is one of the experiment, the rig or the
+    mesh, it is a central difference of two simulations `SIMULATION_WIDTH` apart, one-sided at the end of its range.
+    Geometry moves the nodes of one mesh, so that such a difference has no jumps of remeshing.
 
     Args:
         model: experiment, material, rig; forces are those on the tool, before the sensor of the rig reads them.

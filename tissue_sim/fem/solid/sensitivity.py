@@ -112,8 +112,8 @@ class SolidSensitivity:
         self._kinds, self._changed = np.zeros((5, n), dtype=bool), False
 
     @classmethod
-    def of(cls, parts: SolidParts, neighbours: Neighbours, here: Material, set_material: Callable[[Material], None],
-           ) -> SolidSensitivity:
+    def of(cls, parts: SolidParts, neighbours: Neighbours, here: Material,
+           set_material: Callable[[Material], None]) -> SolidSensitivity:
         """With what the solver's `set_material` makes of the neighbours of its material, which it has again afterwards.
 
         Args:
@@ -125,7 +125,6 @@ class SolidSensitivity:
             return [[array.copy() for array in (*region.inputs, region.memory.past)] for region in regions]
 
         regions = parts.tissue.regions
-
         try:
             sides = [(inputs(more), inputs(less)) for more, less, _ in neighbours]
         finally:
@@ -233,7 +232,7 @@ class SolidSensitivity:
         return self._inputs[k][number] + self._memories[number].directions(k)
 
     def _stretches(self, k: int) -> list[tuple[np.ndarray, np.ndarray]]:
-        """What the assembly of all regions reads, and its rates with parameter k."""
+        """What the assembly of all regions reads of the undeformed mesh, and its rates with parameter k."""
         return [(array, self._stretch[k] * rate) for array, rate in self._stretched] if self._stretch[k] else []
 
     def _difference(self, k: int, regions: Sequence[int], directions: Sequence[tuple[np.ndarray, np.ndarray]],
@@ -312,4 +311,4 @@ class SolidSensitivity:
 
 def _are_symmetric(blocks: np.ndarray) -> bool:
     """Whether matrices, shape (n, 3, 3), are, but for the rounding of differences."""
-    return bool(np.abs(blocks - blocks.swapaxes(1, 2)).max(initial=0.0) <= 1e-9 * np.abs(blocks).max(initial=0.0))
+    return bool(np.abs(blocks - blocks.swapaxes(1, 2)).max(initial=0.0) <= 1e-7 * np.abs(blocks).max(initial=0.0))
