@@ -257,6 +257,20 @@ def test_a_glued_cube_of_another_program(tmp_path, coarse):
     assert abs(mesh.parameters["C10"] - 450.0) < 3.0 * mesh.standard_errors["C10"]
 
 
+def test_a_block_that_weighs_is_fitted_with_exact_derivatives(tmp_path, coarse, monkeypatch):
+    """No simulation is done for a difference; those of the start, which depends on the modulus, would be many."""
+    weight = {"density": 1040.0, "gravity": 9.81, "height_is": "placed"}
+    block = ts.Block(0.02, 0.02, 0.02, **weight)
+    recording = ts.simulate(ts.Model(pressed(block), MATERIAL), solver="solid", resolution="coarse, second order")
+    write_run(tmp_path, recording.displacement, recording.force)
+    differences = []
+    monkeypatch.setattr("tissue_sim.differentiation._difference", lambda *asked: differences.append(asked))
+    stated = BLOCK + '\nheight_is = "placed"\ngravity = true\ndensity_kg_m3 = 1040.0'
+    best = calibrated(tmp_path, specimen=stated)
+    assert best.parameters["C10"] == pytest.approx(450.0, abs=3.0 * best.standard_errors["C10"])
+    assert best.standard_errors["C10"] < 2.0 and not differences
+
+
 def test_what_a_mesh_of_a_file_errs_by_is_told_from_two_orders(folder, coarse):
     campaign = load(folder, MESH)
     curves = calibration.read_measured(campaign)["bonded_compression"]

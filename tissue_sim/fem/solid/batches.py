@@ -181,6 +181,13 @@ class ElementBatches:
         """Of each element on its freedoms, N, shape (elements, freedoms of an element), as the kernel left them."""
         return self._of_elements(self._forces, 3 * self._dofs.shape[1])
 
+    @property
+    def stretch_rates(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Arrays that the kernel reads, to be written in place, and their rates with the logarithm of the height of the
+        undeformed mesh."""
+        return [(self._gradients[2], -self._gradients[2]), (self._weights, self._weights.copy()),
+                (self._mode_values, -0.5 * self._mode_values)]
+
     def set_moduli(self, ratios: np.ndarray) -> None:
         """Of each element's moduli to those of its material, shape (elements,)."""
         self.moduli[:] = ratios[self._elements]
