@@ -96,11 +96,11 @@ class DelayedBulk:
         self._coming: tuple[float, CondensedContact | None] | None = None
 
     def _later(self, compute: Callable[[], None]) -> Callable[[], bool]:
-        """Computed now, and there when its time has come."""
+        """Computed now, and there when its time has come; nobody waits for one of a specimen that is no more."""
         assert self._tangent is not None
         compute()
-        due = self._now + self._tangent
-        return lambda: self._now >= due - 1e-9
+        due, epoch = self._now + self._tangent, self._epoch
+        return lambda: self._epoch != epoch or self._now >= due - 1e-9
 
     def start(self) -> CondensedContact:
         model = self._foresighted.linearise(first_state(self.surface), 0.0, 0.0)

@@ -119,8 +119,9 @@ def test_before_a_second_model_a_long_way_is_no_equilibrium():
     assert tissue.models == 0 and answers[-1].status is ForceStatus.LATE
 
 
-def test_after_a_reset_models_come_as_at_first():
-    tissue, pose = delayed(), Pose((0.0, 0.0, -1e-3))
+@pytest.mark.parametrize("delays", [(0.016, None), (0.008, 0.06)])
+def test_after_a_reset_models_come_as_at_first(delays):
+    tissue, pose = delayed(*delays), Pose((0.0, 0.0, -1e-3))
     for _ in range(200):
         tissue.step(pose, DT)
     tissue.reset()
