@@ -33,6 +33,32 @@ def test_a_field_takes_numbers_only_and_says_what_it_did_not_take(shown, reader)
     assert field.input_value() == "5" and shown.frame.target == pytest.approx(5e-3)
 
 
+def type_slowly(reader, label, text, obeyed):
+    """Key by key, each when the page has shown two frames with what the program made of the key before."""
+    field, shown = reader.field(label), reader.shown
+    field.press("Control+a")
+    for count, key in enumerate(text, 1):
+        field.press(key)
+        reader.until(lambda: shown.frame, lambda frame, typed=text[:count]: obeyed(frame, typed))
+        for _ in range(2):
+            before = shown.frame
+            reader.until(lambda: shown.frame, lambda frame, before=before: frame is not before)
+    reader.page.evaluate("() => new Promise((drawn) => requestAnimationFrame(() => requestAnimationFrame(drawn)))")
+    assert field.input_value() == text
+    field.press("Enter")
+
+
+def test_who_types_slowly_outside_of_the_range_is_not_interrupted(shown, reader):
+    type_slowly(reader, "depth [mm]", "34",
+                lambda frame, typed: frame.target == pytest.approx(min(int(typed), 5) * 1e-3))
+    note(reader, "34 is outside of what this field takes: 5 is used")
+    reader.wait_for("depth", "5.00")
+    reader.tab("Material")
+    type_slowly(reader, "C10 [kPa]", "0.9",
+                lambda frame, typed: typed != "0.9" or frame.scene.material.parameters["C10"] == pytest.approx(900.0))
+    assert reader.page.get_by_role("alert").count() == 0
+
+
 def test_a_file_that_is_too_large_does_not_leave_the_browser(shown, reader, tmp_path):
     large = tmp_path / "large.material.json"
     with large.open("wb") as file:
